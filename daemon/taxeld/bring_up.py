@@ -1,0 +1,72 @@
+"""Bring-up of a CySkin bus: discovery → short ids → DECLARE and DETAILS → period → auto sync.
+
+Pure: packets and the time in, requests out. Requests are broadcast, so that they never cut into the
+fragments that a hub is sending under its own id. When scans stop, the whole sequence runs again,
+which serves a hub that rebooted as well as one plugged in late.
+"""
+
+import struct
+from collections.abc import Iterable
+
+from taxeld_protocol.cyskin import ALL_MODULES, Command, Packet
+from taxeld_protocol.decoder import Decoder
+
+RETRY_S = 0.5
+SILENCE_S = 1.0  # without a scan for so long, the hubs are asked anew
+
+Request = tuple[int, bytes]
+
+
+class BringUp:
+    """Decides what to send to get scans and to keep them coming."""
+
+    def __init__(self, decoder: Decoder, period_ms: int) -> None:
+        self._decoder = decoder
+        self._period_ms = period_ms
+        self._short_ids: dict[int, int] = {}  # hub UID → the id it was given
+        self._next_s = 0.0
+        self._known = False  # whether the last requests went out with the modules known
+        self._last_scan_s = -SILENCE_S
+
+    def on_packet(self, packet: Packet) -> list[Request]:
+        """A hub that answers discovery is given its short id."""
+        if packet.command != Command.DISCOVERY_PING or len(packet.payload) != 4:
+            return []
+        (uid,) = struct.unpack(">I", packet.payload)
+        short_id = self._short_ids.setdefault(uid, len(self._short_ids) + 1)
+        if packet.ihb == short_id or short_id > 0xFE:
+            return []
+        return [(Command.DISCOVERY_RECV_ID, struct.pack(">IB", uid, short_id))]
+
+    def on_scan(self, now_s: float) -> None:
+        self._last_scan_s = now_s
+
+    def due(self, now_s: float) -> Iterable[Request]:
+        """The requests to send now."""
+        if now_s - self._last_scan_s < SILENCE_S:
+            return []
+        just_known = self._ready and not self._known
+        if now_s < self._next_s and not just_known:
+            return []
+        self._next_s = now_s + RETRY_S
+        self._known = self._ready
+        if self._known:
+            return [
+                (Command.SET_AUTO_SYNC_PERIOD, struct.pack(">H", self._period_ms)),
+                (Command.SET_AUTO_SYNC, b"\x01"),
+                (Command.DISCOVERY_PING, b""),  # a hub that rebooted has lost its id
+            ]
+        return [
+            (Command.DISCOVERY_PING, b""),
+            (Command.DECLARE, b""),
+            (Command.MODULE_DETAILS, bytes((ALL_MODULES,))),
+        ]
+
+    @staticmethod
+    def stop() -> list[Request]:
+        return [(Command.SET_AUTO_SYNC, b"\x00")]
+
+    @property
+    def _ready(self) -> bool:
+        hubs = self._decoder.hubs.values()
+        return bool(hubs) and all(hub.table.detailed for hub in hubs)

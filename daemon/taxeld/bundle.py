@@ -1,0 +1,102 @@
+"""Scene bundles: a directory with the scene, its samplers, and what is known about them."""
+
+import json
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from taxeld import scene
+from taxeld.errors import SetupError
+from taxeld.layout import Layout
+from taxeld.observation import ObservationModel
+from taxeld.proposals import Ddpm, Projection, Proposal
+
+FORMAT = 1
+
+_KEYS = {
+    "format": int,
+    "object": str,
+    "attribution": (str, type(None)),
+    "layout": dict,
+    "height_m": float,
+    "depth_max_m": float,
+    "samplers": list,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Bundle:
+    """A validated bundle that belongs to the configured layout."""
+
+    path: Path
+    info: dict[str, Any]  # bundle.json as it stands
+    model: ObservationModel
+
+    def proposal(self, name: str) -> Proposal:
+        """The proposal that the configuration names; `auto` is the bundle's first sampler.
+
+        Raises:
+            SetupError: the bundle has none of that name.
+        """
+        if name == "projection":
+            return Projection(self.model)
+        samplers = [s for s in self.info["samplers"] if name in ("auto", s["name"])]
+        if samplers:
+            return Ddpm(self.path / samplers[0]["file"], self.model.layout)
+        if name == "auto":
+            return Projection(self.model)
+        raise SetupError(f"filter.proposal: {self.path} holds no sampler '{name}'")
+
+
+def find(name: str) -> Path:
+    """The directory of a shipped bundle's name or a path."""
+    shipped = Path(str(resources.files("taxeld") / "bundles"))
+    for path in (shipped / name, Path(name)):
+        if (path / "bundle.json").is_file():
+            return path
+    names = ", ".join(sorted(p.name for p in shipped.glob("*") if (p / "bundle.json").is_file()))
+    raise SetupError(
+        f"scene.bundle: no bundle '{name}'; shipped are {names}; "
+        "others are built by 'taxeld-train build'"
+    )
+
+
+def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
+    """Load and validate a bundle for a skin.
+
+    Raises:
+        SetupError: it is missing, damaged, or of another layout or depth.
+    """
+    path = find(name)
+    info = _info(path / "bundle.json")
+    theirs = info["layout"]
+    if theirs.get("digest") != layout.digest:
+        raise SetupError(
+            f"scene.bundle: {path.name} is for the layout {theirs.get('name')} "
+            f"({theirs.get('digest')}), not for {layout.name} ({layout.digest})"
+        )
+    if abs(info["depth_max_m"] - depth_max_m) > 1e-6:
+        raise SetupError(
+            f"skin.full_scale_depth_m: is {depth_max_m:g}, but {path.name} was built for "
+            f"{info['depth_max_m']:g}"
+        )
+    return Bundle(path, info, ObservationModel(scene.load(path / "scene.npz"), layout, depth_max_m))
+
+
+def _info(path: Path) -> dict[str, Any]:
+    try:
+        info = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SetupError(f"{path}: unreadable ({error}); build the bundle again") from None
+    if not isinstance(info, dict) or info.get("format") != FORMAT:
+        raise SetupError(f"{path}: is not of bundle format {FORMAT}; build the bundle again")
+    for key, kind in _KEYS.items():
+        if not isinstance(info.get(key), kind):  # type: ignore[arg-type]
+            raise SetupError(f"{path}: {key} is missing or of the wrong type")
+    for i, sampler in enumerate(info["samplers"]):
+        if not isinstance(sampler, dict) or not {"name", "file"} <= sampler.keys():
+            raise SetupError(f"{path}: samplers[{i}] needs a name and a file")
+        if not (path.parent / sampler["file"]).is_file():
+            raise SetupError(f"{path}: samplers[{i}].file: no such file {sampler['file']}")
+    return info

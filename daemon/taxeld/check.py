@@ -1,0 +1,53 @@
+"""`taxeld check`: whether everything that a run needs is there, without disturbing any of it."""
+
+from pathlib import Path
+
+from taxeld import bundle, layout, session
+from taxeld.config import Config, SourceConfig
+from taxeld.errors import SetupError
+
+SYS_NET = Path("/sys/class/net")
+
+
+def faults(config: Config) -> list[str]:
+    """One path-qualified line a fault of a configuration whose keys are fine."""
+    found = []
+    try:
+        skin = layout.load(config.skin.layout)
+    except SetupError as error:
+        found.append(str(error))
+    else:
+        try:
+            loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
+            loaded.proposal(config.filter.proposal)
+        except SetupError as error:
+            found.append(str(error))
+    try:
+        _source(config.source)
+    except SetupError as error:
+        found.append(str(error))
+    for key, endpoints in (
+        ("publish.endpoints", config.publish.endpoints),
+        ("control.endpoint", (config.control.endpoint,)),
+    ):
+        for endpoint in endpoints:
+            path = Path(endpoint.removeprefix("ipc://"))
+            if endpoint.startswith("ipc://") and not path.parent.is_dir():
+                found.append(
+                    f"{key}: {path.parent} does not exist; create it or name another endpoint"
+                )
+    return found
+
+
+def _source(source: SourceConfig) -> None:
+    if source.kind == "replay":
+        session.read_frames(Path(source.path) / session.FRAMES)
+    elif source.kind == "serial" or source.interface == "slcan":
+        device = Path(source.channel.split("@")[0])
+        if not device.exists():
+            raise SetupError(f"source.channel: no device {device}; is it plugged in?")
+    elif source.interface == "socketcan" and not (SYS_NET / source.channel).exists():
+        raise SetupError(
+            f"source.channel: no CAN interface '{source.channel}'; "
+            f"bring it up: ip link set {source.channel} up type can bitrate {source.bitrate}"
+        )

@@ -1,0 +1,130 @@
+"""`taxeld`: the daemon and the commands beside it."""
+
+import argparse
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+
+from taxeld_protocol.modules import wired
+
+from taxeld import __version__, layout, session
+from taxeld.config import ControlConfig, load
+from taxeld.errors import SetupError
+from taxeld.toml_tables import ConfigError
+
+USAGE_ERROR, FAILED = 2, 1
+
+
+def main(argv: list[str] | None = None) -> int:
+    """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
+    args = _parser().parse_args(argv)
+    try:
+        return int(args.command(args))
+    except ConfigError as error:
+        print("\n".join(error.faults), file=sys.stderr)
+        return USAGE_ERROR
+    except SetupError as error:
+        print(error, file=sys.stderr)
+        return USAGE_ERROR
+    except BrokenPipeError:  # the reader of our output has gone: `taxeld decode LOG | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+
+
+def _run(args: argparse.Namespace) -> int:
+    from taxeld.loop import Daemon  # the other commands need neither zmq nor a device
+
+    daemon = Daemon(load(args.config))
+
+    def stop(*_: object) -> None:
+        daemon.stopping = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    daemon.run()
+    return 0
+
+
+def _check(args: argparse.Namespace) -> int:
+    from taxeld import check
+
+    faults = check.faults(load(args.config))
+    if faults:
+        raise ConfigError(faults)
+    print(f"{args.config}: fine")
+    return 0
+
+
+def _decode(args: argparse.Namespace) -> int:
+    from taxeld.decode import decode
+
+    modules = None
+    if args.config:
+        modules = wired(layout.load(load(args.config).skin.layout).uid.tolist())
+    for line in decode(args.log, modules):
+        print(line)
+    return 0
+
+
+def _replay(args: argparse.Namespace) -> int:
+    from taxeld.replay import replay
+
+    config = load(args.config or args.directory / session.CONFIG)
+    for line in replay(args.directory, config, args.seed):
+        print(line)
+    return 0
+
+
+def _ask(args: argparse.Namespace) -> int:
+    from taxeld.streams import request
+
+    endpoint = load(args.config).control.endpoint if args.config else args.endpoint
+    answer = request(endpoint, args.name)
+    print(json.dumps(answer, indent=1))
+    return 0 if answer.get("ok") else FAILED
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="taxeld", description=__doc__)
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="the daemon")
+    run.add_argument("config", type=Path, metavar="CONFIG")
+    run.set_defaults(command=_run)
+
+    check = commands.add_parser("check", help="validate all that a run needs")
+    check.add_argument("config", type=Path, metavar="CONFIG")
+    check.set_defaults(command=_check)
+
+    decode = commands.add_parser("decode", help="candump log → a JSON line a scan, then counters")
+    decode.add_argument("log", type=Path, metavar="LOG")
+    decode.add_argument("--dialect", choices=["cyskin"], default="cyskin")
+    decode.add_argument("--config", type=Path, help="whose layout gives the module table")
+    decode.set_defaults(command=_decode)
+
+    replay = commands.add_parser("replay", help="session → a JSON line an estimate")
+    replay.add_argument("directory", type=Path, metavar="DIR")
+    replay.add_argument("--config", type=Path, help="instead of the session's own config.toml")
+    replay.add_argument("--seed", type=int, help="instead of the configured one")
+    replay.set_defaults(command=_replay)
+
+    for name, text in (
+        ("status", "what a running daemon believes and counts"),
+        ("tare", "learn the idle baseline of an untouched skin anew"),
+        ("reset", "forget what was felt"),
+    ):
+        ask = commands.add_parser(name, help=text)
+        where = ask.add_mutually_exclusive_group()
+        where.add_argument("--config", type=Path, help="the daemon's configuration")
+        where.add_argument("--endpoint", default=ControlConfig().endpoint)
+        ask.set_defaults(command=_ask, name=name)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,138 @@
+"""The configuration file: one dataclass a table, every key with its type, default and bounds.
+
+Units stand in the names.
+"""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from taxeld import toml_tables
+from taxeld.toml_tables import ConfigError, between, key, one_of
+
+
+def _local(endpoint: str) -> str | None:
+    """Streams and control are bound to this machine only."""
+    local = ("ipc://", "inproc://", "tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:")
+    if endpoint.startswith(local):
+        return None
+    return f"'{endpoint}' is not local; use ipc:///path or tcp://127.0.0.1:port"
+
+
+def _all_local(endpoints: tuple[str, ...]) -> str | None:
+    return next((fault for fault in map(_local, endpoints) if fault), None)
+
+
+@dataclass(frozen=True, slots=True)
+class SkinConfig:
+    layout: str = key(
+        "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015", doc="where the taxels are"
+    )
+    full_scale_counts: float = key(
+        20000.0, between(1, 65535), "counts over baseline at full_scale_depth_m"
+    )
+    full_scale_depth_m: float = key(0.005, between(1e-4, 0.05), "depth that reads as 1")
+    baseline_scans: int = key(20, between(2, 10000), "untouched scans that make the baseline")
+    threshold_sigmas: float = key(
+        6.0, between(1, 100), "idle noise a reading must exceed to be a touch"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SourceConfig:
+    kind: str = key(check=one_of("can", "serial", "replay"), doc="where frames come from")
+    dialect: str = key("cyskin", one_of("cyskin"), "the skin's protocol")
+    interface: str = key("socketcan", doc="kind can: any python-can interface")
+    channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
+    bitrate: int = key(1_000_000, between(10_000, 1_000_000), "kind can: bit/s")
+    baud: int = key(921_600, between(1200, 12_000_000), "kind serial: line speed, bit/s")
+    path: str = key("", doc="kind replay: a session directory")
+    period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")
+    listen_only: bool = key(False, doc="never send: for a skin that something else started")
+
+
+@dataclass(frozen=True, slots=True)
+class SceneConfig:
+    bundle: str = key(doc="a shipped bundle's name, or a path")
+
+
+@dataclass(frozen=True, slots=True)
+class SensorPoseConfig:
+    endpoint: str = key("", doc="SUB endpoint of the robot; empty: the sensor stands still")
+    max_age_s: float = key(0.2, between(0.001, 60), "a scan whose pose is older is not used")
+
+
+@dataclass(frozen=True, slots=True)
+class LoopConfig:
+    rate_hz: float = key(100.0, between(1, 1000), "ticks and estimates a second")
+    stale_s: float = key(0.5, between(0.01, 60), "without a scan for so long, not valid")
+
+
+@dataclass(frozen=True, slots=True)
+class FilterConfig:
+    particles: int = key(100, between(2, 100_000), "N")
+    injected: int = key(50, between(0, 10_000), "S, the most that a touch replaces")
+    proposal: str = key("auto", one_of("auto", "ddpm", "projection"), "where they come from")
+    seed: int = key(0, between(0, 2**63), "of the one random generator")
+    centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")
+    half_width_m: float = key(0.5, between(0.01, 100), "of that square, world frame")
+    noise_sigma: float = key(0.02, between(1e-4, 1), "sd of an activation")
+    gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
+    outliers: float = key(0.01, between(0, 0.5), "share of readings that mean nothing")
+
+
+@dataclass(frozen=True, slots=True)
+class PublishConfig:
+    endpoints: tuple[str, ...] = key(
+        ("ipc:///run/taxeld/stream", "tcp://127.0.0.1:9872"), _all_local, "XPUB endpoints"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ControlConfig:
+    endpoint: str = key("ipc:///run/taxeld/control", _local, "REP endpoint; empty: none")
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    scene: SceneConfig
+    source: SourceConfig
+    skin: SkinConfig = field(default_factory=SkinConfig)
+    sensor_pose: SensorPoseConfig = field(default_factory=SensorPoseConfig)
+    loop: LoopConfig = field(default_factory=LoopConfig)
+    filter: FilterConfig = field(default_factory=FilterConfig)
+    publish: PublishConfig = field(default_factory=PublishConfig)
+    control: ControlConfig = field(default_factory=ControlConfig)
+
+
+def load(path: Path) -> Config:
+    """Read and validate a configuration file.
+
+    Raises:
+        ConfigError: all faults at once.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError([f"{path}: unreadable configuration ({error})"]) from None
+    return parse(text, str(path))
+
+
+def parse(text: str, name: str = "configuration") -> Config:
+    """Validate configuration text.
+
+    Raises:
+        ConfigError: all faults at once.
+    """
+    config = toml_tables.parse(Config, text, name)
+    faults: list[str] = []
+    _check_source(config.source, faults)
+    if faults:
+        raise ConfigError(faults)
+    return config
+
+
+def _check_source(source: SourceConfig, faults: list[str]) -> None:
+    if source.kind in ("can", "serial") and not source.channel:
+        faults.append(f"source.channel: is required for kind '{source.kind}'")
+    if source.kind == "replay" and not source.path:
+        faults.append("source.path: is required for kind 'replay'")

@@ -1,0 +1,62 @@
+"""The sensor's pose over time, interpolated to the moment of a scan."""
+
+from bisect import bisect_right
+from collections import deque
+
+import numpy as np
+
+from taxeld import se2
+from taxeld.se2 import Poses
+
+KEPT = 512  # poses: five seconds at 100 Hz
+
+
+class PoseTrack:
+    """The last poses (t, x, y, θ) of the sensor in the world; bounded memory."""
+
+    def __init__(self, max_age_s: float) -> None:
+        self.max_age_s = max_age_s
+        self.rejected = 0  # not finite, or not later than the one before
+        self._t: deque[float] = deque(maxlen=KEPT)
+        self._pose: deque[Poses] = deque(maxlen=KEPT)
+
+    @property
+    def latest_t(self) -> float:
+        return self._t[-1] if self._t else -np.inf
+
+    def add(self, t: float, x: float, y: float, theta: float) -> None:
+        """Take a pose; times must increase."""
+        pose = np.array([x, y, theta], dtype=np.float64)
+        if not (np.isfinite(t) and np.isfinite(pose).all()) or t <= self.latest_t:
+            self.rejected += 1
+            return
+        self._t.append(t)
+        self._pose.append(pose)
+
+    def at(self, t: float) -> Poses | None:
+        """The pose (3,) at time t: interpolated, or the last one while it is young enough; None
+        where nothing that near in time is known."""
+        i = bisect_right(self._t, t)
+        if i == 0:
+            return None
+        before, t_before = self._pose[i - 1], self._t[i - 1]
+        if i == len(self._t):
+            return before if t - t_before <= self.max_age_s else None
+        after, span = self._pose[i], self._t[i] - t_before
+        if span > self.max_age_s:
+            return before if t - t_before <= self.max_age_s else None
+        share = (t - t_before) / span
+        pose = before + share * (after - before)
+        pose[2] = se2.wrap(before[2] + share * se2.wrap(after[2] - before[2]))
+        return pose
+
+
+class StandingStill:
+    """A sensor without a robot: always at the origin."""
+
+    max_age_s = np.inf
+    rejected = 0
+    latest_t = np.inf
+
+    def at(self, t: float) -> Poses:  # noqa: ARG002
+        return se2.IDENTITY

@@ -1,0 +1,36 @@
+"""SE(2): poses as arrays (..., 3) of x [m], y [m], θ [rad]."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Poses = NDArray[np.float64]
+
+IDENTITY: Poses = np.zeros(3)
+
+
+def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles brought into [−π, π)."""
+    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def compose(a: Poses, b: Poses) -> Poses:
+    """a ∘ b: the pose b, given in the frame a, in the frame that a is given in."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
+    y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
+    return np.stack([x, y, wrap(a[..., 2] + b[..., 2])], axis=-1)
+
+
+def inverse(a: Poses) -> Poses:
+    """The pose of the outer frame as seen from a."""
+    c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
+    x = -c * a[..., 0] - s * a[..., 1]
+    y = s * a[..., 0] - c * a[..., 1]
+    return np.stack([x, y, wrap(-a[..., 2])], axis=-1)
+
+
+def rotation_about(centre: NDArray[np.float64], angle: float) -> Poses:
+    """The pose (3,) that turns by `angle` about the point `centre` (2,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = centre
+    return np.array([x - c * x + s * y, y - s * x - c * y, wrap(np.float64(angle))])

@@ -1,0 +1,203 @@
+"""CySkin's packets and how CAN frames carry them.
+
+A packet is `command u8 | N u8 | payload[N] | crc8`. On CAN it travels in fragments of 8 bytes, all
+full but the last, under an 11-bit id of assembly bits (first, middle, last, single) and the hub's
+(IHB's) short id. There is no fragment counter, so loss shows only as a wrong length or checksum.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import NamedTuple
+
+from taxeld_protocol.frames import Frame
+
+FIRST, MIDDLE, LAST, SINGLE = 0x100, 0x200, 0x400, 0x500
+ASSEMBLY_MASK, SHORT_ID_MASK = 0x700, 0x0FF
+BROADCAST = 0xFF
+FRAGMENT_BYTES = 8
+MAX_PAYLOAD = 255
+MAX_FRAGMENTS = -(-(MAX_PAYLOAD + 3) // FRAGMENT_BYTES)
+MAX_VALUES = 126  # of a SENSOR_DATA packet
+
+
+class Command(IntEnum):
+    """First byte of a packet; requests and their responses share it."""
+
+    DISCOVERY_PING = 0x10
+    DISCOVERY_RECV_ID = 0x11
+    PING = 0x12
+    ERROR = 0x13
+    MODULE_PROGRAM_END = 0x31
+    IHB_COLD_REBOOT = 0x32
+    IHB_WARM_REBOOT = 0x33
+    MODULE_COLD_REBOOT = 0x34
+    MODULE_WARM_REBOOT = 0x35
+    SET_MODULE_GROUPING = 0x36
+    SET_AUTO_SYNC = 0x37
+    SET_AUTO_SYNC_PERIOD = 0x38
+    SET_COMM_SPEED = 0x39
+    GET_COMM_SPEED = 0x3A
+    SYNC = 0x3B
+    DECLARE = 0x3C
+    MODULE_DETAILS = 0x3D
+    VERSION = 0x3E
+    MODULE_BTLDR_VERSION = 0x3F
+    MODULE_APP_VERSION = 0x40
+    UID = 0x41
+    MODULE_CDC_SPEED = 0x42
+    SENSOR_DATA = 0x43
+    MODULE_CDC_CONTROL = 0x44
+    MODULE_PHASE_SHIFT = 0x45
+    MODULE_SET_CUT_SENSORS = 0x47
+
+
+KNOWN_COMMANDS = frozenset(int(command) for command in Command)
+ALL_MODULES = 255
+
+
+class ErrorCode(IntEnum):
+    """Second payload byte of an ERROR."""
+
+    FAIL = 0xE1
+    NOT_SUPPORTED = 0xE2
+    INVALID = 0xE3
+    NO_COMMAND = 0xE4
+    NO_ARGUMENT = 0xE5
+    FORMAT = 0xE6
+    CRC = 0xE7
+    NO_BUFFERS = 0xE8
+    PHASE = 0xE9
+    BUSY = 0xEA
+    IO = 0xEB
+
+
+class Packet(NamedTuple):
+    """A packet whose length and checksum are right."""
+
+    t: float  # of its first fragment, in the reader's clock
+    ihb: int  # short id in the CAN id: sender of a response, receiver of a request
+    command: int
+    payload: bytes
+
+
+def _crc8_table() -> bytes:
+    table = bytearray()
+    for byte in range(256):
+        for _ in range(8):
+            byte = (byte << 1 ^ 0x07) & 0xFF if byte & 0x80 else byte << 1
+        table.append(byte)
+    return bytes(table)
+
+
+_CRC8 = _crc8_table()
+
+
+def crc8(data: bytes) -> int:
+    """CRC-8, polynomial 0x07, init 0xFF, not reflected: 0xFB over b"123456789"."""
+    crc = 0xFF
+    for byte in data:
+        crc = _CRC8[crc ^ byte]
+    return crc
+
+
+def encode(command: int, payload: bytes = b"") -> bytes:
+    """The packet's bytes, checksum included."""
+    body = bytes((command, len(payload))) + payload
+    return body + bytes((crc8(body),))
+
+
+def fragment(packet: bytes, ihb: int, t: float = 0.0) -> list[Frame]:
+    """The CAN frames that carry an encoded packet to or from the hub `ihb`."""
+    parts = [packet[i : i + FRAGMENT_BYTES] for i in range(0, len(packet), FRAGMENT_BYTES)]
+    if len(parts) == 1:
+        return [Frame(t, SINGLE | ihb, parts[0])]
+    kinds = [FIRST] + [MIDDLE] * (len(parts) - 2) + [LAST]
+    return [Frame(t, kind | ihb, part) for kind, part in zip(kinds, parts, strict=True)]
+
+
+def to_frames(command: int, payload: bytes = b"", *, ihb: int, t: float = 0.0) -> list[Frame]:
+    """A packet as CAN frames: `fragment(encode(…))`."""
+    return fragment(encode(command, payload), ihb, t)
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """Every frame fed is counted exactly once among those below `frames`, or is still pending."""
+
+    frames: int = 0
+    used: int = 0  # carried a good packet
+    foreign: int = 0  # extended ids and ids that are no fragment
+    orphan: int = 0  # a middle or last fragment without a first
+    length: int = 0  # of packets whose length is wrong
+    crc: int = 0  # of packets whose checksum is wrong
+    # packets, not frames:
+    packets: int = 0
+    length_errors: int = 0
+    crc_errors: int = 0
+
+
+@dataclass(slots=True)
+class _Partial:
+    t: float
+    data: bytearray
+    frames: int
+
+
+@dataclass(slots=True)
+class Reassembler:
+    """Frames → packets, any number of hubs interleaved; memory is bounded by 256 short ids."""
+
+    counters: LinkCounters = field(default_factory=LinkCounters)
+    _partial: dict[int, _Partial] = field(default_factory=dict)
+
+    @property
+    def pending(self) -> int:
+        """Frames held for packets that are not complete."""
+        return sum(partial.frames for partial in self._partial.values())
+
+    def feed(self, frame: Frame) -> Packet | None:
+        """The packet that this frame completes, if it does and the packet is good."""
+        counters = self.counters
+        counters.frames += 1
+        kind, ihb = frame.can_id & ASSEMBLY_MASK, frame.can_id & SHORT_ID_MASK
+        if frame.extended or kind not in (FIRST, MIDDLE, LAST, SINGLE):
+            counters.foreign += 1
+            return None
+        if kind in (FIRST, SINGLE):
+            cut_short = self._partial.pop(ihb, None)
+            if cut_short is not None:
+                self._drop_length(cut_short.frames)
+            partial = _Partial(frame.t, bytearray(), 0)
+        else:
+            found = self._partial.pop(ihb, None)
+            if found is None:
+                counters.orphan += 1
+                return None
+            partial = found
+        partial.data += frame.data
+        partial.frames += 1
+        if kind in (LAST, SINGLE):
+            return self._deliver(ihb, partial)
+        if partial.frames >= MAX_FRAGMENTS:
+            self._drop_length(partial.frames)
+            return None
+        self._partial[ihb] = partial
+        return None
+
+    def _deliver(self, ihb: int, partial: _Partial) -> Packet | None:
+        data = partial.data
+        if len(data) <= 2 or len(data) < data[1] + 3:
+            self._drop_length(partial.frames)
+            return None
+        end = data[1] + 2
+        if crc8(data[:end]) != data[end]:
+            self.counters.crc_errors += 1
+            self.counters.crc += partial.frames
+            return None
+        self.counters.packets += 1
+        self.counters.used += partial.frames
+        return Packet(partial.t, ihb, data[0], bytes(data[2:end]))
+
+    def _drop_length(self, frames: int) -> None:
+        self.counters.length_errors += 1
+        self.counters.length += frames

@@ -1,0 +1,183 @@
+"""CySkin frames → scans: reassembly, the module table as traffic tells it, the SENSOR_DATA walk."""
+
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from itertools import accumulate
+
+from taxeld_protocol import cyskin
+from taxeld_protocol.cyskin import Command, Packet, Reassembler
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.modules import Module, ModuleTable
+
+MISSING = -1  # a channel of a scan that no packet filled
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """One pass over all channels of a hub."""
+
+    t: float  # of the first fragment of the first packet, in the reader's clock
+    ihb: int
+    counts: tuple[int, ...]  # channel by channel, MISSING where lost
+    table: tuple[Module, ...]  # that the channels are walked by
+    table_version: int
+
+    @property
+    def complete(self) -> bool:
+        return MISSING not in self.counts
+
+    @property
+    def by_module(self) -> list[list[int | None]]:
+        """Counts of each module, None where lost."""
+        out: list[list[int | None]] = []
+        at = 0
+        for module in self.table:
+            part = self.counts[at : at + module.channels]
+            out.append([None if value == MISSING else value for value in part])
+            at += module.channels
+        return out
+
+
+@dataclass(slots=True)
+class Counters:
+    """Packets and scans; frames are counted by the link."""
+
+    index_errors: int = 0  # SENSOR_DATA past the declared tree, or malformed
+    malformed: int = 0  # other packets whose payload is not what their command asks for
+    unknown: int = 0  # packets of no known command, and frames of no known id
+    undeclared: int = 0  # SENSOR_DATA before the module table was known
+    scans: int = 0
+    incomplete: int = 0  # of the scans
+
+
+@dataclass(slots=True)
+class _Hub:
+    """A hub's table, and the scan under way."""
+
+    table: ModuleTable = field(default_factory=ModuleTable)
+    walk_version: int = -1  # of the table that the walk below was made from
+    walk: tuple[Module, ...] = ()
+    first: list[int] = field(default_factory=list)  # channel of the scan that each module begins at
+    channels: int = 0
+    counts: list[int] | None = None  # None: no scan is under way
+    t: float = 0.0
+    reached: int = 0  # one past the last channel filled: a scan only ever walks forward
+
+    def learn(self) -> None:
+        """Make the walk from the table."""
+        self.walk_version = self.table.version
+        self.walk = tuple(self.table.modules)
+        self.first = [0, *accumulate(module.channels for module in self.walk)]
+        self.channels = self.first.pop()
+
+    def channel(self, module: int, channel: int) -> int | None:
+        """The scan's channel at which a packet that names (module, channel) starts."""
+        if module < len(self.walk) and channel < self.walk[module].channels:
+            return self.first[module] + channel
+        return None
+
+
+class Decoder:
+    """Any number of hubs on one bus. Feed frames; take scans; read the counters."""
+
+    def __init__(self, assumed: Callable[[int], Sequence[Module]] | None = None) -> None:
+        """`assumed`: short id → the modules of a hub that streams without having declared them, as
+        when listening to a skin that was started before; nothing is assumed without it."""
+        self.link = Reassembler()
+        self.counters = Counters()
+        self.hubs: dict[int, _Hub] = {}
+        self._assumed = assumed
+
+    def table(self, ihb: int) -> ModuleTable:
+        """The module table of a hub, empty until it is declared."""
+        return self.hubs[ihb].table if ihb in self.hubs else ModuleTable()
+
+    def feed(self, frame: Frame) -> tuple[Packet | None, list[Scan]]:
+        """The packet that the frame completes, and the scans that it ends: at most two."""
+        packet = self.link.feed(frame)
+        if packet is None:
+            return None, []
+        return packet, self.on_packet(packet)
+
+    def on_packet(self, packet: Packet) -> list[Scan]:
+        """Take a packet that came whole, from CAN or a serial link."""
+        command = packet.command
+        if command not in cyskin.KNOWN_COMMANDS:
+            self.counters.unknown += 1
+            return []
+        if command == Command.SENSOR_DATA:
+            return self._sensor_data(packet)
+        if packet.ihb != cyskin.BROADCAST and command in (Command.DECLARE, Command.MODULE_DETAILS):
+            table = self.hubs.setdefault(packet.ihb, _Hub()).table
+            take = table.on_declare if command == Command.DECLARE else table.on_details
+            if not take(packet.payload):
+                self.counters.malformed += 1
+        return []
+
+    def flush(self) -> list[Scan]:
+        """The scans that are under way, incomplete: call at the end of a log."""
+        scans: list[Scan] = []
+        for ihb, hub in self.hubs.items():
+            self._end(ihb, hub, scans)
+        return scans
+
+    def stats(self) -> dict[str, int | dict[str, int]]:
+        """All counters; `frames` = `used` + the sum of `dropped` + `pending`."""
+        link: dict[str, int] = asdict(self.link.counters)
+        counters = asdict(self.counters)
+        counters["unknown"] += link["foreign"]
+        dropped = {cause: link[cause] for cause in ("crc", "length", "orphan", "foreign")}
+        return {
+            "frames": link["frames"],
+            "used": link["used"],
+            "dropped": dropped,
+            "pending": self.link.pending,
+            "packets": link["packets"],
+            "crc_errors": link["crc_errors"],
+            "length_errors": link["length_errors"],
+            **counters,
+        }
+
+    def _sensor_data(self, packet: Packet) -> list[Scan]:
+        payload = packet.payload
+        if not payload:
+            return []  # the host's request
+        hub = self.hubs.setdefault(packet.ihb, _Hub())
+        if not hub.table.declared and self._assumed is not None:
+            hub.table = ModuleTable(list(self._assumed(packet.ihb)))
+        if not hub.table.declared:
+            self.counters.undeclared += 1
+            return []
+        scans: list[Scan] = []
+        if hub.walk_version != hub.table.version:  # a new table ends the scan of the old one
+            self._end(packet.ihb, hub, scans)
+            hub.learn()
+        start = hub.channel(*payload[:2]) if len(payload) % 2 == 0 else None
+        if start is None:
+            self.counters.index_errors += 1
+            return scans
+        if start < hub.reached:  # the walk only goes forward: this is the next scan
+            self._end(packet.ihb, hub, scans)
+        if hub.counts is None:
+            hub.counts = [MISSING] * hub.channels
+            hub.t = packet.t
+        values = struct.unpack(f">{len(payload) // 2 - 1}H", payload[2:])
+        fitting = values[: hub.channels - start]
+        if len(fitting) < len(values):
+            self.counters.index_errors += 1
+        hub.reached = start + len(fitting)
+        hub.counts[start : hub.reached] = fitting
+        if hub.reached == hub.channels:
+            self._end(packet.ihb, hub, scans)
+        return scans
+
+    def _end(self, ihb: int, hub: _Hub, scans: list[Scan]) -> None:
+        """Move the scan under way, if there is one, to `scans`."""
+        if hub.counts is None:
+            return
+        scan = Scan(hub.t, ihb, tuple(hub.counts), hub.walk, hub.walk_version)
+        hub.counts, hub.reached = None, 0
+        self.counters.scans += 1
+        self.counters.incomplete += not scan.complete
+        scans.append(scan)

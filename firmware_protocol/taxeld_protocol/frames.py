@@ -1,0 +1,43 @@
+"""CAN frames as values, and the candump text they are logged in."""
+
+import re
+from typing import NamedTuple
+
+
+class Frame(NamedTuple):
+    """A classic CAN data frame."""
+
+    t: float  # seconds; the reader's clock, as CySkin has none
+    can_id: int
+    data: bytes  # at most 8
+    extended: bool = False
+
+
+class LogLine(NamedTuple):
+    """One line of a candump log: the frame, or None where the line is none."""
+
+    number: int  # counted from 1
+    frame: Frame | None
+
+
+# candump -L: "(1700000000.123456) can0 101#431A000027102711", ids of 8 digits are extended
+_LINE = re.compile(
+    r"(?:\((?P<t>\d+\.\d+)\)\s+\S+\s+)?(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#"
+    r"(?P<data>(?:[0-9A-Fa-f]{2}){0,8})(?:\s+[RT])?\s*"
+)
+
+
+def parse_log_line(text: str) -> Frame | None:
+    """A line of `candump -L`, or its bare `id#data`; None for anything else."""
+    match = _LINE.fullmatch(text)
+    if match is None:
+        return None
+    digits = match["id"]
+    t = float(match["t"] or 0.0)
+    return Frame(t, int(digits, 16), bytes.fromhex(match["data"]), len(digits) == 8)
+
+
+def format_log_line(frame: Frame, channel: str = "can0") -> str:
+    """The frame as `candump -L` writes it, without the newline."""
+    width = 8 if frame.extended else 3
+    return f"({frame.t:.6f}) {channel} {frame.can_id:0{width}X}#{frame.data.hex().upper()}"

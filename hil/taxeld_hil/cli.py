@@ -1,0 +1,124 @@
+"""`taxeld-hil`: the harness's commands."""
+
+import argparse
+import signal
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import zmq
+from taxeld import bundle, layout, messages, session
+from taxeld.config import SkinConfig
+from taxeld.errors import SetupError
+
+from taxeld_hil import scenario as scenarios
+
+GOOD_MM = 10.0  # the error that a scenario may end with
+
+
+def main(argv: list[str] | None = None) -> int:
+    """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
+    args = _parser().parse_args(argv)
+    try:
+        return int(args.command(args))
+    except SetupError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+
+
+def _run(args: argparse.Namespace) -> int:
+    from taxeld_hil.run import run
+
+    scenario = scenarios.load(args.scenario)
+    out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{Path(args.scenario).stem}-"))
+    print(f"scenario {args.scenario}, seed {args.seed}: session in {out}", flush=True)
+    result = run(args.scenario, scenario, args.seed, out)
+    good = result.error_mm < GOOD_MM
+    verdict = "found" if good else f"not found: the error is not under {GOOD_MM:g} mm"
+    print(f"object {verdict}", flush=True)
+    return 0 if good else 1
+
+
+def _emulate(args: argparse.Namespace) -> int:
+    from taxeld_hil.emulate import Emulation
+
+    emulation = Emulation(scenarios.load(args.scenario), args.seed)
+    if emulation.run(args.poses, args.link, args.out):
+        return 0
+    print("no host started the skin, or it stopped it before the end", file=sys.stderr)
+    return 1
+
+
+def _watch(args: argparse.Namespace) -> int:
+    from taxeld_hil.watch import HEADER, Watch, receive
+
+    skin = layout.load(args.layout)
+    scene = bundle.load(args.bundle, skin, SkinConfig().full_scale_depth_m).model.scene
+    truth = np.array(session.read_poses(args.truth)[-1][1:]) if args.truth else None
+    watch = Watch(scene, truth)
+    stopping: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda got, _: stopping.append(got))
+    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.connect(args.endpoint)
+        for topic in (messages.ESTIMATE, messages.TAXELS):
+            socket.setsockopt(zmq.SUBSCRIBE, topic)
+        print(HEADER, flush=True)
+        while not stopping:
+            if socket.poll(50):
+                line = receive(socket, watch)
+                if line:
+                    print(line, flush=True)
+    print("\n".join(watch.latencies()))
+    print(f"final symmetry-aware ADD {watch.error_mm():.1f} mm", flush=True)
+    if args.error_to:
+        args.error_to.write_text(f"{watch.error_mm()}\n", encoding="ascii")
+    return 0
+
+
+def _draw(args: argparse.Namespace) -> int:
+    from taxeld_hil.draw import draw
+
+    draw(args.session, args.out)
+    print(args.out)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="taxeld-hil", description=__doc__)
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    run = commands.add_parser("run", help="a scenario with all its processes")
+    run.add_argument("scenario", metavar="SCENARIO", help="a shipped name (demo) or a TOML file")
+    run.add_argument("--seed", type=int, default=0)
+    run.add_argument("--out", type=Path, help="directory for the session")
+    run.set_defaults(command=_run)
+
+    emulate = commands.add_parser("emulate", help="the virtual skin and robot alone")
+    emulate.add_argument("scenario", metavar="SCENARIO")
+    emulate.add_argument("--seed", type=int, default=0)
+    emulate.add_argument("--link", type=Path, required=True, help="that will name the device")
+    emulate.add_argument("--poses", required=True, help="endpoint for the robot's poses")
+    emulate.add_argument("--out", type=Path, required=True, help="directory for the session")
+    emulate.set_defaults(command=_emulate)
+
+    watch = commands.add_parser("watch", help="a subscriber's table of contacts")
+    watch.add_argument("--endpoint", required=True)
+    watch.add_argument("--bundle", required=True)
+    watch.add_argument("--layout", default=SkinConfig().layout)
+    watch.add_argument("--truth", type=Path, help="t,x,y,theta of the object, for errors")
+    watch.add_argument("--error-to", type=Path, help="file for the final error in mm")
+    watch.set_defaults(command=_watch)
+
+    draw = commands.add_parser("draw", help="a session's contacts as a picture")
+    draw.add_argument("session", type=Path)
+    draw.add_argument("--out", type=Path, required=True)
+    draw.set_defaults(command=_draw)
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

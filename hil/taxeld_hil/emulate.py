@@ -1,0 +1,114 @@
+"""The virtual skin on a moving robot, in real time; it records the session as it goes."""
+
+import select
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, Self
+
+import msgpack
+import zmq
+from taxeld import bundle, layout, messages, session
+from taxeld.config import SkinConfig
+from taxeld.se2 import Poses
+from taxeld_protocol.frames import Frame, format_log_line
+from taxeld_protocol.modules import wired
+from taxeld_protocol.virtual_ihb import VirtualIhb
+
+from taxeld_hil import robot
+from taxeld_hil.adapter import SlcanAdapter
+from taxeld_hil.scenario import Scenario
+from taxeld_hil.world import World
+
+POSE_PERIOD_S = 0.01
+IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
+REST_S = 0.5  # at the end, so that the last touch is estimated
+ANSWER_S = 20.0  # without a host that starts the skin for so long, there is none
+
+
+class Recorder:
+    """Writes a session directory."""
+
+    def __init__(self, directory: Path, truth: Poses) -> None:
+        directory.mkdir(parents=True, exist_ok=True)
+        self._frames: IO[str] = (directory / session.FRAMES).open("w", encoding="ascii")
+        self._poses: IO[str] = (directory / session.POSES).open("w", encoding="ascii")
+        header = ",".join(session.POSE_COLUMNS) + "\n"
+        self._poses.write(header)
+        row = f"{time.time():.6f},{truth[0]:.6f},{truth[1]:.6f},{truth[2]:.6f}\n"
+        (directory / session.TRUTH).write_text(header + row, encoding="ascii")
+
+    def frame(self, frame: Frame) -> None:
+        self._frames.write(format_log_line(frame) + "\n")
+
+    def pose(self, t: float, pose: Poses) -> None:
+        x, y, theta = (float(v) for v in pose)
+        self._poses.write(f"{t:.6f},{x!r},{y!r},{theta!r}\n")
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._frames.close()
+        self._poses.close()
+
+
+@dataclass(frozen=True, slots=True)
+class Emulation:
+    """A scenario with a seed, ready to run."""
+
+    scenario: Scenario
+    seed: int
+
+    def run(self, endpoint: str, link: Path, directory: Path) -> bool:
+        """Serve the skin on a pseudo-terminal that `link` will point to, publish the robot's poses
+        on `endpoint`, record into `directory`; → whether a host came and stayed to the end."""
+        scenario = self.scenario
+        skin = layout.load(scenario.layout)
+        model = bundle.load(scenario.bundle, skin, SkinConfig().full_scale_depth_m).model
+        modules = wired(skin.uid.tolist())
+        world = World(scenario, model, modules, self.seed)
+        path = robot.plan(scenario, model, world.truth, self.seed)
+        ihb = VirtualIhb(modules)
+        with (
+            zmq.Context() as context,
+            context.socket(zmq.PUB) as poses,
+            Recorder(directory, world.truth) as recorder,
+            SlcanAdapter(ihb, recorder.frame) as adapter,
+        ):
+            poses.setsockopt(zmq.LINGER, 0)
+            poses.bind(endpoint)
+            link.symlink_to(adapter.device)
+            return _serve(adapter, world, path, poses, recorder)
+
+
+def _serve(
+    adapter: SlcanAdapter,
+    world: World,
+    path: robot.Path,
+    poses: zmq.Socket[Any],
+    recorder: Recorder,
+) -> bool:
+    began = time.monotonic()
+    next_pose_s, start_s = began, None
+    while True:
+        select.select([adapter], [], [], 0.002)
+        now, wall = time.monotonic(), time.time()
+        adapter.serve(wall)
+        if start_s is None and adapter.ihb.auto_sync:
+            start_s = now + IDLE_S
+        along = 0.0 if start_s is None else now - start_s
+        pose = path.at(along)
+        if now >= next_pose_s:
+            next_pose_s = max(next_pose_s + POSE_PERIOD_S, now)
+            x, y, theta = (float(v) for v in pose)
+            body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
+            poses.send_multipart((messages.SENSOR_POSE, body, b"%.6f" % wall), zmq.NOBLOCK)
+            recorder.pose(wall, pose)
+        if adapter.ihb.due(now):
+            for command, payload in adapter.ihb.sensor_data(world.counts(pose)):
+                adapter.send(command, payload, wall)
+        if start_s is None and now - began > ANSWER_S:
+            return False
+        if along > path.duration_s + REST_S:
+            return adapter.ihb.auto_sync

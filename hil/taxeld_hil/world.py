@@ -1,0 +1,53 @@
+"""The simulated world: an object that stands still, and a skin whose taxels all differ."""
+
+import numpy as np
+from numpy.typing import NDArray
+from taxeld import se2
+from taxeld.observation import ObservationModel
+from taxeld.se2 import Poses
+from taxeld_protocol.modules import Module
+
+from taxeld_hil.scenario import Scenario
+
+COUNT_MAX = 0xFFFF
+T0_COUNTS = 12_000  # of every module's temperature channel, which a press hardly moves
+T0_LEAK = 0.02  # share of a press that it sees: 356 of 8 500 counts on a real skin
+
+
+class World:
+    """Counts of a skin at a pose, with baseline, gain spread and noise drawn from a seed."""
+
+    def __init__(
+        self, scenario: Scenario, model: ObservationModel, modules: list[Module], seed: int
+    ) -> None:
+        self._rng = np.random.default_rng(seed)
+        rng, taxels = self._rng, len(model.layout)
+        place = scenario.place_m
+        low, high = np.array([-place, -place, -np.pi]), np.array([place, place, np.pi])
+        self.truth: Poses = rng.uniform(low, high)
+        self._model = model
+        self._scenario = scenario
+        self._baseline = scenario.baseline_counts + scenario.baseline_spread * _normal(rng, taxels)
+        gain = np.maximum(1.0 + scenario.gain_cv * rng.standard_normal(taxels), 0.1)
+        self._full_scale = scenario.full_scale_counts * gain
+        index = {int(uid): i for i, uid in enumerate(model.layout.uid)}
+        uids = [uid for module in modules for uid in module.uids]
+        self._channel_taxel = np.array([index.get(uid, -1) for uid in uids])
+        self._channel_module = np.repeat(range(len(modules)), [m.channels for m in modules])
+
+    def counts(self, sensor: Poses) -> list[int]:
+        """One scan, channel by channel, with the sensor at a pose (3,) in the world."""
+        seen = se2.compose(se2.inverse(sensor), self.truth)
+        press = self._full_scale * self._model.activation(seen[None])[0]
+        noise = self._scenario.noise_counts
+        taxels = self._baseline + press + noise * self._rng.standard_normal(len(press))
+        at = self._channel_taxel
+        felt = np.where(at >= 0, press[at], 0.0)
+        leak = np.bincount(self._channel_module, felt)[self._channel_module] * T0_LEAK
+        values = np.where(at >= 0, taxels[at], T0_COUNTS + leak)
+        return [int(v) for v in np.clip(np.round(values), 1, COUNT_MAX - 1)]
+
+
+def _normal(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+    """Standard normals within ±3: a baseline must stay a reading."""
+    return np.clip(rng.standard_normal(n), -3.0, 3.0)

@@ -1,0 +1,60 @@
+"""A sampler as one ONNX file: opset, shapes, normalisation and training config inside it."""
+
+import json
+import logging
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+import torch
+
+from taxeld_training.diffusion import Sampler
+
+OPSET = 20
+EXPORT_SAMPLES = 100  # the axis is free; the graph is traced and checked with so many
+TOLERANCE = 1e-3  # largest difference to torch, in the poses' own units
+
+
+def export(sampler: Sampler, path: Path, metadata: Mapping[str, object]) -> float:
+    """Write `sampler` to `path`; → the largest difference to torch on fixed inputs.
+
+    Raises:
+        RuntimeError: the graph differs from torch.
+    """
+    taxels = sampler.denoiser.config.taxels
+    generator = torch.Generator().manual_seed(0)
+    z = torch.rand(1, taxels, generator=generator)
+    live = torch.ones(1, taxels)
+    noise = torch.randn(sampler.noise_steps, EXPORT_SAMPLES, 4, generator=generator)
+    sampler = sampler.eval()
+    with warnings.catch_warnings(), torch.no_grad():
+        warnings.simplefilter("ignore")  # of the exporter's own future plans
+        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
+        program = torch.onnx.export(
+            sampler, (z, live, noise), dynamo=True, opset_version=OPSET, verbose=False,
+            input_names=["z", "live", "noise"], output_names=["poses"],
+            dynamic_shapes=(None, None, {1: torch.export.Dim("samples", min=2, max=100_000)}),
+        )  # fmt: skip
+        expected = sampler(z, live, noise).numpy()
+    assert program is not None  # noqa: S101
+    model = program.model_proto
+    for node in model.graph.node:  # stack traces of the tracer, a megabyte of them
+        node.ClearField("metadata_props")
+        node.ClearField("doc_string")
+        node.ClearField("name")
+    model.graph.ClearField("value_info")
+    model.graph.ClearField("metadata_props")
+    for key, value in metadata.items():
+        entry = model.metadata_props.add()
+        entry.key, entry.value = key, json.dumps(value)
+    onnx.checker.check_model(model)
+    path.write_bytes(model.SerializeToString())
+    session = ort.InferenceSession(path, providers=["CPUExecutionProvider"])
+    inputs = {"z": z.numpy(), "live": live.numpy(), "noise": noise.numpy()}
+    gap = float(np.abs(session.run(None, inputs)[0] - expected).max())
+    if not gap < TOLERANCE:
+        raise RuntimeError(f"{path}: the exported graph differs from torch by {gap:g}")
+    return gap
