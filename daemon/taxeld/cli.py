@@ -7,12 +7,11 @@ import signal
 import sys
 from pathlib import Path
 
-from taxeld_protocol.modules import wired
-
 from taxeld import __version__, layout, session
 from taxeld.config import ControlConfig, load
 from taxeld.errors import SetupError
 from taxeld.toml_tables import ConfigError
+from taxeld_protocol.modules import wired
 
 USAGE_ERROR, FAILED = 2, 1
 

@@ -4,13 +4,12 @@ import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
+from taxeld.errors import SetupError
+from taxeld.session import log_lines
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import NAMES, Module
-
-from taxeld.errors import SetupError
-from taxeld.session import log_lines
 
 
 def decode(path: Path, modules: Sequence[Module] | None) -> Iterator[str]:

@@ -15,6 +15,7 @@ import numpy as np
 from taxeld import filter as pf
 from taxeld import se2
 from taxeld.config import FilterConfig
+from taxeld.memory import Touch, TouchMemory
 from taxeld.observation import Noise, ObservationModel
 from taxeld.proposals import Proposal
 from taxeld.se2 import Poses
@@ -30,7 +31,9 @@ MODES_MAX = 5
 MODE_CANDIDATES = 64
 CONVERGED_WEIGHT = 0.8  # of the heaviest mode
 CONVERGED_SD_M = 0.01
-INJECTED_MIN_SHARE = 0.05  # of `injected`, kept when settled: a wrong belief must find out
+INJECTED_MIN_SHARE = 0.5  # of `injected`, kept when settled: a wrong belief must find out
+REMEMBERED = 8  # touches
+MOVES = 2  # Metropolis steps a touch
 
 
 class Status(IntEnum):
@@ -105,15 +108,15 @@ class Estimator:
         self.config = config
         self.noise = Noise(config.noise_sigma, config.gain_cv, config.outliers)
         self.metric = PoseMetric(model.scene)
+        self.memory = TouchMemory(model, self.noise, REMEMBERED)
         self.counters = EstimatorCounters()
         self.propose_ns: int = 0
         self.reset()
 
     def reset(self) -> None:
         """Forget everything felt; the random generator begins anew as well."""
-        config = self.config
-        self.rng = np.random.default_rng(config.seed)
-        self.belief = pf.uniform(config.particles, config.centre_m, config.half_width_m, self.rng)
+        self.rng = np.random.default_rng(self.config.seed)
+        self._begin_anew()
         self._news = _News(np.full(3, np.inf), np.zeros(len(self.model.layout)))
         self._contact = False
         self._contacts = 0
@@ -135,9 +138,9 @@ class Estimator:
         if told:
             self.counters.updates += 1
             self._news.sensor, self._news.z = sensor, z
-            if self._contact:
-                injected = self._inject(z, activation, sensor)
-            log_evidence = self._learn(z, activation, sensor)
+            touch = Touch(sensor, z, activation.live)
+            injected = self._inject(touch) if self._contact else 0
+            log_evidence = self._learn(touch)
         self.estimate = self._summarise(activation.t, None, injected, log_evidence, fresh=told)
         return self.estimate
 
@@ -170,34 +173,45 @@ class Estimator:
         changed = float(np.abs(z - news.z).max())
         return moved / NEWS_MOTION_M + changed / NEWS_ACTIVATION >= 1.0
 
-    def _inject(self, z: Poses, activation: Activation, sensor: Poses) -> int:
-        """Algorithm 1, with S falling as the belief settles on one mode."""
+    def _inject(self, touch: Touch) -> int:
+        """Samples of the touch take the place of the least particles; S falls as the belief settles
+        on one mode."""
         settled = self.estimate.modes[0].weight if self._contacts > 1 else 0.0
         share = max(1.0 - settled, INJECTED_MIN_SHARE)
         count = min(round(share * self.config.injected), len(self.belief))
         if count == 0:
             return 0
-        poses = self.proposal.propose(z, activation.live, count, self.rng)
-        poses = poses[np.isfinite(poses).all(axis=1)]
-        pf.inject(self.belief, se2.compose(sensor, poses))
+        poses = self.proposal.propose(touch.z, touch.live, count, self.rng)
+        poses = se2.compose(touch.sensor, poses[np.isfinite(poses).all(axis=1)])
+        pf.inject(self.belief, poses, self.memory.explain(poses))
         self._kind = ProposalKind[self.proposal.name.upper()]
         self.counters.injections += 1
         return len(poses)
 
-    def _learn(self, z: Poses, activation: Activation, sensor: Poses) -> float:
-        seen = se2.compose(se2.inverse(sensor), self.belief.pose)
-        h = self.model.activation(seen)
-        evidence = pf.reweight(self.belief, self.noise.log_likelihood(z, activation.live, h))
+    def _learn(self, touch: Touch) -> float:
+        """Weigh the belief by a scan; → log evidence."""
+        belief = self.belief
+        log_likelihood = self.memory.of(touch, belief.pose)
+        evidence = pf.reweight(belief, log_likelihood)
         if evidence is None:
             self.counters.impossible += 1
-            config = self.config
-            self.belief = pf.uniform(
-                config.particles, config.centre_m, config.half_width_m, self.rng
-            )
+            self._begin_anew()
             return 0.0
-        if pf.resampling_is_due(self.belief):
-            pf.resample(self.belief, self.rng)
+        if self._contact:
+            belief.remembered = self.memory.add(touch, log_likelihood, belief.remembered)
+        moves = MOVES if self._contact else 0
+        if pf.resampling_is_due(belief):
+            pf.resample(belief, self.rng)
+            moves = moves or 1
+        for _ in range(moves):
+            pf.rejuvenate(belief, self.memory.explain, self.rng)
         return evidence
+
+    def _begin_anew(self) -> None:
+        """A uniform belief that remembers nothing."""
+        config = self.config
+        self.belief = pf.uniform(config.particles, config.centre_m, config.half_width_m, self.rng)
+        self.memory.clear()
 
     def _summarise(
         self, t: float, status: Status | None, injected: int, log_evidence: float,

@@ -29,32 +29,75 @@ class Noise:
         gain = 1.0 + self.gain_cv * rng.standard_normal(h.shape)
         return np.clip(gain * h + self.sigma * rng.standard_normal(h.shape), 0.0, 1.0)
 
-    def log_likelihood(self, z: Floats, live: Bools, h: Floats) -> Floats:
-        """log p(z | h) summed over live taxels: z (M,), live (M,), h (N, M) → (N,).
+    def log_density(self, z: Floats, h: Floats) -> Floats:
+        """log p(z | h) of each taxel; shapes broadcast.
 
-        Each taxel is a mixture of a Gaussian and, with probability `outliers`, a uniform over
-        0..1, so a single broken taxel costs a pose a bounded amount.
+        A mixture of a Gaussian and, with probability `outliers`, a uniform over 0..1, so a single
+        broken taxel costs a pose a bounded amount.
         """
         variance = self.sigma**2 + (self.gain_cv * h) ** 2
-        residual = (z - h) ** 2 / variance
-        density = (1.0 - self.outliers) * np.exp(-0.5 * residual) / np.sqrt(2.0 * np.pi * variance)
-        terms = np.log(density + self.outliers)
-        return np.asarray(terms @ live.astype(np.float64))
+        gauss = np.exp(-0.5 * (z - h) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        return np.asarray(np.log((1.0 - self.outliers) * gauss + self.outliers))
+
+    def log_likelihood(self, z: Floats, live: Bools, h: Floats) -> Floats:
+        """log p(z | h) summed over live taxels: z (M,), live (M,), h (N, M) → (N,)."""
+        return np.asarray(self.log_density(z, h) @ live.astype(np.float64))
 
 
 class ObservationModel:
-    """h(q) of one scene on one skin, vectorised over poses."""
+    """h(q) of one scene on one skin, vectorised over poses.
+
+    A pose presses few taxels, so all work beyond finding those few is done on them alone.
+    """
 
     def __init__(self, scene: Scene, layout: Layout, depth_max_m: float) -> None:
         self.scene = scene
         self.layout = layout
         self.depth_max_m = depth_max_m
-        self._x, self._y = layout.position_m[:, 0].copy(), layout.position_m[:, 1].copy()
-        self._slice = scene.slice_of(layout)
+        ny, nx = scene.silhouette.shape
+        self._points = np.vstack([layout.position_m[:, :2].T, np.ones(len(layout))])  # (3, M)
+        self._offset = scene.slice_of(layout) * (ny * nx)
+        self._flat = scene.slices.ravel()
+        inside = scene.slices < 0.0
+        near = np.zeros_like(inside)  # cells with a corner inside: elsewhere nothing is felt
+        near[:, :-1, :-1] = (
+            inside[:, :-1, :-1] | inside[:, :-1, 1:] | inside[:, 1:, :-1] | inside[:, 1:, 1:]
+        )
+        self._near = near.ravel()
+
+    def felt(self, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
+        """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into
+        (N, M), ascending, and their h > 0."""
+        scene = self.scene
+        ny, nx = scene.silhouette.shape
+        c, s = np.cos(poses[:, 2]) / scene.cell, np.sin(poses[:, 2]) / scene.cell
+        x, y = poses[:, 0], poses[:, 1]
+        x0, y0 = scene.origin / scene.cell
+        u = np.stack([c, s, -c * x - s * y - x0], axis=1) @ self._points
+        v = np.stack([-s, c, s * x - c * y - y0], axis=1) @ self._points
+        np.clip(u, 0.0, nx - 1.001, out=u)
+        np.clip(v, 0.0, ny - 1.001, out=v)
+        cell = v.astype(np.intp) * nx + u.astype(np.intp) + self._offset
+        at = np.flatnonzero(self._near.take(cell))
+        u, v, cell = u.ravel()[at] % 1.0, v.ravel()[at] % 1.0, cell.ravel()[at]
+        flat = self._flat
+        low = flat[cell] * (1.0 - u) + flat[cell + 1] * u
+        high = flat[cell + nx] * (1.0 - u) + flat[cell + nx + 1] * u
+        depth = -(low * (1.0 - v) + high * v)
+        pressed = depth > 0.0
+        return at[pressed], np.minimum(depth[pressed] / self.depth_max_m, 1.0)
 
     def activation(self, poses: Floats) -> Floats:
         """h: poses (N, 3) of the object in the sensor frame → (N, M) in 0..1."""
-        c, s = np.cos(poses[:, 2:]), np.sin(poses[:, 2:])
-        dx, dy = self._x - poses[:, :1], self._y - poses[:, 1:2]
-        depth = -self.scene.distance(self._slice, c * dx + s * dy, c * dy - s * dx)
-        return np.clip(depth / self.depth_max_m, 0.0, 1.0)
+        h = np.zeros((len(poses), len(self.layout)))
+        at, values = self.felt(poses)
+        h.flat[at] = values
+        return h
+
+    def log_likelihood(self, poses: Floats, z: Floats, live: Bools, noise: Noise) -> Floats:
+        """log p(z | q) over live taxels: poses (N, 3), z (M,), live (M,) → (N,)."""
+        at, h = self.felt(poses)
+        taxel = at % len(z)
+        silent = np.where(live, noise.log_density(z, np.zeros(1)), 0.0)
+        gain = np.where(live[taxel], noise.log_density(z[taxel], h) - silent[taxel], 0.0)
+        return np.asarray(silent.sum() + np.bincount(at // len(z), gain, len(poses)))

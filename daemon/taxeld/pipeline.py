@@ -7,8 +7,6 @@ clock that is passed in; a replay passes none and is the same, byte for byte, ev
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from taxeld_protocol.decoder import Scan
-
 from taxeld.bundle import Bundle
 from taxeld.config import Config
 from taxeld.estimator import Estimate, Estimator, Status
@@ -17,6 +15,7 @@ from taxeld.poses import PoseTrack, StandingStill
 from taxeld.proposals import Proposal
 from taxeld.se2 import Poses
 from taxeld.skin import Activation, Skin
+from taxeld_protocol.decoder import Scan
 
 ClockNs = Callable[[], int]
 
@@ -30,7 +29,8 @@ class Outcome:
     """What one scan led to, and the time each stage took [ns]."""
 
     estimate: Estimate
-    activation: Activation | None  # None while the baseline is learned
+    activation: Activation | None = None  # None while the baseline is learned
+    sensor: Poses | None = None  # (3,) in the world; None where it is not known
     skin_ns: int = 0
     propose_ns: int = 0
     filter_ns: int = 0
@@ -75,18 +75,17 @@ class Pipeline:
         felt = self.clock()
         if activation is None:
             self.estimate = replace(self.estimate, t=scan.t, status=Status.STARTING)
-            return Outcome(self.estimate, None, felt - start)
+            return Outcome(self.estimate, skin_ns=felt - start)
         sensor = self.poses.at(scan.t)
         if sensor is None:
             self.without_pose += 1
             self.estimate = replace(self.estimate, t=scan.t, status=Status.STALE)
-            return Outcome(self.estimate, activation, felt - start)
+            return Outcome(self.estimate, activation, skin_ns=felt - start)
         before = self._proposal.spent_ns
         self.estimate = self.estimator.on_scan(activation, sensor)
         propose_ns = self._proposal.spent_ns - before
-        return Outcome(
-            self.estimate, activation, felt - start, propose_ns, self.clock() - felt - propose_ns
-        )
+        filter_ns = self.clock() - felt - propose_ns
+        return Outcome(self.estimate, activation, sensor, felt - start, propose_ns, filter_ns)
 
     def tare(self) -> None:
         """Learn the idle baseline anew; the skin must not be touched."""

@@ -5,13 +5,12 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from taxeld_protocol.decoder import Decoder
-from taxeld_protocol.modules import wired
-
 from taxeld import bundle, layout, messages, session
 from taxeld.config import Config, SensorPoseConfig
-from taxeld.pipeline import Pipeline, is_valid
+from taxeld.pipeline import Outcome, Pipeline, is_valid
 from taxeld.poses import PoseTrack
+from taxeld_protocol.decoder import Decoder
+from taxeld_protocol.modules import wired
 
 
 def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator[str]:
@@ -22,25 +21,40 @@ def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator
     """
     if seed is not None:
         config = replace(config, filter=replace(config.filter, seed=seed))
-    moves = (directory / session.POSES).exists()
-    if not moves:  # recorded without a robot
+    for seq, outcome in enumerate(outcomes(directory, open_pipeline(directory, config))):
+        message = messages.estimate(outcome.estimate, seq=seq, valid=is_valid(outcome.estimate))
+        yield json.dumps(message, separators=(",", ":"))
+
+
+def open_pipeline(directory: Path, config: Config) -> Pipeline:
+    """The pipeline that a session asks for: without a sensor pose where it recorded none.
+
+    Raises:
+        SetupError: what the configuration names cannot be used.
+    """
+    if not (directory / session.POSES).exists():
         config = replace(config, sensor_pose=SensorPoseConfig())
-    skin_layout = layout.load(config.skin.layout)
+    skin = layout.load(config.skin.layout)
+    loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
+    return Pipeline(config, skin, loaded)
+
+
+def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
+    """What each scan of a session led to.
+
+    Raises:
+        SetupError: the session cannot be read.
+    """
     frames = session.read_frames(directory / session.FRAMES)
-    poses = iter(session.read_poses(directory / session.POSES) if moves else [])
-    scene = bundle.load(config.scene.bundle, skin_layout, config.skin.full_scale_depth_m)
-    pipeline = Pipeline(config, skin_layout, scene)
-    modules = wired(skin_layout.uid.tolist())
+    track = pipeline.poses if isinstance(pipeline.poses, PoseTrack) else None
+    poses = iter(session.read_poses(directory / session.POSES) if track else [])
+    modules = wired(pipeline.skin.layout.uid.tolist())
     decoder = Decoder(lambda _: modules)
     coming = next(poses, None)
-    seq = 0
     for frame in frames:
         # as in the daemon, a scan is taken when its last frame is there, and so are the poses
-        while coming is not None and isinstance(pipeline.poses, PoseTrack) and coming[0] <= frame.t:
-            pipeline.poses.add(*coming)
+        while track and coming and coming[0] <= frame.t:
+            track.add(*coming)
             coming = next(poses, None)
         for scan in decoder.feed(frame)[1]:
-            outcome = pipeline.on_scan(scan)
-            message = messages.estimate(outcome.estimate, seq=seq, valid=is_valid(outcome.estimate))
-            seq += 1
-            yield json.dumps(message, separators=(",", ":"))
+            yield pipeline.on_scan(scan)

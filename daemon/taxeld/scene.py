@@ -77,36 +77,26 @@ class Scene:
         gap = np.abs(layout.position_m[:, 2, None] - self.heights)
         if gap.min(axis=1).max() > HEIGHT_TOLERANCE_M:
             raise SetupError(f"scene has no slice at a height of layout {layout.name}")
-        return gap.argmin(axis=1)
-
-    def distance(self, k: NDArray[np.intp], x: Floats, y: Floats) -> Floats:
-        """Signed distance at points (x, y) of slices `k`, which broadcast. Outside the grid the
-        nearest border value stands: far, so no contact."""
-        ny, nx = self.silhouette.shape
-        return self._bilinear(self.slices.ravel(), k * (ny * nx), x, y)[0]
+        return np.asarray(gap.argmin(axis=1))
 
     def clearance(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """Signed distance to the silhouette, and its unit gradient's x and y."""
-        d, gx, gy = self._bilinear(self.silhouette.ravel(), 0, x, y)
-        norm = np.maximum(np.hypot(gx, gy), 1e-9)
-        return d, gx / norm, gy / norm
-
-    def _bilinear(
-        self, flat: Grid, offset: NDArray[np.intp] | int, x: Floats, y: Floats
-    ) -> tuple[Floats, Floats, Floats]:
+        """Signed distance of points to the silhouette, and its unit gradient's x and y. Outside the
+        grid the nearest border value stands."""
         ny, nx = self.silhouette.shape
+        flat = self.silhouette.ravel()
         u = np.clip((x - self.origin[0]) / self.cell, 0.0, nx - 1.001)
         v = np.clip((y - self.origin[1]) / self.cell, 0.0, ny - 1.001)
         iu, iv = u.astype(np.intp), v.astype(np.intp)
         u -= iu
         v -= iv
-        at = iv * nx + iu + offset
+        at = iv * nx + iu
         d00, d01 = flat.take(at), flat.take(at + 1)
         d10, d11 = flat.take(at + nx), flat.take(at + nx + 1)
         low = d00 + (d01 - d00) * u
         high = d10 + (d11 - d10) * u
-        gx = (d01 - d00) * (1.0 - v) + (d11 - d10) * v
-        return low + (high - low) * v, gx, high - low
+        gx, gy = (d01 - d00) * (1.0 - v) + (d11 - d10) * v, high - low
+        norm = np.maximum(np.hypot(gx, gy), 1e-9)
+        return low + (high - low) * v, gx / norm, gy / norm
 
     def save(self, path: Path) -> None:
         fields = {name: np.asarray(getattr(self, name)) for name in self.__dataclass_fields__}

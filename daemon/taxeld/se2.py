@@ -1,14 +1,18 @@
 """SE(2): poses as arrays (..., 3) of x [m], y [m], θ [rad]."""
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
 Poses = NDArray[np.float64]
 
+Angles = TypeVar("Angles", np.float64, NDArray[np.float64])
+
 IDENTITY: Poses = np.zeros(3)
 
 
-def wrap(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def wrap(angle: Angles) -> Angles:
     """Angles brought into [−π, π)."""
     return (angle + np.pi) % (2.0 * np.pi) - np.pi
 
@@ -27,6 +31,12 @@ def inverse(a: Poses) -> Poses:
     x = -c * a[..., 0] - s * a[..., 1]
     y = s * a[..., 0] - c * a[..., 1]
     return np.stack([x, y, wrap(-a[..., 2])], axis=-1)
+
+
+def apply(pose: Poses, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (N, 2) given in the frame `pose` (3,), in the frame that it is given in."""
+    c, s = np.cos(pose[2]), np.sin(pose[2])
+    return np.asarray(points @ np.array([[c, s], [-s, c]]) + pose[:2])
 
 
 def rotation_about(centre: NDArray[np.float64], angle: float) -> Poses:

@@ -5,9 +5,8 @@ import math
 from collections.abc import Iterator
 from pathlib import Path
 
-from taxeld_protocol.frames import Frame, LogLine, parse_log_line
-
 from taxeld.errors import SetupError
+from taxeld_protocol.frames import Frame, LogLine, parse_log_line
 
 FRAMES, POSES, TRUTH, CONFIG = "frames.log", "sensor_pose.csv", "truth.csv", "config.toml"
 POSE_COLUMNS = ["t", "x", "y", "theta"]

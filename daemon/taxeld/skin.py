@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from taxeld_protocol.decoder import Scan
 
 from taxeld.config import SkinConfig
 from taxeld.layout import Layout
+from taxeld_protocol.decoder import Scan
 
 INVALID_FROM = 43_000  # public tools treat counts of 0 and from here on as invalid
 THRESHOLD_MIN = 0.01  # of full scale: below it a touch says nothing about the pose

@@ -9,18 +9,18 @@ from typing import Any, Protocol
 
 import can
 import serial
-from taxeld_protocol import cyskin, serial_link
-from taxeld_protocol.cyskin import BROADCAST, Packet
-from taxeld_protocol.decoder import Decoder, Scan
-from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import wired
-from taxeld_protocol.serial_link import SerialReader
 
 from taxeld import session
 from taxeld.bring_up import BringUp, Request
 from taxeld.config import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
+from taxeld_protocol import cyskin, serial_link
+from taxeld_protocol.cyskin import BROADCAST, Packet
+from taxeld_protocol.decoder import Decoder, Scan
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.modules import wired
+from taxeld_protocol.serial_link import SerialReader
 
 FRAMES_PER_POLL = 1000  # a flooded bus may not hold the loop; the rest waits for the next tick
 BYTES_PER_POLL = 65536

@@ -7,7 +7,7 @@ what is there up to a bound.
 import contextlib
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -99,7 +99,7 @@ class PoseInput:
 class Control:
     """REP: msgpack {"cmd": …} → {"ok": bool, …}."""
 
-    def __init__(self, context: zmq.Context[Any], endpoint: str, handlers: dict[str, Handler]):
+    def __init__(self, context: zmq.Context[Any], endpoint: str, handlers: Mapping[str, Handler]):
         self._handlers = handlers
         # ROUTER in place of REP: a client that breaks off in mid-request cannot wedge it
         self._socket = context.socket(zmq.ROUTER)

@@ -84,7 +84,7 @@ class PoseMetric:
             density = kernel @ (weight * free)
             density[~free[top]] = -1.0
             peak = int(density.argmax())
-            if density[peak] < 0.0:
+            if density[peak] <= 0.0:  # what is left weighs nothing
                 break
             members = np.flatnonzero(free & (gap[peak] < radius_m))
             free[members] = False
@@ -97,14 +97,9 @@ class PoseMetric:
 def add_m(scene: Scene, estimate: Poses, truth: Poses) -> tuple[float, float]:
     """Average distance of surface points between two poses (3,): plain, and the least over the
     object's geometric rotation group."""
-    at_truth = _place(truth, scene.surface[:, :2])
+    at_truth = se2.apply(truth, scene.surface[:, :2])
     poses = se2.compose(estimate, scene.equivalents)
     each = [
-        np.linalg.norm(_place(p, scene.surface[:, :2]) - at_truth, axis=1).mean() for p in poses
+        np.linalg.norm(se2.apply(p, scene.surface[:, :2]) - at_truth, axis=1).mean() for p in poses
     ]
     return float(each[0]), float(min(each))
-
-
-def _place(pose: Poses, points: Floats) -> Floats:
-    c, s = np.cos(pose[2]), np.sin(pose[2])
-    return np.asarray(points @ np.array([[c, s], [-s, c]]) + pose[:2])

@@ -83,16 +83,17 @@ class Packet(NamedTuple):
 def _crc8_table() -> bytes:
     table = bytearray()
     for byte in range(256):
+        crc = byte
         for _ in range(8):
-            byte = (byte << 1 ^ 0x07) & 0xFF if byte & 0x80 else byte << 1
-        table.append(byte)
+            crc = (crc << 1 ^ 0x07) & 0xFF if crc & 0x80 else crc << 1
+        table.append(crc)
     return bytes(table)
 
 
 _CRC8 = _crc8_table()
 
 
-def crc8(data: bytes) -> int:
+def crc8(data: bytes | bytearray) -> int:
     """CRC-8, polynomial 0x07, init 0xFF, not reflected: 0xFB over b"123456789"."""
     crc = 0xFF
     for byte in data:

@@ -112,7 +112,7 @@ def encode_details(index: int, module: Module) -> bytes:
 
 
 def wired(uids: list[int]) -> list[Module]:
-    """The modules a skin with these taxel UIDs is wired as, each with its T0 and in order of SUI."""
+    """The modules that taxels with these UIDs hang on, each with its T0, in order of SUI."""
     masks: dict[int, int] = {}
     for uid in uids:
         masks[uid >> 4] = masks.get(uid >> 4, 1) | 1 << (uid & 0xF)

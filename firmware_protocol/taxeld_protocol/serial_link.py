@@ -18,11 +18,11 @@ def cobs_encode(data: bytes) -> bytes:
     """Consistent overhead byte stuffing (Cheshire & Baker 1999), without the delimiter."""
     out = bytearray()
     for block in data.split(b"\0"):
-        while len(block) >= 254:
-            out += b"\xff" + block[:254]
-            block = block[254:]
-        out.append(len(block) + 1)
-        out += block
+        full = len(block) // 254 * 254
+        for at in range(0, full, 254):
+            out += b"\xff" + block[at : at + 254]
+        out.append(len(block) - full + 1)
+        out += block[full:]
     return bytes(out)
 
 

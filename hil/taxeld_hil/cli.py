@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import zmq
+
 from taxeld import bundle, layout, messages, session
 from taxeld.config import SkinConfig
 from taxeld.errors import SetupError
-
 from taxeld_hil import scenario as scenarios
 
 GOOD_MM = 10.0  # the error that a scenario may end with

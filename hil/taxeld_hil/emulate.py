@@ -8,17 +8,17 @@ from typing import IO, Any, Self
 
 import msgpack
 import zmq
+
 from taxeld import bundle, layout, messages, session
 from taxeld.config import SkinConfig
 from taxeld.se2 import Poses
-from taxeld_protocol.frames import Frame, format_log_line
-from taxeld_protocol.modules import wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
-
 from taxeld_hil import robot
 from taxeld_hil.adapter import SlcanAdapter
 from taxeld_hil.scenario import Scenario
 from taxeld_hil.world import World
+from taxeld_protocol.frames import Frame, format_log_line
+from taxeld_protocol.modules import wired
+from taxeld_protocol.virtual_ihb import VirtualIhb
 
 POSE_PERIOD_S = 0.01
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms

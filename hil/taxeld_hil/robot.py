@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from taxeld import contacts, se2
 from taxeld.observation import ObservationModel
 from taxeld.se2 import Poses
-
 from taxeld_hil.scenario import Scenario
 
 TRAVEL_M_S = 0.25
@@ -19,6 +19,8 @@ SLOW_FROM_M = 0.01  # before the touch
 YAW_SPREAD_RAD = 0.5
 ARC_STEP_RAD = 0.1
 MARCH_M = 0.0005
+FELT = 0.1  # a corner between two columns is not felt: the robot presses elsewhere, a few times
+TRIES = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,14 +46,18 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
     centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
     circle = scene.size + model.layout.radius_m + STANDOFF_M
     start = rng.uniform(-np.pi, np.pi)
-    poses, times = [], []
+    poses: list[list[float]] = []
+    times: list[float] = []
     now, yaw, before = 0.0, 0.0, start
     for k in range(scenario.contacts):
         angle = start + 2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / scenario.contacts
-        depth = rng.uniform(scenario.press_min_m, scenario.press_max_m)
         yaw_to = yaw + rng.uniform(-YAW_SPREAD_RAD, YAW_SPREAD_RAD)
-        offset = rng.uniform(-0.7, 0.7) * scene.size
-        line = _approach(model, truth, centre, angle, offset, circle, depth)
+        for _ in range(TRIES):
+            depth = rng.uniform(scenario.press_min_m, scenario.press_max_m)
+            offset = rng.uniform(-0.7, 0.7) * scene.size
+            line = _approach(model, truth, centre, angle, offset, circle, depth)
+            if _felt(model, truth, np.array([*line[2], yaw_to])) > FELT:
+                break
         arc = np.linspace(before, angle, 2 + int(abs(angle - before) / ARC_STEP_RAD))
         around = centre + circle * np.column_stack([np.cos(arc), np.sin(arc)])
         legs = [(p, TRAVEL_M_S) for p in around] + [
@@ -67,6 +73,11 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
             times.append(now)
         yaw, before = yaw_to, angle
     return Path(np.array(times), np.array(poses))
+
+
+def _felt(model: ObservationModel, truth: Poses, sensor: Poses) -> float:
+    """The strongest activation with the sensor there."""
+    return float(model.activation(se2.compose(se2.inverse(sensor), truth)[None]).max())
 
 
 def _approach(
@@ -94,4 +105,4 @@ def _approach(
     if not len(deep):
         return _approach(model, truth, centre, angle, 0.7 * offset, circle, depth)
     slow = np.flatnonzero(gap < SLOW_FROM_M)[0]
-    return points[[0, slow, deep[0]]]
+    return np.asarray(points[[0, slow, deep[0]]])

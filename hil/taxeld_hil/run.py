@@ -10,7 +10,6 @@ from pathlib import Path
 
 from taxeld import session
 from taxeld.errors import SetupError
-
 from taxeld_hil.scenario import Scenario
 
 GRACE_S = 5.0
@@ -70,15 +69,27 @@ def run(name: str, scenario: Scenario, seed: int, directory: Path) -> Result:
             ),
             encoding="utf-8",
         )
+        daemon: subprocess.Popen[bytes] | None = None
+        watch: subprocess.Popen[bytes] | None = None
         skin = _start("taxeld_hil.cli", "emulate", name, "--seed", str(seed), "--link", str(device),
                       "--poses", poses, "--out", str(directory))  # fmt: skip
-        daemon = watch = None
         try:
             _wait_for(device, skin)
             daemon = _start("taxeld.cli", "run", str(config))
-            watch = _start("taxeld_hil.cli", "watch", "--endpoint", stream, "--bundle",
-                           scenario.bundle, "--layout", scenario.layout, "--truth",
-                           str(directory / session.TRUTH), "--error-to", str(place / "error"))
+            watch = _start(
+                "taxeld_hil.cli",
+                "watch",
+                "--endpoint",
+                stream,
+                "--bundle",
+                scenario.bundle,
+                "--layout",
+                scenario.layout,
+                "--truth",
+                str(directory / session.TRUTH),
+                "--error-to",
+                str(place / "error"),
+            )
             while skin.poll() is None:
                 for process, what in ((daemon, "the daemon"), (watch, "the subscriber")):
                     if process.poll() is not None:
@@ -90,10 +101,10 @@ def run(name: str, scenario: Scenario, seed: int, directory: Path) -> Result:
             _stop(daemon, "the daemon")
             return Result(float((place / "error").read_text(encoding="ascii")), directory)
         finally:
-            for process in (skin, daemon, watch):
-                if process is not None and process.poll() is None:
-                    process.kill()
-                    process.wait()
+            for started in (skin, daemon, watch):
+                if started is not None and started.poll() is None:
+                    started.kill()
+                    started.wait()
 
 
 def _start(module: str, *args: str) -> subprocess.Popen[bytes]:

@@ -6,6 +6,7 @@ from typing import Any
 import msgpack
 import numpy as np
 import zmq
+
 from taxeld import messages
 from taxeld.scene import Scene
 from taxeld.se2 import Poses

@@ -2,12 +2,12 @@
 
 import numpy as np
 from numpy.typing import NDArray
+
 from taxeld import se2
 from taxeld.observation import ObservationModel
 from taxeld.se2 import Poses
-from taxeld_protocol.modules import Module
-
 from taxeld_hil.scenario import Scenario
+from taxeld_protocol.modules import Module
 
 COUNT_MAX = 0xFFFF
 T0_COUNTS = 12_000  # of every module's temperature channel, which a press hardly moves

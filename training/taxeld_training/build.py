@@ -7,19 +7,19 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 import numpy as np
+
 from taxeld import bundle
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
 from taxeld.observation import Noise, ObservationModel
 from taxeld.proposals import Ddpm, Projection
-
 from taxeld_training import export, meshes, quality, scenes
 from taxeld_training.dataset import Batches, simulate
 from taxeld_training.diffusion import Denoiser, NetworkConfig, Sampler, flops
 from taxeld_training.train import TrainConfig, train
 
 DEPTH_MAX_M = 0.005
-SAMPLER_STEPS = (20, 100)  # the default first: few-step DDIM, then the paper's DDPM-100
+SAMPLER_STEPS = (10, 100)  # the default first: few-step DDIM, then the paper's DDPM-100
 MEASURED_READINGS = 64
 
 

@@ -5,9 +5,9 @@ import sys
 from pathlib import Path
 
 from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
+
 from taxeld import layout
 from taxeld.errors import SetupError
-
 from taxeld_training.build import BuildConfig, build
 from taxeld_training.train import TrainConfig
 

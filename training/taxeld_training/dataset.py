@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
+
 from taxeld.contacts import synthesise
 from taxeld.errors import SetupError
 from taxeld.observation import Noise, ObservationModel
-from torch import Tensor
 
 FELT = 0.05  # a touch whose strongest taxel stays below this is not felt and never asked about
 DEAD_SHARE = 0.3  # of training touches have dead taxels

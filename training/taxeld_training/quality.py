@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+
 from taxeld.observation import Noise, ObservationModel
 from taxeld.proposals import Proposal
-
 from taxeld_training.dataset import Touches, simulate
 from taxeld_training.posterior import ExactPosterior, energy_distance
 

@@ -5,10 +5,10 @@ import shapely
 import trimesh
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
+
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
 from taxeld.scene import CONTINUOUS, Scene
-
 from taxeld_training import meshes
 
 CELL_M = 0.002
@@ -122,7 +122,7 @@ def _around(polygon: BaseGeometry, n: int) -> NDArray[np.float64]:
     """(n, 2) points spaced evenly along a polygon's exterior."""
     ring = polygon.exterior
     at = np.linspace(0.0, ring.length, n, endpoint=False)
-    return shapely.get_coordinates(shapely.line_interpolate_point(ring, at))
+    return np.asarray(shapely.get_coordinates(shapely.line_interpolate_point(ring, at)))
 
 
 def _surface(shapes: list[BaseGeometry], heights: NDArray[np.float64]) -> NDArray[np.float64]:

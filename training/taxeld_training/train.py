@@ -54,7 +54,7 @@ def train(
     for update in range(1, config.updates + 1):
         loss = _loss(net, batches, config, device)
         optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        loss.backward()  # type: ignore[no-untyped-call]
         nn.utils.clip_grad_norm_(net.parameters(), 1.0)
         optimizer.step()
         schedule.step()

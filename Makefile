@@ -1,0 +1,43 @@
+# Each target sets up what it needs in .venv on its first use and is quick afterwards.
+
+PYTHON ?= python3
+SEED ?= 0
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
+
+.PHONY: demo test lint bench picture clean
+
+demo: .venv/.runtime
+	$(BIN)/taxeld-hil run demo --seed $(SEED)
+
+test: .venv/.all
+	$(BIN)/python -m pytest
+
+lint: .venv/.all
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/python tests/import_directions.py
+
+bench: .venv/.all
+	$(BIN)/python benchmarks/run.py
+
+# The README's picture: the contacts of a demo session
+picture: .venv/.all
+	rm -rf .venv/picture
+	$(BIN)/taxeld-hil run demo --seed $(SEED) --out .venv/picture
+	$(BIN)/taxeld-hil draw .venv/picture --out docs/demo.png
+
+clean:
+	rm -rf .venv
+
+.venv/bin/python:
+	$(PYTHON) -m venv .venv
+
+.venv/.runtime: .venv/bin/python pyproject.toml constraints.txt
+	$(PIP) -e .
+	touch $@
+
+.venv/.all: .venv/.runtime
+	$(PIP) -e '.[train,view,dev]'
+	touch $@
