@@ -33,20 +33,23 @@ class Bundle:
     info: dict[str, Any]  # bundle.json as it stands
     model: ObservationModel
 
-    def proposal(self, name: str) -> Proposal:
-        """The proposal that the configuration names; `auto` is the bundle's first sampler.
+    def proposal(self, name: str, sampler: str = "") -> Proposal:
+        """The proposal that the configuration names; `auto` is the bundle's first sampler, or the
+        one named.
 
         Raises:
             SetupError: the bundle has none of that name.
         """
-        if name == "projection":
+        samplers = {s["name"]: s["file"] for s in self.info["samplers"]}
+        if sampler and sampler not in samplers:
+            known = ", ".join(samplers) or "none"
+            raise SetupError(f"filter.sampler: {self.path.name} has no '{sampler}'; it has {known}")
+        if name == "projection" or (name == "auto" and not samplers):
             return Projection(self.model)
-        samplers = [s for s in self.info["samplers"] if name in ("auto", s["name"])]
-        if samplers:
-            return Ddpm(self.path / samplers[0]["file"], self.model.layout)
-        if name == "auto":
-            return Projection(self.model)
-        raise SetupError(f"filter.proposal: {self.path} holds no sampler '{name}'")
+        if not samplers:
+            raise SetupError(f"filter.proposal: {self.path.name} holds no sampler; use projection")
+        file = samplers[sampler] if sampler else next(iter(samplers.values()))
+        return Ddpm(self.path / file, self.model.layout)
 
 
 def find(name: str) -> Path:
@@ -97,6 +100,7 @@ def _info(path: Path) -> dict[str, Any]:
     for i, sampler in enumerate(info["samplers"]):
         if not isinstance(sampler, dict) or not {"name", "file"} <= sampler.keys():
             raise SetupError(f"{path}: samplers[{i}] needs a name and a file")
-        if not (path.parent / sampler["file"]).is_file():
-            raise SetupError(f"{path}: samplers[{i}].file: no such file {sampler['file']}")
+        file = str(sampler["file"])
+        if Path(file).name != file or not (path.parent / file).is_file():
+            raise SetupError(f"{path}: samplers[{i}].file: no such file {file} beside it")
     return info

@@ -19,7 +19,7 @@ def faults(config: Config) -> list[str]:
     else:
         try:
             loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
-            loaded.proposal(config.filter.proposal)
+            loaded.proposal(config.filter.proposal, config.filter.sampler)
         except SetupError as error:
             found.append(str(error))
     try:

@@ -15,7 +15,7 @@ import numpy as np
 from taxeld import filter as pf
 from taxeld import se2
 from taxeld.config import FilterConfig
-from taxeld.memory import Touch, TouchMemory
+from taxeld.memory import Touches
 from taxeld.observation import Noise, ObservationModel
 from taxeld.proposals import Proposal
 from taxeld.se2 import Poses
@@ -108,7 +108,6 @@ class Estimator:
         self.config = config
         self.noise = Noise(config.noise_sigma, config.gain_cv, config.outliers)
         self.metric = PoseMetric(model.scene)
-        self.memory = TouchMemory(model, self.noise, REMEMBERED)
         self.counters = EstimatorCounters()
         self.propose_ns: int = 0
         self.reset()
@@ -138,9 +137,8 @@ class Estimator:
         if told:
             self.counters.updates += 1
             self._news.sensor, self._news.z = sensor, z
-            touch = Touch(sensor, z, activation.live)
-            injected = self._inject(touch) if self._contact else 0
-            log_evidence = self._learn(touch)
+            injected = self._inject(z, activation, sensor) if self._contact else 0
+            log_evidence = self._learn(z, activation, sensor)
         self.estimate = self._summarise(activation.t, None, injected, log_evidence, fresh=told)
         return self.estimate
 
@@ -173,7 +171,7 @@ class Estimator:
         changed = float(np.abs(z - news.z).max())
         return moved / NEWS_MOTION_M + changed / NEWS_ACTIVATION >= 1.0
 
-    def _inject(self, touch: Touch) -> int:
+    def _inject(self, z: Poses, activation: Activation, sensor: Poses) -> int:
         """Samples of the touch take the place of the least particles; S falls as the belief settles
         on one mode."""
         settled = self.estimate.modes[0].weight if self._contacts > 1 else 0.0
@@ -181,28 +179,34 @@ class Estimator:
         count = min(round(share * self.config.injected), len(self.belief))
         if count == 0:
             return 0
-        poses = self.proposal.propose(touch.z, touch.live, count, self.rng)
-        poses = se2.compose(touch.sensor, poses[np.isfinite(poses).all(axis=1)])
+        poses = self.proposal.propose(z, activation.live, count, self.rng)
+        poses = se2.compose(sensor, poses[np.isfinite(poses).all(axis=1)])
         pf.inject(self.belief, poses, self.memory.explain(poses))
         self._kind = ProposalKind[self.proposal.name.upper()]
         self.counters.injections += 1
         return len(poses)
 
-    def _learn(self, touch: Touch) -> float:
-        """Weigh the belief by a scan; → log evidence."""
+    def _learn(self, z: Poses, activation: Activation, sensor: Poses) -> float:
+        """Weigh the belief by a scan, and remember it if it is a touch; → log evidence."""
         belief = self.belief
-        log_likelihood = self.memory.of(touch, belief.pose)
-        evidence = pf.reweight(belief, log_likelihood)
+        scan = Touches(self.model, self.noise)
+        scan.add(sensor, z, activation.live)
+        explained = scan.explain(belief.pose)
+        evidence = pf.reweight(belief, explained[:, 0])
         if evidence is None:
             self.counters.impossible += 1
             self._begin_anew()
             return 0.0
+        moves = 0
         if self._contact:
-            belief.remembered = self.memory.add(touch, log_likelihood, belief.remembered)
-        moves = MOVES if self._contact else 0
+            self.memory.add(sensor, z, activation.live)
+            self.memory.keep_last(REMEMBERED)
+            columns = np.hstack([belief.remembered, explained])
+            belief.remembered = columns[:, -REMEMBERED:]
+            moves = MOVES
         if pf.resampling_is_due(belief):
             pf.resample(belief, self.rng)
-            moves = moves or 1
+            moves = max(moves, 1)  # or the copies would stay one
         for _ in range(moves):
             pf.rejuvenate(belief, self.memory.explain, self.rng)
         return evidence
@@ -211,7 +215,7 @@ class Estimator:
         """A uniform belief that remembers nothing."""
         config = self.config
         self.belief = pf.uniform(config.particles, config.centre_m, config.half_width_m, self.rng)
-        self.memory.clear()
+        self.memory = Touches(self.model, self.noise)
 
     def _summarise(
         self, t: float, status: Status | None, injected: int, log_evidence: float,

@@ -5,9 +5,6 @@ all the same, and a belief that is right can lose to a sample that explains the 
 The memory weighs it (after the memory unscented particle filter, Vezzani et al. 2017).
 """
 
-from collections import deque
-from typing import NamedTuple
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,39 +15,43 @@ from taxeld.se2 import Poses
 Floats = NDArray[np.float64]
 
 
-class Touch(NamedTuple):
-    """One judged scan."""
+class Touches:
+    """K scans to be explained, each by any pose of the object in the world."""
 
-    sensor: Poses  # (3,) in the world
-    z: Floats  # (M,)
-    live: NDArray[np.bool_]  # (M,)
-
-
-class TouchMemory:
-    """The last `size` touches."""
-
-    def __init__(self, model: ObservationModel, noise: Noise, size: int) -> None:
+    def __init__(self, model: ObservationModel, noise: Noise) -> None:
+        taxels = len(model.layout)
         self._model = model
         self._noise = noise
-        self._touches: deque[Touch] = deque(maxlen=size)
+        self._world_in_sensor = np.empty((0, 3))
+        self._z = np.empty((0, taxels))
+        self._live = np.empty((0, taxels))
+        self._silent = np.empty((0, taxels))  # log p(z | h = 0): what a taxel says that is not met
 
-    def clear(self) -> None:
-        self._touches.clear()
+    def __len__(self) -> int:
+        return len(self._z)
 
-    def add(self, touch: Touch, log_likelihood: Floats, remembered: Floats) -> Floats:
-        """Remember a touch that a belief explains by `log_likelihood` (N,); → the belief's
-        `remembered` (N, K) with it, and without the oldest touch where that is forgotten."""
-        self._touches.append(touch)
-        columns = np.column_stack([remembered, log_likelihood])
-        return columns[:, -len(self._touches) :]
+    def add(self, sensor: Poses, z: Floats, live: NDArray[np.bool_]) -> None:
+        """A scan z, live (M,) with the sensor at a pose (3,) in the world."""
+        silent = np.where(live, self._noise.log_density(z, np.zeros(1)), 0.0)
+        self._world_in_sensor = np.vstack([self._world_in_sensor, se2.inverse(sensor)])
+        self._z = np.vstack([self._z, z])
+        self._live = np.vstack([self._live, live])
+        self._silent = np.vstack([self._silent, silent])
+
+    def keep_last(self, count: int) -> None:
+        """Forget all but the last `count` scans."""
+        self._world_in_sensor = self._world_in_sensor[-count:]
+        self._z, self._live = self._z[-count:], self._live[-count:]
+        self._silent = self._silent[-count:]
 
     def explain(self, poses: Poses) -> Floats:
-        """log p(touch | pose) of each remembered touch: poses (N, 3) in the world → (N, K)."""
-        if not self._touches:
-            return np.empty((len(poses), 0))
-        return np.column_stack([self.of(touch, poses) for touch in self._touches])
-
-    def of(self, touch: Touch, poses: Poses) -> Floats:
-        """log p(touch | pose): poses (N, 3) in the world → (N,)."""
-        seen = se2.compose(se2.inverse(touch.sensor), poses)
-        return self._model.log_likelihood(seen, touch.z, touch.live, self._noise)
+        """log p(scan | pose) over live taxels: poses (N, 3) in the world → (N, K)."""
+        k, n, taxels = len(self), len(poses), len(self._model.layout)
+        seen = se2.compose(self._world_in_sensor[:, None], poses[None]).reshape(k * n, 3)
+        at, h = self._model.felt(seen)
+        row, taxel = np.divmod(at, taxels)
+        cell = row // max(n, 1) * taxels + taxel
+        density = self._noise.log_density(self._z.take(cell), h)
+        gain = (density - self._silent.take(cell)) * self._live.take(cell)
+        met = np.bincount(row, gain, k * n).reshape(k, n)
+        return np.asarray((met + self._silent.sum(axis=1, keepdims=True)).T)

@@ -44,6 +44,9 @@ class Noise:
         return np.asarray(self.log_density(z, h) @ live.astype(np.float64))
 
 
+BLOCK = 256  # poses looked up at once: their points stay in the cache
+
+
 class ObservationModel:
     """h(q) of one scene on one skin, vectorised over poses.
 
@@ -68,6 +71,14 @@ class ObservationModel:
     def felt(self, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
         """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into
         (N, M), ascending, and their h > 0."""
+        if len(poses) <= BLOCK:
+            return self._felt(poses)
+        blocks = [self._felt(poses[at : at + BLOCK]) for at in range(0, len(poses), BLOCK)]
+        step = BLOCK * len(self.layout)
+        at = np.concatenate([part[0] + i * step for i, part in enumerate(blocks)])
+        return at, np.concatenate([part[1] for part in blocks])
+
+    def _felt(self, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
         scene = self.scene
         ny, nx = scene.silhouette.shape
         c, s = np.cos(poses[:, 2]) / scene.cell, np.sin(poses[:, 2]) / scene.cell
@@ -93,11 +104,3 @@ class ObservationModel:
         at, values = self.felt(poses)
         h.flat[at] = values
         return h
-
-    def log_likelihood(self, poses: Floats, z: Floats, live: Bools, noise: Noise) -> Floats:
-        """log p(z | q) over live taxels: poses (N, 3), z (M,), live (M,) → (N,)."""
-        at, h = self.felt(poses)
-        taxel = at % len(z)
-        silent = np.where(live, noise.log_density(z, np.zeros(1)), 0.0)
-        gain = np.where(live[taxel], noise.log_density(z[taxel], h) - silent[taxel], 0.0)
-        return np.asarray(silent.sum() + np.bincount(at // len(z), gain, len(poses)))

@@ -110,7 +110,7 @@ def load(path: Path) -> Scene:
         SetupError: the file is missing, truncated, or not a scene.
     """
     try:
-        with np.load(path, allow_pickle=False) as npz:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as npz:
             missing = sorted(Scene.__dataclass_fields__.keys() - set(npz.files))
             if missing:
                 raise SetupError(f"{path}: lacks {', '.join(missing)}; build the bundle again")

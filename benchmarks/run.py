@@ -1,0 +1,179 @@
+"""`make bench`: what a tick, a touch and a running daemon cost, each beside its budget.
+
+CPU time and counts, medians over interleaved rounds; wall-clock figures are printed, not judged.
+"""
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+from packaging.requirements import Requirement
+
+from taxeld import bundle, config, contacts, layout
+from taxeld.estimator import Estimator
+from taxeld.loop import Daemon
+from taxeld.skin import Activation
+
+ROUNDS = 7
+TOUCHES = 20
+IDLE_TICKS = 2000
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="write the figures there as well")
+    parser.add_argument("--no-demo", action="store_true", help="leave the real-time demo out")
+    args = parser.parse_args()
+    rows = [*installed(), *touches(), idle_tick(), *([] if args.no_demo else demo())]
+    print(f"{'figure':52s} {'measured':>10s} {'budget':>10s}")
+    for row in rows:
+        budget = "" if row["budget"] is None else f"{row['budget']:10.2f}"
+        print(f"{row['figure']:52s} {row['measured']:10.3f} {budget:>10s}")
+    if args.json:
+        args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def row(figure: str, measured: float, budget: float | None = None) -> dict[str, object]:
+    return {"figure": figure, "measured": measured, "budget": budget}
+
+
+def cpu_ms(work: Callable[[], None], times: int) -> float:
+    """Median CPU milliseconds of one `work` over rounds of `times`."""
+    spent = []
+    for _ in range(ROUNDS):
+        start = time.process_time()
+        for _ in range(times):
+            work()
+        spent.append((time.process_time() - start) / times * 1e3)
+    return float(np.median(spent))
+
+
+def installed() -> list[dict[str, object]]:
+    """Size of the runtime's packages on disk, and how many of them are torch."""
+    found: set[str] = set()
+    wanted = ["taxeld"]
+    while wanted:
+        name = wanted.pop().lower()
+        if name in found:
+            continue
+        found.add(name)
+        for text in metadata.requires(name) or []:
+            requirement = Requirement(text)
+            if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+                wanted.append(requirement.name)
+    size = sum(
+        Path(str(file.locate())).stat().st_size
+        for name in found - {"taxeld"}
+        for file in metadata.files(name) or []
+        if Path(str(file.locate())).is_file()
+    )
+    return [
+        row("runtime packages, MB on disk", size / 1e6),
+        row("torch among them", float("torch" in found), 0.0),
+    ]
+
+
+def touches() -> list[dict[str, object]]:
+    """One touch through the estimator with S = 100, N = 100: the baseline and each sampler."""
+    skin = layout.load(config.SkinConfig().layout)
+    loaded = bundle.load("box", skin, 0.005)
+    model = loaded.model
+    rng = np.random.default_rng(0)
+    settings = config.FilterConfig(particles=100, injected=100)
+    poses = contacts.synthesise(model.scene, skin.radius_m, 0.005, 2000, rng).pose
+    felt = poses[model.activation(poses).max(axis=1) > 0.3][:TOUCHES]
+    readings = model.activation(felt)
+    live = np.ones(len(skin), dtype=bool)
+    rows = []
+    names = ["projection", *(s["name"] for s in loaded.info["samplers"])]
+    for name in names:
+        sampler = "" if name == "projection" else name
+        kind = "projection" if name == "projection" else "ddpm"
+        estimator = Estimator(model, loaded.proposal(kind, sampler), settings)
+        spent: list[float] = []
+        t = 0.0
+        for _ in range(ROUNDS):
+            for z in readings:  # press, hold, let go somewhere else: the second scan is judged
+                sensor = np.array([*rng.uniform(-0.1, 0.1, 2), 0.0])
+                estimator.on_scan(Activation(t, z, live), sensor)
+                start = time.process_time()
+                estimate = estimator.on_scan(Activation(t + 0.05, z, live), sensor)
+                spent.append((time.process_time() - start) * 1e3)
+                assert estimate.injected >= 50  # noqa: S101
+                for gap in (0.1, 0.3):
+                    estimator.on_scan(Activation(t + gap, 0.0 * z, live), sensor)
+                t += 1.0
+        shipped = name == loaded.info["samplers"][0]["name"]
+        figure = f"a touch, N = 100, S = 100, {name}: CPU ms"
+        rows.append(row(figure, float(np.median(spent)), 5.0 if shipped else None))
+    return rows
+
+
+def idle_tick() -> dict[str, object]:
+    """A tick of a whole daemon to which nothing comes."""
+    with tempfile.TemporaryDirectory() as place:
+        endpoint = f"ipc://{place}/"
+        settings = config.parse(
+            f'[source]\nkind = "can"\ninterface = "virtual"\nchannel = "bench"\n'
+            f'[scene]\nbundle = "box"\n[publish]\nendpoints = ["{endpoint}stream"]\n'
+            f'[control]\nendpoint = "{endpoint}control"\n'
+            f'[sensor_pose]\nendpoint = "{endpoint}poses"\n'
+        )
+        daemon = Daemon(replace(settings))
+        ticks = iter(np.arange(10**7) * 0.01)
+        spent = cpu_ms(lambda: daemon.tick(float(next(ticks))), IDLE_TICKS)
+        daemon.close()
+    return row("a tick without a scan: CPU ms", spent, 0.3)
+
+
+def demo() -> list[dict[str, object]]:
+    """The demo in real time, and the daemon's memory at the end of it, as it says itself."""
+    with tempfile.TemporaryDirectory() as place:
+        start = time.monotonic()
+        command = [sys.executable, "-m", "taxeld_hil.cli", "run", "demo", "--out", place]
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+        took = time.monotonic() - start
+        peak_mb = replayed_peak_mb(Path(place))
+    return [
+        row("the demo: wall seconds", took, 60.0),
+        row("the daemon's peak resident memory, MB", peak_mb, 150.0),
+    ]
+
+
+def replayed_peak_mb(directory: Path) -> float:
+    """Peak memory of `taxeld run` on the session, through its whole loop."""
+    text = (directory / "config.toml").read_text(encoding="utf-8")
+    head, rest = text.split("[source]")
+    _, scene = rest.split("[scene]")
+    scene, streams = scene.split("[publish]")
+    scene = scene.split("[sensor_pose]")[0]
+    settings = directory / "replayed.toml"
+    settings.write_text(
+        f'{head}[source]\nkind = "replay"\npath = "{directory}"\n[scene]{scene}'
+        f'[publish]\nendpoints = ["ipc://{directory}/stream"]\n[control]\nendpoint = ""\n',
+        encoding="utf-8",
+    )
+    daemon = subprocess.Popen([sys.executable, "-m", "taxeld.cli", "run", str(settings)])
+    peak = 0.0
+    while daemon.poll() is None:
+        status = Path(f"/proc/{daemon.pid}/status")
+        try:
+            lines = status.read_text(encoding="ascii").splitlines()
+        except OSError:
+            break
+        peak = max([peak, *(float(x.split()[1]) / 1024 for x in lines if x.startswith("VmHWM"))])
+        time.sleep(0.2)
+    return peak
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,84 @@
+"""Configuration: every fault is named by its path, and the documentation is the code's."""
+
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+
+from taxeld.config import Config, parse
+from taxeld.toml_tables import ConfigError
+
+MINIMAL = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
+DOCUMENTED = Path(__file__).parents[2] / "docs" / "configuration.md"
+
+
+def test_a_minimal_configuration_has_every_default() -> None:
+    config = parse(MINIMAL)
+    assert config.source.interface == "socketcan"
+    assert config.filter.particles == 100
+    assert config.publish.endpoints == ("ipc:///run/taxeld/stream", "tcp://127.0.0.1:9872")
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ("[source]\nchanel = 'x'", "source.chanel: unknown key; did you mean channel?"),
+        ("[speed]\na = 1", "speed: unknown key"),
+        ("[source]\nkind = 'usb'", "source.kind: must be one of can, serial, replay, not 'usb'"),
+        ("[source]\nkind = 7", "source.kind: must be a string, not 7"),
+        ("[source]\nkind = 'serial'", "source.channel: is required for kind 'serial'"),
+        ("[source]\nkind = 'replay'", "source.path: is required for kind 'replay'"),
+        ("[loop]\nrate_hz = 0", "loop.rate_hz: must be 1..1000, not 0"),
+        ("[loop]\nrate_hz = nan", "loop.rate_hz: must be a number, not nan"),
+        ("[loop]\nrate_hz = true", "loop.rate_hz: must be a number, not True"),
+        ("[filter]\nparticles = 1.5", "filter.particles: must be an integer, not 1.5"),
+        ("[filter]\ncentre_m = [1]", "filter.centre_m: must be a list of 2 (float), not [1]"),
+        ("loop = 3", "loop: must be a table [loop]"),
+        ("[publish]\nendpoints = ['tcp://0.0.0.0:1']", "publish.endpoints: 'tcp://0.0.0.0:1' is"),
+        ("[control]\nendpoint = 'tcp://*:1'", "control.endpoint: 'tcp://*:1' is not local"),
+        ("[scene]", "scene.bundle: is required"),
+        ("", "source: is required"),
+    ],
+)
+def test_each_fault_is_one_line_that_names_its_path(change: str, fault: str) -> None:
+    text = change if "source" in change else change + "\n"
+    if fault.split(":", maxsplit=1)[0] not in ("source", "scene.bundle"):
+        text += MINIMAL if "[source]" not in change else '\n[scene]\nbundle = "box"\n'
+    elif change:
+        text += '[source]\nkind = "can"\nchannel = "can0"\n'
+    with pytest.raises(ConfigError) as error:
+        parse(text)
+    assert any(line.startswith(fault) for line in error.value.faults), error.value.faults
+    assert all("\n" not in line for line in error.value.faults)
+
+
+def test_all_faults_are_found_at_once() -> None:
+    with pytest.raises(ConfigError) as error:
+        parse(MINIMAL + "[loop]\nrate_hz = -1\nspeed = 2\n[filter]\nseed = 'x'\n")
+    assert len(error.value.faults) == 3
+
+
+def test_what_is_not_toml_is_one_line() -> None:
+    with pytest.raises(ConfigError, match=r"^x\.toml: not TOML: [^\n]+$"):
+        parse("a = ", "x.toml")
+
+
+def test_the_documented_table_is_the_codes() -> None:
+    rows = []
+    for table in fields(Config):
+        cls = get_type_hints(Config)[table.name]
+        for key in fields(cls):
+            default = "required" if key.default is MISSING else _toml(key.default)
+            rows.append(f"| `{table.name}.{key.name}` | {default} | {key.metadata['doc']} |")
+    text = DOCUMENTED.read_text(encoding="utf-8")
+    documented = [line for line in text.splitlines() if line.startswith("| `")]
+    assert documented == rows
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
+    if isinstance(value, tuple):
+        return "`[" + ", ".join(f'"{v}"' if isinstance(v, str) else str(v) for v in value) + "]`"
+    return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"

@@ -1,0 +1,156 @@
+"""SE(2), layouts, observation and contact synthesis against closed forms."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taxeld import contacts, layout, scene, se2
+from taxeld.errors import SetupError
+from taxeld.layout import Layout
+from taxeld.memory import Touches
+from taxeld.observation import Noise, ObservationModel
+
+from .conftest import DEPTH_MAX_M
+
+pose = st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-7, 7)).map(np.array)
+
+
+@given(pose, pose)
+def test_a_pose_composed_with_its_inverse_is_the_identity(a: np.ndarray, b: np.ndarray) -> None:
+    assert np.allclose(se2.compose(a, se2.inverse(a)), 0.0, atol=1e-9)
+    points = np.array([[0.3, -0.2], [1.0, 2.0]])
+    together = se2.apply(se2.compose(a, b), points)
+    assert np.allclose(together, se2.apply(a, se2.apply(b, points)))
+
+
+@given(pose, st.floats(-3, 3))
+def test_rotation_about_a_point_leaves_it(a: np.ndarray, angle: float) -> None:
+    centre = a[:2]
+    assert np.allclose(se2.apply(se2.rotation_about(centre, angle), centre[None]), centre)
+
+
+def test_a_generated_cylinder_is_numbered_from_below_and_counter_clockwise() -> None:
+    skin = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+    assert len(skin) == 80
+    assert np.allclose(skin.position_m[0], [0.04, 0.0, -0.03])
+    assert np.allclose(skin.position_m[4], [0.0, 0.04, -0.03])
+    assert np.allclose(skin.position_m[16 * 4, 2], 0.03)
+    assert [int(u) for u in skin.uid[[0, 9, 10, 79]]] == [0x11, 0x1A, 0x21, 0x8A]
+
+
+def test_turning_the_touch_permutes_the_taxels(box_model: ObservationModel, skin: Layout) -> None:
+    rng = np.random.default_rng(0)
+    poses = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 50, rng).pose
+    h = box_model.activation(poses)
+    assert (h.max(axis=1) > 0.1).any()
+    assert len(skin.turns) == 16
+    for k, turn in enumerate(skin.turns):
+        back = np.array([0.0, 0.0, -2 * np.pi * k / 16])
+        assert np.allclose(box_model.activation(se2.compose(back, poses)), h[:, turn], atol=0.03)
+
+
+def test_the_strongest_taxels_sector_turns_to_angle_zero(skin: Layout) -> None:
+    for i in range(len(skin)):
+        z = np.zeros(len(skin))
+        z[i] = 1.0
+        turned = skin.position_m[z[skin.turns[skin.sector[i]]].argmax()]
+        assert np.isclose(np.arctan2(turned[1], turned[0]), 0.0)
+
+
+@pytest.mark.parametrize(
+    ("spec", "fault"),
+    [
+        ("sphere:radius_m=1", "no known layout"),
+        ("cylinder:rows=2", "lacks columns, pitch_m, radius_m"),
+        ("cylinder:rows=2,columns=x,radius_m=1,pitch_m=1", "'columns=x' is not columns=<int>"),
+        ("cylinder:rows=2,colums=3", "unknown cylinder key 'colums'"),
+        ("cylinder:rows=0,columns=3,radius_m=0.1,pitch_m=0.1", "rows × columns must be"),
+        ("cylinder:rows=1,columns=3,radius_m=nan,pitch_m=0.1", "positive lengths"),
+        ("", "no known layout"),
+    ],
+)
+def test_a_faulty_layout_is_refused_by_name(spec: str, fault: str) -> None:
+    with pytest.raises(SetupError, match=f"skin.layout: .*{fault}"):
+        layout.load(spec)
+
+
+@given(st.floats(0.0, 6.28), st.floats(0.0, 0.005))
+def test_a_disc_pressed_deep_reads_its_depth(
+    disc_model: ObservationModel, angle: float, depth: float
+) -> None:
+    """On a round object the taxel's depth has a closed form: R_o − |q⁻¹ p|."""
+    gap = 0.09 - depth
+    q = np.array([[gap * np.cos(angle), gap * np.sin(angle), 1.0]])
+    p = disc_model.layout.position_m[:, :2]
+    expected = np.clip((0.05 - np.linalg.norm(p - q[0, :2], axis=1)) / DEPTH_MAX_M, 0, 1)
+    assert np.allclose(disc_model.activation(q)[0], expected, atol=0.01)
+
+
+def test_poses_far_away_feel_nothing(box_model: ObservationModel) -> None:
+    far = np.array([[5.0, 0.0, 0.0], [-3.0, 9.0, 1.0], [0.2, 0.2, 0.0]])
+    assert not box_model.activation(far).any()
+
+
+def test_touches_are_explained_as_the_dense_model_says(box_model: ObservationModel) -> None:
+    rng = np.random.default_rng(0)
+    noise = Noise()
+    poses = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 700, rng).pose
+    touches, dense = Touches(box_model, noise), []
+    for sensor in ([0.0, 0.0, 0.0], [0.01, -0.02, 1.0], [0.3, 0.0, 0.0]):
+        seen = se2.compose(se2.inverse(np.array(sensor)), poses)
+        h = box_model.activation(seen)
+        z, live = noise.draw(h[3], rng), rng.random(h.shape[1]) < 0.8
+        touches.add(np.array(sensor), z, live)
+        dense.append(noise.log_likelihood(z, live, h))
+    assert np.allclose(touches.explain(poses), np.array(dense).T)
+    touches.keep_last(2)
+    assert np.allclose(touches.explain(poses), np.array(dense).T[:, 1:])
+    assert touches.explain(poses[:0]).shape == (0, 2)
+
+
+def test_nothing_to_explain_has_no_columns(box_model: ObservationModel) -> None:
+    assert Touches(box_model, Noise()).explain(np.zeros((5, 3))).shape == (5, 0)
+
+
+def test_a_dead_taxel_says_nothing(box_model: ObservationModel) -> None:
+    touches = Touches(box_model, Noise())
+    touches.add(np.zeros(3), np.zeros(32), np.zeros(32, dtype=bool))
+    poses = np.array([[0.072, 0.0, 0.0], [0.09, 0.0, 0.0]])
+    assert np.array_equal(touches.explain(poses), np.zeros((2, 1)))
+
+
+def test_one_wrong_taxel_costs_a_bounded_amount() -> None:
+    noise = Noise(outliers=0.01)
+    worst = noise.log_density(np.array([1.0]), np.array([0.0]))
+    assert np.isclose(worst, np.log(0.01), atol=1e-6)
+
+
+def test_a_reading_integrates_to_one() -> None:
+    noise, z = Noise(), np.linspace(-4, 5, 200_001)
+    for h in (0.0, 0.3, 1.0):
+        gauss = (np.exp(noise.log_density(z, np.full(1, h))) - noise.outliers) / 0.99
+        assert np.isclose(np.trapezoid(gauss, z), 1.0, atol=1e-3)
+
+
+def test_projected_contacts_press_as_deep_as_asked(disc_model: ObservationModel) -> None:
+    rng = np.random.default_rng(1)
+    made = contacts.synthesise(disc_model.scene, 0.04, DEPTH_MAX_M, 2000, rng)
+    gap = np.hypot(made.pose[:, 0], made.pose[:, 1]) - 0.09
+    assert len(made.pose) + made.dropped == 2000
+    assert made.dropped < 20  # the disc's middle alone has no direction
+    assert np.allclose(gap, -made.depth_m, atol=contacts.RESIDUAL_MAX_M + 1e-4)
+
+
+def test_a_damaged_scene_file_is_one_line(tmp_path, box_model: ObservationModel) -> None:  # type: ignore[no-untyped-def]
+    path = tmp_path / "scene.npz"
+    box_model.scene.save(path)
+    assert np.array_equal(scene.load(path).slices, box_model.scene.slices)
+    whole = path.read_bytes()
+    for damaged in (b"", b"junk", whole[: len(whole) // 2]):
+        path.write_bytes(damaged)
+        with pytest.raises(SetupError, match="unreadable scene"):
+            scene.load(path)
+    np.savez(path, slices=np.zeros(3))
+    with pytest.raises(SetupError, match="lacks cell, centre"):
+        scene.load(path)

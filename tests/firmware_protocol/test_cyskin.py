@@ -1,0 +1,159 @@
+"""Packets and their fragments on CAN."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taxeld_protocol.cyskin import (
+    MAX_FRAGMENTS,
+    Packet,
+    Reassembler,
+    crc8,
+    encode,
+    fragment,
+    to_frames,
+)
+from taxeld_protocol.frames import Frame, format_log_line, parse_log_line
+
+# candump lines of the wire's facts, computed by hand from its rules and not by this code
+GOLDEN_REQUESTS = {
+    "5FF#100080": (0x10, ""),
+    "5FF#3C00D2": (0x3C, ""),
+    "5FF#3D01FFBD": (0x3D, "FF"),
+    "5FF#3B00B9": (0x3B, ""),
+    "5FF#3802003280": (0x38, "0032"),
+    "5FF#370101CE": (0x37, "01"),
+    "5FF#370100C9": (0x37, "00"),
+}
+GOLDEN_SCAN = [
+    "101#431A000027102711",
+    "201#2712271327142715",
+    "201#2716271727182719",
+    "401#271A271BA9",
+]
+
+packets = st.tuples(
+    st.integers(0, 255), st.binary(max_size=255), st.integers(0, 255)
+)  # command, payload, hub
+
+
+def golden(text: str) -> Frame:
+    frame = parse_log_line(text)
+    assert frame is not None
+    return frame
+
+
+def test_crc8_has_the_published_check_value() -> None:
+    assert crc8(b"123456789") == 0xFB
+
+
+@pytest.mark.parametrize(("line", "packet"), GOLDEN_REQUESTS.items())
+def test_golden_requests_are_encoded_and_decoded(line: str, packet: tuple[int, str]) -> None:
+    command, payload = packet[0], bytes.fromhex(packet[1])
+    assert [f[1:3] for f in to_frames(command, payload, ihb=0xFF)] == [golden(line)[1:3]]
+    assert Reassembler().feed(golden(line)) == Packet(0.0, 0xFF, command, payload)
+
+
+def test_golden_scan_is_one_packet() -> None:
+    link = Reassembler()
+    delivered = [link.feed(golden(line)) for line in GOLDEN_SCAN]
+    assert delivered[:3] == [None] * 3
+    values = b"".join(v.to_bytes(2, "big") for v in range(10000, 10012))
+    assert delivered[3] == Packet(0.0, 1, 0x43, b"\0\0" + values)
+    assert to_frames(0x43, b"\0\0" + values, ihb=1) == [golden(line) for line in GOLDEN_SCAN]
+
+
+@given(packets)
+def test_fragments_reassemble_to_the_packet(packet: tuple[int, bytes, int]) -> None:
+    command, payload, ihb = packet
+    link = Reassembler()
+    *early, last = [link.feed(f) for f in to_frames(command, payload, ihb=ihb, t=2.5)]
+    assert not any(early)
+    assert last == Packet(2.5, ihb, command, payload)
+    assert link.pending == 0
+
+
+@given(st.lists(packets, max_size=6), st.randoms())
+def test_hubs_may_interleave(sent: list[tuple[int, bytes, int]], random) -> None:  # type: ignore[no-untyped-def]
+    queues = [to_frames(c, p, ihb=ihb) for ihb, (c, p, _) in enumerate(sent, 1)]
+    link, got = Reassembler(), []
+    while any(queues):
+        queue = random.choice([q for q in queues if q])
+        packet = link.feed(queue.pop(0))
+        if packet:
+            got.append((packet.ihb, packet.command, packet.payload))
+    assert sorted(got) == [(ihb, c, p) for ihb, (c, p, _) in enumerate(sent, 1)]
+
+
+frames = st.builds(
+    Frame,
+    st.just(0.0),
+    st.one_of(
+        st.integers(0, 0x7FF), st.sampled_from([0x101, 0x201, 0x401, 0x501, 0x1FF, 0x2FF, 0x4FF])
+    ),
+    st.binary(max_size=8),
+    st.booleans(),
+)
+
+
+@given(st.lists(frames, max_size=60))
+def test_every_frame_is_counted_exactly_once(noise: list[Frame]) -> None:
+    link = Reassembler()
+    for frame in noise:
+        link.feed(frame)
+    c = link.counters
+    assert c.frames == len(noise)
+    assert c.frames == c.used + c.foreign + c.orphan + c.length + c.crc + link.pending
+
+
+@given(st.lists(frames, max_size=30), packets)
+def test_damage_costs_only_the_damaged(noise: list[Frame], packet: tuple[int, bytes, int]) -> None:
+    link = Reassembler()
+    for frame in noise:
+        link.feed(frame)
+    got = [link.feed(frame) for frame in to_frames(packet[0], packet[1], ihb=packet[2])]
+    assert got[-1] == Packet(0.0, packet[2], packet[0], packet[1])
+
+
+@pytest.mark.parametrize("lost", range(4))
+def test_a_lost_fragment_loses_its_packet_alone(lost: int) -> None:
+    link = Reassembler()
+    scan = [golden(line) for line in GOLDEN_SCAN]
+    got = [link.feed(f) for f in scan[:lost] + scan[lost + 1 :] + scan]
+    assert [p for p in got if p] == [Packet(0.0, 1, 0x43, scan_payload())]
+
+
+def test_a_flipped_bit_is_a_checksum_error() -> None:
+    link = Reassembler()
+    body = bytearray(encode(0x43, bytes(10)))
+    body[5] ^= 0x10
+    assert not any(link.feed(f) for f in fragment(bytes(body), 1))
+    assert (link.counters.crc_errors, link.counters.crc) == (1, 2)
+
+
+def test_a_packet_without_end_is_bounded() -> None:
+    link = Reassembler()
+    link.feed(Frame(0.0, 0x101, bytes(8)))
+    for _ in range(1000):
+        link.feed(Frame(0.0, 0x201, bytes(8)))
+        assert link.pending <= MAX_FRAGMENTS
+
+
+def scan_payload() -> bytes:
+    return b"\0\0" + b"".join(v.to_bytes(2, "big") for v in range(10000, 10012))
+
+
+@given(st.floats(0, 4e9), st.integers(0, 0x7FF), st.binary(max_size=8))
+def test_log_lines_round_trip(t: float, can_id: int, data: bytes) -> None:
+    frame = Frame(round(t, 6), can_id, data)
+    assert parse_log_line(format_log_line(frame)) == frame
+    long = Frame(round(t, 6), can_id << 18, data, True)
+    assert parse_log_line(format_log_line(long)) == long
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["", "junk", "101#4", "101#ZZ", "(1.0) can0 101", "101#112233445566778899", "1011#00", "101#R"],
+)
+def test_what_is_no_log_line_is_none(text: str) -> None:
+    assert parse_log_line(text) is None

@@ -1,0 +1,166 @@
+"""Scans out of packets: the module table, the walk, and what is missing."""
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taxeld_protocol import cyskin
+from taxeld_protocol.cyskin import Command
+from taxeld_protocol.decoder import MISSING, Decoder, Scan
+from taxeld_protocol.frames import Frame, parse_log_line
+from taxeld_protocol.modules import Module, ModuleTable, encode_details, wired
+from taxeld_protocol.virtual_ihb import VirtualIhb
+
+from .test_cyskin import GOLDEN_SCAN
+
+MODULES = wired([(i // 10 + 1) << 4 | (i % 10 + 1) for i in range(250)])  # 275 channels, 3 packets
+CHANNELS = sum(m.channels for m in MODULES)
+
+
+def feed(
+    decoder: Decoder, command: int, payload: bytes, ihb: int = 1, t: float = 0.0
+) -> list[Scan]:
+    scans = []
+    for frame in cyskin.to_frames(command, payload, ihb=ihb, t=t):
+        scans += decoder.feed(frame)[1]
+    return scans
+
+
+def scan_frames(counts: list[int], ihb: int = 1, t: float = 0.0) -> list[list[Frame]]:
+    """Frames of each packet of a scan."""
+    answers = VirtualIhb(MODULES, short_id=ihb).sensor_data(counts)
+    return [cyskin.to_frames(command, payload, ihb=ihb, t=t) for command, payload in answers]
+
+
+def declared() -> Decoder:
+    return Decoder(lambda _: MODULES)
+
+
+def test_golden_scan_reads_10000_to_10011() -> None:
+    decoder = Decoder(lambda _: [Module(12)])
+    scans = []
+    for line in GOLDEN_SCAN:
+        frame = parse_log_line(line)
+        assert frame is not None
+        scans += decoder.feed(frame)[1]
+    assert [scan.by_module for scan in scans] == [[list(range(10000, 10012))]]
+
+
+def test_the_table_comes_from_declare_and_details() -> None:
+    decoder = Decoder()
+    feed(decoder, Command.DECLARE, bytes((2, 0, 3, 11)))
+    assert not decoder.table(1).detailed
+    feed(decoder, Command.MODULE_DETAILS, encode_details(0, Module(3, 0x1234, 0b1000_0000_0011)))
+    feed(decoder, Command.MODULE_DETAILS, encode_details(1, Module(11, 7, 0x7FF)))
+    table = decoder.table(1)
+    assert table.detailed
+    assert table.modules[0].uids == [0x12340, 0x12341, 0x1234B]  # T0, T1 and T11 are uncut
+    assert table.modules[1].uids[:2] == [0x70, 0x71]
+
+
+def test_requests_on_the_bus_change_no_table() -> None:
+    decoder = Decoder()
+    feed(decoder, Command.DECLARE, b"", ihb=1)
+    feed(decoder, Command.MODULE_DETAILS, b"\xff", ihb=1)
+    assert not decoder.table(1).declared
+    assert decoder.counters.malformed == 0
+
+
+def test_sensor_data_before_its_table_is_counted_not_guessed() -> None:
+    decoder = Decoder()
+    assert feed(decoder, Command.SENSOR_DATA, bytes(6)) == []
+    assert decoder.counters.undeclared == 1
+
+
+def test_a_scan_ends_with_its_last_channel() -> None:
+    decoder = declared()
+    counts = list(range(1000, 1000 + CHANNELS))
+    scans = [s for packet in scan_frames(counts, t=3.0) for f in packet for s in decoder.feed(f)[1]]
+    assert [(s.t, s.counts) for s in scans] == [(3.0, tuple(counts))]
+    assert scans[0].complete
+
+
+@given(st.lists(st.booleans(), min_size=6, max_size=6))
+def test_lost_packets_shift_nothing_and_mix_no_scans(kept: list[bool]) -> None:
+    """Two scans of three packets, any of them lost: whatever arrives stands where it belongs."""
+    decoder, scans = declared(), []
+    first, second = [1000 + i for i in range(CHANNELS)], [5000 + i for i in range(CHANNELS)]
+    sent = scan_frames(first, t=1.0) + scan_frames(second, t=2.0)
+    for packet, keep in zip(sent, kept, strict=True):
+        for frame in packet if keep else packet[1:]:
+            scans += decoder.feed(frame)[1]
+    scans += decoder.flush()
+    values: list[tuple[int, int]] = []
+    for scan in scans:
+        filled = [(i, v) for i, v in enumerate(scan.counts) if v != MISSING]
+        values += filled
+        for i, v in filled:
+            assert v in (first[i], second[i])
+    wanted = []
+    for n, keep in enumerate(kept):
+        low = n % 3 * 126
+        source = first if n < 3 else second
+        wanted += [(i, source[i]) for i in range(low, min(low + 126, CHANNELS)) if keep]
+    assert values == wanted
+    mixed = [s for s in scans if len({v // 4000 for v in s.counts if v != MISSING}) > 1]
+    # without frame counters one loss cannot be seen: the end of one scan and the start of the next
+    assert not mixed or kept[2:4] == [False, False]
+
+
+def test_two_hubs_keep_their_scans_apart() -> None:
+    decoder, scans = declared(), []
+    one, two = scan_frames([1] * CHANNELS, ihb=1), scan_frames([2] * CHANNELS, ihb=2)
+    for a, b in zip(one, two, strict=True):
+        for pair in zip(a, b, strict=True):
+            for frame in pair:
+                scans += decoder.feed(frame)[1]
+    assert sorted((s.ihb, set(s.counts)) for s in scans) == [(1, {1}), (2, {2})]
+
+
+def test_values_past_the_tree_are_dropped_and_counted() -> None:
+    decoder = Decoder(lambda _: [Module(2)])
+    assert feed(decoder, Command.SENSOR_DATA, bytes((0, 0)) + bytes(range(8)))[0].counts == (1, 515)
+    assert feed(decoder, Command.SENSOR_DATA, bytes((0, 2, 0, 1))) == []
+    assert feed(decoder, Command.SENSOR_DATA, bytes((1, 0, 0, 1))) == []
+    assert feed(decoder, Command.SENSOR_DATA, bytes((0, 0, 1))) == []
+    assert decoder.counters.index_errors == 4
+
+
+def test_modules_without_channels_are_walked_over() -> None:
+    decoder = Decoder(lambda _: [Module(1), Module(0), Module(1)])
+    (scan,) = feed(decoder, Command.SENSOR_DATA, bytes((0, 0, 0, 7, 0, 9)))
+    assert scan.by_module == [[7], [], [9]]
+
+
+def test_a_changed_table_ends_the_scan_under_way() -> None:
+    decoder = Decoder()
+    feed(decoder, Command.DECLARE, bytes((1, 0, 4)))
+    assert feed(decoder, Command.SENSOR_DATA, bytes((0, 0, 0, 1))) == []
+    feed(decoder, Command.DECLARE, bytes((1, 0, 2)))
+    old, new = feed(decoder, Command.SENSOR_DATA, bytes((0, 0, 0, 5, 0, 6)))
+    assert old.counts == (1, MISSING, MISSING, MISSING)
+    assert new.counts == (5, 6)
+
+
+@settings(max_examples=200)
+@given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=40)), max_size=30))
+def test_any_packets_leave_the_decoder_standing(packets: list[tuple[int, bytes]]) -> None:
+    decoder = Decoder()
+    for command, payload in packets:
+        feed(decoder, command, payload)
+    stats = decoder.stats()
+    dropped = stats["dropped"]
+    assert isinstance(dropped, dict)
+    assert stats["frames"] == stats["used"] + sum(dropped.values()) + stats["pending"]
+    counts = [101] * 12
+    feed(decoder, Command.DECLARE, bytes((1, 0, 12)), ihb=77)
+    (scan,) = feed(decoder, Command.SENSOR_DATA, bytes(2) + bytes((0, 101)) * 12, ihb=77)
+    assert list(scan.counts) == counts
+
+
+@given(st.binary(max_size=300))
+def test_module_tables_are_bounded(payload: bytes) -> None:
+    table = ModuleTable()
+    table.on_declare(payload)
+    table.on_details(payload[:11])
+    assert len(table.modules) <= 248
+    assert all(module.channels <= 12 for module in table.modules)

@@ -1,0 +1,94 @@
+"""The native serial link and SLCAN: bytes in pieces of any size."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taxeld_protocol import serial_link, slcan
+from taxeld_protocol.cyskin import Packet
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.serial_link import SerialReader, cobs_decode, cobs_encode
+
+packets = st.tuples(st.integers(0, 255), st.binary(max_size=255), st.integers(0, 255))
+
+
+def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
+    """`data` cut at places that `cuts` choose."""
+    at = sorted({cut % (len(data) + 1) for cut in cuts} | {0, len(data)})
+    return [data[a:b] for a, b in zip(at, at[1:], strict=False)]
+
+
+@given(st.binary(max_size=700))
+def test_cobs_round_trips_without_zeros(data: bytes) -> None:
+    encoded = cobs_encode(data)
+    assert 0 not in encoded
+    assert cobs_decode(encoded) == data
+
+
+@pytest.mark.parametrize(
+    ("plain", "stuffed"),
+    [
+        ("", "01"),
+        ("00", "0101"),
+        ("1100", "021101"),
+        ("11220033", "0311220233"),
+        ("01" * 254, "ff" + "01" * 254 + "01"),
+    ],
+)
+def test_cobs_matches_its_definition(plain: str, stuffed: str) -> None:
+    assert cobs_decode(bytes.fromhex(stuffed)) == bytes.fromhex(plain)
+    assert cobs_decode(cobs_encode(bytes.fromhex(plain))) == bytes.fromhex(plain)
+
+
+@given(st.lists(packets, max_size=5), st.lists(st.integers(0, 10**6), max_size=20))
+def test_packets_come_through_pieces_of_any_size(
+    sent: list[tuple[int, bytes, int]], cuts: list[int]
+) -> None:
+    line = b"".join(serial_link.encode(c, p, ihb=i) for c, p, i in sent)
+    reader, got = SerialReader(), []
+    for piece in pieces(line, cuts):
+        got += reader.feed(piece, 1.5)
+    assert got == [Packet(1.5, i, c, p) for c, p, i in sent]
+    assert reader.counters.used == reader.counters.bytes == len(line)
+
+
+@given(st.lists(st.one_of(packets, st.binary(max_size=400)), max_size=8))
+def test_noise_costs_only_what_it_touches_and_every_byte_is_counted(
+    parts: list[tuple[int, bytes, int] | bytes],
+) -> None:
+    reader, got, wanted = SerialReader(), [], []
+    for part in parts:
+        if isinstance(part, bytes):
+            got += reader.feed(part + b"\0", 0.0)  # noise that ends in a delimiter
+        else:
+            command, payload, ihb = part
+            wanted.append(Packet(0.0, ihb, command, payload))
+            got += reader.feed(serial_link.encode(command, payload, ihb=ihb), 0.0)
+    c = reader.counters
+    assert c.bytes == c.used + c.dropped + reader.pending
+    assert [p for p in got if p in wanted] == wanted
+
+
+def test_a_line_without_delimiters_is_bounded() -> None:
+    reader = SerialReader()
+    for _ in range(100):
+        reader.feed(b"\x55" * 1000, 0.0)
+        assert reader.pending <= serial_link.MAX_ENCODED
+
+
+@given(st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF), st.binary(max_size=8))
+def test_slcan_lines_round_trip(short: int, long: int, data: bytes) -> None:
+    for frame in (Frame(0.0, short, data), Frame(0.0, long, data, True)):
+        (line,), rest = slcan.split(slcan.encode(frame))
+        assert slcan.parse(line) == frame
+        assert rest == b""
+
+
+@given(st.binary(max_size=40))
+def test_slcan_noise_is_no_frame_and_no_exception(line: bytes) -> None:
+    frame = slcan.parse(line)
+    assert frame is None or len(frame.data) <= 8
+
+
+def test_slcan_noise_without_an_end_is_bounded() -> None:
+    assert slcan.split(b"x" * 1000) == ([], b"")
