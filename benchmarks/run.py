@@ -154,7 +154,6 @@ def replayed_peak_mb(directory: Path) -> float:
     text = (directory / "config.toml").read_text(encoding="utf-8")
     head, rest = text.split("[source]")
     _, scene = rest.split("[scene]")
-    scene, streams = scene.split("[publish]")
     scene = scene.split("[sensor_pose]")[0]
     settings = directory / "replayed.toml"
     settings.write_text(

@@ -13,7 +13,7 @@ from taxeld.toml_tables import ConfigError, between, key, one_of
 def _local(endpoint: str) -> str | None:
     """Streams and control are bound to this machine only."""
     local = ("ipc://", "inproc://", "tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:")
-    if endpoint.startswith(local):
+    if not endpoint or endpoint.startswith(local):
         return None
     return f"'{endpoint}' is not local; use ipc:///path or tcp://127.0.0.1:port"
 

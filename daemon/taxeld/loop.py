@@ -5,6 +5,7 @@ accumulated, so the rate does not drift; ticks that were missed are skipped and 
 up for.
 """
 
+import contextlib
 import hashlib
 import time
 from collections.abc import Callable
@@ -98,26 +99,36 @@ class Daemon:
         self.layout = layout.load(config.skin.layout)
         scene = bundle.load(config.scene.bundle, self.layout, config.skin.full_scale_depth_m)
         self.pipeline = Pipeline(config, self.layout, scene, time.perf_counter_ns)
-        self.source: Source = open_source(config.source, self.layout)
         self._latencies = Latencies()
         self._publish_us = 0.0
         self._last_scan_s = time.monotonic()
         self._next_health_s = self._next_particles_s = 0.0
-        self._context = zmq.Context()
         digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
         info = messages.info(self.layout, scene.model.scene, scene.info, digest)
-        self.publisher = Publisher(
-            self._context, config.publish.endpoints, round(config.loop.rate_hz), info
-        )
+        with contextlib.ExitStack() as opened:
+            self.source: Source = open_source(config.source, self.layout)
+            opened.callback(self.source.close)
+            self._open_streams(opened, info)
+            self._opened = opened.pop_all()
+
+    def _open_streams(self, opened: contextlib.ExitStack, info: dict[str, Any]) -> None:
+        config = self.config
+        context: zmq.Context[Any] = opened.enter_context(zmq.Context())
+        queue = round(config.loop.rate_hz)  # about a second
+        self.publisher = Publisher(context, queue, info)
+        opened.callback(self.publisher.close)
+        self.publisher.bind(config.publish.endpoints)
         self.pose_input: PoseInput | None = None
         if isinstance(self.pipeline.poses, PoseTrack):
-            self.pose_input = PoseInput(
-                self._context, config.sensor_pose.endpoint, self.pipeline.poses
-            )
+            self.pose_input = PoseInput(context, self.pipeline.poses)
+            opened.callback(self.pose_input.close)
+            self.pose_input.connect(config.sensor_pose.endpoint)
         self.control: Control | None = None
         if config.control.endpoint:
             handlers = {"status": self._on_status, "tare": self._on_tare, "reset": self._on_reset}
-            self.control = Control(self._context, config.control.endpoint, handlers)
+            self.control = Control(context, handlers)
+            opened.callback(self.control.close)
+            self.control.bind(config.control.endpoint)
 
     def run(self) -> None:
         """Tick until `stopping`, or to the end of a replayed session."""
@@ -161,11 +172,7 @@ class Daemon:
 
     def close(self) -> None:
         """Stop the skin and free what is held."""
-        self.source.close()
-        for part in (self.publisher, self.pose_input, self.control):
-            if part is not None:
-                part.close()
-        self._context.term()
+        self._opened.close()
 
     def _publish(self, outcome: Outcome | None, lat_us: dict[str, float], now_s: float) -> None:
         estimate = self.pipeline.estimate

@@ -63,9 +63,8 @@ class Pipeline:
         self.poses: PoseTrack | StandingStill = StandingStill()
         if config.sensor_pose.endpoint:
             self.poses = PoseTrack(config.sensor_pose.max_age_s)
-        self._proposal = _Timed(
-            bundle.proposal(config.filter.proposal, config.filter.sampler), clock
-        )
+        proposal = bundle.proposal(config.filter.proposal, config.filter.sampler)
+        self._proposal = _Timed(proposal, clock)
         self.estimator = Estimator(bundle.model, self._proposal, config.filter)
         self.estimate = replace(self.estimator.estimate, status=Status.STARTING)
         self.without_pose = 0

@@ -3,6 +3,7 @@
 A source is polled once a tick and never blocks. What arrives damaged is counted by the decoder.
 """
 
+import contextlib
 import time
 from pathlib import Path
 from typing import Any, Protocol
@@ -101,21 +102,21 @@ class CanSource(_Live):
     def __init__(self, config: SourceConfig, decoder: Decoder) -> None:
         super().__init__(config, decoder)
         self._bus = _open_bus(config)
+        self._port = getattr(self._bus, "serialPortOrig", None)  # of slcan
 
     def _receive(self) -> list[tuple[Packet | None, list[Scan]]]:
         out = []
         for _ in range(FRAMES_PER_POLL):
             try:
                 message = self._bus.recv(0.0)
-            except (can.CanError, OSError):
+            except (can.CanError, OSError, ValueError, IndexError):
                 self.io_errors += 1
+                self._flush()
                 break
-            except ValueError:  # slcan: a damaged line; python-can keeps it, so it must be flushed
-                self.io_errors += 1
-                self._bus.flush()
+            if message is None:  # nothing there; or, on slcan, a line that is no frame
+                if self._port is None or not self._port.in_waiting:
+                    break
                 continue
-            if message is None:
-                break
             if message.is_error_frame or message.is_remote_frame or message.is_fd:
                 self.decoder.link.counters.frames += 1
                 self.decoder.link.counters.foreign += 1
@@ -138,6 +139,12 @@ class CanSource(_Live):
                 self._bus.send(message, timeout=0.0)
             except (can.CanError, OSError):
                 self.io_errors += 1
+
+    def _flush(self) -> None:
+        """Drop a line that python-can's slcan cannot decode: it would try it again for ever."""
+        with contextlib.suppress(can.CanError, OSError):
+            if self._port is not None:
+                self._bus.flush()
 
     def _shut(self) -> None:
         try:

@@ -28,21 +28,19 @@ Handler = Callable[[dict[str, Any]], dict[str, Any]]
 class Publisher:
     """XPUB on all endpoints: [topic, msgpack map, b"%.6f" of the measurement's Unix time]."""
 
-    def __init__(
-        self,
-        context: zmq.Context[Any],
-        endpoints: tuple[str, ...],
-        queue: int,
-        info: dict[str, Any],
-    ) -> None:
+    def __init__(self, context: zmq.Context[Any], queue: int, info: dict[str, Any]) -> None:
+        """`queue`: messages kept for a subscriber that is slow; `info`: for a new one."""
         self.dropped = 0
         self._info = info
         self._socket = context.socket(zmq.XPUB)
         self._socket.setsockopt(zmq.SNDHWM, queue)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.XPUB_VERBOSE, 1)  # a late joiner of a known topic is heard too
+
+    def bind(self, endpoints: tuple[str, ...]) -> None:
+        """Raises SetupError where an endpoint cannot be had."""
         for endpoint in endpoints:
-            bind(self._socket, endpoint, "publish.endpoints")
+            _bind(self._socket, endpoint, "publish.endpoints")
 
     def send(self, topic: bytes, message: dict[str, Any], t: float) -> None:
         try:
@@ -67,13 +65,16 @@ class Publisher:
 class PoseInput:
     """SUB to the robot: `/robot/sensor_pose`, a map {t, x, y, theta}."""
 
-    def __init__(self, context: zmq.Context[Any], endpoint: str, track: PoseTrack) -> None:
+    def __init__(self, context: zmq.Context[Any], track: PoseTrack) -> None:
         self.malformed = 0
         self._track = track
         self._socket = context.socket(zmq.SUB)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.RCVHWM, 2 * POSES_PER_TICK)
         self._socket.setsockopt(zmq.SUBSCRIBE, messages.SENSOR_POSE)
+
+    def connect(self, endpoint: str) -> None:
+        """Raises SetupError where the endpoint is none."""
         try:
             self._socket.connect(endpoint)
         except zmq.ZMQError as error:
@@ -99,13 +100,16 @@ class PoseInput:
 class Control:
     """REP: msgpack {"cmd": …} → {"ok": bool, …}."""
 
-    def __init__(self, context: zmq.Context[Any], endpoint: str, handlers: Mapping[str, Handler]):
+    def __init__(self, context: zmq.Context[Any], handlers: Mapping[str, Handler]) -> None:
         self._handlers = handlers
         # ROUTER in place of REP: a client that breaks off in mid-request cannot wedge it
         self._socket = context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.MAXMSGSIZE, MAX_REQUEST_BYTES)
-        bind(self._socket, endpoint, "control.endpoint")
+
+    def bind(self, endpoint: str) -> None:
+        """Raises SetupError where the endpoint cannot be had."""
+        _bind(self._socket, endpoint, "control.endpoint")
 
     def poll(self) -> None:
         """Answer what has been asked, a few requests a tick."""
@@ -146,7 +150,7 @@ def request(endpoint: str, command: str, timeout_s: float = 2.0) -> dict[str, An
         return _unpack(socket.recv())
 
 
-def bind(socket: zmq.Socket[Any], endpoint: str, key: str) -> None:
+def _bind(socket: zmq.Socket[Any], endpoint: str, key: str) -> None:
     """Bind, with ipc sockets readable by owner and group.
 
     Raises:

@@ -1,5 +1,7 @@
 """The native serial link and SLCAN: bytes in pieces of any size."""
 
+from itertools import pairwise
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +17,7 @@ packets = st.tuples(st.integers(0, 255), st.binary(max_size=255), st.integers(0,
 def pieces(data: bytes, cuts: list[int]) -> list[bytes]:
     """`data` cut at places that `cuts` choose."""
     at = sorted({cut % (len(data) + 1) for cut in cuts} | {0, len(data)})
-    return [data[a:b] for a, b in zip(at, at[1:], strict=False)]
+    return [data[a:b] for a, b in pairwise(at)]
 
 
 @given(st.binary(max_size=700))

@@ -1,0 +1,225 @@
+"""Commands: what they print, and one clear line with exit status 2 for whatever is wrong."""
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from taxeld import bundle
+from taxeld.cli import main
+from taxeld_protocol import cyskin
+
+from ..firmware_protocol.test_cyskin import GOLDEN_REQUESTS, GOLDEN_SCAN
+
+TABLES = {
+    "source": {"kind": '"replay"', "path": '"."'},
+    "scene": {"bundle": '"box"'},
+    "publish": {"endpoints": "[]"},
+    "control": {"endpoint": '""'},
+}
+
+
+def configuration(place: Path, table: str = "", key: str = "", value: str = "") -> Path:
+    """A good configuration that replays `place`, with one key changed."""
+    tables = {name: dict(keys) for name, keys in TABLES.items()}
+    tables["source"]["path"] = f'"{place}"'
+    if table:
+        tables.setdefault(table, {})[key] = value
+    text = "".join(
+        f"[{name}]\n" + "".join(f"{k} = {v}\n" for k, v in keys.items())
+        for name, keys in tables.items()
+    )
+    path = place / "config.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    lines = [f"(1.000000) can0 {line}" for line in GOLDEN_SCAN]
+    (tmp_path / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
+    return tmp_path
+
+
+def test_decode_of_the_golden_frames_reads_10000_to_10011(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "golden.log"
+    log.write_text("\n".join([*GOLDEN_REQUESTS, *GOLDEN_SCAN]) + "\n", encoding="ascii")
+    assert main(["decode", str(log)]) == 0
+    scan, stats = map(json.loads, capsys.readouterr().out.splitlines())
+    assert scan == {"t": 0.0, "ihb": 1, "modules": [list(range(10000, 10012))]}
+    assert stats["stats"]["frames"] == 11
+    assert stats["stats"]["packets"] == 8
+    assert stats["stats"]["scans"] == 1
+
+
+def test_decode_takes_the_module_table_from_the_log_wherever_it_stands(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Twelve values over modules of 5 and 7, declared only after the scan."""
+    (declare,) = cyskin.to_frames(0x3C, bytes((2, 0, 5, 7)), ihb=1)
+    log = tmp_path / "late.log"
+    line = f"{declare.can_id:03X}#{declare.data.hex()}"
+    log.write_text("\n".join([*GOLDEN_SCAN, line]), encoding="ascii")
+    assert main(["decode", str(log)]) == 0
+    scan = json.loads(capsys.readouterr().out.splitlines()[0])
+    assert scan["modules"] == [list(range(10000, 10005)), list(range(10005, 10012))]
+
+
+def test_decode_loses_only_what_is_damaged_and_counts_every_frame(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    damage = [
+        "101#431A0000",  # half a packet, cut short by the next first fragment
+        *GOLDEN_SCAN,
+        "201#0011223344556677",  # orphan
+        *GOLDEN_SCAN[:3],
+        "401#271A271BAA",  # wrong CRC
+        "777#00",
+        "18DAF110#0102",
+        "not a frame",
+        *GOLDEN_SCAN,
+    ]
+    log = tmp_path / "damaged.log"
+    log.write_text("\n".join(damage) + "\n(17000", encoding="ascii")
+    assert main(["decode", str(log)]) == 0
+    *scans, last = map(json.loads, capsys.readouterr().out.splitlines())
+    stats = last["stats"]
+    assert [scan["modules"][0] for scan in scans] == [list(range(10000, 10012))] * 2
+    assert stats["frames"] == 16
+    assert stats["frames"] == stats["used"] + sum(stats["dropped"].values()) + stats["pending"]
+    assert stats["dropped"] == {"crc": 4, "length": 1, "orphan": 1, "foreign": 2}
+    assert (stats["crc_errors"], stats["length_errors"], stats["unknown"]) == (1, 1, 2)
+    assert stats["bad_lines"] == 2
+
+
+def test_check_passes_what_is_fine(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = configuration(place)
+    assert main(["check", str(path)]) == 0
+    assert capsys.readouterr().out == f"{path}: fine\n"
+
+
+FAULTS = [
+    ("source", "chanel", '"x"', "source.chanel: unknown key"),
+    ("loop", "rate_hz", '"fast"', "loop.rate_hz: must be a number"),
+    ("scene", "bundle", '"sphere"', "scene.bundle: no bundle 'sphere'; shipped are box, mug"),
+    (
+        "skin",
+        "layout",
+        '"cylinder:rows=5,columns=8,radius_m=0.04,pitch_m=0.015"',
+        "scene.bundle: box is for the layout cylinder:rows=5,columns=16",
+    ),
+    ("skin", "layout", '"ball"', "skin.layout: 'ball' is no known layout"),
+    ("skin", "full_scale_depth_m", "0.004", "skin.full_scale_depth_m: is 0.004, but box"),
+    ("filter", "sampler", '"ddpm-7"', "filter.sampler: box has no 'ddpm-7'; it has ddim-10"),
+    ("source", "path", '"/nowhere"', "/nowhere/frames.log: unreadable log"),
+]
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+@pytest.mark.parametrize(("table", "key", "value", "line"), FAULTS)
+def test_a_faulty_configuration_is_one_line_and_status_2(
+    place: Path, capsys: pytest.CaptureFixture[str], command: str, table: str, key: str,
+    value: str, line: str,
+) -> None:  # fmt: skip
+    path = configuration(place, table, key, value)
+    assert main([command, str(path)]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(line)
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["check", "run", "replay"])
+@pytest.mark.parametrize(
+    ("content", "fault"),
+    [("", "holds no frames"), ("(1.0) can0 101#43\n(1.0) can", "line 2 is no candump line")],
+)
+def test_a_truncated_log_is_one_line_and_status_2(
+    place: Path, capsys: pytest.CaptureFixture[str], command: str, content: str, fault: str
+) -> None:
+    path = configuration(place)
+    (place / "frames.log").write_text(content, encoding="ascii")
+    assert main([command, str(place if command == "replay" else path)]) == 2
+    err = capsys.readouterr().err
+    assert fault in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize("command", ["check", "run"])
+@pytest.mark.parametrize(
+    ("interface", "channel", "fault"),
+    [
+        ("slcan", "/dev/ttyNONE", "source.channel: "),
+        ("socketcan", "can77", "source.channel: "),
+    ],
+)
+def test_a_missing_device_is_one_line_and_status_2(
+    place: Path, capsys: pytest.CaptureFixture[str], command: str, interface: str, channel: str,
+    fault: str,
+) -> None:  # fmt: skip
+    path = configuration(place)
+    text = path.read_text(encoding="utf-8").replace('kind = "replay"', 'kind = "can"')
+    text = text.replace("path =", f'interface = "{interface}"\nchannel = "{channel}"\npath =')
+    path.write_text(text, encoding="utf-8")
+    assert main([command, str(path)]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(fault)
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "damage", ["bundle.json", "scene.npz", "ddim-10.onnx"], ids=lambda name: name
+)
+def test_a_damaged_bundle_is_one_line_and_status_2(
+    place: Path, capsys: pytest.CaptureFixture[str], damage: str
+) -> None:
+    copy = place / "bundle"
+    shutil.copytree(bundle.find("box"), copy)
+    whole = (copy / damage).read_bytes()
+    (copy / damage).write_bytes(whole[: len(whole) // 2])
+    assert main(["check", str(configuration(place, "scene", "bundle", f'"{copy}"'))]) == 2
+    err = capsys.readouterr().err
+    assert damage in err
+    assert err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["check", "/nowhere.toml"], ["decode", "/nowhere.log"], ["replay", "/nowhere"],
+     ["status", "--endpoint", "ipc:///nowhere/control"]],
+)  # fmt: skip
+def test_a_missing_file_is_one_line_and_status_2(
+    capsys: pytest.CaptureFixture[str], arguments: list[str]
+) -> None:
+    assert main(arguments) == 2
+    err = capsys.readouterr().err
+    assert "nowhere" in err
+    assert err.count("\n") == 1
+
+
+def test_arbitrary_bytes_are_no_log_and_no_traceback(tmp_path: Path) -> None:
+    log = tmp_path / "noise.log"
+    log.write_bytes(bytes(range(256)) * 40)
+    ran = subprocess.run(
+        [sys.executable, "-m", "taxeld.cli", "decode", str(log)],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ran.returncode == 2
+    assert ran.stderr.count("\n") == 1
+    assert "Traceback" not in ran.stderr
+
+
+def test_decode_into_a_closed_pipe_ends_quietly(tmp_path: Path) -> None:
+    log = tmp_path / "long.log"
+    log.write_text("\n".join(GOLDEN_SCAN * 5000) + "\n", encoding="ascii")
+    ran = subprocess.run(
+        f"{sys.executable} -m taxeld.cli decode {log} | head -n 1",
+        shell=True, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ran.stderr == ""
+    assert ran.stdout.startswith('{"t":0.0')

@@ -1,0 +1,160 @@
+"""Sources on real pseudo-terminals and python-can's virtual bus."""
+
+import os
+import time
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import pytest
+
+from taxeld import layout
+from taxeld.config import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.sources import Source, open_source
+from taxeld_hil.adapter import SlcanAdapter
+from taxeld_protocol import cyskin, serial_link
+from taxeld_protocol.decoder import Scan
+from taxeld_protocol.frames import format_log_line
+from taxeld_protocol.modules import wired
+from taxeld_protocol.serial_link import SerialReader
+from taxeld_protocol.virtual_ihb import VirtualIhb
+
+SKIN = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+MODULES = wired(SKIN.uid.tolist())
+CHANNELS = sum(module.channels for module in MODULES)
+DEADLINE_S = 20.0
+
+
+@pytest.fixture
+def adapter() -> Iterator[SlcanAdapter]:
+    with SlcanAdapter(VirtualIhb(MODULES), lambda _: None) as made:
+        yield made
+
+
+def scans_until(source: Source, serve, wanted: int) -> list[Scan]:  # type: ignore[no-untyped-def]
+    """Poll and let the hub work until so many scans have come."""
+    scans: list[Scan] = []
+    deadline = time.monotonic() + DEADLINE_S
+    while len(scans) < wanted and time.monotonic() < deadline:
+        serve(len(scans))
+        scans += source.poll(time.monotonic())
+        time.sleep(0.002)
+    return scans
+
+
+def counts(k: int) -> list[int]:
+    return [1000 * k + i + 1 for i in range(CHANNELS)]
+
+
+def test_slcan_on_a_pseudo_terminal_brings_the_skin_up(adapter: SlcanAdapter) -> None:
+    source = open_source(SourceConfig(kind="can", interface="slcan", channel=adapter.device), SKIN)
+    sent = 0
+
+    def serve(_: int) -> None:
+        nonlocal sent
+        adapter.serve(time.time())
+        if adapter.ihb.due(time.monotonic()):
+            for answer in adapter.ihb.sensor_data(counts(sent)):
+                adapter.send(*answer, time.time())
+            sent += 1
+
+    scans = scans_until(source, serve, 5)
+    assert [list(scan.counts) for scan in scans[:5]] == [counts(k) for k in range(5)]
+    source.close()
+    adapter.serve(time.time())
+    assert not adapter.ihb.auto_sync  # stopped on exit
+
+
+def test_damaged_slcan_lines_cost_only_themselves(adapter: SlcanAdapter) -> None:
+    settings = SourceConfig(kind="can", interface="slcan", channel=adapter.device, listen_only=True)
+    source = open_source(settings, SKIN)
+    noise = [b"t1ZZ8junk\r", b"\xff\xfe\r", b"t\r", b"T123\r", b"\x07", b"tttt\r"]
+
+    def serve(k: int) -> None:
+        adapter.serve(time.time())
+        os.write(adapter.fileno(), noise[k % len(noise)])
+        time.sleep(0.01)  # python-can flushes a line that it cannot decode, and what follows it
+        source.poll(time.monotonic())
+        for answer in adapter.ihb.sensor_data(counts(k)):
+            adapter.send(*answer, time.time())
+
+    serve(0)
+    scans = scans_until(source, serve, len(noise) + 2)
+    good = [counts(k) for k in range(20)]
+    assert len(scans) >= len(noise) + 2
+    assert all(list(scan.counts) in good for scan in scans)
+    source.close()
+
+
+def test_the_native_serial_link_brings_the_skin_up() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.set_blocking(master, False)
+    source = open_source(SourceConfig(kind="serial", channel=os.ttyname(slave)), SKIN)
+    hub, requests = VirtualIhb(MODULES), SerialReader()
+
+    def serve(k: int) -> None:
+        try:
+            data = os.read(master, 4096)
+        except BlockingIOError:
+            data = b""
+        answers = [a for packet in requests.feed(data, 0.0) for a in hub.answer(packet)]
+        if hub.due(time.monotonic()):
+            answers += hub.sensor_data(counts(k))
+        for command, payload in answers:
+            line = serial_link.encode(command, payload, ihb=hub.short_id)
+            for at in range(0, len(line), 7):
+                os.write(master, line[at : at + 7])
+
+    scans = scans_until(source, serve, 4)
+    assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(4)]
+    source.close()
+    os.close(master)
+    os.close(slave)
+
+
+def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
+    settings = SourceConfig(kind="can", interface="virtual", channel="foreign", listen_only=True)
+    source = open_source(settings, SKIN)
+    hub = VirtualIhb(MODULES)
+    with can.Bus(interface="virtual", channel="foreign") as bus:
+        bus.send(can.Message(arbitration_id=0x18DAF110, is_extended_id=True, data=b"x"))
+        bus.send(can.Message(arbitration_id=0x101, is_remote_frame=True, is_extended_id=False))
+        for command, payload in hub.sensor_data(counts(3)):
+            for frame in cyskin.to_frames(command, payload, ihb=1):
+                bus.send(
+                    can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
+                )
+        (scan,) = source.poll(0.0)
+    assert list(scan.counts) == counts(3)
+    assert source.decoder.stats()["unknown"] == 2
+    source.close()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        SourceConfig(kind="can", interface="slcan", channel="/dev/nothing"),
+        SourceConfig(kind="can", interface="no_such", channel="x"),
+        SourceConfig(kind="serial", channel="/dev/nothing"),
+        SourceConfig(kind="replay", path="/nowhere"),
+    ],
+)
+def test_what_cannot_be_opened_is_one_line(settings: SourceConfig) -> None:
+    with pytest.raises(SetupError) as error:
+        open_source(settings, SKIN)
+    assert "\n" not in str(error.value)
+
+
+def test_a_session_is_replayed_at_its_own_pace(tmp_path: Path) -> None:
+    hub = VirtualIhb(MODULES)
+    lines = []
+    for k in range(3):
+        for command, payload in hub.sensor_data(counts(k)):
+            frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + k)
+            lines += [format_log_line(frame) for frame in frames]
+    (tmp_path / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
+    source = open_source(SourceConfig(kind="replay", path=str(tmp_path)), SKIN)
+    assert [len(source.poll(now)) for now in (50.0, 50.5, 51.0, 51.9, 52.1)] == [1, 0, 1, 0, 1]
