@@ -1,0 +1,59 @@
+"""The line end to end: real processes, a pseudo-terminal, ZeroMQ, and a session to replay."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SCENARIO = 'bundle = "box"\ncontacts = 3\n'
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A short demo's session, and what it printed."""
+    place = tmp_path_factory.mktemp("demo")
+    (place / "short.toml").write_text(SCENARIO, encoding="utf-8")
+    command = ["-m", "taxeld_hil.cli", "run", str(place / "short.toml"), "--out", str(place / "s")]
+    done = subprocess.run(
+        [sys.executable, *command], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode in (0, 1), done.stderr  # three touches may not be enough
+    assert done.stderr == ""
+    return place / "s", done.stdout
+
+
+def replay(session: Path, *more: str) -> bytes:
+    command = [sys.executable, "-m", "taxeld.cli", "replay", str(session), *more]
+    return subprocess.run(command, capture_output=True, timeout=120, check=True).stdout
+
+
+def test_the_table_has_a_line_a_contact_and_the_latencies(ran: tuple[Path, str]) -> None:
+    lines = ran[1].splitlines()
+    assert [line.split()[0] for line in lines[2:5]] == ["1", "2", "3"]
+    assert all(int(line.split()[1]) > 0 for line in lines[2:5])
+    assert any(line.startswith("total ") for line in lines)
+    assert lines[-2].startswith("final symmetry-aware ADD ")
+
+
+def test_a_replay_gives_the_same_bytes_twice(ran: tuple[Path, str]) -> None:
+    first = replay(ran[0])
+    assert first == replay(ran[0])
+    assert first != replay(ran[0], "--seed", "77")
+    estimates = [json.loads(line) for line in first.splitlines()]
+    assert estimates[-1]["contacts"] == 3
+    assert [e["seq"] for e in estimates] == list(range(len(estimates)))
+
+
+def test_decode_accounts_for_every_frame_of_the_session(ran: tuple[Path, str]) -> None:
+    log = ran[0] / "frames.log"
+    done = subprocess.run(
+        [sys.executable, "-m", "taxeld.cli", "decode", str(log)], capture_output=True, check=True
+    )
+    *scans, last = map(json.loads, done.stdout.splitlines())
+    stats = last["stats"]
+    assert stats["frames"] == len(log.read_text(encoding="ascii").splitlines())
+    assert stats["frames"] == stats["used"] + sum(stats["dropped"].values()) + stats["pending"]
+    assert stats["scans"] == len(scans) > 50
+    assert [len(module) for module in scans[0]["modules"]] == [11] * 8

@@ -1,0 +1,67 @@
+"""`taxeld-train build`, small: what it makes is what the daemon loads."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from taxeld import bundle, layout
+from taxeld_training.cli import main
+
+SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("build")
+    mesh = trimesh.creation.box((0.06, 0.1, 0.1))
+    mesh.export(place / "block.stl")
+    arguments = ["build", str(place / "block.stl"), "--skin", SKIN, "--out", str(place / "block")]
+    small = ["--updates", "100", "--contacts", "5000", "--width", "16"]
+    assert main(arguments + small) == 0
+    return place / "block"
+
+
+def test_the_daemon_loads_and_samples_it(built: Path) -> None:
+    skin = layout.load(SKIN)
+    loaded = bundle.load(str(built), skin, 0.005)
+    assert loaded.info["symmetry"] == 2
+    rng = np.random.default_rng(0)
+    z = np.zeros(16)
+    z[5] = 0.8
+    for sampler in loaded.info["samplers"]:
+        proposal = loaded.proposal("ddpm", sampler["name"])
+        poses = proposal.propose(z, np.ones(16, dtype=bool), 40, rng)
+        assert poses.shape == (40, 3)
+        assert np.isfinite(poses).all()
+        again = proposal.propose(z, np.ones(16, dtype=bool), 40, np.random.default_rng(7))
+        same = proposal.propose(z, np.ones(16, dtype=bool), 40, np.random.default_rng(7))
+        assert np.array_equal(again, same)
+
+
+def test_each_sampler_says_what_it_costs_and_how_good_it_is(built: Path) -> None:
+    info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
+    assert [s["name"] for s in info["samplers"]] == ["ddim-10", "ddpm-100"]
+    for sampler in info["samplers"]:
+        assert sampler["flops"] > 0
+        assert sampler["energy_distance"] > info["energy_distance"]["floor"]
+        assert "exact draws" in sampler["measured"]
+
+
+def test_a_directory_of_other_things_is_not_overwritten(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "thesis.tex").write_text("years of work", encoding="ascii")
+    assert main(["build", "003_cracker_box", "--out", str(tmp_path)]) == 2
+    assert "other content" in capsys.readouterr().err
+    assert (tmp_path / "thesis.tex").exists()
+
+
+def test_shipped_bundles_are_small_and_name_their_origin() -> None:
+    for name in ("box", "mug"):
+        path = bundle.find(name)
+        assert sum(file.stat().st_size for file in path.iterdir()) < 2_000_000
+        info = json.loads((path / "bundle.json").read_text(encoding="utf-8"))
+        assert "CC BY 4.0" in info["attribution"]

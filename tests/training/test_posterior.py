@@ -1,0 +1,82 @@
+"""The reference: contacts, batches and the exact posterior."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from taxeld import layout, se2
+from taxeld.observation import Noise, ObservationModel
+from taxeld_training import scenes
+from taxeld_training.dataset import FELT, Batches, simulate
+from taxeld_training.posterior import ExactPosterior, energy_distance
+
+SKIN = layout.load("cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015")
+NOISE = Noise()
+
+
+@pytest.fixture(scope="module")
+def model() -> ObservationModel:
+    mesh = trimesh.creation.box((0.06, 0.1, 0.1))
+    mesh.apply_translation([0.0, 0.0, 0.05])
+    return ObservationModel(scenes.build(mesh, SKIN, 0.04), SKIN, 0.005)
+
+
+def test_every_touch_is_felt(model: ObservationModel) -> None:
+    touches = simulate(model, 3000, np.random.default_rng(0))
+    assert len(touches) == 3000
+    assert (touches.activation.max(axis=1) > FELT).all()
+    assert np.allclose(model.activation(touches.pose), touches.activation, atol=1e-6)
+
+
+def test_batches_are_turned_to_the_strongest_taxel(model: ObservationModel) -> None:
+    touches = simulate(model, 3000, np.random.default_rng(0))
+    batches = Batches(touches, model, Noise(sigma=0.0, gain_cv=0.0), seed=1)
+    z, live, pose = (batch.numpy() for batch in batches.draw(500))
+    assert (SKIN.sector[z.argmax(axis=1)] == 0).all()
+    turned = np.column_stack([pose[:, :2], np.arctan2(pose[:, 3], pose[:, 2])])
+    expected = model.activation(turned.astype(np.float64)) * live
+    assert np.abs(expected - z).mean() < 1e-3
+    assert 0.01 < (live == 0).mean() < 0.2
+
+
+def test_the_exact_posterior_finds_the_pose_that_was_felt(model: ObservationModel) -> None:
+    """Against importance weights over the same bank with every turn tried, and no shortcut."""
+    rng = np.random.default_rng(0)
+    bank = simulate(model, 4000, rng)
+    posterior = ExactPosterior(bank, SKIN, NOISE)
+    live = np.ones(len(SKIN), dtype=bool)
+    for h in simulate(model, 5, rng).activation:
+        z = NOISE.draw(h.astype(np.float64), rng)
+        draws = posterior.sample(z, live, 2000, rng)
+        weights, poses = [], []
+        for k, turn in enumerate(SKIN.turns):
+            back = np.array([0.0, 0.0, -2 * np.pi * k / len(SKIN.turns)])
+            weights.append(NOISE.log_likelihood(z, live, bank.activation[:, turn].astype(float)))
+            poses.append(se2.compose(back, bank.pose))
+        log_w = np.concatenate(weights)
+        w = np.exp(log_w - log_w.max())
+        pick = rng.choice(len(w), 2000, p=w / w.sum())
+        assert energy_distance(draws.pose, np.concatenate(poses)[pick], 0.05) < 0.01
+        assert np.isclose(draws.ess, w.sum() ** 2 / (w**2).sum(), rtol=0.05)
+
+
+def test_a_layout_without_symmetry_needs_no_turn(model: ObservationModel) -> None:
+    half = layout.Layout("half", SKIN.uid[:7], SKIN.position_m[:7], SKIN.normal[:7], SKIN.radius_m)
+    assert len(half.turns) == 1
+    one_row = ObservationModel(model.scene, half, 0.005)
+    rng = np.random.default_rng(0)
+    posterior = ExactPosterior(simulate(one_row, 2000, rng), half, NOISE)
+    h = simulate(one_row, 1, rng).activation[0].astype(float)
+    draws = posterior.sample(h, np.ones(7, dtype=bool), 50, rng)
+    assert np.abs(one_row.activation(draws.pose) - h).max(axis=1).mean() < 0.4
+
+
+def test_energy_distance_is_zero_only_for_the_same() -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.normal(0, 0.01, (2, 400, 3))
+    assert energy_distance(a, a, 0.05) == pytest.approx(0.0, abs=1e-12)
+    near, far = energy_distance(a, b, 0.05), energy_distance(a, b + np.array([0.05, 0, 0]), 0.05)
+    assert near < 0.01
+    assert far > 1.0
+    turned = energy_distance(a, b + np.array([0, 0, np.pi]), 0.05)
+    assert turned > 3.0

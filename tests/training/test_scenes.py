@@ -1,0 +1,133 @@
+"""Scenes from meshes with known shapes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from taxeld import layout
+from taxeld.errors import SetupError
+from taxeld.scene import CONTINUOUS, load
+from taxeld_training import meshes, scenes
+
+SKIN = layout.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
+
+
+def prism(sides: int, radius: float = 0.05, height: float = 0.1) -> trimesh.Trimesh:
+    mesh = trimesh.creation.cylinder(radius, height, sections=sides)
+    mesh.apply_translation([0.02, -0.01, height / 2])
+    return mesh
+
+
+def box(x: float, y: float) -> trimesh.Trimesh:
+    mesh = trimesh.creation.box((x, y, 0.1))
+    mesh.apply_translation([0.0, 0.0, 0.05])
+    return mesh
+
+
+@pytest.mark.parametrize(
+    ("mesh", "order"),
+    [
+        (box(0.06, 0.16), 2),
+        (box(0.1, 0.1), 4),
+        (prism(3), 3),
+        (prism(6, 0.08), 6),
+        (prism(128), CONTINUOUS),
+    ],
+    ids=["rectangle", "square", "triangle", "hexagon", "can"],
+)
+def test_the_symmetry_is_found_from_the_geometry(mesh: trimesh.Trimesh, order: int) -> None:
+    scene = scenes.build(mesh, SKIN, 0.04)
+    assert scene.symmetry == order
+    assert np.allclose(scene.centre, mesh.centroid[:2], atol=1e-3)
+
+
+def test_a_handle_breaks_the_symmetry() -> None:
+    handle = trimesh.creation.box((0.03, 0.01, 0.1))
+    handle.apply_translation([0.085, -0.01, 0.05])
+    mesh = trimesh.util.concatenate([prism(128), handle])
+    assert scenes.build(mesh, SKIN, 0.04).symmetry == 1
+
+
+def test_the_grid_is_the_distance_to_the_outline() -> None:
+    """A box's signed distance has a closed form; the grid differs by its grain alone."""
+    scene = scenes.build(box(0.06, 0.16), SKIN, 0.04)
+    ny, nx = scene.silhouette.shape
+    x = scene.origin[0] + scene.cell * np.arange(nx)[None, :]
+    y = scene.origin[1] + scene.cell * np.arange(ny)[:, None]
+    dx, dy = np.abs(x) - 0.03, np.abs(y) - 0.08
+    exact = np.hypot(np.maximum(dx, 0), np.maximum(dy, 0)) + np.minimum(np.maximum(dx, dy), 0)
+    assert np.abs(scene.silhouette - exact).max() < 2e-5
+    assert np.array_equal(scene.slices[0], scene.silhouette)
+
+
+def test_a_hollow_object_is_filled() -> None:
+    """A skin is pressed from outside: a mug's inside cannot be touched through its wall."""
+    mesh = trimesh.creation.annulus(0.045, 0.05, 0.1)
+    mesh.apply_translation([0.0, 0.0, 0.05])
+    shape = meshes.cut(mesh, 0.05)
+    assert np.isclose(shape.area, np.pi * 0.05**2, rtol=0.01)
+
+
+def test_slices_follow_a_cone() -> None:
+    cone = trimesh.creation.cone(0.08, 0.1, sections=128)
+    scene = scenes.build(cone, SKIN, 0.04)
+    inside = [np.count_nonzero(piece < 0) * scene.cell**2 for piece in scene.slices]
+    radius = 0.08 * (1.0 - (0.04 + scene.heights) / 0.1)
+    assert np.allclose(inside, np.pi * radius**2, rtol=0.05)
+    assert np.count_nonzero(scene.silhouette < 0) == np.count_nonzero(scene.slices[0] < 0)
+
+
+def test_a_slice_above_the_object_is_far() -> None:
+    scene = scenes.build(box(0.1, 0.1), SKIN, 0.09)
+    assert (scene.slices[-1] == scenes.FAR_M).all()
+
+
+def test_a_skin_above_the_whole_object_is_refused() -> None:
+    with pytest.raises(SetupError, match="change --height-m"):
+        scenes.build(box(0.1, 0.1), SKIN, 0.5)
+
+
+def test_a_scene_survives_its_file(tmp_path: Path) -> None:
+    scene = scenes.build(box(0.06, 0.16), SKIN, 0.04)
+    scene.save(tmp_path / "scene.npz")
+    again = load(tmp_path / "scene.npz")
+    assert np.array_equal(again.slices, scene.slices)
+    assert again.symmetry == scene.symmetry
+    assert np.array_equal(again.surface, scene.surface)
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("003_craker_box", "no such YCB object; did you mean .*003_cracker_box"),
+        ("sofa", "no such YCB object; or give a mesh file"),
+        ("/nowhere/mesh.stl", "no such mesh file"),
+    ],
+)
+def test_an_object_that_is_not_there_is_one_line(name: str, fault: str) -> None:
+    with pytest.raises(SetupError, match=fault):
+        meshes.find(name)
+
+
+def test_a_mesh_in_millimetres_or_without_triangles_is_refused(tmp_path: Path) -> None:
+    large = tmp_path / "large.stl"
+    trimesh.creation.box((60, 160, 100)).export(large)
+    with pytest.raises(SetupError, match="must be in metres"):
+        meshes.load(large)
+    junk = tmp_path / "junk.stl"
+    junk.write_bytes(b"solid nothing\nendsolid nothing\n")
+    with pytest.raises(SetupError, match=r"junk\.stl: "):
+        meshes.load(junk)
+
+
+@pytest.mark.parametrize(
+    ("name", "order"), [("003_cracker_box", 2), ("025_mug", 1), ("002_master_chef_can", CONTINUOUS)]
+)
+def test_ycb_objects_have_the_symmetry_that_touch_feels(name: str, order: int) -> None:
+    skin = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+    path, attribution = meshes.find(name)
+    assert attribution is not None
+    assert "CC BY 4.0" in attribution
+    assert scenes.build(meshes.load(path), skin, 0.04).symmetry == order
