@@ -63,7 +63,7 @@ def _decode(args: argparse.Namespace) -> int:
 
     modules = None
     if args.config:
-        modules = wired(layout.load(load(args.config).skin.layout).uid.tolist())
+        modules = wired(layout.read(load(args.config).skin.layout).uid.tolist())
     for line in decode(args.log, modules):
         print(line)
     return 0
@@ -75,6 +75,23 @@ def _replay(args: argparse.Namespace) -> int:
     config = load(args.config or args.directory / session.CONFIG)
     for line in replay(args.directory, config, args.seed):
         print(line)
+    return 0
+
+
+def _layout(args: argparse.Namespace) -> int:
+    from taxeld.layout_summary import summary
+
+    skin = layout.read(args.layout)
+    print("\n".join(summary(skin)))
+    if args.png:
+        try:
+            from taxeld.layout_draw import draw
+        except ImportError as error:
+            raise SetupError(f"--png: {error}; pip install 'taxeld[view]'") from None
+        try:
+            draw(skin, args.png)
+        except OSError as error:
+            raise SetupError(f"--png: cannot write {args.png} ({error.strerror})") from None
     return 0
 
 
@@ -111,6 +128,11 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("--config", type=Path, help="instead of the session's own config.toml")
     replay.add_argument("--seed", type=int, help="instead of the configured one")
     replay.set_defaults(command=_replay)
+
+    skin = commands.add_parser("layout", help="what a skin's layout is, in words and as a picture")
+    skin.add_argument("layout", metavar="LAYOUT", help="cylinder:…, wrap:…, a .json or a .txt")
+    skin.add_argument("--png", type=Path, metavar="OUT", help="draw it, unrolled and cut across")
+    skin.set_defaults(command=_layout)
 
     for name, text in (
         ("status", "what a running daemon believes and counts"),

@@ -1,0 +1,135 @@
+"""Layouts made from a line of numbers: an even grid, or CySkin triangles, around a cylinder.
+
+Both carry ten taxels a module and UIDs `SUI << 4 | name`, SUI 1, 2, … and name 1..10, on one hub.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld_protocol.modules import MAX_MODULES
+
+TAXELS_PER_MODULE = 10  # a generated cylinder's wiring; a real CySkin triangle carries ten as well
+MAX_TAXELS = MAX_MODULES * TAXELS_PER_MODULE  # modules an IHB can address
+LENGTH_MAX_M = 10.0
+
+# A CySkin triangle: T1..T10 from its middle, the base above and the apex below (measured).
+TRIANGLE_M = 1e-3 * np.array(
+    [
+        (12.0, 5.657), (4.0, 5.657), (-4.0, 5.657), (-12.0, 5.657), (-8.0, 0.0),
+        (-4.0, -5.657), (0.0, -11.314), (4.0, -5.657), (8.0, 0.0), (0.0, 0.0),
+    ]
+)  # fmt: skip
+MODULE_M = 0.020  # around, a module: bases of 40 mm, every other one above
+HEIGHT_M = 0.028285  # of a triangle and of a row, five rows of taxels
+
+EXAMPLES = {
+    "cylinder": "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015",
+    "wrap": "wrap:modules=12,radius_m=0.04,rows=2",
+}
+_KEYS: dict[str, dict[str, type[int] | type[float]]] = {
+    "cylinder": {"rows": int, "columns": int, "radius_m": float, "pitch_m": float},
+    "wrap": {"modules": int, "radius_m": float, "rows": int},
+}
+_DEFAULTS: dict[str, dict[str, int]] = {"cylinder": {}, "wrap": {"rows": 1}}
+
+
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """M taxels in the sensor frame, exactly on a cylinder about its z axis."""
+
+    name: str
+    uid: NDArray[np.int64]  # (M,)
+    position_m: NDArray[np.float64]  # (M, 3)
+    normal: NDArray[np.float64]  # (M, 3) unit, outwards
+    radius_m: float
+
+
+def cylinder(rows: int, columns: int, radius_m: float, pitch_m: float) -> Generated:
+    """An even grid: row by row from below, column 0 at angle 0, counter-clockwise.
+
+    Raises:
+        ValueError: no taxels, more than a hub carries, or a length that is none.
+    """
+    if not (rows > 0 and columns > 0 and rows * columns <= MAX_TAXELS):
+        raise ValueError(f"rows × columns must be 1..{MAX_TAXELS}, not {rows} × {columns}")
+    _check_lengths(radius_m=radius_m, pitch_m=pitch_m)
+    r, c = (a.ravel() for a in np.mgrid[0:rows, 0:columns])
+    name = f"cylinder:rows={rows},columns={columns},radius_m={radius_m:g},pitch_m={pitch_m:g}"
+    height = (r - (rows - 1) / 2.0) * pitch_m
+    return _around(name, 2.0 * np.pi * c / columns, height, radius_m)
+
+
+def wrap(modules: int, radius_m: float, rows: int = 1) -> Generated:
+    """CySkin triangles, `modules` of them in each row, apex down and apex up in turn.
+
+    Module 0 of the lowest row stands at angle 0 with its apex down; modules go counter-clockwise
+    and rows upwards, bases on bases. They are spread evenly and so close the circle: where
+    their 20 mm each do not fill it, the same gap is left between all. Taxels are T1..T10 of module
+    0, of module 1, ….
+
+    Raises:
+        ValueError: the modules do not alternate, do not fit, or are too many for a hub.
+    """
+    if not (modules > 0 and modules % 2 == 0 and rows > 0):
+        raise ValueError(f"modules must be even, as they alternate, and rows 1 or more: {modules}")
+    if modules * rows > MAX_MODULES:
+        raise ValueError(f"modules × rows must be at most {MAX_MODULES}, not {modules} × {rows}")
+    _check_lengths(radius_m=radius_m)
+    least_m = modules * MODULE_M / (2.0 * np.pi)
+    if radius_m < least_m - 1e-9:
+        raise ValueError(
+            f"{modules} modules take {modules * MODULE_M * 1e3:g} mm around; "
+            f"radius_m must be at least {least_m:.4f}, or modules fewer"
+        )
+    r, c = (a.ravel()[:, None] for a in np.mgrid[0:rows, 0:modules])
+    up = np.where((r + c) % 2 == 0, 1.0, -1.0)  # +1: base above, as TRIANGLE_M; −1: half a turn
+    middle = up * HEIGHT_M / 6.0  # a triangle's middle is a third off its base
+    height = (r - (rows - 1) / 2.0) * HEIGHT_M + middle + up * TRIANGLE_M[:, 1]
+    angle = 2.0 * np.pi * c / modules + up * TRIANGLE_M[:, 0] / radius_m
+    name = f"wrap:modules={modules},radius_m={radius_m:g},rows={rows}"
+    return _around(name, angle.ravel(), height.ravel(), radius_m)
+
+
+def parse(spec: str) -> Generated | None:
+    """The layout that `kind:key=value,…` describes; None if `kind` is not one of these.
+
+    Raises:
+        ValueError: a key or value that the kind does not take, with an example that works.
+    """
+    kind, colon, rest = spec.partition(":")
+    keys = _KEYS.get(kind) if colon else None
+    if keys is None:
+        return None
+    values: dict[str, int | float] = dict(_DEFAULTS[kind])
+    for item in rest.split(","):
+        key, _, text = item.partition("=")
+        number = keys.get(key)
+        if number is None:
+            raise ValueError(f"unknown {kind} key '{key}'; use '{EXAMPLES[kind]}'")
+        try:
+            values[key] = number(text)
+        except ValueError:
+            raise ValueError(f"'{item}' is not {key}=<{number.__name__}>") from None
+    missing = keys.keys() - values
+    if missing:
+        raise ValueError(f"{kind} lacks {', '.join(sorted(missing))}; use '{EXAMPLES[kind]}'")
+    make = cylinder if kind == "cylinder" else wrap
+    return make(**values)  # type: ignore[arg-type]  # _KEYS holds each function's own types
+
+
+def _around(
+    name: str, angle: NDArray[np.float64], height_m: NDArray[np.float64], radius_m: float
+) -> Generated:
+    normal = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
+    position = radius_m * normal
+    position[:, 2] = height_m
+    i = np.arange(len(angle))
+    uid = (i // TAXELS_PER_MODULE + 1) << 4 | (i % TAXELS_PER_MODULE + 1)
+    return Generated(name, uid, position, normal, radius_m)
+
+
+def _check_lengths(**lengths_m: float) -> None:
+    if not all(0.0 < value < LENGTH_MAX_M for value in lengths_m.values()):
+        raise ValueError(f"{' and '.join(lengths_m)} must be positive lengths in metres")

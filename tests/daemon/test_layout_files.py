@@ -1,0 +1,348 @@
+"""robotskinlib files: every trap of the format on a small file of its own, then any input."""
+
+import json
+import math
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taxeld import layout
+from taxeld.errors import SetupError
+from taxeld_protocol.modules import NAMES
+
+RADIUS_M = 0.05
+
+
+def taxel(i: int) -> dict[str, Any]:
+    """Taxel i of 8 columns over half a circle about the file's y axis, module 3 + i // 10."""
+    angle, row = math.pi * (i % 8) / 7, i // 8
+    n = [math.cos(angle), 0.0, math.sin(angle)]
+    x = [RADIUS_M * n[0], 0.1 + 0.008 * row, RADIUS_M * n[2]]
+    return {"id": (3 + i // 10) << 4 | (i % 10 + 1), "x": x, "n": n, "type": "pressure", "cut": 0}
+
+
+def document(taxels: int = 40) -> dict[str, Any]:
+    return {
+        "info": {"file_version": "2", "type": "rigid_body", "name": "link"},
+        "skin": {
+            "n_taxels": taxels,
+            "n_faces": 0,
+            "parent_frames": [
+                {"key": 0, "tf_matrix": [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 0.1, 0.2, 0.3, 1]}
+            ],
+            "taxels": [taxel(i) for i in range(taxels)],
+            "faces": [],
+        },
+    }
+
+
+class Folder:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def load(self, content: Any) -> layout.Layout:
+        file = self.path / "skin.json"
+        file.write_text(json.dumps(content), encoding="utf-8")
+        return layout.load(str(file))
+
+    def fault(self, content: Any) -> str:
+        """What is said of a document, without the path."""
+        with pytest.raises(SetupError) as caught:
+            self.load(content)
+        message, prefix = str(caught.value), f"skin.layout: {self.path}/skin.json: "
+        assert "\n" not in message
+        assert message.startswith(prefix)
+        return message.removeprefix(prefix)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Folder:
+    return Folder(tmp_path)
+
+
+class TestRobotskinlib:
+    def test_taxels_come_in_file_order_in_the_sensor_frame(self, folder):
+        skin = folder.load(document())
+        assert skin.name == "skin"
+        assert skin.uid.tolist() == [taxel(i)["id"] for i in range(40)]
+        assert skin.radius_m == pytest.approx(RADIUS_M)
+        assert skin.rms_m < 1e-9
+        np.testing.assert_allclose(
+            skin.position_m[:, 2], np.repeat(range(-2, 3), 8) * 0.008, atol=1e-12
+        )
+        outwards = skin.position_m * [1 / RADIUS_M, 1 / RADIUS_M, 0]
+        np.testing.assert_allclose(skin.normal, outwards, atol=1e-12)
+
+    def test_frame_takes_the_files_positions_to_the_sensor(self, folder):
+        skin = folder.load(document())
+        there = np.array([[*taxel(i)["x"], 1.0] for i in range(40)]) @ skin.frame.T
+        np.testing.assert_allclose(there[:, :3], skin.position_m, atol=1e-12)
+        np.testing.assert_allclose(skin.frame[:3, :3] @ [0, 1, 0], [0, 0, 1], atol=1e-12)
+        np.testing.assert_allclose(skin.frame[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-12)
+
+    def test_tf_matrix_is_column_major(self, folder):
+        parent = folder.load(document()).source.parent
+        expected = [[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1]]
+        np.testing.assert_allclose(parent, expected)
+
+    def test_tf_matrix_row_by_row_is_refused(self, folder):
+        wrong = document()
+        frame = wrong["skin"]["parent_frames"][0]
+        frame["tf_matrix"] = np.reshape(frame["tf_matrix"], (4, 4)).T.ravel().tolist()
+        message = folder.fault(wrong)
+        assert message.startswith("skin.parent_frames[0].tf_matrix: ")
+        assert "transpose" in message
+
+    @pytest.mark.parametrize("frames", [None, [], [{"key": 0}], {}])
+    def test_parent_frame_may_be_absent(self, folder, frames):
+        file = document()
+        file["skin"]["parent_frames"] = frames
+        assert folder.load(file).source.parent is None
+
+    def test_millimetres_are_told_by_the_extent(self, folder):
+        file = document()
+        for t in file["skin"]["taxels"]:
+            t["x"] = [1e3 * v for v in t["x"]]
+        matrix = file["skin"]["parent_frames"][0]["tf_matrix"]
+        matrix[12:15] = [1e3 * v for v in matrix[12:15]]
+        metres, skin = folder.load(document()), folder.load(file)
+        assert (metres.source.unit, skin.source.unit) == ("m", "mm")
+        np.testing.assert_allclose(skin.position_m, metres.position_m, atol=1e-12)
+        np.testing.assert_allclose(skin.source.parent, metres.source.parent)
+
+    def test_id_minus_1_is_missing(self, folder):
+        file = document()
+        file["skin"]["taxels"][4].update(id=-1, x=None)
+        file["skin"]["taxels"][9].update(id=-1)
+        skin = folder.load(file)
+        assert (len(skin), skin.source.missing) == (38, 2)
+
+    def test_temperature_is_no_taxel(self, folder):
+        file = document()
+        file["skin"]["taxels"][4]["id"] = 3 << 4
+        file["skin"]["taxels"][5]["type"] = "temperature"
+        skin = folder.load(file)
+        assert (len(skin), skin.source.missing) == (38, 2)
+
+    def test_cut_taxels_are_absent(self, folder):
+        file = document()
+        file["skin"]["taxels"][4]["cut"] = 1
+        file["skin"]["taxels"][5]["cut"] = 7
+        skin = folder.load(file)
+        assert (len(skin), skin.source.cut) == (38, 2)
+        assert taxel(4)["id"] not in skin.uid
+
+    def test_of_duplicates_the_first_counts(self, folder):
+        file = document()
+        file["skin"]["taxels"][9]["id"] = taxel(4)["id"]
+        skin = folder.load(file)
+        assert (len(skin), skin.source.duplicates) == (39, 1)
+        place = skin.frame[:3, :3].T @ (skin.position_m[4] - skin.frame[:3, 3])
+        np.testing.assert_allclose(place, taxel(4)["x"], atol=1e-12)
+
+    def test_a_cut_taxel_does_not_shadow_a_live_one_of_its_id(self, folder):
+        file = document()
+        file["skin"]["taxels"][4].update(id=taxel(9)["id"], cut=1)
+        skin = folder.load(file)
+        assert skin.source.duplicates == 0
+        assert taxel(9)["id"] in skin.uid
+
+    @pytest.mark.parametrize("maps", ["absent", [], [{"taxels": [{"id": 1}]}], {"taxels": []}])
+    def test_tactile_maps_may_be_absent_a_list_or_an_object(self, folder, maps):
+        file = document()
+        if maps != "absent":
+            file["tactile_maps"] = maps
+        assert folder.load(file).digest == folder.load(document()).digest
+
+    def test_inward_normals_are_turned_outwards(self, folder):
+        file = document()
+        for t in file["skin"]["taxels"]:
+            t["n"] = [-v for v in t["n"]]
+        skin = folder.load(file)
+        assert skin.turned == 40
+        assert skin.digest == folder.load(document()).digest
+
+    def test_normals_are_made_unit(self, folder):
+        file = document()
+        for t in file["skin"]["taxels"]:
+            t["n"] = [0.3 * v for v in t["n"]]
+        np.testing.assert_allclose(np.linalg.norm(folder.load(file).normal, axis=1), 1.0)
+
+    def test_taxels_may_be_grouped_in_lists(self, folder):
+        file = document()
+        taxels = file["skin"]["taxels"]
+        file["skin"]["taxels"] = [taxels[:15], taxels[15:]]
+        assert folder.load(file).digest == folder.load(document()).digest
+        taxels[17]["x"] = 5
+        file["skin"]["taxels"] = [taxels[:15], taxels[15:]]
+        assert folder.fault(file).startswith("skin.taxels[1][2].x: must be 3 numbers, not 5; ")
+
+    @pytest.mark.parametrize("version", [2, "2"])
+    def test_version_2_may_be_text_or_number(self, folder, version):
+        file = document()
+        file["info"]["file_version"] = version
+        assert len(folder.load(file)) == 40
+
+    @pytest.mark.parametrize(
+        ("where", "value", "words"),
+        [
+            (("id",), None, "skin.taxels[12].id: must be a UID, or -1 for missing, not None"),
+            (("id",), True, "skin.taxels[12].id: "),
+            (("id",), "53777", "skin.taxels[12].id: "),
+            (("id",), -2, "skin.taxels[12].id: "),
+            (("id",), 1 << 36, "skin.taxels[12].id: "),
+            (("id",), 3 << 4 | NAMES, "skin.taxels[12].id: 60 is taxel 12 of its module"),
+            (("cut",), "no", "skin.taxels[12].cut: must be 0"),
+            (("x",), [0.1, 0.2], "skin.taxels[12].x: must be 3 numbers, not [0.1, 0.2]; "),
+            (("x",), [0.1, 0.2, "0"], "skin.taxels[12].x: "),
+            (("x", 1), math.nan, "skin.taxels[12].x: "),
+            (("x", 1), math.inf, "skin.taxels[12].x: "),
+            (("x", 1), 10**400, "skin.taxels[12].x: "),
+            (("x", 1), True, "skin.taxels[12].x: "),
+            (("n",), [0, 0, 0], "skin.taxels[12].n: the normal must not be zero; "),
+            (("n",), [1e-300, 0, 0], "skin.taxels[12].n: the normal must not be zero; "),
+            (("x", 1), 9e5, "taxels span "),
+        ],
+    )
+    def test_a_fault_in_a_taxel_names_its_place_and_the_cure(self, folder, where, value, words):
+        file = document()
+        at = file["skin"]["taxels"][12]
+        for key in where[:-1]:
+            at = at[key]
+        at[where[-1]] = value
+        message = folder.fault(file)
+        assert message.startswith(words)
+        if where[0] in ("x", "n"):
+            assert "; correct " in message
+
+    @pytest.mark.parametrize(
+        ("content", "words"),
+        [
+            ([], "info: must be an object"),
+            ({}, "info: must be an object"),
+            ({"info": {"file_version": 2}}, "skin: must be an object"),
+            ({"info": {"file_version": 1}, "skin": {}}, "info.file_version: must be 2, not 1"),
+            ({"info": {"file_version": 2}, "skin": {}}, "skin.taxels: must be a list"),
+            ({"info": {"file_version": 2}, "skin": {"taxels": []}}, "holds 0 usable taxels"),
+            ({"info": {"file_version": 2}, "skin": {"taxels": [1]}}, "skin.taxels[0]: must be"),
+        ],
+    )
+    def test_other_json_is_refused_by_name(self, folder, content, words):
+        assert folder.fault(content).startswith(words)
+
+    @pytest.mark.parametrize(
+        ("content", "words"),
+        [
+            (b"", "is not JSON"),
+            (b"{", "is not JSON"),
+            (b"[" * 100_000, "is nested too deeply"),
+            (b'{"info": ' + b"1" * 5000 + b"}", "is not JSON"),
+            (b"\x80PNG", "is not UTF-8 text"),
+        ],
+    )
+    def test_a_file_that_is_no_json_is_one_line(self, tmp_path, content, words):
+        file = tmp_path / "skin.json"
+        file.write_bytes(content)
+        with pytest.raises(SetupError, match=words):
+            layout.load(str(file))
+
+    def test_a_directory_is_no_layout(self, tmp_path):
+        (tmp_path / "skin.json").mkdir()
+        with pytest.raises(SetupError, match="no such file"):
+            layout.load(str(tmp_path / "skin.json"))
+
+    def test_a_flat_patch_can_be_read_but_not_run(self, tmp_path):
+        file = document()
+        for t in file["skin"]["taxels"]:
+            t.update(x=[t["x"][0], t["x"][1], 0.02], n=[0, 0, -1])
+        path = tmp_path / "patch.json"
+        path.write_text(json.dumps(file), encoding="utf-8")
+        flat = layout.read(str(path))
+        assert math.isinf(flat.radius_m)
+        assert math.isnan(flat.rms_m)
+        np.testing.assert_allclose(flat.normal, [[0, 0, 1]] * 40)
+        np.testing.assert_allclose(flat.position_m[:, 2], 0.0, atol=1e-12)
+        with pytest.raises(SetupError, match=r"skin\.layout: patch: its 40 taxels lie on no cyl"):
+            layout.load(str(path))
+
+
+anything = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=5), inner),
+    max_leaves=8,
+)
+vector = st.lists(st.floats() | st.floats(-1.0, 1.0) | anything, min_size=3, max_size=3)
+true_vector = st.lists(st.floats(-1e3, 1e3), min_size=3, max_size=3)
+any_taxel = st.fixed_dictionaries(
+    {
+        "id": st.integers(-1, 400) | anything,
+        "x": true_vector | vector | anything,
+        "n": true_vector | vector | anything,
+    },
+    optional={"cut": st.integers(0, 1) | anything, "type": anything},
+)
+placed_taxel = st.fixed_dictionaries(
+    {"id": st.integers(17, 27), "x": true_vector, "n": true_vector}, optional={}
+)
+
+
+def read_any(content: bytes) -> None:
+    """Reading ends in a layout or in one line."""
+    message, skin = "", None
+    with tempfile.TemporaryDirectory() as directory:
+        file = Path(directory) / "skin.json"
+        file.write_bytes(content)
+        try:
+            skin = layout.read(str(file))
+        except SetupError as error:
+            message = str(error)
+    assert "\n" not in message
+    assert bool(message) != bool(skin)
+    if skin is None:
+        return
+    assert len(skin) == len(set(skin.uid.tolist())) > 0
+    assert np.isfinite(skin.position_m).all()
+    assert np.isfinite(skin.frame).all()
+    np.testing.assert_allclose(np.linalg.norm(skin.normal, axis=1), 1.0, atol=1e-6)
+    assert skin.digest
+    assert skin.turns.shape[1] == len(skin)
+
+
+class TestAnyInput:
+    @given(anything)
+    @settings(max_examples=60, deadline=None)
+    def test_json_of_any_shape(self, value):
+        read_any(json.dumps(value).encode())
+
+    @given(
+        st.lists(any_taxel | anything, max_size=6) | st.lists(placed_taxel, max_size=12), anything
+    )
+    @settings(max_examples=200, deadline=None)
+    def test_taxels_of_any_shape(self, taxels, frames):
+        skin = {"taxels": taxels, "parent_frames": frames}
+        read_any(json.dumps({"info": {"file_version": 2}, "skin": skin}).encode())
+
+    @given(st.data())
+    @settings(max_examples=100, deadline=None)
+    def test_one_value_of_a_good_file_replaced(self, data):
+        file = document(16)
+        at: Any = file
+        while isinstance(at, dict | list) and at:
+            key = data.draw(st.sampled_from(sorted(at) if isinstance(at, dict) else range(len(at))))
+            if data.draw(st.booleans()) or not isinstance(at[key], dict | list):
+                at[key] = data.draw(anything)
+                break
+            at = at[key]
+        read_any(json.dumps(file).encode())
+
+    @given(st.integers(0), st.integers(0, 30), st.binary())
+    @settings(max_examples=100, deadline=None)
+    def test_a_stretch_of_a_good_file_overwritten(self, at, length, patch):
+        content = json.dumps(document(16)).encode()
+        at %= len(content)
+        read_any(content[:at] + patch + content[at + length :])
