@@ -5,6 +5,7 @@ fragments that a hub is sending under its own id. When scans stop, the whole seq
 which serves a hub that rebooted as well as one plugged in late.
 """
 
+import math
 import struct
 from collections.abc import Iterable
 
@@ -24,9 +25,15 @@ class BringUp:
         self._decoder = decoder
         self._period_ms = period_ms
         self._short_ids: dict[int, int] = {}  # hub UID → the id it was given
-        self._next_s = 0.0
+        self._next_s = -math.inf
         self._known = False  # whether the last requests went out with the modules known
-        self._last_scan_s = -SILENCE_S
+        self._last_scan_s = -math.inf
+
+    def restart(self) -> None:
+        """Begin again at once: the device was opened anew."""
+        self._last_scan_s = -math.inf
+        self._next_s = -math.inf
+        self._known = False
 
     def on_packet(self, packet: Packet) -> list[Request]:
         """A hub that answers discovery is given its short id."""

@@ -41,7 +41,7 @@ def faults(config: Config) -> list[str]:
 
 def _source(source: SourceConfig) -> None:
     if source.kind == "replay":
-        session.read_frames(Path(source.path) / session.FRAMES)
+        session.read_input(Path(source.path))
     elif source.kind == "serial" or source.interface == "slcan":
         device = Path(source.channel.split("@")[0])
         if not device.exists():

@@ -48,6 +48,20 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
+def _record(args: argparse.Namespace) -> int:
+    from taxeld.record import Recording
+
+    recording = Recording(load(args.config), args.config, args.out)
+
+    def stop(*_: object) -> None:
+        recording.stopping = True
+
+    signal.signal(signal.SIGTERM, stop)
+    signal.signal(signal.SIGINT, stop)
+    print(recording.run())
+    return 0
+
+
 def _check(args: argparse.Namespace) -> int:
     from taxeld import check
 
@@ -112,6 +126,11 @@ def _parser() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="the daemon")
     run.add_argument("config", type=Path, metavar="CONFIG")
     run.set_defaults(command=_run)
+
+    record = commands.add_parser("record", help="what skin and robot send → a session")
+    record.add_argument("config", type=Path, metavar="CONFIG")
+    record.add_argument("--out", type=Path, required=True, metavar="DIR")
+    record.set_defaults(command=_record)
 
     check = commands.add_parser("check", help="validate all that a run needs")
     check.add_argument("config", type=Path, metavar="CONFIG")

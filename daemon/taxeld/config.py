@@ -8,6 +8,7 @@ from pathlib import Path
 
 from taxeld import toml_tables
 from taxeld.toml_tables import ConfigError, between, key, one_of
+from taxeld_protocol.slcan import BITRATES
 
 
 def _local(endpoint: str) -> str | None:
@@ -16,6 +17,12 @@ def _local(endpoint: str) -> str | None:
     if not endpoint or endpoint.startswith(local):
         return None
     return f"'{endpoint}' is not local; use ipc:///path or tcp://127.0.0.1:port"
+
+
+def _bit_rate(value: int) -> str | None:
+    if value in BITRATES:
+        return None
+    return f"{value} is no CAN bit rate; use one of {', '.join(map(str, BITRATES))}"
 
 
 def _all_local(endpoints: tuple[str, ...]) -> str | None:
@@ -43,7 +50,10 @@ class SourceConfig:
     dialect: str = key("cyskin", one_of("cyskin"), "the skin's protocol")
     interface: str = key("socketcan", doc="kind can: any python-can interface")
     channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
-    bitrate: int = key(1_000_000, between(10_000, 1_000_000), "kind can: bit/s")
+    bitrate: int = key(1_000_000, _bit_rate, "bit/s of the CAN bus")
+    framing: str = key(
+        "native", one_of("native", "slcan"), "kind serial: packets in COBS, or SLCAN lines"
+    )
     baud: int = key(921_600, between(1200, 12_000_000), "kind serial: line speed, bit/s")
     path: str = key("", doc="kind replay: a session directory")
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")

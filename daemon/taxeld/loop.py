@@ -208,7 +208,7 @@ class Daemon:
         live = pipeline.skin.live
         parts = {
             "loop": self.counters,
-            "source": {**self.source.decoder.stats(), "io_errors": self.source.io_errors},
+            "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
             "skin": pipeline.skin.counters,
             "estimator": pipeline.estimator.counters,
             "inputs": {

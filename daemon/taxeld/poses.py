@@ -2,6 +2,7 @@
 
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 
@@ -14,8 +15,14 @@ KEPT = 512  # poses: five seconds at 100 Hz
 class PoseTrack:
     """The last poses (t, x, y, θ) of the sensor in the world; bounded memory."""
 
-    def __init__(self, max_age_s: float) -> None:
+    def __init__(
+        self,
+        max_age_s: float,
+        on_pose: Callable[[float, float, float, float], None] | None = None,
+    ) -> None:
+        """`on_pose` hears every pose (t, x, y, θ) that is taken."""
         self.max_age_s = max_age_s
+        self._on_pose = on_pose
         self.rejected = 0  # not finite, or not later than the one before
         self._t: deque[float] = deque(maxlen=KEPT)
         self._pose: deque[Poses] = deque(maxlen=KEPT)
@@ -32,6 +39,8 @@ class PoseTrack:
             return
         self._t.append(t)
         self._pose.append(pose)
+        if self._on_pose is not None:
+            self._on_pose(t, float(x), float(y), float(theta))
 
     def at(self, t: float) -> Poses | None:
         """The pose (3,) at time t: interpolated, or the last one while it is young enough; None

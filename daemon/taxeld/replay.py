@@ -9,6 +9,7 @@ from taxeld import bundle, layout, messages, session
 from taxeld.config import Config, SensorPoseConfig
 from taxeld.pipeline import Outcome, Pipeline, is_valid
 from taxeld.poses import PoseTrack
+from taxeld.wire import Wire
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import wired
 
@@ -45,16 +46,17 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     Raises:
         SetupError: the session cannot be read.
     """
-    frames = session.read_frames(directory / session.FRAMES)
+    items = session.read_input(directory)
     track = pipeline.poses if isinstance(pipeline.poses, PoseTrack) else None
     poses = iter(session.read_poses(directory / session.POSES) if track else [])
     modules = wired(pipeline.skin.layout.uid.tolist())
-    decoder = Decoder(lambda _: modules)
+    wire = Wire(pipeline.config.source, Decoder(lambda _: modules))
     coming = next(poses, None)
-    for frame in frames:
+    for item in items:
         # as in the daemon, a scan is taken when its last frame is there, and so are the poses
-        while track and coming and coming[0] <= frame.t:
+        while track and coming and coming[0] <= item.t:
             track.add(*coming)
             coming = next(poses, None)
-        for scan in decoder.feed(frame)[1]:
-            yield pipeline.on_scan(scan)
+        for heard in wire.take(item, item.t):
+            for scan in heard.scans:
+                yield pipeline.on_scan(scan)

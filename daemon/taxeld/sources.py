@@ -1,10 +1,13 @@
-"""Sources of scans: CAN through python-can, the native serial link, or a recorded session.
+"""Sources of scans: CAN through python-can, a serial line, or a recorded session.
 
-A source is polled once a tick and never blocks. What arrives damaged is counted by the decoder.
+A source is polled once a tick and never blocks. A device that goes away is opened again with
+growing pauses, and the skin on it is brought up anew; what arrives damaged is counted.
 """
 
 import contextlib
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -16,22 +19,34 @@ from taxeld.bring_up import BringUp, Request
 from taxeld.config import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
-from taxeld_protocol import cyskin, serial_link
-from taxeld_protocol.cyskin import BROADCAST, Packet
+from taxeld.session import Chunk, Recorder
+from taxeld.wire import Heard, Wire
+from taxeld_protocol import cyskin, serial_link, slcan
+from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
-from taxeld_protocol.serial_link import SerialReader
 
 FRAMES_PER_POLL = 1000  # a flooded bus may not hold the loop; the rest waits for the next tick
 BYTES_PER_POLL = 65536
+REOPEN_S = (0.2, 5.0)  # the first pause before a lost device is opened again, and the longest
+
+
+@dataclass(slots=True)
+class SourceCounters:
+    """Since start."""
+
+    lost: int = 0  # times the device went away
+    reopened: int = 0
+    unsent: int = 0  # requests that the device did not take
+    noise: int = 0  # reads that python-can could not decode
 
 
 class Source(Protocol):
     """What the loop asks of a source."""
 
-    decoder: Decoder
-    io_errors: int
+    wire: Wire
+    counters: SourceCounters
 
     def poll(self, now_s: float) -> list[Scan]:
         """Scans that have arrived; `now_s` is monotonic."""
@@ -40,173 +55,271 @@ class Source(Protocol):
     def close(self) -> None: ...
 
 
-def open_source(config: SourceConfig, layout: Layout) -> Source:
-    """The configured source, opened.
+def open_source(config: SourceConfig, layout: Layout, recorder: Recorder | None = None) -> Source:
+    """The configured source, opened; `recorder` hears all that goes over its wire.
 
     Raises:
         SetupError: the device or session cannot be opened.
     """
     asked = config.kind != "replay" and not config.listen_only
-    # who asks the hubs for their modules must not guess them
     modules = wired(layout.uid.tolist())
-    decoder = Decoder(None if asked else lambda _: modules)
-    if config.kind == "can":
-        return CanSource(config, decoder)
-    if config.kind == "serial":
-        return SerialSource(config, decoder)
-    return ReplaySource(session.read_frames(Path(config.path) / session.FRAMES), decoder)
+    # who asks the hubs for their modules must not guess them
+    wire = Wire(config, Decoder(None if asked else lambda _: modules))
+    if config.kind == "replay":
+        return ReplaySource(session.read_input(Path(config.path)), wire)
+    device = _CanDevice if config.kind == "can" else _SerialDevice
+    return LiveSource(config, wire, device, recorder)
 
 
-class _Live:
-    """What CAN and serial share: bring-up, and scans as packets complete them."""
+class LostError(Exception):
+    """The device is gone."""
 
-    def __init__(self, config: SourceConfig, decoder: Decoder) -> None:
-        self.decoder = decoder
-        self.io_errors = 0
-        self._bring_up = None if config.listen_only else BringUp(decoder, config.period_ms)
+
+class Device(Protocol):
+    """An open CAN interface or serial line."""
+
+    noise: int
+
+    def read(self) -> list[Frame] | list[Chunk]:
+        """What has arrived. Raises LostError."""
+        ...
+
+    def write(self, command: int, payload: bytes) -> list[Frame]:
+        """Broadcast a request; → the frames that carried it on a bus. Raises LostError."""
+        ...
+
+    def close(self) -> None: ...
+
+
+class LiveSource:
+    """A device that may go and come, and the bring-up of the skin behind it."""
+
+    def __init__(
+        self,
+        config: SourceConfig,
+        wire: Wire,
+        device: Callable[[SourceConfig], Device],
+        recorder: Recorder | None,
+    ) -> None:
+        self.wire = wire
+        self.counters = SourceCounters()
+        self._open: Callable[[], Device] = lambda: device(config)
+        self._recorder = recorder
+        self._bring_up = None if config.listen_only else BringUp(wire.decoder, config.period_ms)
+        self._device: Device | None = self._open()
+        self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
 
     def poll(self, now_s: float) -> list[Scan]:
+        if self._device is None:
+            self._reopen(now_s)
+        if self._device is None:
+            return []
+        try:
+            return self._exchange(self._device, now_s)
+        except LostError:
+            self._lose(now_s)
+            return []
+
+    def close(self) -> None:
+        if self._device is None:
+            return
+        with contextlib.suppress(LostError):
+            for request in self._bring_up.stop() if self._bring_up else []:
+                self._send(self._device, request)
+        self._device.close()
+
+    def _exchange(self, device: Device, now_s: float) -> list[Scan]:
         scans: list[Scan] = []
         requests: list[Request] = []
-        for packet, ended in self._receive():
+        for packet, ended in self._hear(device):
             scans += ended
             if packet is not None and self._bring_up is not None:
                 requests += self._bring_up.on_packet(packet)
+        self.counters.noise += device.noise
+        device.noise = 0
         if self._bring_up is not None:
             if scans:
                 self._bring_up.on_scan(now_s)
             requests += self._bring_up.due(now_s)
         for request in requests:
-            self._send(*request)
+            self._send(device, request)
         return scans
 
-    def close(self) -> None:
+    def _hear(self, device: Device) -> list[Heard]:
+        heard: list[Heard] = []
+        for item in device.read():
+            if self._recorder is not None:
+                self._recorder.take(item)
+            heard += self.wire.take(item, item.t)
+        return heard
+
+    def _send(self, device: Device, request: Request) -> None:
+        try:
+            frames = device.write(*request)
+        except BlockingIOError:
+            self.counters.unsent += 1
+            return
+        if self._recorder is not None:
+            for frame in frames:
+                self._recorder.take(frame)
+
+    def _lose(self, now_s: float) -> None:
+        assert self._device is not None  # noqa: S101  (only an open device is lost)
+        self.counters.lost += 1
+        self._device.close()
+        self._device = None
+        self._next_open_s = now_s + self._pause_s
+
+    def _reopen(self, now_s: float) -> None:
+        if now_s < self._next_open_s:
+            return
+        try:
+            self._device = self._open()
+        except SetupError:
+            self._pause_s = min(2.0 * self._pause_s, REOPEN_S[1])
+            self._next_open_s = now_s + self._pause_s
+            return
+        self._pause_s = REOPEN_S[0]
+        self.counters.reopened += 1
         if self._bring_up is not None:
-            for request in self._bring_up.stop():
-                self._send(*request)
-        self._shut()
-
-    def _receive(self) -> list[tuple[Packet | None, list[Scan]]]:
-        raise NotImplementedError
-
-    def _send(self, command: int, payload: bytes) -> None:
-        raise NotImplementedError
-
-    def _shut(self) -> None:
-        raise NotImplementedError
+            self._bring_up.restart()
 
 
-class CanSource(_Live):
-    """Frames of any interface that python-can knows."""
+class _CanDevice:
+    """Any interface that python-can knows."""
 
-    def __init__(self, config: SourceConfig, decoder: Decoder) -> None:
-        super().__init__(config, decoder)
+    def __init__(self, config: SourceConfig) -> None:
+        self.noise = 0
         self._bus = _open_bus(config)
         self._port = getattr(self._bus, "serialPortOrig", None)  # of slcan
 
-    def _receive(self) -> list[tuple[Packet | None, list[Scan]]]:
-        out = []
+    def read(self) -> list[Frame]:
+        frames = []
         for _ in range(FRAMES_PER_POLL):
             try:
                 message = self._bus.recv(0.0)
-            except (can.CanError, OSError, ValueError, IndexError):
-                self.io_errors += 1
-                self._flush()
+            except (can.CanError, OSError, ValueError, IndexError) as error:
+                if not isinstance(error.__cause__ or error, (ValueError, IndexError)):
+                    raise LostError from error
+                self.noise += 1
+                self._forget_line()
                 break
             if message is None:  # nothing there; or, on slcan, a line that is no frame
-                if self._port is None or not self._port.in_waiting:
+                if not self._waiting():
                     break
                 continue
             if message.is_error_frame or message.is_remote_frame or message.is_fd:
-                self.decoder.link.counters.frames += 1
-                self.decoder.link.counters.foreign += 1
+                # what CySkin never sends: a frame whose id no fragment has, counted as foreign
+                frames.append(Frame(message.timestamp, 0, b""))
                 continue
-            frame = Frame(
-                message.timestamp,
-                message.arbitration_id,
-                bytes(message.data),
-                message.is_extended_id,
+            frames.append(
+                Frame(
+                    message.timestamp,
+                    message.arbitration_id,
+                    bytes(message.data),
+                    message.is_extended_id,
+                )
             )
-            out.append(self.decoder.feed(frame))
-        return out
+        return frames
 
-    def _send(self, command: int, payload: bytes) -> None:
-        for frame in cyskin.to_frames(command, payload, ihb=BROADCAST):
+    def write(self, command: int, payload: bytes) -> list[Frame]:
+        frames = cyskin.to_frames(command, payload, ihb=BROADCAST, t=time.time())
+        for frame in frames:
             message = can.Message(
                 arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
             )
             try:
                 self._bus.send(message, timeout=0.0)
-            except (can.CanError, OSError):
-                self.io_errors += 1
+            except (can.CanError, OSError) as error:
+                if self._port is None:  # a bus that is full or down: recv tells when it is gone
+                    raise BlockingIOError from error
+                raise LostError from error
+        return frames
 
-    def _flush(self) -> None:
-        """Drop a line that python-can's slcan cannot decode: it would try it again for ever."""
+    def close(self) -> None:
         with contextlib.suppress(can.CanError, OSError):
-            if self._port is not None:
+            self._bus.shutdown()
+
+    def _waiting(self) -> bool:
+        try:
+            return self._port is not None and bool(self._port.in_waiting)
+        except OSError as error:
+            raise LostError from error
+
+    def _forget_line(self) -> None:
+        """Python-can's slcan keeps a line that it cannot decode, and would try it for ever."""
+        if self._port is not None:
+            with contextlib.suppress(can.CanError, OSError):
                 self._bus.flush()
 
-    def _shut(self) -> None:
+
+class _SerialDevice:
+    """A serial line: the native link, or SLCAN."""
+
+    def __init__(self, config: SourceConfig) -> None:
+        self.noise = 0
+        self._slcan = config.framing == "slcan"
         try:
-            self._bus.shutdown()
-        except (can.CanError, OSError):
-            self.io_errors += 1
-
-
-class SerialSource(_Live):
-    """Packets of the native serial link."""
-
-    def __init__(self, config: SourceConfig, decoder: Decoder) -> None:
-        super().__init__(config, decoder)
-        try:
-            self._port = serial.Serial(config.channel, config.baud, timeout=0, write_timeout=0.1)
+            self._port = serial.Serial(
+                config.channel, config.baud, timeout=0, write_timeout=0.1, exclusive=True
+            )
+            if self._slcan:
+                self._port.write(slcan.open_commands(config.bitrate, config.listen_only))
         except (OSError, ValueError) as error:
             raise SetupError(f"source.channel: cannot open {config.channel} ({error})") from None
-        self.reader = SerialReader()
 
-    def _receive(self) -> list[tuple[Packet | None, list[Scan]]]:
+    def read(self) -> list[Chunk]:
         try:
-            data = self._port.read(BYTES_PER_POLL)
-        except OSError:
-            self.io_errors += 1
-            return []
-        packets = self.reader.feed(data, time.time())
-        return [(packet, self.decoder.on_packet(packet)) for packet in packets]
+            # asked even when none wait: that is how a line that was unplugged shows
+            data = self._port.read(max(1, min(self._port.in_waiting, BYTES_PER_POLL)))
+        except OSError as error:
+            raise LostError from error
+        return [Chunk(time.time(), data)] if data else []
 
-    def _send(self, command: int, payload: bytes) -> None:
+    def write(self, command: int, payload: bytes) -> list[Frame]:
+        if self._slcan:
+            frames = cyskin.to_frames(command, payload, ihb=BROADCAST)
+            line = b"".join(map(slcan.encode, frames))
+        else:
+            line = serial_link.encode(command, payload, ihb=BROADCAST)
         try:
-            self._port.write(serial_link.encode(command, payload, ihb=BROADCAST))
-        except OSError:
-            self.io_errors += 1
+            self._port.write(line)
+        except serial.SerialTimeoutException as error:
+            raise BlockingIOError from error
+        except OSError as error:
+            raise LostError from error
+        return []  # a recording of a line holds what was read from it alone
 
-    def _shut(self) -> None:
-        self._port.close()
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            self._port.close()
 
 
 class ReplaySource:
-    """A recorded log at the pace it was recorded, its times moved to now."""
+    """A recorded session at the pace it was recorded, its times moved to now."""
 
-    def __init__(self, frames: list[Frame], decoder: Decoder) -> None:
-        self.decoder = decoder
-        self.io_errors = 0
+    def __init__(self, items: list[Frame] | list[Chunk], wire: Wire) -> None:
+        self.wire = wire
+        self.counters = SourceCounters()
         self.shift_s: float | None = None  # recorded time → Unix time, known from the first poll
-        self._frames = frames
+        self._items = items
         self._at = 0
         self._start_s = 0.0
 
     @property
     def finished(self) -> bool:
-        return self._at >= len(self._frames)
+        return self._at >= len(self._items)
 
     def poll(self, now_s: float) -> list[Scan]:
-        first_t = self._frames[0].t
+        first_t = self._items[0].t
         if self.shift_s is None:
             self.shift_s = time.time() - first_t
             self._start_s = now_s
         scans: list[Scan] = []
-        while not self.finished and self._frames[self._at].t - first_t <= now_s - self._start_s:
-            frame = self._frames[self._at]
-            scans += self.decoder.feed(frame._replace(t=frame.t + self.shift_s))[1]
+        while not self.finished and self._items[self._at].t - first_t <= now_s - self._start_s:
+            item = self._items[self._at]
+            for heard in self.wire.take(item, item.t + self.shift_s):
+                scans += heard.scans
             self._at += 1
         return scans
 

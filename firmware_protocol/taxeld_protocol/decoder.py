@@ -11,6 +11,7 @@ from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, ModuleTable
 
 MISSING = -1  # a channel of a scan that no packet filled
+SCAN_GAP_S = 0.02  # packets of one scan come at once; scans, at the usual 20 Hz, 50 ms apart
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +63,7 @@ class _Hub:
     channels: int = 0
     counts: list[int] | None = None  # None: no scan is under way
     t: float = 0.0
+    last_t: float = 0.0  # of its last packet
     reached: int = 0  # one past the last channel filled: a scan only ever walks forward
 
     def learn(self) -> None:
@@ -157,8 +159,10 @@ class Decoder:
         if start is None:
             self.counters.index_errors += 1
             return scans
-        if start < hub.reached:  # the walk only goes forward: this is the next scan
+        # the walk only goes forward, and without a pause: else this is the next scan
+        if start < hub.reached or packet.t - hub.last_t > SCAN_GAP_S:
             self._end(packet.ihb, hub, scans)
+        hub.last_t = packet.t
         if hub.counts is None:
             hub.counts = [MISSING] * hub.channels
             hub.t = packet.t

@@ -51,11 +51,10 @@ def encode(command: int, payload: bytes = b"", *, ihb: int) -> bytes:
 
 @dataclass(slots=True)
 class SerialCounters:
-    """Every byte fed is in `used`, in `dropped`, or still pending."""
+    """Bytes that were fed and belong to no good packet are those not counted as used."""
 
     bytes: int = 0
     used: int = 0
-    dropped: int = 0
     packets: int = 0
     length_errors: int = 0
     crc_errors: int = 0
@@ -80,16 +79,13 @@ class SerialReader:
         self._rest += data
         *frames, rest = self._rest.split(DELIMITER)
         if len(rest) > MAX_ENCODED:  # no frame is that long: drop what cannot become one
-            counters.dropped += len(rest)
             counters.length_errors += 1
             rest = bytearray()
         self._rest = rest
         packets = []
         for frame in frames:
             packet = self._decode(bytes(frame), t)
-            if packet is None:
-                counters.dropped += len(frame) + 1
-            else:
+            if packet is not None:
                 counters.used += len(frame) + 1
                 counters.packets += 1
                 packets.append(packet)

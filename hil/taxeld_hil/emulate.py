@@ -4,7 +4,7 @@ import select
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, Self
+from typing import Any
 
 import msgpack
 import zmq
@@ -16,7 +16,6 @@ from taxeld_hil import robot
 from taxeld_hil.adapter import SlcanAdapter
 from taxeld_hil.scenario import Scenario
 from taxeld_hil.world import World
-from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
 
@@ -24,33 +23,6 @@ POSE_PERIOD_S = 0.01
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
 REST_S = 0.5  # at the end, so that the last touch is estimated
 ANSWER_S = 20.0  # without a host that starts the skin for so long, there is none
-
-
-class Recorder:
-    """Writes a session directory."""
-
-    def __init__(self, directory: Path, truth: Poses) -> None:
-        directory.mkdir(parents=True, exist_ok=True)
-        self._frames: IO[str] = (directory / session.FRAMES).open("w", encoding="ascii")
-        self._poses: IO[str] = (directory / session.POSES).open("w", encoding="ascii")
-        header = ",".join(session.POSE_COLUMNS) + "\n"
-        self._poses.write(header)
-        row = f"{time.time():.6f},{truth[0]:.6f},{truth[1]:.6f},{truth[2]:.6f}\n"
-        (directory / session.TRUTH).write_text(header + row, encoding="ascii")
-
-    def frame(self, frame: Frame) -> None:
-        self._frames.write(format_log_line(frame) + "\n")
-
-    def pose(self, t: float, pose: Poses) -> None:
-        x, y, theta = (float(v) for v in pose)
-        self._poses.write(f"{t:.6f},{x!r},{y!r},{theta!r}\n")
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._frames.close()
-        self._poses.close()
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,11 +45,12 @@ class Emulation:
         with (
             zmq.Context() as context,
             context.socket(zmq.PUB) as poses,
-            Recorder(directory, world.truth) as recorder,
-            SlcanAdapter(ihb, recorder.frame) as adapter,
+            session.Recorder(directory, moves=True) as recorder,
+            SlcanAdapter(ihb, recorder.take) as adapter,
         ):
             poses.setsockopt(zmq.LINGER, 0)
             poses.bind(endpoint)
+            _write_truth(directory, world.truth)
             link.symlink_to(adapter.device)
             return _serve(adapter, world, path, poses, recorder)
 
@@ -87,7 +60,7 @@ def _serve(
     world: World,
     path: robot.Path,
     poses: zmq.Socket[Any],
-    recorder: Recorder,
+    recorder: session.Recorder,
 ) -> bool:
     began = time.monotonic()
     next_pose_s, start_s = began, None
@@ -104,7 +77,7 @@ def _serve(
             x, y, theta = (float(v) for v in pose)
             body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
             poses.send_multipart((messages.SENSOR_POSE, body, b"%.6f" % wall), zmq.NOBLOCK)
-            recorder.pose(wall, pose)
+            recorder.pose(wall, x, y, theta)
         if adapter.ihb.due(now):
             for command, payload in adapter.ihb.sensor_data(world.counts(pose)):
                 adapter.send(command, payload, wall)
@@ -112,3 +85,9 @@ def _serve(
             return False
         if along > path.duration_s + REST_S:
             return adapter.ihb.auto_sync
+
+
+def _write_truth(directory: Path, truth: Poses) -> None:
+    row = ",".join(f"{v:.6f}" for v in (time.time(), *truth))
+    header = ",".join(session.POSE_COLUMNS)
+    (directory / session.TRUTH).write_text(f"{header}\n{row}\n", encoding="ascii")

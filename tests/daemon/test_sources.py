@@ -129,7 +129,7 @@ def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
                 )
         (scan,) = source.poll(0.0)
     assert list(scan.counts) == counts(3)
-    assert source.decoder.stats()["unknown"] == 2
+    assert source.wire.stats()["unknown"] == 2
     source.close()
 
 
