@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from taxeld import generated
+from taxeld import layout as layouts
 from taxeld.layout import Layout
 from taxeld.observation import ObservationModel
 from taxeld.scene import Scene
@@ -51,7 +51,7 @@ def box(a: float, b: float):  # type: ignore[no-untyped-def]
 
 @pytest.fixture(scope="session")
 def skin() -> Layout:
-    return generated.cylinder(rows=2, columns=16, radius_m=0.04, pitch_m=0.015)
+    return layouts.load("cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015")
 
 
 @pytest.fixture(scope="session")
