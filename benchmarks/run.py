@@ -1,4 +1,4 @@
-"""`make bench`: what a tick, a touch and a running daemon cost, each beside its budget.
+"""`make bench`: what the wire, a tick, a touch and a running daemon cost, beside their budgets.
 
 CPU time and counts, medians over interleaved rounds; wall-clock figures are printed, not judged.
 """
@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from packaging.requirements import Requirement
 
+import protocol
 from taxeld import bundle, config, contacts, layout
 from taxeld.estimator import Estimator
 from taxeld.loop import Daemon
@@ -32,11 +33,12 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the figures there as well")
     parser.add_argument("--no-demo", action="store_true", help="leave the real-time demo out")
     args = parser.parse_args()
-    rows = [*installed(), *touches(), idle_tick(), *([] if args.no_demo else demo())]
-    print(f"{'figure':52s} {'measured':>10s} {'budget':>10s}")
+    wire = [row(*figures) for figures in protocol.rows()]
+    rows = [*installed(), *wire, *touches(), idle_tick(), *([] if args.no_demo else demo())]
+    print(f"{'figure':52s} {'measured':>12s} {'budget':>10s}")
     for row in rows:
         budget = "" if row["budget"] is None else f"{row['budget']:10.2f}"
-        print(f"{row['figure']:52s} {row['measured']:10.3f} {budget:>10s}")
+        print(f"{row['figure']:52s} {row['measured']:12.3f} {budget:>10s}")
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     return 0
@@ -108,7 +110,7 @@ def touches() -> list[dict[str, object]]:
                 start = time.process_time()
                 estimate = estimator.on_scan(Activation(t + 0.05, z, live), sensor)
                 spent.append((time.process_time() - start) * 1e3)
-                assert estimate.injected >= 50  # noqa: S101
+                assert estimate.injected >= 50
                 for gap in (0.1, 0.3):
                     estimator.on_scan(Activation(t + gap, 0.0 * z, live), sensor)
                 t += 1.0

@@ -6,9 +6,9 @@ which serves a hub that rebooted as well as one plugged in late.
 """
 
 import math
-import struct
 from collections.abc import Iterable
 
+from taxeld_protocol import commands
 from taxeld_protocol.cyskin import ALL_MODULES, Command, Packet
 from taxeld_protocol.decoder import Decoder
 
@@ -37,13 +37,16 @@ class BringUp:
 
     def on_packet(self, packet: Packet) -> list[Request]:
         """A hub that answers discovery is given its short id."""
-        if packet.command != Command.DISCOVERY_PING or len(packet.payload) != 4:
+        if packet.command != Command.DISCOVERY_PING:
             return []
-        (uid,) = struct.unpack(">I", packet.payload)
+        fields = commands.parse_answer(packet.command, packet.payload)
+        if fields is None:  # the request, as another host sent it
+            return []
+        uid = fields["uid"]
         short_id = self._short_ids.setdefault(uid, len(self._short_ids) + 1)
         if packet.ihb == short_id or short_id > 0xFE:
             return []
-        return [(Command.DISCOVERY_RECV_ID, struct.pack(">IB", uid, short_id))]
+        return [_request(Command.DISCOVERY_RECV_ID, uid=uid, short_id=short_id)]
 
     def on_scan(self, now_s: float) -> None:
         self._last_scan_s = now_s
@@ -59,21 +62,25 @@ class BringUp:
         self._known = self._ready
         if self._known:
             return [
-                (Command.SET_AUTO_SYNC_PERIOD, struct.pack(">H", self._period_ms)),
-                (Command.SET_AUTO_SYNC, b"\x01"),
-                (Command.DISCOVERY_PING, b""),  # a hub that rebooted has lost its id
+                _request(Command.SET_AUTO_SYNC_PERIOD, period_ms=self._period_ms),
+                _request(Command.SET_AUTO_SYNC, on=1),
+                _request(Command.DISCOVERY_PING),  # a hub that rebooted has lost its id
             ]
         return [
-            (Command.DISCOVERY_PING, b""),
-            (Command.DECLARE, b""),
-            (Command.MODULE_DETAILS, bytes((ALL_MODULES,))),
+            _request(Command.DISCOVERY_PING),
+            _request(Command.DECLARE),
+            _request(Command.MODULE_DETAILS, module=ALL_MODULES),
         ]
 
     @staticmethod
     def stop() -> list[Request]:
-        return [(Command.SET_AUTO_SYNC, b"\x00")]
+        return [_request(Command.SET_AUTO_SYNC, on=0)]
 
     @property
     def _ready(self) -> bool:
         hubs = self._decoder.hubs.values()
         return bool(hubs) and all(hub.table.detailed for hub in hubs)
+
+
+def _request(command: Command, **fields: int) -> Request:
+    return command, commands.request(command, **fields)

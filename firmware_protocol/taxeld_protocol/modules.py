@@ -5,14 +5,14 @@ taxels that were not cut off. Channel k of a module is the k-th set bit of that 
 the temperature T0; a taxel's UID is `SUI << 4 | name`.
 """
 
-import struct
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
+
+from taxeld_protocol import commands
+from taxeld_protocol.cyskin import Command
 
 NAMES = 12  # T0..T11
 MAX_MODULES = 248
 ABSENT_UID = -1
-
-_DETAILS = struct.Struct(">BIBBHBB")
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,13 +85,15 @@ class ModuleTable:
         """
         if len(payload) == 1:
             return True
-        if len(payload) != _DETAILS.size:
+        fields = commands.parse_answer(Command.MODULE_DETAILS, payload)
+        if fields is None:
             return False
-        index, sui, channels, grouping, mask, control, speed = _DETAILS.unpack(payload)
-        if index >= MAX_MODULES or channels > NAMES or mask >= 1 << NAMES:
+        index = fields.pop("module")
+        module = Module(**fields)
+        if index >= MAX_MODULES or module.channels > NAMES or module.mask >= 1 << NAMES:
             return False
         modules = self.modules + [Module(0)] * (index + 1 - len(self.modules))
-        modules[index] = Module(channels, sui, mask, grouping, control, speed)
+        modules[index] = module
         self._take(modules)
         return True
 
@@ -105,10 +107,7 @@ def encode_details(index: int, module: Module) -> bytes:
     """The MODULE_DETAILS answer of a module whose serial number is known."""
     if module.sui is None:
         raise ValueError(f"module {index} has no serial number")
-    return _DETAILS.pack(
-        index, module.sui, module.channels, module.grouping, module.mask,
-        module.cdc_control, module.cdc_speed,
-    )  # fmt: skip
+    return commands.answer(Command.MODULE_DETAILS, module=index, **asdict(module))
 
 
 def wired(uids: list[int]) -> list[Module]:

@@ -2,16 +2,20 @@
 
 import struct
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
+from taxeld_protocol import commands
+from taxeld_protocol.commands import COMM_SPEEDS_MBPS, CdcControl, CdcSpeed, Grouping
 from taxeld_protocol.cyskin import (
     ALL_MODULES,
     BROADCAST,
+    KNOWN_COMMANDS,
     MAX_VALUES,
     Command,
     ErrorCode,
     Packet,
 )
-from taxeld_protocol.modules import Module, encode_details
+from taxeld_protocol.modules import NAMES, Module, encode_details
 
 DEFAULT_PERIOD_MS = 50
 VERSION = b"taxeld virtual IHB 1"
@@ -23,10 +27,16 @@ class VirtualIhb:
     """One hub with its modules; no clock and no transport: its owner asks `due` and sends."""
 
     def __init__(self, modules: Sequence[Module], uid: int = 0xC15C0001, short_id: int = 1) -> None:
-        self.modules = list(modules)
         self.uid = uid
-        self.short_id = short_id
+        self._built = list(modules), short_id
+        self.reboot()
+
+    def reboot(self) -> None:
+        """As after power-on: what the host set is lost."""
+        modules, self.short_id = self._built
+        self.modules = list(modules)
         self.period_ms = DEFAULT_PERIOD_MS
+        self.comm_speed_mbps = COMM_SPEEDS_MBPS[0]
         self.auto_sync = False
         self._sync_once = False
         self._next_s: float | None = None
@@ -58,67 +68,90 @@ class VirtualIhb:
 
     def answer(self, packet: Packet) -> list[Answer]:
         """What the hub says to a request; nothing if it is for another hub."""
-        if packet.ihb not in (self.short_id, BROADCAST):
+        if packet.ihb not in (self.short_id, BROADCAST) or packet.command == Command.ERROR:
             return []
-        command, payload = packet.command, packet.payload
+        if packet.command not in KNOWN_COMMANDS:
+            return [_error(packet.command, ErrorCode.NOT_SUPPORTED)]
+        command = Command(packet.command)
+        fields = commands.parse_request(command, packet.payload)
+        if fields is None:
+            return [_error(command, ErrorCode.FORMAT)]
+        if command == Command.DISCOVERY_RECV_ID and fields["uid"] != self.uid:
+            return []
+        error = self._apply(command, fields)
+        return [_error(command, error)] if error else self._report(command, fields)
+
+    def _apply(self, command: Command, fields: commands.Fields) -> ErrorCode | None:
+        """Do what a request asks for."""
         match command:
-            case Command.DISCOVERY_PING:
-                return [(command, struct.pack(">I", self.uid))]
             case Command.DISCOVERY_RECV_ID:
-                return self._take_short_id(payload)
-            case Command.PING | Command.MODULE_PROGRAM_END:
+                if fields["short_id"] in (0, BROADCAST):
+                    return ErrorCode.INVALID
+                self.short_id = fields["short_id"]
+            case Command.SET_AUTO_SYNC:
+                self.auto_sync = bool(fields["on"])
+            case Command.SET_AUTO_SYNC_PERIOD:
+                if not fields["period_ms"]:
+                    return ErrorCode.INVALID
+                self.period_ms = fields["period_ms"]
+            case Command.SYNC:
+                self._sync_once = True
+            case Command.SET_COMM_SPEED:
+                if fields["mbps"] not in COMM_SPEEDS_MBPS:
+                    return ErrorCode.INVALID
+                self.comm_speed_mbps = fields["mbps"]
+            case Command.IHB_COLD_REBOOT | Command.IHB_WARM_REBOOT:
+                self.reboot()
+            case _ if "module" in fields:
+                return self._apply_to_modules(command, fields)
+        return None
+
+    def _apply_to_modules(self, command: Command, fields: commands.Fields) -> ErrorCode | None:
+        module = fields["module"]
+        if module != ALL_MODULES and module >= len(self.modules):
+            return ErrorCode.INVALID
+        change: dict[str, int] = {}
+        match command:
+            case Command.SET_MODULE_GROUPING if fields["grouping"] in list(Grouping):
+                change = {"grouping": fields["grouping"]}
+            case Command.MODULE_CDC_CONTROL if fields["control"] in list(CdcControl):
+                change = {"cdc_control": fields["control"]}
+            case Command.MODULE_CDC_SPEED if fields["speed"] in list(CdcSpeed):
+                change = {"cdc_speed": fields["speed"]}
+            case Command.MODULE_SET_CUT_SENSORS if fields["mask"] < 1 << NAMES:
+                change = {"mask": fields["mask"], "channels": fields["mask"].bit_count()}
+            case Command.MODULE_DETAILS:
+                return None
+            case _:
+                return ErrorCode.INVALID
+        chosen = range(len(self.modules)) if module == ALL_MODULES else [module]
+        for i in chosen:
+            self.modules[i] = replace(self.modules[i], **change)
+        return None
+
+    def _report(self, command: Command, fields: commands.Fields) -> list[Answer]:
+        """What is answered to a request that was done."""
+        match command:
+            case Command.DISCOVERY_PING | Command.UID:
+                return [(command, commands.answer(command, uid=self.uid))]
+            case Command.DISCOVERY_RECV_ID | Command.PING:
                 return [(command, b"")]
-            case Command.UID:
-                return [(command, struct.pack(">I", self.uid))]
+            case Command.GET_COMM_SPEED:
+                return [(command, commands.answer(command, mbps=self.comm_speed_mbps))]
             case Command.VERSION | Command.MODULE_BTLDR_VERSION | Command.MODULE_APP_VERSION:
                 return [(command, VERSION)]
             case Command.DECLARE:
                 channels = bytes(module.channels for module in self.modules)
                 return [(command, bytes((len(channels), 0)) + channels)]
             case Command.MODULE_DETAILS:
-                return self._details(payload)
-            case Command.SET_AUTO_SYNC:
-                if len(payload) != 1:
-                    return [_error(command, ErrorCode.FORMAT)]
-                self.auto_sync = bool(payload[0])
-                return []
-            case Command.SET_AUTO_SYNC_PERIOD:
-                return self._set_period(payload)
-            case Command.SYNC:
-                self._sync_once = True
-                return []
-            case Command.ERROR:
-                return []
-        return [_error(command, ErrorCode.NOT_SUPPORTED)]
-
-    def _take_short_id(self, payload: bytes) -> list[Answer]:
-        if len(payload) != 5:
-            return [_error(Command.DISCOVERY_RECV_ID, ErrorCode.FORMAT)]
-        uid, short_id = struct.unpack(">IB", payload)
-        if uid != self.uid:
-            return []
-        if short_id in (0, BROADCAST):
-            return [_error(Command.DISCOVERY_RECV_ID, ErrorCode.INVALID)]
-        self.short_id = short_id
-        return [(Command.DISCOVERY_RECV_ID, b"")]
-
-    def _details(self, payload: bytes) -> list[Answer]:
-        if len(payload) != 1:
-            return [_error(Command.MODULE_DETAILS, ErrorCode.NO_ARGUMENT)]
-        wanted = range(len(self.modules)) if payload[0] == ALL_MODULES else [payload[0]]
-        if wanted[-1] >= len(self.modules):
-            return [_error(Command.MODULE_DETAILS, ErrorCode.INVALID)]
-        return [(Command.MODULE_DETAILS, encode_details(i, self.modules[i])) for i in wanted]
-
-    def _set_period(self, payload: bytes) -> list[Answer]:
-        if len(payload) != 2:
-            return [_error(Command.SET_AUTO_SYNC_PERIOD, ErrorCode.FORMAT)]
-        (period_ms,) = struct.unpack(">H", payload)
-        if period_ms == 0:
-            return [_error(Command.SET_AUTO_SYNC_PERIOD, ErrorCode.INVALID)]
-        self.period_ms = period_ms
+                wanted = fields["module"]
+                return [
+                    (command, encode_details(i, module))
+                    for i, module in enumerate(self.modules)
+                    if wanted in (i, ALL_MODULES)
+                ]
         return []
 
 
 def _error(command: int, code: ErrorCode) -> Answer:
-    return Command.ERROR, bytes((command, code))
+    return Command.ERROR, commands.answer(Command.ERROR, failed=command, error=code)

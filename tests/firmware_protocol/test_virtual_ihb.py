@@ -2,6 +2,7 @@
 
 import pytest
 
+from taxeld_protocol import commands
 from taxeld_protocol.cyskin import Command, ErrorCode, Packet
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
@@ -63,11 +64,15 @@ def test_a_late_caller_skips_scans_and_keeps_the_beat() -> None:
     ("command", "payload", "code"),
     [
         (0x99, b"", ErrorCode.NOT_SUPPORTED),
-        (Command.MODULE_PHASE_SHIFT, b"\1", ErrorCode.NOT_SUPPORTED),
+        (Command.SET_COMM_SPEED, b"\5", ErrorCode.INVALID),
+        (Command.SET_MODULE_GROUPING, b"\0\1", ErrorCode.INVALID),
+        (Command.MODULE_CDC_SPEED, b"\0\3", ErrorCode.INVALID),
+        (Command.MODULE_CDC_CONTROL, b"\7\0", ErrorCode.INVALID),
+        (Command.MODULE_SET_CUT_SENSORS, b"\0\xff\xff", ErrorCode.INVALID),
         (Command.SET_AUTO_SYNC, b"", ErrorCode.FORMAT),
         (Command.SET_AUTO_SYNC_PERIOD, b"\0", ErrorCode.FORMAT),
         (Command.SET_AUTO_SYNC_PERIOD, b"\0\0", ErrorCode.INVALID),
-        (Command.MODULE_DETAILS, b"", ErrorCode.NO_ARGUMENT),
+        (Command.MODULE_DETAILS, b"", ErrorCode.FORMAT),
         (Command.MODULE_DETAILS, b"\x09", ErrorCode.INVALID),
         (Command.DISCOVERY_RECV_ID, b"\x01", ErrorCode.FORMAT),
     ],
@@ -86,3 +91,67 @@ def test_requests_to_another_hub_are_not_answered() -> None:
 def test_a_scan_of_the_wrong_size_is_a_programming_error() -> None:
     with pytest.raises(ValueError, match="4 counts for 5 channels"):
         list(hub().sensor_data([1, 2, 3, 4]))
+
+
+def test_what_the_host_sets_is_what_details_tell() -> None:
+    ihb = hub()
+    for command, fields in (
+        (Command.SET_MODULE_GROUPING, {"module": 255, "grouping": 0x88}),
+        (Command.MODULE_CDC_SPEED, {"module": 1, "speed": 2}),
+        (Command.MODULE_CDC_CONTROL, {"module": 1, "control": 0x50}),
+        (Command.MODULE_SET_CUT_SENSORS, {"module": 1, "mask": 0b111}),
+    ):
+        assert ask(ihb, command, commands.request(command, **fields)) == []
+    (answer,) = ask(ihb, Command.MODULE_DETAILS, b"\x01")
+    assert commands.parse_answer(*answer) == {
+        "module": 1, "sui": 2, "channels": 3, "grouping": 0x88, "mask": 0b111,
+        "cdc_control": 0x50, "cdc_speed": 2,
+    }  # fmt: skip
+
+
+def test_comm_speed_is_set_and_told() -> None:
+    ihb = hub()
+    ask(ihb, Command.SET_COMM_SPEED, b"\x08")
+    assert ask(ihb, Command.GET_COMM_SPEED) == [(Command.GET_COMM_SPEED, b"\x08")]
+
+
+def test_a_reboot_forgets_what_the_host_set() -> None:
+    ihb = hub()
+    ask(ihb, Command.SET_AUTO_SYNC, b"\x01")
+    ask(ihb, Command.MODULE_SET_CUT_SENSORS, b"\xff\x00\x01")
+    ask(ihb, Command.IHB_COLD_REBOOT)
+    assert not ihb.auto_sync
+    assert ihb.modules == hub().modules
+
+
+@pytest.mark.parametrize("command", list(Command))
+def test_every_command_of_the_table_is_answered_or_obeyed(command: Command) -> None:
+    """Well-formed requests draw no ERROR, whatever the command."""
+    fields = {
+        "uid": 0xC0FFEE01, "short_id": 3, "module": 0, "grouping": 0, "on": 0, "period_ms": 20,
+        "mbps": 4, "speed": 1, "control": 0, "value": 1, "mask": 7,
+    }  # fmt: skip
+    names = commands.REQUESTS.get(command, ("", ()))[1]
+    payload = commands.request(command, **{name: fields[name] for name in names})
+    assert all(answer[0] == command for answer in ask(hub(), command, payload))
+
+
+@pytest.mark.parametrize("table", [commands.REQUESTS, commands.ANSWERS])
+def test_the_table_round_trips(table: commands.Table) -> None:
+    encode, decode = (
+        (commands.request, commands.parse_request)
+        if table is commands.REQUESTS
+        else (commands.answer, commands.parse_answer)
+    )
+    for command, (_, names) in table.items():
+        fields = {name: i + 1 for i, name in enumerate(names)}
+        payload = encode(command, **fields)
+        assert decode(command, payload) == fields
+        assert decode(command, payload + b"\0") is None
+        assert decode(command, payload[:-1]) is None
+
+
+@pytest.mark.parametrize("fields", [{}, {"on": 1, "off": 0}, {"on": 256}, {"on": -1}], ids=str)
+def test_fields_that_do_not_fit_are_a_programming_error(fields: dict[str, int]) -> None:
+    with pytest.raises(ValueError, match="SET_AUTO_SYNC"):
+        commands.request(Command.SET_AUTO_SYNC, **fields)

@@ -1,0 +1,230 @@
+"""What the protocol costs and withstands: throughput beside two baselines, a saturated bus, damage.
+
+Run by `make bench`. Throughput is CPU time, the three decoders interleaved; the damaged streams are
+checked as they go, so a figure printed here is also a claim that held.
+"""
+
+import random
+import resource
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import cantools
+
+from taxeld import layout
+from taxeld.config import SourceConfig
+from taxeld.sources import open_source
+from taxeld_protocol import cyskin
+from taxeld_protocol.decoder import Decoder
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.modules import Module, wired
+from taxeld_protocol.virtual_ihb import VirtualIhb
+
+SATURATED_FRAMES_S = 9_000  # of a 1 Mbit/s bus with 8-byte frames
+ROUNDS = 7
+DAMAGED = 1_000_000
+FUZZ_RUNS = 200_000
+MODULES = wired([(i // 10 + 1) << 4 | (i % 10 + 1) for i in range(600)])
+CHANNELS = sum(module.channels for module in MODULES)
+
+DBC = """VERSION ""
+BU_: IHB
+BO_ 257 SCAN: 8 IHB
+ SG_ A : 7|16@0+ (1,0) [0|65535] "" IHB
+ SG_ B : 23|16@0+ (1,0) [0|65535] "" IHB
+ SG_ C : 39|16@0+ (1,0) [0|65535] "" IHB
+ SG_ D : 55|16@0+ (1,0) [0|65535] "" IHB
+"""
+
+
+def rows() -> list[tuple[str, float, float | None]]:
+    """(figure, measured, budget) of everything here."""
+    return [*throughput(), *saturated(), *damage(), *coverage_guided()]
+
+
+def scan_frames(scans: int, seed: int = 0) -> list[Frame]:
+    """A hub of 60 modules, scan after scan, 20 a second."""
+    rng = random.Random(seed)
+    hub = VirtualIhb(MODULES)
+    return [
+        frame
+        for k in range(scans)
+        for command, payload in hub.sensor_data([rng.randint(1, 42_000) for _ in range(CHANNELS)])
+        for frame in cyskin.to_frames(command, payload, ihb=1, t=k * 0.05)
+    ]
+
+
+def throughput() -> list[tuple[str, float, float | None]]:
+    frames = scan_frames(60)
+    message = cantools.database.load_string(DBC, "dbc").messages[0]
+    full = [frame.data for frame in frames if len(frame.data) == 8]
+
+    def ours() -> None:
+        decoder = Decoder(lambda _: MODULES)
+        scans = sum(len(decoder.feed(frame)[1]) for frame in frames)
+        assert scans == 60
+
+    def plain() -> None:
+        assert len(plain_decoder(frames)) == 60
+
+    def dbc() -> None:
+        for data in full:
+            message.decode(data)
+
+    spent: dict[Callable[[], None], list[float]] = {ours: [], plain: [], dbc: []}
+    for _ in range(ROUNDS):
+        for work, times in spent.items():
+            start = time.process_time()
+            work()
+            times.append(time.process_time() - start)
+    rate = {
+        work: len(full if work is dbc else frames) / statistics.median(times)
+        for work, times in spent.items()
+    }
+    return [
+        ("fragments to scans, frames/s (at least)", rate[ours], 10.0 * SATURATED_FRAMES_S),
+        ("the same by a plain per-frame decoder, frames/s", rate[plain], None),
+        ("cantools decoding as many 8-byte frames, frames/s", rate[dbc], None),
+        ("ours over the plain decoder", rate[ours] / rate[plain], None),
+        ("ours over cantools", rate[ours] / rate[dbc], None),
+    ]
+
+
+def plain_decoder(frames: list[Frame]) -> list[list[int]]:
+    """What one would write first: bytes concatenated, the CRC bit by bit, a walk a value."""
+    scans: list[list[int]] = []
+    scan: list[int] = []
+    data = b""
+    for frame in frames:
+        kind = frame.can_id & 0x700
+        data = frame.data if kind in (0x100, 0x500) else data + frame.data
+        if kind not in (0x400, 0x500) or len(data) < 3:
+            continue
+        crc = 0xFF
+        for byte in data[: data[1] + 2]:
+            crc ^= byte
+            for _ in range(8):
+                crc = (crc << 1 ^ 0x07) & 0xFF if crc & 0x80 else crc << 1
+        if crc != data[data[1] + 2] or data[0] != cyskin.Command.SENSOR_DATA:
+            continue
+        module, channel = data[2], data[3]
+        for at in range(4, data[1] + 2, 2):
+            if (module, channel) == (0, 0) and scan:
+                scans.append(scan)
+                scan = []
+            scan.append(data[at] << 8 | data[at + 1])
+            channel += 1
+            if channel == MODULES[module].channels:
+                module, channel = module + 1, 0
+    return [*scans, scan]
+
+
+def saturated() -> list[tuple[str, float, float | None]]:
+    """Ten seconds of a saturated bus through python-can, in one process."""
+    skin = layout.load("cylinder:rows=30,columns=20,radius_m=0.1,pitch_m=0.01")
+    config = SourceConfig(kind="can", interface="virtual", channel="bench", listen_only=True)
+    source = open_source(config, skin)
+    frames = scan_frames(10 * SATURATED_FRAMES_S // 174)
+    a_tick = SATURATED_FRAMES_S // 100
+    scans, spent = 0, 0.0
+    with can.Bus(interface="virtual", channel="bench") as bus:
+        for at in range(0, len(frames), a_tick):
+            for frame in frames[at : at + a_tick]:
+                bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data,
+                                     is_extended_id=False))  # fmt: skip
+            start = time.process_time()
+            scans += sum(scan.complete for scan in source.poll(at / SATURATED_FRAMES_S))
+            spent += time.process_time() - start
+    source.close()
+    lost = len(frames) // 174 - scans
+    share = 100.0 * spent / (len(frames) / SATURATED_FRAMES_S)
+    return [
+        ("scans lost of a saturated bus through python-can", float(lost), 0.0),
+        ("CPU to read it, % of one core", share, None),
+    ]
+
+
+def damage() -> list[tuple[str, float, float | None]]:
+    """A million random frames, and a million frames of mutated real packets."""
+    rng = random.Random(1)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    decoder = Decoder()
+    ids = [0x101, 0x201, 0x401, 0x501, 0x1FF, 0x4FF, 0x5FF]
+    for _ in range(DAMAGED):
+        can_id = rng.choice(ids) if rng.random() < 0.7 else rng.getrandbits(11)
+        decoder.feed(Frame(0.0, can_id, rng.randbytes(rng.randint(0, 8)), rng.random() < 0.02))
+    accounted(decoder)
+
+    decoder = Decoder(lambda _: [Module(12)] * 3)
+    hub = VirtualIhb([Module(12)] * 3)
+    fed = good = delivered = 0
+    while fed < DAMAGED:
+        frames = mutated(rng, hub)
+        for frame in frames:
+            decoder.feed(frame)
+        counts = [rng.randint(1, 42_000) for _ in range(36)]
+        t = fed * 1.0  # long after the damage: a scan of its own
+        whole = [
+            frame
+            for command, payload in hub.sensor_data(counts)
+            for frame in cyskin.to_frames(command, payload, ihb=1, t=t)
+        ]
+        scans = [scan for frame in whole for scan in decoder.feed(frame)[1]]
+        delivered += any(list(scan.counts) == counts for scan in scans)
+        good += 1
+        fed += len(frames) + len(whole)
+    accounted(decoder)
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    return [
+        ("good scans lost after damage, of " + str(good), float(good - delivered), 0.0),
+        ("memory grown over 2 000 000 damaged frames, MB", grown, None),
+    ]
+
+
+def mutated(rng: random.Random, hub: VirtualIhb) -> list[Frame]:
+    """The frames of a scan with one thing wrong."""
+    frames = [
+        frame
+        for command, payload in hub.sensor_data([7] * 36)
+        for frame in cyskin.to_frames(command, payload, ihb=1)
+    ]
+    at = rng.randrange(len(frames))
+    what = rng.randrange(5)
+    if what == 0:
+        del frames[at]
+    elif what == 1:
+        frames.insert(at, frames[at])
+    elif what == 2:
+        rng.shuffle(frames)
+    elif what == 3:
+        data = bytearray(frames[at].data)
+        data[rng.randrange(len(data))] ^= 1 << rng.randrange(8)
+        frames[at] = frames[at]._replace(data=bytes(data))
+    else:
+        frames[at] = frames[at]._replace(can_id=rng.getrandbits(11))
+    return frames
+
+
+def accounted(decoder: Decoder) -> None:
+    stats = decoder.stats()
+    dropped = stats["dropped"]
+    assert isinstance(dropped, dict)
+    total = stats["used"] + sum(dropped.values()) + stats["pending"]  # type: ignore[operator]
+    assert total == stats["frames"]
+
+
+def coverage_guided() -> list[tuple[str, float, float | None]]:
+    """A bounded run of the coverage-guided fuzzer over every reader."""
+    fuzzer = Path(__file__).with_name("fuzz.py")
+    with tempfile.TemporaryDirectory() as corpus:
+        command = [sys.executable, str(fuzzer), f"-runs={FUZZ_RUNS}", "-max_len=600", corpus]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        print(done.stderr[-2000:])
+    return [(f"findings of the fuzzer in {FUZZ_RUNS} runs", float(done.returncode != 0), 0.0)]

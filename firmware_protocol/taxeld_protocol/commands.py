@@ -1,0 +1,114 @@
+"""CySkin's command table, both ways: the fields of each request and answer, and their bytes.
+
+A payload is a map of named integers; `version` answers hold text. Numbers are big-endian. What a
+table does not list has no payload. DECLARE's answer and SENSOR_DATA have lists and stand apart.
+"""
+
+import struct
+from collections.abc import Mapping
+from enum import IntEnum
+
+from taxeld_protocol.cyskin import Command
+
+Fields = Mapping[str, int]
+
+
+class Grouping(IntEnum):
+    """How a module's taxels are read together."""
+
+    NONE = 0x00
+    THREE = 0x50
+    ALL = 0xF0
+    AUTO = 0x88
+
+
+class CdcControl(IntEnum):
+    """State of a module's capacitance-to-digital converter."""
+
+    ENABLE = 0x00
+    DISABLE_EXCITATION = 0x50
+    DISABLE = 0xF0
+
+
+class CdcSpeed(IntEnum):
+    """Decimation of the converter: 256, 128, 64."""
+
+    SLOW = 0
+    AVERAGE = 1
+    FAST = 2
+
+
+COMM_SPEEDS_MBPS = (1, 2, 3, 4, 8)  # of the SPI between hub and modules
+
+Table = Mapping[Command, tuple[str, tuple[str, ...]]]  # struct format and the fields' names
+
+REQUESTS: Table = {
+    Command.DISCOVERY_RECV_ID: (">IB", ("uid", "short_id")),
+    Command.SET_MODULE_GROUPING: (">BB", ("module", "grouping")),
+    Command.SET_AUTO_SYNC: (">B", ("on",)),
+    Command.SET_AUTO_SYNC_PERIOD: (">H", ("period_ms",)),
+    Command.SET_COMM_SPEED: (">B", ("mbps",)),
+    Command.MODULE_DETAILS: (">B", ("module",)),
+    Command.MODULE_CDC_SPEED: (">BB", ("module", "speed")),
+    Command.MODULE_CDC_CONTROL: (">BB", ("module", "control")),
+    Command.MODULE_PHASE_SHIFT: (">B", ("value",)),
+    Command.MODULE_SET_CUT_SENSORS: (">BH", ("module", "mask")),
+}
+ANSWERS: Table = {
+    Command.DISCOVERY_PING: (">I", ("uid",)),
+    Command.ERROR: (">BB", ("failed", "error")),
+    Command.UID: (">I", ("uid",)),
+    Command.GET_COMM_SPEED: (">B", ("mbps",)),
+    Command.MODULE_DETAILS: (
+        ">BIBBHBB",
+        ("module", "sui", "channels", "grouping", "mask", "cdc_control", "cdc_speed"),
+    ),
+}
+TEXT_ANSWERS = frozenset(
+    (Command.VERSION, Command.MODULE_BTLDR_VERSION, Command.MODULE_APP_VERSION)
+)
+
+
+def request(command: Command, **fields: int) -> bytes:
+    """The payload of a request.
+
+    Raises:
+        ValueError: a field is missing, unknown, or does not fit: a programming error.
+    """
+    return _encode(REQUESTS, command, fields)
+
+
+def answer(command: Command, **fields: int) -> bytes:
+    """The payload of an answer.
+
+    Raises:
+        ValueError: as for `request`.
+    """
+    return _encode(ANSWERS, command, fields)
+
+
+def parse_request(command: int, payload: bytes) -> dict[str, int] | None:
+    """The fields of a request; None if the payload is not the command's."""
+    return _decode(REQUESTS, command, payload)
+
+
+def parse_answer(command: int, payload: bytes) -> dict[str, int] | None:
+    """The fields of an answer; None if the payload is not the command's."""
+    return _decode(ANSWERS, command, payload)
+
+
+def _encode(table: Table, command: Command, fields: Fields) -> bytes:
+    layout, names = table.get(command, (">", ()))
+    if fields.keys() != set(names):
+        raise ValueError(f"{command.name} takes {', '.join(names) or 'nothing'}, not {fields}")
+    try:
+        return struct.pack(layout, *(fields[name] for name in names))
+    except struct.error as error:
+        raise ValueError(f"{command.name}: {error}, in {fields}") from None
+
+
+def _decode(table: Table, command: int, payload: bytes) -> dict[str, int] | None:
+    layout, names = table.get(command, (">", ()))  # type: ignore[call-overload]
+    if len(payload) != struct.calcsize(layout):
+        return None
+    return dict(zip(names, struct.unpack(layout, payload), strict=True))
