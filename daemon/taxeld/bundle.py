@@ -1,6 +1,7 @@
 """Scene bundles: a directory with the scene, its samplers, and what is known about them."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -10,9 +11,14 @@ from taxeld import scene
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
 from taxeld.observation import ObservationModel
-from taxeld.proposals import Ddpm, Projection, Proposal
+from taxeld.proposals import Manifold, Projection, Proposal, Table
+from taxeld.sampler import Ddpm
 
 FORMAT = 1
+
+ANALYTIC: dict[str, Callable[[ObservationModel], Proposal]] = {
+    "projection": Projection, "manifold": Manifold, "table": Table,
+}  # fmt: skip
 
 _KEYS = {
     "format": int,
@@ -44,10 +50,12 @@ class Bundle:
         if sampler and sampler not in samplers:
             known = ", ".join(samplers) or "none"
             raise SetupError(f"filter.sampler: {self.path.name} has no '{sampler}'; it has {known}")
-        if name == "projection" or (name == "auto" and not samplers):
-            return Projection(self.model)
+        if name in ANALYTIC:
+            return ANALYTIC[name](self.model)
+        if not samplers and name == "auto":
+            return Table(self.model)
         if not samplers:
-            raise SetupError(f"filter.proposal: {self.path.name} holds no sampler; use projection")
+            raise SetupError(f"filter.proposal: {self.path.name} holds no sampler; use table")
         file = samplers[sampler] if sampler else next(iter(samplers.values()))
         return Ddpm(self.path / file, self.model.layout)
 

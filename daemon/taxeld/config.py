@@ -81,7 +81,9 @@ class LoopConfig:
 class FilterConfig:
     particles: int = key(100, between(2, 100_000), "N")
     injected: int = key(50, between(0, 10_000), "S, the most that a touch replaces")
-    proposal: str = key("auto", one_of("auto", "ddpm", "projection"), "where they come from")
+    proposal: str = key(
+        "auto", one_of("auto", "ddpm", "table", "manifold", "projection"), "where they come from"
+    )
     sampler: str = key("", doc="which of the bundle's samplers; empty: its first")
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")

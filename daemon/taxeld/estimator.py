@@ -53,6 +53,8 @@ class ProposalKind(IntEnum):
     NONE = 0
     PROJECTION = 1
     DDPM = 2
+    TABLE = 3
+    MANIFOLD = 4
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,15 +1,11 @@
 """Proposals: where object poses that explain a touch come from. One interface for all of them."""
 
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-import onnxruntime as ort
 from numpy.typing import NDArray
 
-from taxeld.contacts import synthesise
-from taxeld.errors import SetupError
-from taxeld.layout import Layout
+from taxeld import contacts, se2
 from taxeld.observation import ObservationModel
 from taxeld.se2 import Poses
 
@@ -39,61 +35,89 @@ class Projection:
         model = self._model
         found = np.empty((0, 3))
         while len(found) < n:
-            contacts = synthesise(
+            made = contacts.synthesise(
                 model.scene, model.layout.radius_m, model.depth_max_m, 2 * n + 8, rng
             )
-            found = np.concatenate([found, contacts.pose])
+            found = np.concatenate([found, made.pose])
         return found[:n]
 
 
-class Ddpm:
-    """The inverse observation model: an ONNX graph from touch and noise to poses.
+class Manifold:
+    """Analytic: a point of the outline, turned to face the touched side, as deep as was felt.
 
-    The touch is turned so that its strongest taxel's sector comes to angle 0, and the samples are
-    turned back; exact on a layout with that rotation symmetry.
+    Exact for a smooth convex outline but for how much the taxels tell of its curvature; it weighs
+    all points of the outline alike.
     """
 
-    name = "ddpm"
+    name = "manifold"
 
-    def __init__(self, path: Path, layout: Layout) -> None:
-        self._layout = layout
-        self._session = _session(path)
-        shapes = {i.name: i.shape for i in self._session.get_inputs()}
-        taxels = len(layout)
-        if shapes.get("z") != [1, taxels] or shapes.get("live") != [1, taxels]:
-            raise SetupError(f"{path}: is no sampler for a skin of {taxels} taxels")
-        noise = shapes.get("noise")
-        if noise is None or len(noise) != 3 or not isinstance(noise[0], int) or noise[2] != 4:
-            raise SetupError(f"{path}: has no noise input (steps, samples, 4)")
-        self._noise_steps = noise[0]
-        self.propose(np.eye(1, taxels)[0], np.ones(taxels, bool), 8, np.random.default_rng(0))
+    def __init__(self, model: ObservationModel) -> None:
+        self._model = model
+        outline = model.scene.outline
+        ahead, behind = np.roll(outline, -1, axis=0), np.roll(outline, 1, axis=0)
+        tangent = ahead - behind
+        area = np.sum(outline[:, 0] * ahead[:, 1] - ahead[:, 0] * outline[:, 1])
+        outwards = -np.pi / 2 if area > 0 else np.pi / 2  # of the tangent's direction
+        self._facing = np.arctan2(tangent[:, 1], tangent[:, 0]) + outwards
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
-        turns = self._layout.turns
-        turn = int(self._layout.sector[np.where(live, z, -1.0).argmax()])
-        taxels = turns[turn]
-        x, y, c, s = self._session.run(
-            None,
-            {
-                "z": z[None, taxels].astype(np.float32),
-                "live": live[None, taxels].astype(np.float32),
-                "noise": rng.standard_normal((self._noise_steps, n, 4), dtype=np.float32),
-            },
-        )[0].T.astype(np.float64)
-        angle = 2.0 * np.pi * turn / len(turns)
-        ct, st = np.cos(angle), np.sin(angle)
-        theta = np.arctan2(s, c) + angle
-        return np.column_stack([ct * x - st * y, st * x + ct * y, theta])
+        model = self._model
+        scene, radius_m = model.scene, model.layout.radius_m
+        felt = np.where(live, z, 0.0)
+        at = felt @ model.layout.position_m[:, :2]
+        touched = np.arctan2(at[1], at[0])
+        depth_m = float(felt.max()) * model.depth_max_m
+        i = rng.integers(len(scene.outline), size=n)
+        theta = se2.wrap(touched + np.pi - self._facing[i])
+        c, s = np.cos(theta), np.sin(theta)
+        x, y = scene.outline[i].T
+        gap = radius_m - depth_m
+        px = gap * np.cos(touched) - (c * x - s * y)
+        py = gap * np.sin(touched) - (s * x + c * y)
+        poses, _ = contacts.project(
+            scene, radius_m, np.column_stack([px, py, theta]), np.full(n, depth_m)
+        )
+        return poses
 
 
-def _session(path: Path) -> Any:
-    """One thread, no spinning: the loop's core is not to be fought over."""
-    options = ort.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 4  # what goes wrong is raised, and said once
-    try:
-        return ort.InferenceSession(path, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's own exceptions share no public base
-        reason = str(error).splitlines()[0]
-        raise SetupError(f"{path}: unreadable sampler ({reason}); build it again") from None
+class Table:
+    """The nearest of `size` stored contacts: what an engineer would try first.
+
+    The contacts are simulated when it is made, so nothing is shipped. On a layout with rotation
+    symmetry they are stored turned to their strongest taxel, and so is the question.
+    """
+
+    name = "table"
+
+    def __init__(self, model: ObservationModel, size: int = 10_000, seed: int = 0) -> None:
+        layout = model.layout
+        rng = np.random.default_rng(seed)
+        self._layout = layout
+        h, poses = np.empty((0, len(layout))), np.empty((0, 3))
+        while len(h) < size:
+            made = contacts.synthesise(model.scene, layout.radius_m, model.depth_max_m, size, rng)
+            felt = model.activation(made.pose)
+            kept = felt.max(axis=1) > 0.0
+            h, poses = np.concatenate([h, felt[kept]]), np.concatenate([poses, made.pose[kept]])
+        h, poses = h[:size], poses[:size]
+        turn = layout.sector[h.argmax(axis=1)]
+        self._h = np.take_along_axis(h, layout.turns[turn], axis=1).astype(np.float32)
+        self._square = np.square(self._h)
+        self._pose = _turned(poses, -2.0 * np.pi * turn / len(layout.turns))
+
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
+        layout = self._layout
+        turn = int(layout.sector[np.where(live, z, -1.0).argmax()])
+        taxels = layout.turns[turn]
+        mask = live[taxels].astype(np.float32)
+        gap = self._square @ mask - 2.0 * (self._h @ (z[taxels].astype(np.float32) * mask))
+        count = min(n, len(gap))
+        nearest = np.argpartition(gap, count - 1)[:count]
+        poses = self._pose[np.resize(nearest, n)]
+        return _turned(poses, np.full(n, 2.0 * np.pi * turn / len(layout.turns)))
+
+
+def _turned(poses: Poses, angle: Floats) -> Poses:
+    """Poses (N, 3) turned about the sensor's axis, each by its own angle."""
+    zero = np.zeros_like(angle)
+    return se2.compose(np.stack([zero, zero, angle], axis=1), poses)

@@ -12,7 +12,8 @@ from taxeld import bundle
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
 from taxeld.observation import Noise, ObservationModel
-from taxeld.proposals import Ddpm, Projection
+from taxeld.proposals import Projection
+from taxeld.sampler import Ddpm
 from taxeld_training import export, meshes, quality, scenes
 from taxeld_training.dataset import Batches, simulate
 from taxeld_training.diffusion import Denoiser, NetworkConfig, Sampler, flops

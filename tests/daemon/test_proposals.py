@@ -1,0 +1,97 @@
+"""Proposals: poses that explain a touch, as far as each claims to."""
+
+import numpy as np
+import pytest
+
+from taxeld import bundle, contacts, layout, se2
+from taxeld.config import SkinConfig
+from taxeld.observation import ObservationModel
+from taxeld.proposals import Manifold, Projection, Proposal, Table
+
+from .conftest import DEPTH_MAX_M
+
+LIVE = np.ones(32, dtype=bool)
+
+
+def touch(model: ObservationModel, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """A contact pose that is well felt, and its activations."""
+    rng = np.random.default_rng(seed)
+    poses = contacts.synthesise(model.scene, model.layout.radius_m, DEPTH_MAX_M, 200, rng).pose
+    h = model.activation(poses)
+    i = int(np.flatnonzero(h.max(axis=1) > 0.3)[0])
+    return poses[i], h[i]
+
+
+def misfit(model: ObservationModel, poses: np.ndarray, z: np.ndarray) -> float:
+    return float(np.median(np.abs(model.activation(poses) - z).sum(axis=1)))
+
+
+@pytest.mark.parametrize("make", [Projection, Manifold, Table])
+@pytest.mark.parametrize("n", [1, 7, 300])
+def test_any_number_of_contact_poses_is_proposed(
+    box_model: ObservationModel, make: type, n: int
+) -> None:
+    _, z = touch(box_model, 0)
+    poses = make(box_model).propose(z, LIVE, n, np.random.default_rng(0))
+    assert poses.shape == (n, 3)
+    gap = contacts.clearance(box_model.scene, 0.04, poses)
+    assert (np.abs(gap + DEPTH_MAX_M / 2) < DEPTH_MAX_M / 2 + 0.002).mean() > 0.95
+
+
+@pytest.mark.parametrize("make", [Manifold, Table])
+def test_the_informed_explain_the_touch_and_the_uninformed_do_not(
+    box_model: ObservationModel, make: type
+) -> None:
+    ratios = []
+    for seed in range(8):
+        _, z = touch(box_model, seed)
+        rng = np.random.default_rng(seed)
+        informed: Proposal = make(box_model)
+        ratios.append(
+            misfit(box_model, informed.propose(z, LIVE, 100, rng), z)
+            / misfit(box_model, Projection(box_model).propose(z, LIVE, 100, rng), z)
+        )
+    assert np.median(ratios) < 0.7
+
+
+def test_on_a_disc_the_manifold_is_the_answer(disc_model: ObservationModel) -> None:
+    """The centre of a round object lies where the touch points, as deep as it was felt."""
+    for angle in np.arange(16) * np.pi / 8:
+        truth = np.array([0.087 * np.cos(angle), 0.087 * np.sin(angle), 0.0])
+        z = disc_model.activation(truth[None])[0]
+        poses = Manifold(disc_model).propose(z, LIVE, 50, np.random.default_rng(0))
+        assert np.abs(poses[:, :2] - truth[:2]).max() < 0.001
+
+
+def test_the_table_answers_a_turned_touch_with_turned_poses(box_model: ObservationModel) -> None:
+    skin = box_model.layout
+    table, rng = Table(box_model, size=2000), np.random.default_rng(0)
+    _, z = touch(box_model, 1)
+    k = 5
+    back = np.array([0.0, 0.0, -2 * np.pi * k / len(skin.turns)])
+    one = table.propose(z, LIVE, 20, rng)
+    other = table.propose(z[skin.turns[k]], LIVE, 20, rng)
+    assert np.allclose(np.sort(se2.compose(back, one), axis=0), np.sort(other, axis=0), atol=1e-9)
+
+
+@pytest.mark.parametrize("make", [Manifold, Table])
+def test_dead_taxels_are_not_asked(box_model: ObservationModel, make: type) -> None:
+    _, z = touch(box_model, 2)
+    live = LIVE.copy()
+    live[np.flatnonzero(z == 0.0)[:5]] = False
+    lying = np.where(live, z, 1.0)
+    proposal: Proposal = make(box_model)
+    honest = proposal.propose(z, live, 30, np.random.default_rng(3))
+    assert np.array_equal(honest, proposal.propose(lying, live, 30, np.random.default_rng(3)))
+
+
+@pytest.mark.parametrize("name", ["ddpm", "table", "manifold", "projection", "auto"])
+def test_a_bundle_serves_every_proposal(name: str) -> None:
+    skin = layout.load(SkinConfig().layout)
+    proposal = bundle.load("mug", skin, DEPTH_MAX_M).proposal(name)
+    z = np.zeros(80)
+    z[[3, 19]] = 0.6
+    poses = proposal.propose(z, np.ones(80, dtype=bool), 25, np.random.default_rng(0))
+    assert poses.shape == (25, 3)
+    assert np.isfinite(poses).all()
+    assert proposal.name == {"auto": "ddpm"}.get(name, name)
