@@ -66,6 +66,7 @@ class SerialReader:
 
     counters: SerialCounters = field(default_factory=SerialCounters)
     _rest: bytearray = field(default_factory=bytearray)
+    _skipping: bool = False  # past a line that is too long, up to its delimiter
 
     @property
     def pending(self) -> int:
@@ -78,10 +79,13 @@ class SerialReader:
         counters.bytes += len(data)
         self._rest += data
         *frames, rest = self._rest.split(DELIMITER)
-        if len(rest) > MAX_ENCODED:  # no frame is that long: drop what cannot become one
+        if frames and self._skipping:
+            self._skipping = False
+            del frames[0]  # the end of a line that was too long
+        if len(rest) > MAX_ENCODED and not self._skipping:
             counters.length_errors += 1
-            rest = bytearray()
-        self._rest = rest
+            self._skipping = True  # no frame is that long: what follows, to its end, is none either
+        self._rest = bytearray() if self._skipping else rest
         packets = []
         for frame in frames:
             packet = self._decode(bytes(frame), t)

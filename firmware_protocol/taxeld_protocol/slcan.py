@@ -4,11 +4,13 @@
 carriage return. An adapter answers a host's commands with CR, or BEL where it cannot.
 """
 
+import re
 from dataclasses import dataclass, field
 
 from taxeld_protocol.frames import Frame
 
 CR, BEL = b"\r", b"\a"
+TIME_BYTES = 2  # an adapter may add its time stamp in ms
 MAX_LINE = 1 + 8 + 1 + 16 + 4  # of a frame, with an adapter's time stamp; anything longer is noise
 
 # Lawicel's bit rate codes
@@ -16,6 +18,11 @@ BITRATES = {
     10_000: b"S0", 20_000: b"S1", 50_000: b"S2", 100_000: b"S3", 125_000: b"S4",
     250_000: b"S5", 500_000: b"S6", 800_000: b"S7", 1_000_000: b"S8",
 }  # fmt: skip
+
+
+_LINE = re.compile(
+    rb"(?:t([0-7][0-9A-Fa-f]{2})|T([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2}){0,10})"
+)
 
 
 def encode(frame: Frame) -> bytes:
@@ -37,18 +44,15 @@ def split(buffer: bytes) -> tuple[list[bytes], bytes]:
 
 def parse(line: bytes, t: float = 0.0) -> Frame | None:
     """A line as a data frame, its time stamp passed over; None for answers and damage."""
-    digits = {b"t": 3, b"T": 8}.get(line[:1])
-    if digits is None or len(line) < digits + 2:
+    match = _LINE.fullmatch(line)
+    if match is None:
         return None
-    try:
-        can_id = int(line[1 : 1 + digits], 16)
-        length = int(line[1 + digits : 2 + digits])
-        data = bytes.fromhex(line[2 + digits :].decode("ascii"))
-    except ValueError:
+    short, long, length, digits = match.groups()
+    size = int(length)
+    data = bytes.fromhex(digits.decode())
+    if len(data) not in (size, size + TIME_BYTES):
         return None
-    if length > 8 or len(data) not in (length, length + 2) or b" " in line:
-        return None
-    return Frame(t, can_id, data[:length], digits == 8)
+    return Frame(t, int(long or short, 16), data[:size], long is not None)
 
 
 @dataclass(slots=True)

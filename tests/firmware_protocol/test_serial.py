@@ -122,6 +122,26 @@ def test_slcan_frames_survive_the_noise_before_them(noise: list[bytes]) -> None:
     assert reader.feed(b"\r" + slcan.encode(frame), 0.0)[-1] == frame
 
 
+@pytest.mark.parametrize(
+    "line", [b"t1_00", b"t+1F0", b"T0x00000f0", b"tFFF0", b"TFFFFFFFF0", b"t1019", b"t1011 1"]
+)
+def test_what_only_looks_like_a_number_is_no_frame(line: bytes) -> None:
+    assert slcan.parse(line) is None
+
+
+@given(st.lists(st.binary(min_size=200, max_size=400), max_size=6), st.lists(st.integers(0, 10**6)))
+def test_the_pieces_a_line_comes_in_do_not_matter(noise: list[bytes], cuts: list[int]) -> None:
+    """Packets and counters are the same however a line is cut, over-long frames included."""
+    line = b"".join(noise) + serial_link.encode(0x3B, ihb=1) + serial_link.encode(0x3C, ihb=2)
+    whole, cut = SerialReader(), SerialReader()
+    wanted = whole.feed(line, 0.0)
+    assert [p for piece in pieces(line, cuts) for p in cut.feed(piece, 0.0)] == wanted
+    bytewise = SerialReader()
+    assert [p for byte in line for p in bytewise.feed(bytes((byte,)), 0.0)] == wanted
+    assert bytewise.counters == whole.counters
+    assert cut.counters == whole.counters
+
+
 def test_a_time_stamp_is_passed_over() -> None:
     assert slcan.parse(b"t1012AABB1F00") == Frame(0.0, 0x101, b"\xaa\xbb")
     assert slcan.parse(b"t1012AABB1F") is None
