@@ -1,0 +1,60 @@
+"""Metrics against closed forms."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from taxeld import layout, se2
+from taxeld.observation import ObservationModel
+from taxeld.symmetry import add_m
+from taxeld_training import scenes
+from taxeld_training.dataset import simulate
+from taxeld_training.metrics import add, add_s, add_symmetric, sample_errors
+
+SKIN = layout.load("cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015")
+
+
+@pytest.fixture(scope="module")
+def model() -> ObservationModel:
+    mesh = trimesh.creation.box((0.06, 0.1, 0.1))
+    mesh.apply_translation([0.0, 0.0, 0.05])
+    return ObservationModel(scenes.build(mesh, SKIN, 0.04), SKIN, 0.005)
+
+
+def test_a_shift_is_its_length_by_every_add_but_the_nearest(model: ObservationModel) -> None:
+    truth = np.array([0.1, 0.2, 0.4])
+    moved = truth + np.array([[0.003, 0.004, 0.0], [0.0, 0.0, 0.0]])
+    assert np.allclose(add(model.scene, moved, truth), [0.005, 0.0])
+    assert np.allclose(add_symmetric(model.scene, moved, truth), [0.005, 0.0])
+    nearest = add_s(model.scene, moved, truth)
+    assert nearest[1] < 1e-12
+    assert 0.0 < nearest[0] < 0.005
+
+
+def test_a_half_turn_is_far_by_add_alone(model: ObservationModel) -> None:
+    truth = np.array([0.1, 0.2, 0.4])
+    turned = se2.compose(truth, se2.rotation_about(model.scene.centre, np.pi))[None]
+    assert add(model.scene, turned, truth)[0] > 0.05
+    assert add_symmetric(model.scene, turned, truth)[0] < 1e-9
+    assert add_s(model.scene, turned, truth)[0] < 0.002  # the surface points are 5 mm apart
+
+
+def test_the_two_adds_are_the_runtimes(model: ObservationModel) -> None:
+    rng = np.random.default_rng(0)
+    truth, poses = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, (5, 3))
+    both = np.array([add_m(model.scene, pose, truth) for pose in poses])
+    assert np.allclose(add(model.scene, poses, truth), both[:, 0])
+    assert np.allclose(add_symmetric(model.scene, poses, truth), both[:, 1])
+
+
+def test_residuals_are_zero_at_the_truth_and_measure_what_is_off(model: ObservationModel) -> None:
+    touch = simulate(model, 1, np.random.default_rng(0))
+    truth, z = touch.pose[0], touch.activation[0].astype(float)
+    direction = truth[:2] / np.linalg.norm(truth[:2])
+    farther = truth + np.array([*(0.002 * direction), 0.0])
+    errors = sample_errors(model, z, truth, np.stack([truth, farther]))
+    assert errors.contact_residual_mm[0] == pytest.approx(0.0, abs=1e-9)
+    assert 0.5 < errors.contact_residual_mm[1] <= 2.01
+    assert errors.observation_residual[0] < 1e-6
+    assert errors.observation_residual[1] > 0.05
+    assert errors.add_mm[1] == pytest.approx(2.0)
