@@ -53,7 +53,7 @@ def add(scene: Scene, poses: Poses, truth: Poses) -> Floats:
 def add_symmetric(scene: Scene, poses: Poses, truth: Poses) -> Floats:
     """The least ADD (n,) [m] to any pose that touch cannot tell from `truth`."""
     equivalent = se2.compose(truth, scene.equivalents)
-    return np.min([add(scene, poses, pose) for pose in equivalent], axis=0)
+    return np.asarray(np.min([add(scene, poses, pose) for pose in equivalent], axis=0))
 
 
 def add_s(scene: Scene, poses: Poses, truth: Poses) -> Floats:
