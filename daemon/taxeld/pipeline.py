@@ -58,6 +58,7 @@ class Pipeline:
     def __init__(
         self, config: Config, layout: Layout, bundle: Bundle, clock: ClockNs = no_clock
     ) -> None:
+        self.config = config
         self.clock = clock
         self.skin = Skin(layout, config.skin)
         self.poses: PoseTrack | StandingStill = StandingStill()

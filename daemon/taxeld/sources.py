@@ -11,16 +11,16 @@ from typing import Any, Protocol
 import can
 import serial
 
-from taxeld import session
-from taxeld.bring_up import BringUp, Request
+from taxeld import dialects, session
+from taxeld.bring_up import Request
 from taxeld.config import SourceConfig
+from taxeld.dialects import Dialect
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
-from taxeld_protocol import cyskin, serial_link
+from taxeld_protocol import serial_link
 from taxeld_protocol.cyskin import BROADCAST, Packet
-from taxeld_protocol.decoder import Decoder, Scan
+from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
 
 FRAMES_PER_POLL = 1000  # a flooded bus may not hold the loop; the rest waits for the next tick
@@ -30,7 +30,7 @@ BYTES_PER_POLL = 65536
 class Source(Protocol):
     """What the loop asks of a source."""
 
-    decoder: Decoder
+    decoder: ScanDecoder
     io_errors: int
 
     def poll(self, now_s: float) -> list[Scan]:
@@ -46,24 +46,21 @@ def open_source(config: SourceConfig, layout: Layout) -> Source:
     Raises:
         SetupError: the device or session cannot be opened.
     """
-    asked = config.kind != "replay" and not config.listen_only
-    # who asks the hubs for their modules must not guess them
-    modules = wired(layout.uid.tolist())
-    decoder = Decoder(None if asked else lambda _: modules)
     if config.kind == "can":
-        return CanSource(config, decoder)
+        return CanSource(config, dialects.live(config, layout))
     if config.kind == "serial":
-        return SerialSource(config, decoder)
-    return ReplaySource(session.read_frames(Path(config.path) / session.FRAMES), decoder)
+        return SerialSource(config, dialects.live(config, layout))
+    frames = session.read_frames(Path(config.path) / session.FRAMES)
+    return ReplaySource(frames, dialects.listener(config, layout))
 
 
 class _Live:
     """What CAN and serial share: bring-up, and scans as packets complete them."""
 
-    def __init__(self, config: SourceConfig, decoder: Decoder) -> None:
-        self.decoder = decoder
+    def __init__(self, dialect: Dialect) -> None:
+        self.decoder = dialect.decoder
         self.io_errors = 0
-        self._bring_up = None if config.listen_only else BringUp(decoder, config.period_ms)
+        self._bring_up = dialect.bring_up
 
     def poll(self, now_s: float) -> list[Scan]:
         scans: list[Scan] = []
@@ -99,8 +96,9 @@ class _Live:
 class CanSource(_Live):
     """Frames of any interface that python-can knows."""
 
-    def __init__(self, config: SourceConfig, decoder: Decoder) -> None:
-        super().__init__(config, decoder)
+    def __init__(self, config: SourceConfig, dialect: Dialect) -> None:
+        super().__init__(dialect)
+        self._to_frames = dialect.to_frames
         self._bus = _open_bus(config)
         self._port = getattr(self._bus, "serialPortOrig", None)  # of slcan
 
@@ -118,8 +116,7 @@ class CanSource(_Live):
                     break
                 continue
             if message.is_error_frame or message.is_remote_frame or message.is_fd:
-                self.decoder.link.counters.frames += 1
-                self.decoder.link.counters.foreign += 1
+                self.decoder.drop_foreign()
                 continue
             frame = Frame(
                 message.timestamp,
@@ -131,7 +128,7 @@ class CanSource(_Live):
         return out
 
     def _send(self, command: int, payload: bytes) -> None:
-        for frame in cyskin.to_frames(command, payload, ihb=BROADCAST):
+        for frame in self._to_frames(command, payload):
             message = can.Message(
                 arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
             )
@@ -156,8 +153,10 @@ class CanSource(_Live):
 class SerialSource(_Live):
     """Packets of the native serial link."""
 
-    def __init__(self, config: SourceConfig, decoder: Decoder) -> None:
-        super().__init__(config, decoder)
+    def __init__(self, config: SourceConfig, dialect: Dialect) -> None:
+        super().__init__(dialect)
+        assert isinstance(dialect.decoder, Decoder)  # noqa: S101  (the configuration looked)
+        self._on_packet = dialect.decoder.on_packet
         try:
             self._port = serial.Serial(config.channel, config.baud, timeout=0, write_timeout=0.1)
         except (OSError, ValueError) as error:
@@ -171,7 +170,7 @@ class SerialSource(_Live):
             self.io_errors += 1
             return []
         packets = self.reader.feed(data, time.time())
-        return [(packet, self.decoder.on_packet(packet)) for packet in packets]
+        return [(packet, self._on_packet(packet)) for packet in packets]
 
     def _send(self, command: int, payload: bytes) -> None:
         try:
@@ -186,7 +185,7 @@ class SerialSource(_Live):
 class ReplaySource:
     """A recorded log at the pace it was recorded, its times moved to now."""
 
-    def __init__(self, frames: list[Frame], decoder: Decoder) -> None:
+    def __init__(self, frames: list[Frame], decoder: ScanDecoder) -> None:
         self.decoder = decoder
         self.io_errors = 0
         self.shift_s: float | None = None  # recorded time → Unix time, known from the first poll
