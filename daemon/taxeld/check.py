@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from taxeld import bundle, layout, session
+from taxeld import bundle, dialects, layout, session
 from taxeld.config import Config, SourceConfig
 from taxeld.errors import SetupError
 
@@ -18,6 +18,7 @@ def faults(config: Config) -> list[str]:
         found.append(str(error))
     else:
         try:
+            dialects.listener(config.source, skin)
             loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
             loaded.proposal(config.filter.proposal, config.filter.sampler)
         except SetupError as error:

@@ -78,7 +78,7 @@ def _decode(args: argparse.Namespace) -> int:
     modules = None
     if args.config:
         modules = wired(layout.read(load(args.config).skin.layout).uid.tolist())
-    for line in decode(args.log, modules):
+    for line in decode(args.log, modules, args.dialect):
         print(line)
     return 0
 
@@ -138,7 +138,7 @@ def _parser() -> argparse.ArgumentParser:
 
     decode = commands.add_parser("decode", help="candump log → a JSON line a scan, then counters")
     decode.add_argument("log", type=Path, metavar="LOG")
-    decode.add_argument("--dialect", choices=["cyskin"], default="cyskin")
+    decode.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
     decode.add_argument("--config", type=Path, help="whose layout gives the module table")
     decode.set_defaults(command=_decode)
 

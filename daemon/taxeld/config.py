@@ -8,6 +8,7 @@ from pathlib import Path
 
 from taxeld import toml_tables
 from taxeld.toml_tables import ConfigError, between, key, one_of
+from taxeld_protocol import icub
 from taxeld_protocol.slcan import BITRATES
 
 
@@ -29,6 +30,13 @@ def _all_local(endpoints: tuple[str, ...]) -> str | None:
     return next((fault for fault in map(_local, endpoints) if fault), None)
 
 
+def _boards(boards: tuple[int, ...]) -> str | None:
+    if boards and len(set(boards)) == len(boards) and all(b in icub.BOARDS for b in boards):
+        return None
+    first, last = icub.BOARDS[0], icub.BOARDS[-1]
+    return f"must be different boards of {first}..{last}, not {list(boards)}"
+
+
 @dataclass(frozen=True, slots=True)
 class SkinConfig:
     layout: str = key(
@@ -47,7 +55,10 @@ class SkinConfig:
 @dataclass(frozen=True, slots=True)
 class SourceConfig:
     kind: str = key(check=one_of("can", "serial", "replay"), doc="where frames come from")
-    dialect: str = key("cyskin", one_of("cyskin"), "the skin's protocol")
+    dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol")
+    boards: tuple[int, ...] = key(
+        tuple(icub.BOARDS), _boards, "dialect icub: the part's boards, in its layout's order"
+    )
     interface: str = key("socketcan", doc="kind can: any python-can interface")
     channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
     bitrate: int = key(1_000_000, _bit_rate, "bit/s of the CAN bus")
@@ -139,6 +150,8 @@ def parse(text: str, name: str = "configuration") -> Config:
     config = toml_tables.parse(Config, text, name)
     faults: list[str] = []
     _check_source(config.source, faults)
+    if config.source.dialect == "icub":
+        _check_icub(config, faults)
     if faults:
         raise ConfigError(faults)
     return config
@@ -149,3 +162,19 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
         faults.append(f"source.channel: is required for kind '{source.kind}'")
     if source.kind == "replay" and not source.path:
         faults.append("source.path: is required for kind 'replay'")
+
+
+def _check_icub(config: Config, faults: list[str]) -> None:
+    source, counts = config.source, config.skin.full_scale_counts
+    if source.kind == "serial" and source.framing == "native":
+        faults.append("source.dialect: icub is spoken on CAN alone; use framing 'slcan'")
+    if source.period_ms > icub.PERIOD_MAX_MS:
+        faults.append(
+            f"source.period_ms: must be 1..{icub.PERIOD_MAX_MS} with dialect icub, "
+            f"not {source.period_ms}"
+        )
+    if counts > icub.VALUE_MAX:
+        faults.append(
+            f"skin.full_scale_counts: must be 1..{icub.VALUE_MAX} with dialect icub, "
+            f"whose values have 8 bits, not {counts:g}"
+        )

@@ -7,16 +7,20 @@ from pathlib import Path
 from taxeld.errors import SetupError
 from taxeld.session import log_lines
 from taxeld_protocol.cyskin import Command
-from taxeld_protocol.decoder import Decoder, Scan
+from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
 from taxeld_protocol.frames import Frame
+from taxeld_protocol.icub_decoder import IcubDecoder
 from taxeld_protocol.modules import NAMES, Module
 
 
-def decode(path: Path, modules: Sequence[Module] | None) -> Iterator[str]:
+def decode(
+    path: Path, modules: Sequence[Module] | None = None, dialect: str = "cyskin"
+) -> Iterator[str]:
     """The log's scans and a last line {"stats": …}.
 
-    A hub's module table is what its DECLARE and DETAILS answers say, wherever in the log they
-    stand; else `modules`; else full modules of twelve channels, as many as its packets reach.
+    The module table of a CySkin hub is what its DECLARE and DETAILS answers say, wherever in the
+    log they stand; else `modules`; else full modules of twelve channels, as many as its packets
+    reach. That of an iCub board is the triangles that it sends.
 
     Raises:
         SetupError: the log is unreadable or holds no frame at all.
@@ -30,8 +34,12 @@ def decode(path: Path, modules: Sequence[Module] | None) -> Iterator[str]:
             frames.append(line.frame)
     if not frames:
         raise SetupError(f"{path}: holds no candump line; expected '(t) can0 101#431A…'")
-    tables = _tables(frames, modules)
-    decoder = Decoder(lambda ihb: tables.get(ihb, ()))
+    decoder: ScanDecoder
+    if dialect == "icub":
+        decoder = IcubDecoder()
+    else:
+        tables = _tables(frames, modules)
+        decoder = Decoder(lambda ihb: tables.get(ihb, ()))
     for frame in frames:
         yield from map(_line, decoder.feed(frame)[1])
     yield from map(_line, decoder.flush())

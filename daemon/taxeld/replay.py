@@ -5,13 +5,11 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from taxeld import bundle, layout, messages, session
+from taxeld import bundle, dialects, layout, messages, session
 from taxeld.config import Config, SensorPoseConfig
 from taxeld.pipeline import Outcome, Pipeline, is_valid
 from taxeld.poses import PoseTrack
 from taxeld.wire import Wire
-from taxeld_protocol.decoder import Decoder
-from taxeld_protocol.modules import wired
 
 
 def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator[str]:
@@ -49,8 +47,8 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     items = session.read_input(directory)
     track = pipeline.poses if isinstance(pipeline.poses, PoseTrack) else None
     poses = iter(session.read_poses(directory / session.POSES) if track else [])
-    modules = wired(pipeline.skin.layout.uid.tolist())
-    wire = Wire(pipeline.config.source, Decoder(lambda _: modules))
+    decoder = dialects.listener(pipeline.config.source, pipeline.skin.layout)
+    wire = Wire(pipeline.config.source, decoder)
     coming = next(poses, None)
     for item in items:
         # as in the daemon, a scan is taken when its last frame is there, and so are the poses

@@ -14,18 +14,18 @@ from typing import Any, Protocol
 import can
 import serial
 
-from taxeld import session
-from taxeld.bring_up import BringUp, Request
+from taxeld import dialects, session
+from taxeld.bring_up import Request
 from taxeld.config import SourceConfig
+from taxeld.dialects import Dialect, ToFrames
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
 from taxeld.session import Chunk, Recorder
 from taxeld.wire import Heard, Wire
-from taxeld_protocol import cyskin, serial_link, slcan
+from taxeld_protocol import serial_link, slcan
 from taxeld_protocol.cyskin import BROADCAST
-from taxeld_protocol.decoder import Decoder, Scan
+from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import wired
 
 FRAMES_PER_POLL = 1000  # a flooded bus may not hold the loop; the rest waits for the next tick
 BYTES_PER_POLL = 65536
@@ -61,14 +61,11 @@ def open_source(config: SourceConfig, layout: Layout, recorder: Recorder | None 
     Raises:
         SetupError: the device or session cannot be opened.
     """
-    asked = config.kind != "replay" and not config.listen_only
-    modules = wired(layout.uid.tolist())
-    # who asks the hubs for their modules must not guess them
-    wire = Wire(config, Decoder(None if asked else lambda _: modules))
     if config.kind == "replay":
+        wire = Wire(config, dialects.listener(config, layout))
         return ReplaySource(session.read_input(Path(config.path)), wire)
     device = _CanDevice if config.kind == "can" else _SerialDevice
-    return LiveSource(config, wire, device, recorder)
+    return LiveSource(config, dialects.live(config, layout), device, recorder)
 
 
 class LostError(Exception):
@@ -78,7 +75,8 @@ class LostError(Exception):
 class Device(Protocol):
     """An open CAN interface or serial line."""
 
-    noise: int
+    noise: int  # reads that could not be decoded, and
+    foreign: int  # frames that are no classic data frames, since last taken
 
     def read(self) -> list[Frame] | list[Chunk]:
         """What has arrived. Raises LostError."""
@@ -97,15 +95,15 @@ class LiveSource:
     def __init__(
         self,
         config: SourceConfig,
-        wire: Wire,
-        device: Callable[[SourceConfig], Device],
+        dialect: Dialect,
+        device: Callable[[SourceConfig, ToFrames], Device],
         recorder: Recorder | None,
     ) -> None:
-        self.wire = wire
+        self.wire = Wire(config, dialect.decoder)
         self.counters = SourceCounters()
-        self._open: Callable[[], Device] = lambda: device(config)
+        self._open: Callable[[], Device] = lambda: device(config, dialect.to_frames)
         self._recorder = recorder
-        self._bring_up = None if config.listen_only else BringUp(wire.decoder, config.period_ms)
+        self._bring_up = dialect.bring_up
         self._device: Device | None = self._open()
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
 
@@ -136,7 +134,9 @@ class LiveSource:
             if packet is not None and self._bring_up is not None:
                 requests += self._bring_up.on_packet(packet)
         self.counters.noise += device.noise
-        device.noise = 0
+        for _ in range(device.foreign):
+            self.wire.decoder.drop_foreign()
+        device.noise = device.foreign = 0
         if self._bring_up is not None:
             if scans:
                 self._bring_up.on_scan(now_s)
@@ -188,8 +188,9 @@ class LiveSource:
 class _CanDevice:
     """Any interface that python-can knows."""
 
-    def __init__(self, config: SourceConfig) -> None:
-        self.noise = 0
+    def __init__(self, config: SourceConfig, to_frames: ToFrames) -> None:
+        self.noise = self.foreign = 0
+        self._to_frames = to_frames
         self._bus = _open_bus(config)
         self._port = getattr(self._bus, "serialPortOrig", None)  # of slcan
 
@@ -209,8 +210,7 @@ class _CanDevice:
                     break
                 continue
             if message.is_error_frame or message.is_remote_frame or message.is_fd:
-                # what CySkin never sends: a frame whose id no fragment has, counted as foreign
-                frames.append(Frame(message.timestamp, 0, b""))
+                self.foreign += 1
                 continue
             frames.append(
                 Frame(
@@ -223,7 +223,8 @@ class _CanDevice:
         return frames
 
     def write(self, command: int, payload: bytes) -> list[Frame]:
-        frames = cyskin.to_frames(command, payload, ihb=BROADCAST, t=time.time())
+        now = time.time()
+        frames = [frame._replace(t=now) for frame in self._to_frames(command, payload)]
         for frame in frames:
             message = can.Message(
                 arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
@@ -256,8 +257,9 @@ class _CanDevice:
 class _SerialDevice:
     """A serial line: the native link, or SLCAN."""
 
-    def __init__(self, config: SourceConfig) -> None:
-        self.noise = 0
+    def __init__(self, config: SourceConfig, to_frames: ToFrames) -> None:
+        self.noise = self.foreign = 0
+        self._to_frames = to_frames
         self._slcan = config.framing == "slcan"
         try:
             self._port = serial.Serial(
@@ -278,8 +280,7 @@ class _SerialDevice:
 
     def write(self, command: int, payload: bytes) -> list[Frame]:
         if self._slcan:
-            frames = cyskin.to_frames(command, payload, ihb=BROADCAST)
-            line = b"".join(map(slcan.encode, frames))
+            line = b"".join(map(slcan.encode, self._to_frames(command, payload)))
         else:
             line = serial_link.encode(command, payload, ihb=BROADCAST)
         try:

@@ -3,9 +3,10 @@
 from typing import NamedTuple
 
 from taxeld.config import SourceConfig
+from taxeld.errors import SetupError
 from taxeld.session import Chunk
 from taxeld_protocol.cyskin import Packet
-from taxeld_protocol.decoder import Decoder, Scan
+from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import SerialCounters, SerialReader
 from taxeld_protocol.slcan import SlcanReader
@@ -21,7 +22,7 @@ class Heard(NamedTuple):
 class Wire:
     """Frames of a CAN bus, or bytes of a serial line, through the decoder."""
 
-    def __init__(self, config: SourceConfig, decoder: Decoder) -> None:
+    def __init__(self, config: SourceConfig, decoder: ScanDecoder) -> None:
         self.decoder = decoder
         self._slcan = SlcanReader() if config.framing == "slcan" else None
         self._native = SerialReader()
@@ -37,9 +38,15 @@ class Wire:
         return self.data(item.data, t)
 
     def data(self, data: bytes, t: float) -> list[Heard]:
-        """Take bytes of a serial line, in pieces of any size, that were read at time `t`."""
+        """Take bytes of a serial line, in pieces of any size, that were read at time `t`.
+
+        Raises:
+            SetupError: a dialect that has no packets is configured for a line that carries them.
+        """
         if self._slcan is not None:
             return [self.frame(frame) for frame in self._slcan.feed(data, t)]
+        if not isinstance(self.decoder, Decoder):
+            raise SetupError("source.framing: 'native' carries CySkin packets alone; use slcan")
         packets = self._native.feed(data, t)
         return [Heard(packet, self.decoder.on_packet(packet)) for packet in packets]
 

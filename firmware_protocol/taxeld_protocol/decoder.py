@@ -4,6 +4,7 @@ import struct
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from itertools import accumulate
+from typing import Protocol
 
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command, Packet, Reassembler
@@ -38,6 +39,18 @@ class Scan:
             out.append([None if value == MISSING else value for value in part])
             at += module.channels
         return out
+
+
+class ScanDecoder(Protocol):
+    """Frames in, scans out: what the decoders of all dialects do."""
+
+    def feed(self, frame: Frame) -> tuple[Packet | None, list[Scan]]: ...
+
+    def drop_foreign(self) -> None: ...
+
+    def flush(self) -> list[Scan]: ...
+
+    def stats(self) -> dict[str, int | dict[str, int]]: ...
 
 
 @dataclass(slots=True)
@@ -101,6 +114,11 @@ class Decoder:
         if packet is None:
             return None, []
         return packet, self.on_packet(packet)
+
+    def drop_foreign(self) -> None:
+        """Count a frame that is no classic data frame."""
+        self.link.counters.frames += 1
+        self.link.counters.foreign += 1
 
     def on_packet(self, packet: Packet) -> list[Scan]:
         """Take a packet that came whole, from CAN or a serial link."""

@@ -1,0 +1,114 @@
+"""iCub skin on CAN: a triangle's twelve values in two frames, and the commands to a board.
+
+A board sends each of its triangles, in ascending order, as a head and a tail under the id
+`0x400 | board << 4 | triangle` (0x300 until it has been configured, and in old firmware):
+
+    head  40 t0 t1 t2 t3 t4 t5 t6
+    tail  C0 t7 t8 t9 t10 t11 eH eL
+
+Values have 8 bits and fall with pressure, from about 240 when idle. The error word eH eL has a bit
+for each taxel out of range (4 + k for taxel k), bit 0 for a triangle that did not acknowledge and
+bit 1 for one that is not connected; the shorter tails of old firmware come without it. There is no
+counter, no time and no checksum beside CAN's own.
+"""
+
+from enum import StrEnum
+from typing import NamedTuple
+
+from taxeld_protocol.frames import Frame
+
+BOARDS = range(1, 15)
+TRIANGLES = 16  # that a board has places for
+CHANNELS = 12  # of a triangle
+THERMAL = (6, 10)  # channels that are thermal pads on every triangle
+
+COMMAND, OLD_DATA, DATA = 0x200, 0x300, 0x400
+HEAD, TAIL = 0x40, 0xC0
+HEAD_VALUES, TAIL_VALUES = 7, 5
+
+NO_ACKNOWLEDGE, NOT_CONNECTED = 1 << 0, 1 << 1
+OUT_OF_RANGE_SHIFT = 4
+VALUE_MAX = 255
+ALL_CHANNELS = (1 << CHANNELS) - 1
+
+SET_TX_MODE, SET_BOARD, SET_TRIANGLES = 0x07, 0x4D, 0x50
+START, STOP = bytes((SET_TX_MODE, 0)), bytes((SET_TX_MODE, 1))
+PERIOD_MAX_MS = 255
+SKIN_TYPE = 0  # with temperature drift compensated on the board
+NO_LOAD = 0xF0  # the value that boards are asked to idle at
+SHIFT, CDC_OFFSET = 2, 0x2200  # of the firmware
+
+
+class Drop(StrEnum):
+    """Why a frame carries no half of a triangle."""
+
+    FOREIGN = "foreign"  # an extended id, or none of a skin board's data
+    MARK = "mark"  # first byte neither head nor tail
+    LENGTH = "length"
+
+
+class Half(NamedTuple):
+    """The head or the tail of a triangle."""
+
+    board: int
+    triangle: int
+    first: int  # channel of the first value: 0 in a head, 7 in a tail
+    values: bytes
+    error: int = 0  # a tail's error word; 0 in a head and without diagnostics
+
+    @property
+    def is_tail(self) -> bool:
+        return self.first > 0
+
+
+def read(frame: Frame) -> Half | Drop:
+    """The half that a frame carries, or why it carries none."""
+    kind, board, triangle = frame.can_id & ~0xFF, frame.can_id >> 4 & 0xF, frame.can_id & 0xF
+    if frame.extended or kind not in (DATA, OLD_DATA) or board not in BOARDS:
+        return Drop.FOREIGN
+    data = frame.data
+    if not data:
+        return Drop.LENGTH
+    if data[0] == HEAD:
+        if len(data) != 1 + HEAD_VALUES:
+            return Drop.LENGTH
+        return Half(board, triangle, 0, data[1:])
+    if data[0] == TAIL:
+        end = 1 + TAIL_VALUES
+        if not end <= len(data) <= end + 2:
+            return Drop.LENGTH
+        error = int.from_bytes(data[end:]) if len(data) == end + 2 else 0
+        return Half(board, triangle, HEAD_VALUES, data[1:end], error)
+    return Drop.MARK
+
+
+def unusable(error: int) -> int:
+    """The channels whose values an error word takes back: bit k for channel k."""
+    if error & (NO_ACKNOWLEDGE | NOT_CONNECTED):
+        return ALL_CHANNELS
+    return error >> OUT_OF_RANGE_SHIFT
+
+
+def set_board(period_ms: int, skin_type: int = SKIN_TYPE, no_load: int = NO_LOAD) -> bytes:
+    """The command that sets a board's period [ms, 1..255] and its idle value."""
+    if not 1 <= period_ms <= PERIOD_MAX_MS:
+        raise ValueError(f"a period of {period_ms} ms is not 1..{PERIOD_MAX_MS}")
+    return bytes((SET_BOARD, skin_type, period_ms, no_load))
+
+
+def set_triangles(
+    first: int = 0,
+    last: int = TRIANGLES - 1,
+    *,
+    enable: bool = True,
+    shift: int = SHIFT,
+    cdc_offset: int = CDC_OFFSET,
+) -> bytes:
+    """The command that sets up triangles first..last: whether they are sent, the bits that a raw
+    capacitance is shifted by, and its offset (u16)."""
+    return bytes((SET_TRIANGLES, first, last, shift, enable)) + cdc_offset.to_bytes(2, "little")
+
+
+def to_frames(board: int, command: bytes, t: float = 0.0) -> list[Frame]:
+    """A command to a board, which fits one CAN frame."""
+    return [Frame(t, COMMAND | board, command)]
