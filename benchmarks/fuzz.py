@@ -11,6 +11,7 @@ with atheris.instrument_imports():
     from taxeld_protocol import slcan
     from taxeld_protocol.decoder import Decoder
     from taxeld_protocol.frames import Frame, parse_log_line
+    from taxeld_protocol.icub_decoder import IcubDecoder
     from taxeld_protocol.serial_link import SerialReader
     from taxeld_protocol.slcan import SlcanReader
 
@@ -19,7 +20,7 @@ def one_input(data: bytes) -> None:
     provider = atheris.FuzzedDataProvider(data)
     which = provider.ConsumeIntInRange(0, 3)
     if which == 0:
-        decoder = Decoder()
+        decoder = Decoder() if provider.ConsumeBool() else IcubDecoder()
         while provider.remaining_bytes():
             can_id = provider.ConsumeIntInRange(0, 0x7FF)
             payload = provider.ConsumeBytes(provider.ConsumeIntInRange(0, 8))
