@@ -111,7 +111,6 @@ class Estimator:
         self.noise = Noise(config.noise_sigma, config.gain_cv, config.outliers)
         self.metric = PoseMetric(model.scene)
         self.counters = EstimatorCounters()
-        self.propose_ns: int = 0
         self.reset()
 
     def reset(self) -> None:
