@@ -36,9 +36,9 @@ def main() -> int:
     wire = [row(*figures) for figures in protocol.rows()]
     rows = [*installed(), *wire, *touches(), idle_tick(), *([] if args.no_demo else demo())]
     print(f"{'figure':52s} {'measured':>12s} {'budget':>10s}")
-    for row in rows:
-        budget = "" if row["budget"] is None else f"{row['budget']:10.2f}"
-        print(f"{row['figure']:52s} {row['measured']:12.3f} {budget:>10s}")
+    for line in rows:
+        budget = "" if line["budget"] is None else f"{line['budget']:10.2f}"
+        print(f"{line['figure']:52s} {line['measured']:12.3f} {budget:>10s}")
     if args.json:
         args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     return 0

@@ -56,7 +56,8 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
     to_frames = partial(cyskin.to_frames, ihb=BROADCAST)
     if config.listen_only:
         return Dialect(listener(config, layout), None, to_frames)
-    decoder = Decoder()  # who asks the hubs for their modules must not guess them
+    # who asks the hubs for their modules must not guess them
+    decoder = Decoder(period_s=config.period_ms / 1000.0)
     return Dialect(decoder, BringUp(decoder, config.period_ms), to_frames)
 
 
@@ -69,7 +70,7 @@ def listener(config: SourceConfig, layout: Layout) -> ScanDecoder:
     if config.dialect == "icub":
         return IcubDecoder(_boards(config, layout))
     modules = wired(layout.uid.tolist())
-    return Decoder(lambda _: modules)
+    return Decoder(lambda _: modules, config.period_ms / 1000.0)
 
 
 def _boards(config: SourceConfig, layout: Layout) -> tuple[int, ...]:

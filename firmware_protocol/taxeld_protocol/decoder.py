@@ -12,7 +12,8 @@ from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, ModuleTable
 
 MISSING = -1  # a channel of a scan that no packet filled
-SCAN_GAP_S = 0.02  # packets of one scan come at once; scans, at the usual 20 Hz, 50 ms apart
+DEFAULT_PERIOD_S = 0.05  # between scans
+GAP_SHARE = 0.8  # of the period: two packets farther apart are of two scans
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +97,20 @@ class _Hub:
 class Decoder:
     """Any number of hubs on one bus. Feed frames; take scans; read the counters."""
 
-    def __init__(self, assumed: Callable[[int], Sequence[Module]] | None = None) -> None:
+    def __init__(
+        self,
+        assumed: Callable[[int], Sequence[Module]] | None = None,
+        period_s: float = DEFAULT_PERIOD_S,
+    ) -> None:
         """`assumed`: short id → the modules of a hub that streams without having declared them, as
-        when listening to a skin that was started before; nothing is assumed without it."""
+        when listening to a skin that was started before; nothing is assumed without it.
+        `period_s`: of the scans. When the end of one scan and the beginning of the next are lost,
+        only the pause between what is left tells that they are two."""
         self.link = Reassembler()
         self.counters = Counters()
         self.hubs: dict[int, _Hub] = {}
         self._assumed = assumed
+        self._gap_s = GAP_SHARE * period_s
 
     def table(self, ihb: int) -> ModuleTable:
         """The module table of a hub, empty until it is declared."""
@@ -178,7 +186,7 @@ class Decoder:
             self.counters.index_errors += 1
             return scans
         # the walk only goes forward, and without a pause: else this is the next scan
-        if start < hub.reached or packet.t - hub.last_t > SCAN_GAP_S:
+        if start < hub.reached or packet.t - hub.last_t > self._gap_s:
             self._end(packet.ihb, hub, scans)
         hub.last_t = packet.t
         if hub.counts is None:
