@@ -291,7 +291,7 @@ placed_taxel = st.fixed_dictionaries(
 )
 
 
-def read_any(content: bytes) -> None:
+def check_reading(content: bytes) -> None:
     """Reading ends in a layout or in one line."""
     message, skin = "", None
     with tempfile.TemporaryDirectory() as directory:
@@ -317,7 +317,7 @@ class TestAnyInput:
     @given(anything)
     @settings(max_examples=60, deadline=None)
     def test_json_of_any_shape(self, value):
-        read_any(json.dumps(value).encode())
+        check_reading(json.dumps(value).encode())
 
     @given(
         st.lists(any_taxel | anything, max_size=6) | st.lists(placed_taxel, max_size=12), anything
@@ -325,7 +325,7 @@ class TestAnyInput:
     @settings(max_examples=200, deadline=None)
     def test_taxels_of_any_shape(self, taxels, frames):
         skin = {"taxels": taxels, "parent_frames": frames}
-        read_any(json.dumps({"info": {"file_version": 2}, "skin": skin}).encode())
+        check_reading(json.dumps({"info": {"file_version": 2}, "skin": skin}).encode())
 
     @given(st.data())
     @settings(max_examples=100, deadline=None)
@@ -338,11 +338,11 @@ class TestAnyInput:
                 at[key] = data.draw(anything)
                 break
             at = at[key]
-        read_any(json.dumps(file).encode())
+        check_reading(json.dumps(file).encode())
 
     @given(st.integers(0), st.integers(0, 30), st.binary())
     @settings(max_examples=100, deadline=None)
     def test_a_stretch_of_a_good_file_overwritten(self, at, length, patch):
         content = json.dumps(document(16)).encode()
         at %= len(content)
-        read_any(content[:at] + patch + content[at + length :])
+        check_reading(content[:at] + patch + content[at + length :])

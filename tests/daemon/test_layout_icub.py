@@ -120,20 +120,20 @@ class TestAnyInput:
     def test_a_stretch_of_a_good_file_overwritten(self, at, length, patch):
         content = icub_text(icub_rows(), [3] * 48).encode()
         at %= len(content)
-        self.read_any(content[:at] + patch + content[at + length :])
+        self.check_reading(content[:at] + patch + content[at + length :])
 
     @given(st.text(), st.text(alphabet="0123456789.-e \t\n()nainf[calibration]taxel2Repr"))
     @settings(max_examples=100, deadline=None)
     def test_text_of_any_kind(self, header, rows):
-        self.read_any(f"{header}[calibration]{rows}".encode("utf-8", "replace"))
+        self.check_reading(f"{header}[calibration]{rows}".encode("utf-8", "replace"))
 
     @given(st.lists(st.lists(st.floats(-10, 10), min_size=6, max_size=6), max_size=12))
     @settings(max_examples=150, deadline=None)
     def test_rows_of_any_numbers(self, rows):
         lines = "\n".join(" ".join(map(repr, row)) for row in rows)
-        self.read_any(f"[calibration]\n{lines}\n".encode())
+        self.check_reading(f"[calibration]\n{lines}\n".encode())
 
-    def read_any(self, content: bytes) -> None:
+    def check_reading(self, content: bytes) -> None:
         message = ""
         with tempfile.TemporaryDirectory() as directory:
             try:

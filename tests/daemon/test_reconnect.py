@@ -16,6 +16,7 @@ from taxeld import layout, session
 from taxeld.cli import main
 from taxeld.config import SkinConfig, SourceConfig
 from taxeld.errors import SetupError
+from taxeld.layout import Layout
 from taxeld.session import Chunk, Recorder
 from taxeld.sources import LiveSource, open_source
 from taxeld_hil.adapter import SlcanAdapter
@@ -36,9 +37,9 @@ DEADLINE_S = 20.0
 class NativeHub:
     """A hub on the native serial link behind a device name that outlives its terminals."""
 
-    def __init__(self, link: Path) -> None:
+    def __init__(self, link: Path, skin: Layout = SKIN) -> None:
         self.link = link
-        self.hub = VirtualIhb(MODULES)
+        self.hub = VirtualIhb(wired(skin.uid.tolist()))
         self.sent = 0
         self.plug()
 
@@ -63,7 +64,8 @@ class NativeHub:
         answers = [a for p in self.requests.feed(data, 0.0) for a in self.hub.answer(p)]
         if self.hub.due(time.monotonic()):
             self.sent += 1
-            answers += self.hub.sensor_data([self.sent] * CHANNELS)
+            channels = sum(module.channels for module in self.hub.modules)
+            answers += self.hub.sensor_data([self.sent] * channels)
         for command, payload in answers:
             os.write(self.master, serial_link.encode(command, payload, ihb=self.hub.short_id))
 
@@ -177,31 +179,19 @@ def test_record_and_replay_a_serial_skin(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """`taxeld record` on a real line, ended by SIGTERM; the session then replays."""
-    hub = NativeHub(tmp_path / "skin")
+    hub = NativeHub(tmp_path / "skin", layout.load(SkinConfig().layout))
     config = tmp_path / "config.toml"
     config.write_text(
         f'[source]\nkind = "serial"\nchannel = "{hub.link}"\n[scene]\nbundle = "box"\n'
         "[skin]\nbaseline_scans = 2\n",
         encoding="utf-8",
     )
-    hub.hub = VirtualIhb(wired(layout.load(SkinConfig().layout).uid.tolist()))
-    channels = sum(module.channels for module in hub.hub.modules)
     out = tmp_path / "session"
     command = [sys.executable, "-m", "taxeld.cli", "record", "--out", str(out), str(config)]
     recorder = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     deadline = time.monotonic() + DEADLINE_S
-    scans = 0
-    while scans < 8 and time.monotonic() < deadline:
-        try:
-            data = os.read(hub.master, 4096)
-        except BlockingIOError:
-            data = b""
-        answers = [a for p in hub.requests.feed(data, 0.0) for a in hub.hub.answer(p)]
-        if hub.hub.due(time.monotonic()):
-            answers += hub.hub.sensor_data([10_000] * channels)
-            scans += 1
-        for request, payload in answers:
-            os.write(hub.master, serial_link.encode(request, payload, ihb=1))
+    while hub.sent < 8 and time.monotonic() < deadline:
+        hub.serve()
         time.sleep(0.002)
     time.sleep(0.2)
     recorder.terminate()
