@@ -28,18 +28,25 @@ class Draws:
 
 
 class ExactPosterior:
-    """p(pose | z) over a bank of touches."""
+    """p(pose | z) over a bank of touches.
+
+    A touch presses few taxels, so the bank is kept as its pressed taxels alone: all others say what
+    a silent taxel says, whatever the touch.
+    """
 
     def __init__(self, bank: Touches, layout: Layout, noise: Noise) -> None:
         self.noise = noise
         self.layout = layout
-        self.turns = layout.turns
-        self._bank = bank
+        self._pose = bank.pose
         self._sector = layout.sector[bank.activation.argmax(axis=1)]
+        self._row, self._taxel = np.nonzero(bank.activation)
+        self._h = bank.activation[self._row, self._taxel].astype(np.float64)
+        order = len(layout.turns)
+        self._back = layout.turns[-np.arange(order) % order]
 
     def sample(self, z: Floats, live: NDArray[np.bool_], n: int, rng: np.random.Generator) -> Draws:
         """`n` draws with replacement by importance weight."""
-        order = len(self.turns)
+        order = len(self.layout.turns)
         target = self.layout.sector[np.where(live, z, -1.0).argmax()]
         # the strongest taxel of a noisy reading is the true one or, nearly always, beside it
         offsets = range(order) if order <= 3 else (-1, 0, 1)
@@ -54,22 +61,17 @@ class ExactPosterior:
         pick = rng.choice(len(weights), n, p=weights)
         angle = -2.0 * np.pi * np.concatenate(turn)[pick] / order
         zero = np.zeros(n)
-        pose = se2.compose(
-            np.stack([zero, zero, angle], axis=1), self._bank.pose[pick % len(self._bank)]
-        )
+        turned = np.stack([zero, zero, angle], axis=1)
+        pose = se2.compose(turned, self._pose[pick % len(self._pose)])
         return Draws(pose, float(1.0 / np.sum(weights**2)))
 
     def _log_weights(self, z: Floats, live: NDArray[np.bool_], by: NDArray[np.int64]) -> Floats:
-        """Log-likelihood of z for every stored contact turned by −2π·by/n."""
-        out = np.empty(len(by))
-        for k in np.unique(by):
-            rows = np.flatnonzero(by == k)
-            # turning the stored contact by −k is reading z turned by +k: one permutation, not n
-            back = self.turns[(-k) % len(self.turns)]
-            for part in np.array_split(rows, max(1, len(rows) // 4096)):
-                h = self._bank.activation[part].astype(np.float64)
-                out[part] = self.noise.log_likelihood(z[back], live[back], h)
-        return out
+        """Log-likelihood of z for every stored contact, each turned by −2π·by/n."""
+        silent = np.where(live, self.noise.log_density(z, np.zeros(1)), 0.0)
+        # turning a stored contact by −k is reading z turned by +k
+        at = self._back[by[self._row], self._taxel]
+        gain = (self.noise.log_density(z[at], self._h) - silent[at]) * live[at]
+        return np.asarray(silent.sum() + np.bincount(self._row, gain, len(by)))
 
 
 def energy_distance(a: Poses, b: Poses, length_m: float) -> float:
