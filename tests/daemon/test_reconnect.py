@@ -221,3 +221,30 @@ def test_a_recorded_log_is_one_that_log2asc_reads(tmp_path: Path) -> None:
     data = [row for row in rows if "Rx" in row]
     assert [row[2] for row in data] == ["101", "18DAF110x"]
     assert data[0][-2:] == ["43", "00"]
+
+
+def test_an_slcan_adapter_of_python_cans_that_is_unplugged_comes_back(tmp_path: Path) -> None:
+    link = tmp_path / "adapter"
+    config = SourceConfig(kind="can", interface="slcan", channel=str(link))
+    source = None
+    for plugged in range(2):
+        with SlcanAdapter(VirtualIhb(MODULES), lambda _: None) as adapter:
+            link.symlink_to(adapter.device)
+            source = source or open_source(config, SKIN)
+            assert isinstance(source, LiveSource)
+            hub, device = adapter.ihb, adapter
+
+            def serve(hub: VirtualIhb = hub, device: SlcanAdapter = device) -> None:
+                device.serve(time.time())
+                if hub.due(time.monotonic()):
+                    for answer in hub.sensor_data([7] * CHANNELS):
+                        device.send(*answer, time.time())
+
+            counters, wanted = source.wire.decoder.counters, 3 * (plugged + 1)
+            scans = run(source, serve, lambda n=wanted, c=counters: c.scans >= n)
+            assert scans[-1].counts == (7,) * CHANNELS
+        link.unlink()
+        run(source, lambda: None, lambda n=plugged, s=source: s.counters.lost == n + 1)
+    assert source is not None
+    assert source.counters.reopened == 1
+    source.close()
