@@ -95,6 +95,9 @@ class FilterConfig:
     proposal: str = key(
         "auto", one_of("auto", "ddpm", "table", "manifold", "projection"), "where they come from"
     )
+    memory: int = key(
+        8, between(0, 100), "touches that weigh injected samples; 0: Algorithm 1 as published"
+    )
     sampler: str = key("", doc="which of the bundle's samplers; empty: its first")
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")

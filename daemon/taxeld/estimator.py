@@ -32,7 +32,6 @@ MODE_CANDIDATES = 64
 CONVERGED_WEIGHT = 0.8  # of the heaviest mode
 CONVERGED_SD_M = 0.01
 INJECTED_MIN_SHARE = 0.5  # of `injected`, kept when settled: a wrong belief must find out
-REMEMBERED = 8  # touches
 MOVES = 2  # Metropolis steps a touch
 
 
@@ -199,11 +198,11 @@ class Estimator:
             self._begin_anew()
             return 0.0
         moves = 0
-        if self._contact:
+        size = self.config.memory
+        if self._contact and size:
             self.memory.add(sensor, z, activation.live)
-            self.memory.keep_last(REMEMBERED)
-            columns = np.hstack([belief.remembered, explained])
-            belief.remembered = columns[:, -REMEMBERED:]
+            self.memory.keep_last(size)
+            belief.remembered = np.hstack([belief.remembered, explained])[:, -size:]
             moves = MOVES
         if pf.resampling_is_due(belief):
             pf.resample(belief, self.rng)

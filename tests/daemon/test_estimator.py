@@ -184,3 +184,21 @@ def test_poses_back_in_time_or_not_finite_are_rejected() -> None:
         track.add(*row)
     assert track.rejected == 4
     assert track.latest_t == 1.0
+
+
+def test_without_a_memory_injection_is_algorithm_1(box_model: ObservationModel) -> None:
+    """Nothing is remembered, so samples take the mean weight and nothing more."""
+    subject = estimator(box_model, memory=0)
+    approach(subject, box_model)
+    assert subject.counters.injections == 1
+    assert len(subject.memory) == 0
+    assert subject.belief.remembered.shape == (100, 0)
+
+
+def test_the_memory_is_bounded(box_model: ObservationModel) -> None:
+    subject = estimator(box_model, memory=3)
+    for k in range(6):
+        approach(subject, box_model, t=10.0 * k)
+    assert len(subject.memory) == 3
+    assert subject.belief.remembered.shape == (100, 3)
+    assert np.allclose(subject.memory.explain(subject.belief.pose), subject.belief.remembered)

@@ -1,0 +1,62 @@
+"""How fast the filter closes in: error by contact on the fake clock, rules and proposals together.
+
+python benchmarks/contacts.py --seeds 100
+"""
+
+import argparse
+import os
+from concurrent.futures import ProcessPoolExecutor
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread a worker
+
+import numpy as np
+
+from taxeld_hil.scenario import Scenario
+from taxeld_hil.simulate import Simulation, configured, error_by_contact
+
+CONTACTS = 10
+GOOD_MM = 10.0
+VARIANTS = {
+    "ddpm, memory of 8": "",
+    "table, memory of 8": 'proposal = "table"',
+    "manifold, memory of 8": 'proposal = "manifold"',
+    "projection, memory of 8": 'proposal = "projection"',
+    "ddpm, Algorithm 1": "memory = 0",
+    "projection, Algorithm 1": 'memory = 0\nproposal = "projection"',
+}
+
+
+def errors(job: tuple[str, str, int]) -> list[float]:
+    """The error [mm] after each contact; a touch too slight to begin one repeats the last."""
+    bundle, keys, seed = job
+    scenario = Scenario(bundle=bundle, contacts=CONTACTS)
+    config = configured(scenario, seed, f"[filter]\n{keys}\n")
+    found = error_by_contact(Simulation(scenario, seed, config).steps())
+    return (found + found[-1:] * CONTACTS)[:CONTACTS]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=40)
+    parser.add_argument("--bundles", nargs="+", default=["box", "mug"])
+    args = parser.parse_args()
+    after = (2, 3, 4, 6, 8, 10)
+    print(
+        f"{'median mm (share under 10 mm) after contact':44s}" + "".join(f"{k:>13d}" for k in after)
+    )
+    with ProcessPoolExecutor(2) as pool:
+        for bundle in args.bundles:
+            for name, keys in VARIANTS.items():
+                jobs = [(bundle, keys, seed) for seed in range(args.seeds)]
+                table = np.array(list(pool.map(errors, jobs)))
+                cells = [
+                    f"{np.median(column):6.1f} ({np.mean(column < GOOD_MM):4.0%})"
+                    for column in table[:, np.array(after) - 1].T
+                ]
+                print(
+                    f"{bundle}: {name:39s}" + "".join(f"{cell:>13s}" for cell in cells), flush=True
+                )
+
+
+if __name__ == "__main__":
+    main()
