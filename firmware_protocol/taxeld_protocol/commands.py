@@ -1,7 +1,7 @@
 """CySkin's command table, both ways: the fields of each request and answer, and their bytes.
 
-A payload is a map of named integers; `version` answers hold text. Numbers are big-endian. What a
-table does not list has no payload. DECLARE's answer and SENSOR_DATA have lists and stand apart.
+A payload is a map of named integers, big-endian. What a table does not list has no payload; the
+versions' answers are text, and DECLARE's answer and SENSOR_DATA have lists: they stand apart.
 """
 
 import struct
@@ -64,9 +64,6 @@ ANSWERS: Table = {
         ("module", "sui", "channels", "grouping", "mask", "cdc_control", "cdc_speed"),
     ),
 }
-TEXT_ANSWERS = frozenset(
-    (Command.VERSION, Command.MODULE_BTLDR_VERSION, Command.MODULE_APP_VERSION)
-)
 
 
 def request(command: Command, **fields: int) -> bytes:

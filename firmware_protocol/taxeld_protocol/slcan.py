@@ -37,9 +37,10 @@ def open_commands(bitrate: int, listen_only: bool) -> bytes:
 
 
 def split(buffer: bytes) -> tuple[list[bytes], bytes]:
-    """Whole lines without their CR, and the rest, which is bounded: noise without CR is dropped."""
+    """Whole lines without their CR, and the rest. Of a line that is too long enough is kept to know
+    it by, so that its end is not taken for a line of its own however the bytes are cut."""
     *lines, rest = buffer.replace(BEL, CR).split(CR)
-    return lines, rest if len(rest) <= MAX_LINE else b""
+    return lines, rest[: MAX_LINE + 1]
 
 
 def parse(line: bytes, t: float = 0.0) -> Frame | None:

@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from taxeld_protocol import serial_link, slcan
@@ -94,7 +94,24 @@ def test_slcan_noise_is_no_frame_and_no_exception(line: bytes) -> None:
 
 
 def test_slcan_noise_without_an_end_is_bounded() -> None:
-    assert slcan.split(b"x" * 1000) == ([], b"")
+    lines, rest = slcan.split(b"x" * 1000)
+    assert lines == []
+    assert len(rest) == slcan.MAX_LINE + 1
+
+
+@example([b"x" * (slcan.MAX_LINE + 1)], [])
+@given(st.lists(st.binary(max_size=80), max_size=6), st.lists(st.integers(0, 10**6)))
+def test_the_pieces_an_slcan_line_comes_in_do_not_matter(
+    noise: list[bytes], cuts: list[int]
+) -> None:
+    """The end of a line that is too long is no frame, wherever it is cut."""
+    line = b"".join(part + slcan.encode(Frame(0.0, 0x101, b"\x01\x02")) for part in noise)
+    whole, cut = SlcanReader(), SlcanReader()
+    wanted = whole.feed(line, 0.0)
+    assert [f for piece in pieces(line, cuts) for f in cut.feed(piece, 0.0)] == wanted
+    bytewise = SlcanReader()
+    assert [f for byte in line for f in bytewise.feed(bytes((byte,)), 0.0)] == wanted
+    assert bytewise.counters == cut.counters == whole.counters
 
 
 @given(
