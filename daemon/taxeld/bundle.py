@@ -1,20 +1,24 @@
 """Scene bundles: a directory with the scene, its samplers, and what is known about them."""
 
 import json
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from taxeld import scene
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
 from taxeld.observation import ObservationModel
 from taxeld.proposals import Manifold, Projection, Proposal, Table
-from taxeld.sampler import Ddpm
+from taxeld.sampler import Sampler
 
-FORMAT = 1
+FORMAT = 2
+TIMED_CALLS = 5  # the median of which is what a proposal costs
 
 ANALYTIC: dict[str, Callable[[ObservationModel], Proposal]] = {
     "projection": Projection, "manifold": Manifold, "table": Table,
@@ -28,6 +32,7 @@ _KEYS = {
     "height_m": float,
     "depth_max_m": float,
     "samplers": list,
+    "auto": list,
 }
 
 
@@ -39,25 +44,58 @@ class Bundle:
     info: dict[str, Any]  # bundle.json as it stands
     model: ObservationModel
 
-    def proposal(self, name: str, sampler: str = "") -> Proposal:
-        """The proposal that the configuration names; `auto` is the bundle's first sampler, or the
-        one named.
+    def proposal(
+        self, name: str, sampler: str = "", samples: int = 100, budget_ms: float = 5.0
+    ) -> Proposal:
+        """The proposal that the configuration names.
+
+        `auto` is the first of the bundle's own order of preference whose CPU time for `samples`
+        samples fits `budget_ms`, or the cheapest where none does; a `sampler` is taken by its name,
+        a kind of learned proposal (`density`, `ddpm`) as the bundle's first of that kind.
 
         Raises:
             SetupError: the bundle has none of that name.
         """
-        samplers = {s["name"]: s["file"] for s in self.info["samplers"]}
+        samplers = {s["name"]: s for s in self.info["samplers"]}
         if sampler and sampler not in samplers:
             known = ", ".join(samplers) or "none"
             raise SetupError(f"filter.sampler: {self.path.name} has no '{sampler}'; it has {known}")
         if name in ANALYTIC:
             return ANALYTIC[name](self.model)
-        if not samplers and name == "auto":
-            return Table(self.model)
-        if not samplers:
-            raise SetupError(f"filter.proposal: {self.path.name} holds no sampler; use table")
-        file = samplers[sampler] if sampler else next(iter(samplers.values()))
-        return Ddpm(self.path / file, self.model.layout)
+        if sampler:
+            return self._learned(samplers[sampler])
+        if name == "auto":
+            return self._fitting(samples, budget_ms)
+        for entry in samplers.values():
+            if entry["kind"] == name:
+                return self._learned(entry)
+        raise SetupError(f"filter.proposal: {self.path.name} holds no {name} sampler; use auto")
+
+    def _learned(self, entry: dict[str, Any]) -> Sampler:
+        return Sampler(self.path / entry["file"], self.model.layout, entry["kind"])
+
+    def _fitting(self, samples: int, budget_ms: float) -> Proposal:
+        made: list[tuple[float, Proposal]] = []
+        for name in self.info["auto"]:
+            proposal = self.proposal(name) if name in ANALYTIC else self.proposal("", name)
+            cost = cpu_ms(proposal, self.model, samples)
+            if cost <= budget_ms:
+                return proposal
+            made.append((cost, proposal))
+        return min(made, key=lambda pair: pair[0])[1] if made else Table(self.model)
+
+
+def cpu_ms(proposal: Proposal, model: ObservationModel, samples: int) -> float:
+    """Median CPU time of a call [ms], the first left out."""
+    rng = np.random.default_rng(0)
+    taxels = len(model.layout)
+    z, live = np.eye(1, taxels)[0], np.ones(taxels, dtype=bool)
+    spent = []
+    for _ in range(TIMED_CALLS + 1):
+        start = time.thread_time_ns()
+        proposal.propose(z, live, samples, rng)
+        spent.append((time.thread_time_ns() - start) / 1e6)
+    return float(np.median(spent[1:]))
 
 
 def find(name: str) -> Path:
@@ -106,9 +144,12 @@ def _info(path: Path) -> dict[str, Any]:
         if not isinstance(info.get(key), kind):  # type: ignore[arg-type]
             raise SetupError(f"{path}: {key} is missing or of the wrong type")
     for i, sampler in enumerate(info["samplers"]):
-        if not isinstance(sampler, dict) or not {"name", "file"} <= sampler.keys():
-            raise SetupError(f"{path}: samplers[{i}] needs a name and a file")
+        if not isinstance(sampler, dict) or not {"name", "kind", "file"} <= sampler.keys():
+            raise SetupError(f"{path}: samplers[{i}] needs a name, a kind and a file")
         file = str(sampler["file"])
         if Path(file).name != file or not (path.parent / file).is_file():
             raise SetupError(f"{path}: samplers[{i}].file: no such file {file} beside it")
+    unknown = set(info["auto"]) - ANALYTIC.keys() - {s["name"] for s in info["samplers"]}
+    if unknown:
+        raise SetupError(f"{path}: auto: no such proposal or sampler: {sorted(unknown)[0]}")
     return info

@@ -93,12 +93,17 @@ class FilterConfig:
     particles: int = key(100, between(2, 100_000), "N")
     injected: int = key(50, between(0, 10_000), "S, the most that a touch replaces")
     proposal: str = key(
-        "auto", one_of("auto", "ddpm", "table", "manifold", "projection"), "where they come from"
+        "auto",
+        one_of("auto", "density", "ddpm", "table", "manifold", "projection"),
+        "where they come from; auto: the bundle's best that fits the budget",
+    )
+    propose_budget_ms: float = key(
+        5.0, between(0.01, 1000), "CPU time of a proposal that auto may choose, measured at start"
     )
     memory: int = key(
         8, between(0, 100), "touches that weigh injected samples; 0: Algorithm 1 as published"
     )
-    sampler: str = key("", doc="which of the bundle's samplers; empty: its first")
+    sampler: str = key("", doc="which of the bundle's samplers; empty: as proposal says")
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")
     half_width_m: float = key(0.5, between(0.01, 100), "of that square, world frame")

@@ -27,7 +27,7 @@ class Contacts:
 
 def clearance(scene: Scene, radius_m: float, poses: Poses) -> NDArray[np.float64]:
     """(N,) signed gap between the cylinder and the silhouette, negative when pressed."""
-    ax, ay = _axis_in_object(poses)
+    ax, ay = axis_in_object(poses)
     return scene.clearance(ax, ay)[0] - radius_m
 
 
@@ -35,7 +35,7 @@ def project(
     scene: Scene, radius_m: float, poses: Poses, depth_m: NDArray[np.float64]
 ) -> tuple[Poses, NDArray[np.float64]]:
     """Move `poses` (N, 3) by one step to press `depth_m` (N,) deep; → poses, residual (N,) [m]."""
-    ax, ay = _axis_in_object(poses)
+    ax, ay = axis_in_object(poses)
     distance, gx, gy = scene.clearance(ax, ay)
     step = -(distance - radius_m + depth_m)
     ax, ay = ax + step * gx, ay + step * gy
@@ -60,7 +60,7 @@ def synthesise(
     return Contacts(poses[kept], depth[kept], int(n - kept.sum()))
 
 
-def _axis_in_object(poses: Poses) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def axis_in_object(poses: Poses) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """The cylinder's axis as the object sees it: −R(θ)ᵀ (x, y)."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     return -(c * poses[:, 0] + s * poses[:, 1]), s * poses[:, 0] - c * poses[:, 1]

@@ -54,6 +54,7 @@ class ProposalKind(IntEnum):
     DDPM = 2
     TABLE = 3
     MANIFOLD = 4
+    DENSITY = 5
 
 
 @dataclass(frozen=True, slots=True)

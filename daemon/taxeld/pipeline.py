@@ -64,7 +64,10 @@ class Pipeline:
         self.poses: PoseTrack | StandingStill = StandingStill()
         if config.sensor_pose.endpoint:
             self.poses = PoseTrack(config.sensor_pose.max_age_s)
-        proposal = bundle.proposal(config.filter.proposal, config.filter.sampler)
+        wanted = config.filter
+        proposal = bundle.proposal(
+            wanted.proposal, wanted.sampler, wanted.injected, wanted.propose_budget_ms
+        )
         self._proposal = _Timed(proposal, clock)
         self.estimator = Estimator(bundle.model, self._proposal, config.filter)
         self.estimate = replace(self.estimator.estimate, status=Status.STARTING)

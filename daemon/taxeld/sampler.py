@@ -7,7 +7,6 @@ import numpy as np
 import onnxruntime as ort
 from numpy.typing import NDArray
 
-from taxeld import se2
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
 from taxeld.se2 import Poses
@@ -16,17 +15,15 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 
-class Ddpm:
-    """Samples of p(pose | activations) by a trained sampler.
+class Sampler:
+    """Samples of p(pose | activations) by a trained graph.
 
-    The touch is turned so that its strongest taxel's sector comes to angle 0, and the samples are
-    turned back; exact on a layout with that rotation symmetry.
+    The graph takes the touch as the skin has it, and turns it for itself. Its noise is an input, so
+    that a seed replays it.
     """
 
-    name = "ddpm"
-
-    def __init__(self, path: Path, layout: Layout) -> None:
-        self._layout = layout
+    def __init__(self, path: Path, layout: Layout, name: str) -> None:
+        self.name = name
         self._session = _session(path)
         shapes = {i.name: i.shape for i in self._session.get_inputs()}
         taxels = len(layout)
@@ -39,19 +36,15 @@ class Ddpm:
         self.propose(np.eye(1, taxels)[0], np.ones(taxels, bool), 8, np.random.default_rng(0))
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
-        turns = self._layout.turns
-        turn = int(self._layout.sector[np.where(live, z, -1.0).argmax()])
-        taxels = turns[turn]
         x, y, c, s = self._session.run(
             None,
             {
-                "z": z[None, taxels].astype(np.float32),
-                "live": live[None, taxels].astype(np.float32),
+                "z": z[None].astype(np.float32),
+                "live": live[None].astype(np.float32),
                 "noise": rng.standard_normal((self._noise_steps, n, 4), dtype=np.float32),
             },
         )[0].T.astype(np.float64)
-        turned = np.array([0.0, 0.0, 2.0 * np.pi * turn / len(turns)])
-        return se2.compose(turned, np.column_stack([x, y, np.arctan2(s, c)]))
+        return np.column_stack([x, y, np.arctan2(s, c)])
 
 
 def _session(path: Path) -> Any:

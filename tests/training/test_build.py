@@ -8,6 +8,7 @@ import pytest
 import trimesh
 
 from taxeld import bundle, layout
+from taxeld_training.build import choose
 from taxeld_training.cli import main
 
 SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
@@ -19,7 +20,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh = trimesh.creation.box((0.06, 0.1, 0.1))
     mesh.export(place / "block.stl")
     arguments = ["build", str(place / "block.stl"), "--skin", SKIN, "--out", str(place / "block")]
-    small = ["--updates", "100", "--contacts", "5000", "--width", "16"]
+    small = ["--updates", "60", "--contacts", "5000", "--bank", "5000"]
     assert main(arguments + small) == 0
     return place / "block"
 
@@ -32,7 +33,8 @@ def test_the_daemon_loads_and_samples_it(built: Path) -> None:
     z = np.zeros(16)
     z[5] = 0.8
     for sampler in loaded.info["samplers"]:
-        proposal = loaded.proposal("ddpm", sampler["name"])
+        proposal = loaded.proposal("auto", sampler["name"])
+        assert proposal.name == sampler["kind"]
         poses = proposal.propose(z, np.ones(16, dtype=bool), 40, rng)
         assert poses.shape == (40, 3)
         assert np.isfinite(poses).all()
@@ -43,11 +45,32 @@ def test_the_daemon_loads_and_samples_it(built: Path) -> None:
 
 def test_each_sampler_says_what_it_costs_and_how_good_it_is(built: Path) -> None:
     info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
-    assert [s["name"] for s in info["samplers"]] == ["ddim-10", "ddpm-100"]
-    for sampler in info["samplers"]:
-        assert sampler["flops"] > 0
-        assert sampler["energy_distance"] > info["energy_distance"]["floor"]
-        assert "exact draws" in sampler["measured"]
+    assert {s["name"] for s in info["samplers"]} == {
+        "density-64",
+        "density-16",
+        "dpm-5",
+        "ddpm-100",
+    }
+    for measured in [*info["samplers"], *info["analytic"].values()]:
+        assert measured["energy_distance"] > 0
+        assert measured["ms"] > 0
+    assert all(sampler["flops"] > 0 for sampler in info["samplers"])
+    assert "exact draws" in info["measured"]
+
+
+def test_the_daemons_order_begins_with_the_cheapest_that_is_as_good_as_the_best() -> None:
+    candidates = {
+        "dear": {"energy_distance": 0.100, "ms": 9.0},
+        "cheap": {"energy_distance": 0.114, "ms": 0.2},
+        "bad": {"energy_distance": 0.300, "ms": 0.1},
+        "worst": {"energy_distance": 0.900, "ms": 0.1},
+    }
+    chosen = choose(candidates, 1.15)
+    assert chosen["order"] == ["cheap", "dear", "bad", "worst"]
+    assert "cheap" in chosen["why"]
+    assert "1.15" in chosen["why"]
+    assert choose(candidates, 1.1)["order"] == ["dear", "cheap", "bad", "worst"]
+    assert choose(candidates, 4.0)["order"][0] == "bad"
 
 
 def test_a_directory_of_other_things_is_not_overwritten(

@@ -2,23 +2,23 @@
 
 import numpy as np
 import pytest
-import trimesh
+import torch
 
 from taxeld import layout, se2
 from taxeld.observation import Noise, ObservationModel
-from taxeld_training import scenes
 from taxeld_training.dataset import FELT, Batches, simulate
+from taxeld_training.frames import PoseFrame
 from taxeld_training.posterior import ExactPosterior, energy_distance
 
-SKIN = layout.load("cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015")
+from .conftest import RING
+
+SKIN = layout.load(RING)
 NOISE = Noise()
 
 
 @pytest.fixture(scope="module")
-def model() -> ObservationModel:
-    mesh = trimesh.creation.box((0.06, 0.1, 0.1))
-    mesh.apply_translation([0.0, 0.0, 0.05])
-    return ObservationModel(scenes.build(mesh, SKIN, 0.04), SKIN, 0.005)
+def model(ring_model: ObservationModel) -> ObservationModel:
+    return ring_model
 
 
 def test_every_touch_is_felt(model: ObservationModel) -> None:
@@ -28,13 +28,13 @@ def test_every_touch_is_felt(model: ObservationModel) -> None:
     assert np.allclose(model.activation(touches.pose), touches.activation, atol=1e-6)
 
 
-def test_batches_are_turned_to_the_strongest_taxel(model: ObservationModel) -> None:
+def test_batches_are_readings_of_their_poses(model: ObservationModel) -> None:
     touches = simulate(model, 3000, np.random.default_rng(0))
-    batches = Batches(touches, model, Noise(sigma=0.0, gain_cv=0.0), seed=1)
+    quiet = Noise(sigma=0.0, gain_cv=0.0)
+    coordinates = PoseFrame().encode(touches.pose)
+    batches = Batches(touches, coordinates, quiet, 1, torch.device("cpu"))
     z, live, pose = (batch.numpy() for batch in batches.draw(500))
-    assert (SKIN.sector[z.argmax(axis=1)] == 0).all()
-    turned = np.column_stack([pose[:, :2], np.arctan2(pose[:, 3], pose[:, 2])])
-    expected = model.activation(turned.astype(np.float64)) * live
+    expected = model.activation(pose.astype(np.float64)) * live
     assert np.abs(expected - z).mean() < 1e-3
     assert 0.01 < (live == 0).mean() < 0.2
 

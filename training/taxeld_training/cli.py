@@ -8,8 +8,8 @@ from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 
 from taxeld import layout
 from taxeld.errors import SetupError
-from taxeld_training.build import BuildConfig, build
-from taxeld_training.train import TrainConfig
+from taxeld_training.build import VARIANTS, BuildConfig, build
+from taxeld_training.variants import trained_with
 
 DEFAULT_SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 
@@ -28,8 +28,9 @@ def main(argv: list[str] | None = None) -> int:
 def _build(args: argparse.Namespace) -> int:
     config = BuildConfig(
         height_m=args.height_m,
-        width=args.width,
-        train=TrainConfig(updates=args.updates, contacts=args.contacts, seed=args.seed),
+        variants=tuple(trained_with(v, args.updates, args.contacts, args.seed) for v in VARIANTS),
+        bank=args.bank,
+        seed=args.seed,
     )
     columns = (SpinnerColumn(), *Progress.get_default_columns(), TimeElapsedColumn())
     with Progress(*columns) as bar:
@@ -56,9 +57,11 @@ def _parser() -> argparse.ArgumentParser:
         help="sensor frame's origin above the object's lowest point (default 0.04)",
     )  # fmt: skip
     one.add_argument("--out", type=Path, required=True, metavar="BUNDLE")
-    one.add_argument("--width", type=int, default=128, help="of the network")
-    one.add_argument("--updates", type=int, default=TrainConfig.updates, help="of the weights")
-    one.add_argument("--contacts", type=int, default=TrainConfig.contacts, help="simulated")
+    one.add_argument("--updates", type=int, default=8_000, help="of the weights, of each model")
+    one.add_argument("--contacts", type=int, default=300_000, help="simulated, to train on")
+    one.add_argument(
+        "--bank", type=int, default=1_000_000, help="contacts of the exact posterior measured to"
+    )
     one.add_argument("--seed", type=int, default=0)
     one.set_defaults(command=_build)
     return parser

@@ -49,45 +49,31 @@ def simulate(model: ObservationModel, n: int, rng: np.random.Generator) -> Touch
 
 
 class Batches:
-    """Batches of noisy, turned readings with their whitened poses, drawn with replacement."""
+    """Batches of noisy readings with the coordinates of their poses, drawn with replacement."""
 
-    def __init__(self, touches: Touches, model: ObservationModel, noise: Noise, seed: int) -> None:
-        layout = model.layout
+    def __init__(
+        self, touches: Touches, coordinates: Tensor, noise: Noise, seed: int, device: torch.device
+    ) -> None:
         self.noise = noise
-        self.activation = torch.from_numpy(touches.activation)
-        self.pose = torch.from_numpy(touches.pose).float()
-        self.turns = torch.from_numpy(layout.turns)
-        self.sector = torch.from_numpy(layout.sector)
-        self.generator = torch.Generator().manual_seed(seed)
-        sample = self.draw(20_000)[2]
-        self.mean, self.scale = sample.mean(0), sample.std(0).clamp(min=1e-3)
+        self.activation = torch.from_numpy(touches.activation).to(device)
+        self.coordinates = coordinates.to(device)  # (n, 3) of touches.pose
+        self.generator = torch.Generator(device).manual_seed(seed)
 
     def draw(self, n: int) -> tuple[Tensor, Tensor, Tensor]:
-        """z (n, M), live (n, M) and poses (n, 4), all turned to the strongest taxel's sector."""
-        g = self.generator
-        i = torch.randint(len(self.pose), (n,), generator=g)
+        """z (n, M), live (n, M) and coordinates (n, 3)."""
+        g, device = self.generator, self.activation.device
+        i = torch.randint(len(self.coordinates), (n,), generator=g, device=device)
         h = self.activation[i]
-        gain = 1.0 + self.noise.gain_cv * torch.randn(h.shape, generator=g)
-        z = gain * h + self.noise.sigma * torch.randn(h.shape, generator=g)
+        gain = 1.0 + self.noise.gain_cv * torch.randn(h.shape, generator=g, device=device)
+        z = gain * h + self.noise.sigma * torch.randn(h.shape, generator=g, device=device)
         live = self._live(h)
-        z = z.clamp(0.0, 1.0) * live
-        turn = self.sector[z.argmax(dim=1)]
-        taxels = self.turns[turn]
-        angle = -2.0 * torch.pi * turn / len(self.turns)
-        return z.gather(1, taxels), live.gather(1, taxels), _turned(self.pose[i], angle)
+        return z.clamp(0.0, 1.0) * live, live, self.coordinates[i]
 
     def _live(self, h: Tensor) -> Tensor:
-        g = self.generator
-        share = torch.rand((len(h), 1), generator=g) * (DEAD_MAX / DEAD_SHARE)
+        """Dead taxels in DEAD_SHARE of the touches, evenly from none to DEAD_MAX of the skin."""
+        g, device = self.generator, h.device
+        share = torch.rand((len(h), 1), generator=g, device=device) * (DEAD_MAX / DEAD_SHARE)
         share = (share - (DEAD_MAX / DEAD_SHARE - DEAD_MAX)).clamp(min=0.0)
-        live = (torch.rand(h.shape, generator=g) >= share).float()
+        live = (torch.rand(h.shape, generator=g, device=device) >= share).float()
         unfelt = (h * live).amax(dim=1, keepdim=True) < FELT
         return torch.where(unfelt, 1.0, live)
-
-
-def _turned(pose: Tensor, angle: Tensor) -> Tensor:
-    c, s = torch.cos(angle), torch.sin(angle)
-    theta = pose[:, 2] + angle
-    x = c * pose[:, 0] - s * pose[:, 1]
-    y = s * pose[:, 0] + c * pose[:, 1]
-    return torch.stack([x, y, torch.cos(theta), torch.sin(theta)], dim=1)

@@ -1,28 +1,29 @@
-"""The inverse observation model: a DDPM over poses conditioned on the taxels (Marić et al. 2025).
+"""The inverse observation model of Marić et al. 2025: a DDPM over poses conditioned on the taxels.
 
-Poses are those of the object in the sensor frame, (x, y, cos θ, sin θ), whitened. The network
-predicts v = √ᾱ ε − √(1 − ᾱ) x (Salimans & Ho 2022), a reparametrised noise predictor that is well
-conditioned when few steps are taken. Touches are turned so that the strongest taxel's sector comes
-to angle 0, which is exact on a layout with that rotation symmetry and leaves less to learn.
+The network predicts v = √ᾱ ε − √(1 − ᾱ) x (Salimans & Ho 2022), a reparametrised noise predictor
+that is well conditioned when few steps are taken, of whitened poses in the frame that it is given:
+the pose's own (the paper's) or the contact's.
 """
 
 import math
-from dataclasses import dataclass
+from enum import StrEnum
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
+
+from taxeld_training.frames import rotated
+from taxeld_training.models import (
+    AnyFrame,
+    AnyView,
+    Model,
+    NetworkConfig,
+    parameters_of,
+    standard,
+)
 
 FOURIER_OCTAVES = 4
-
-
-@dataclass(frozen=True)
-class NetworkConfig:
-    """Sizes of the denoiser; saved inside the ONNX file."""
-
-    taxels: int
-    steps: int = 100  # T
-    width: int = 128  # of the three hidden layers, run once a step and hypothesis
-    encoder_width: int = 160  # of the taxels' encoder, run once a touch: its cost disappears
+REPEATS = 4  # noise levels a reading is denoised at: its encoder is then paid once
 
 
 def cosine_alpha_bar(steps: int) -> Tensor:
@@ -32,96 +33,149 @@ def cosine_alpha_bar(steps: int) -> Tensor:
     return (f[1:] / f[0]).clamp(min=1e-5)
 
 
-class Denoiser(nn.Module):
-    """v(x_t, taxels, t): a 4-layer feed-forward network beside an encoder of the taxels."""
+def noise_levels(total: int, steps: int) -> list[int]:
+    """The `steps` of `total` noise levels that are visited, falling, denser towards clean data:
+    what is sharp (direction and depth of a touch) is settled there."""
+    times = [round((total - 1) * (1.0 - i / (steps - 0.5)) ** 1.5) for i in range(steps)]
+    for i in reversed(range(steps - 1)):
+        times[i] = max(times[i], times[i + 1] + 1)
+    return times
+
+
+class PoseNetwork(Model):
+    """(B, 4) → (B, 4): a 4-layer feed-forward network with Fourier features of a whitened pose,
+    shifted by the touch's code in every hidden layer."""
 
     mean: Tensor  # (4,) and
-    scale: Tensor  # (4,) of the poses, which whitening takes away
-    alpha_bar: Tensor  # (T,)
+    scale: Tensor  # (4,) of the frame's features
 
-    def __init__(self, config: NetworkConfig) -> None:
-        super().__init__()
-        self.config = config
+    def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
+        super().__init__(config, view, frame)
         w, e = config.width, config.encoder_width
-        self.encoder = nn.Sequential(
-            nn.Linear(2 * config.taxels, e), nn.SiLU(), nn.Linear(e, e), nn.SiLU()
-        )
         self.context = nn.Linear(e, 3 * w)
-        self.time = nn.Embedding(config.steps, 3 * w)
         self.first = nn.Linear(4 * (1 + 2 * FOURIER_OCTAVES), w)
         self.second = nn.Linear(w, w)
         self.third = nn.Linear(w, w)
         self.out = nn.Linear(w, 4)
         self.register_buffer("mean", torch.zeros(4))
         self.register_buffer("scale", torch.ones(4))
-        self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
-        nn.init.normal_(self.time.weight, std=0.1)
+        each = (self.first, self.second, self.third, self.out)
+        self.multiply_adds_each = sum(parameters_of(layer) for layer in each)
+        self.multiply_adds = view.multiply_adds + parameters_of(self) - self.multiply_adds_each
 
-    def encode(self, z: Tensor, live: Tensor) -> Tensor:
-        """The taxels' share of each hidden layer: z, live (B, M) → (B, 3 W)."""
-        context: Tensor = self.context(self.encoder(torch.cat([z * live, live], dim=-1)))
-        return context
+    def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
+        _, angle = self.view(z, live)
+        mean, scale = standard(self.frame.features(self.frame.turned(coordinates, angle)))
+        self.mean.copy_(mean)
+        self.scale.copy_(scale)
 
-    def forward(self, x: Tensor, shift: Tensor) -> Tensor:
-        """v of noisy poses x (B, 4), whitened; shift (B or 1, 3 W) = context + time."""
+    def whitened(self, coordinates: Tensor, angle: Tensor) -> Tensor:
+        """Coordinates (B, 3) → whitened features (B, 4) of the touch turned by −angle."""
+        features = self.frame.features(self.frame.turned(coordinates, angle))
+        return (features - self.mean) / self.scale
+
+    def poses(self, whitened: Tensor, angle: Tensor) -> Tensor:
+        """The inverse, to poses (B, 4)."""
+        return rotated(self.frame.decode(whitened * self.scale + self.mean), angle)
+
+    def run(self, x: Tensor, shift: Tensor) -> Tensor:
+        """x (B, 4), shift (B or 1, 3 W) → (B, 4)."""
         angle = torch.cat([x * (0.5 * math.pi * 2**k) for k in range(FOURIER_OCTAVES)], dim=-1)
         features = torch.cat([x, torch.sin(angle), torch.cos(angle)], dim=-1)
         a, b, c = shift.chunk(3, dim=-1)
-        hidden = nn.functional.silu(self.first(features) + a)
-        hidden = hidden + nn.functional.silu(self.second(hidden) + b)
-        hidden = hidden + nn.functional.silu(self.third(hidden) + c)
-        v: Tensor = self.out(hidden)
-        return v
+        hidden = functional.silu(self.first(features) + a)
+        hidden = hidden + functional.silu(self.second(hidden) + b)
+        hidden = hidden + functional.silu(self.third(hidden) + c)
+        value: Tensor = self.out(hidden)
+        return value
+
+
+class Denoiser(PoseNetwork):
+    """v(x_t, touch, t)."""
+
+    alpha_bar: Tensor  # (T,)
+
+    def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
+        super().__init__(config, view, frame)
+        self.time = nn.Embedding(config.steps, 3 * config.width)
+        self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
+        nn.init.normal_(self.time.weight, std=0.1)
+
+    def loss(self, z: Tensor, live: Tensor, coordinates: Tensor) -> Tensor:
+        code, angle = self.encode(z, live)
+        clean = self.whitened(coordinates, angle).repeat(REPEATS, 1)
+        context = self.context(code).repeat(REPEATS, 1)
+        n = len(clean)
+        # one t a row, stratified over the batch: less variance at no cost
+        t = (torch.randperm(n, device=clean.device) * self.config.steps) // n
+        alpha_bar = self.alpha_bar[t, None]
+        noise = torch.randn_like(clean)
+        noisy = alpha_bar.sqrt() * clean + (1.0 - alpha_bar).sqrt() * noise
+        target = alpha_bar.sqrt() * noise - (1.0 - alpha_bar).sqrt() * clean
+        return functional.mse_loss(self.run(noisy, context + self.time(t)), target)
+
+
+class Solver(StrEnum):
+    """How the reverse process is walked."""
+
+    DDPM = "ddpm"  # ancestral, all T steps
+    DDIM = "ddim"  # Song et al. 2021, η = 0
+    DPM = "dpm"  # DPM-Solver++ 2M (Lu et al. 2022): second order, of the data prediction
 
 
 class Sampler(nn.Module):
-    """The whole reverse process as one graph whose noise is an input.
-
-    Ancestral DDPM sampling with all T steps, or DDIM (Song et al. 2021, η = 0) with fewer.
-    """
+    """The whole reverse process as one graph whose noise is an input."""
 
     time: Tensor  # (steps, 3 W) the denoiser's own, at the steps taken
 
-    def __init__(self, denoiser: Denoiser, steps: int) -> None:
+    def __init__(self, denoiser: Denoiser, solver: Solver, steps: int) -> None:
         super().__init__()
-        self.denoiser = denoiser
         total = denoiser.config.steps
-        self.ancestral = steps == total
+        if solver is Solver.DDPM and steps != total:
+            raise ValueError(f"ancestral sampling takes all {total} steps")
+        self.model, self.solver, self.steps = denoiser, solver, steps
+        self.family = str(solver)
         self.alpha_bar: list[float] = denoiser.alpha_bar.tolist()  # constants of the graph
-        self.times = [round((i + 1) * total / steps) - 1 for i in range(steps)][::-1]
+        self.times = noise_levels(total, steps)
+        self.noise_steps = steps if solver is Solver.DDPM else 1
         self.register_buffer("time", denoiser.time.weight.detach()[self.times].clone())
-
-    @property
-    def noise_steps(self) -> int:
-        """How many noises a sample takes: the first axis of the `noise` input."""
-        return len(self.times) if self.ancestral else 1
 
     def forward(self, z: Tensor, live: Tensor, noise: Tensor) -> Tensor:
         """z, live (1, M), noise (noise_steps, S, 4) → poses (S, 4): x, y, cos θ, sin θ."""
-        net = self.denoiser
-        context = net.encode(z, live)
-        x = noise[0]
+        net = self.model
+        code, angle = net.encode(z, live)
+        context = net.context(code)
+        x, last = noise[0], None
         for i, t in enumerate(self.times):
             now = self.alpha_bar[t]
-            before = self.alpha_bar[self.times[i + 1]] if i + 1 < len(self.times) else 1.0
-            v = net(x, context + self.time[i])
+            before = self.alpha_bar[self.times[i + 1]] if i + 1 < self.steps else 1.0
+            v = net.run(x, context + self.time[i])
             clean = (math.sqrt(now) * x - math.sqrt(1.0 - now) * v).clamp(-4.0, 4.0)
-            if self.ancestral:
-                alpha = now / before
-                keep = math.sqrt(alpha) * (1.0 - before) / (1.0 - now)
-                x = math.sqrt(before) * (1.0 - alpha) / (1.0 - now) * clean + keep * x
-                if before < 1.0:
-                    sigma = math.sqrt((1.0 - before) / (1.0 - now) * (1.0 - alpha))
-                    x = x + sigma * noise[i + 1]
+            if self.solver is Solver.DDPM:
+                x = _ancestral(x, clean, now, before, noise[i + 1] if before < 1.0 else None)
             else:
-                epsilon = (x - math.sqrt(now) * clean) / math.sqrt(1.0 - now)
-                x = math.sqrt(before) * clean + math.sqrt(1.0 - before) * epsilon
-        return x * net.scale + net.mean
+                ahead = clean
+                if self.solver is Solver.DPM and last is not None and before < 1.0:
+                    ahead = clean + self._curvature(i) * (clean - last)
+                epsilon = (x - math.sqrt(now) * ahead) / math.sqrt(1.0 - now)
+                x = math.sqrt(before) * ahead + math.sqrt(1.0 - before) * epsilon
+                last = clean
+        return net.poses(x, angle)
+
+    def _curvature(self, i: int) -> float:
+        """1 / 2r of DPM-Solver++ 2M at step i, from the steps' lengths in log-SNR."""
+        half_log_snr = [
+            0.5 * math.log(self.alpha_bar[t] / (1.0 - self.alpha_bar[t])) for t in self.times
+        ]
+        step = half_log_snr[i + 1] - half_log_snr[i]
+        return 0.5 * step / (half_log_snr[i] - half_log_snr[i - 1])
 
 
-def flops(config: NetworkConfig, steps: int, samples: int) -> int:
-    """Multiply-adds times two of one call."""
-    w, e, m = config.width, config.encoder_width, config.taxels
-    once = 2 * m * e + e * e + e * 3 * w
-    each = 4 * (1 + 2 * FOURIER_OCTAVES) * w + 2 * w * w + 4 * w
-    return 2 * (once + steps * samples * each)
+def _ancestral(x: Tensor, clean: Tensor, now: float, before: float, noise: Tensor | None) -> Tensor:
+    """x_{t−1} given x_t and the predicted x_0 (Ho et al. 2020, eq. 6 and 7)."""
+    alpha = now / before
+    keep = math.sqrt(alpha) * (1.0 - before) / (1.0 - now)
+    mean = math.sqrt(before) * (1.0 - alpha) / (1.0 - now) * clean + keep * x
+    if noise is None:
+        return mean
+    return mean + math.sqrt((1.0 - before) / (1.0 - now) * (1.0 - alpha)) * noise

@@ -1,57 +1,93 @@
-"""How far a sampler is from the exact posterior, measured the way that bundle.json states."""
+"""How far a sampler is from the exact posterior, and what it costs, as bundle.json states it."""
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taxeld.observation import Noise, ObservationModel
 from taxeld.proposals import Proposal
-from taxeld_training.dataset import Touches, simulate
+from taxeld.se2 import Poses
+from taxeld_training.dataset import simulate
 from taxeld_training.posterior import ExactPosterior, energy_distance
 
 SAMPLES = 100
-BANK = 200_000
+BANK = 1_000_000
 LIMIT_ESS = 50.0  # touches whose exact posterior rests on fewer stored contacts are left out
+TIMED_CALLS = 30
 
 
 @dataclass(frozen=True)
 class Reference:
     """Readings with exact draws, made once and used for every sampler."""
 
-    z: list[np.ndarray]
-    exact: list[np.ndarray]  # each (2 · SAMPLES, 3): one half to measure to, one for the floor
+    truth: list[Poses]  # (3,) each: what was touched
+    z: list[NDArray[np.float64]]
+    live: list[NDArray[np.bool_]]
+    exact: list[Poses]  # (2 · SAMPLES, 3) each: one half to measure to, one for the floor
+    ess: list[float]  # of the bank, for each reading
     length_m: float
     left_out: int
+    bank: int
 
     @property
     def floor(self) -> float:
-        """The distance between two sets of exact draws: no sampler can show less."""
+        """The distance between two sets of exact draws: no independent draws show less."""
         return float(np.mean([
             energy_distance(e[SAMPLES:], e[:SAMPLES], self.length_m) for e in self.exact
         ]))  # fmt: skip
 
+    @property
+    def error(self) -> float:
+        """The exact draws' own Monte Carlo error: of an expectation, in posterior standard
+        deviations, as the median over readings of 1/√ESS."""
+        return float(np.median(1.0 / np.sqrt(self.ess)))
+
 
 def reference(
-    model: ObservationModel, noise: Noise, readings: int, rng: np.random.Generator
-) -> Reference:
-    """Exact posteriors of `readings` simulated readings, all taxels live."""
-    posterior = ExactPosterior(simulate(model, BANK, rng), model.layout, noise)
-    touches: Touches = simulate(model, readings, rng)
-    live = np.ones(len(model.layout), dtype=bool)
-    kept_z, kept = [], []
-    for h in touches.activation:
+    model: ObservationModel, noise: Noise, readings: int, rng: np.random.Generator,
+    *, dead: float = 0.0, bank: int = BANK,
+) -> Reference:  # fmt: skip
+    """Exact posteriors of `readings` simulated readings, a share `dead` of the taxels dead in
+    each; a reading that nothing live feels is drawn again with other dead taxels."""
+    posterior = ExactPosterior(simulate(model, bank, rng), model.layout, noise)
+    touches = simulate(model, readings, rng)
+    kept = Reference([], [], [], [], [], model.scene.size, 0, bank)
+    for pose, h in zip(touches.pose, touches.activation, strict=True):
         z = noise.draw(h.astype(np.float64), rng)
+        live = rng.random(len(z)) >= dead
+        while not (h * live).any():
+            live = rng.random(len(z)) >= dead
+        z = np.where(live, z, 0.0)
         draws = posterior.sample(z, live, 2 * SAMPLES, rng)
-        if draws.ess >= LIMIT_ESS:
-            kept_z.append(z)
-            kept.append(draws.pose)
-    return Reference(kept_z, kept, model.scene.size, readings - len(kept))
+        if draws.ess < LIMIT_ESS:
+            continue
+        kept.truth.append(pose)
+        kept.z.append(z)
+        kept.live.append(live)
+        kept.exact.append(draws.pose)
+        kept.ess.append(draws.ess)
+    return Reference(
+        kept.truth, kept.z, kept.live, kept.exact, kept.ess,
+        kept.length_m, readings - len(kept.z), bank,
+    )  # fmt: skip
 
 
 def distance(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:
     """Mean energy distance of SAMPLES samples to the exact draws."""
-    live = np.ones(len(to.z[0]), dtype=bool)
     return float(np.mean([
         energy_distance(proposal.propose(z, live, SAMPLES, rng), exact[:SAMPLES], to.length_m)
-        for z, exact in zip(to.z, to.exact, strict=True)
+        for z, live, exact in zip(to.z, to.live, to.exact, strict=True)
     ]))  # fmt: skip
+
+
+def cost_ms(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:
+    """Median CPU time [ms] of a call for SAMPLES samples on this thread, the first left out."""
+    spent = []
+    for k in range(TIMED_CALLS + 1):
+        i = k % len(to.z)
+        start = time.thread_time_ns()
+        proposal.propose(to.z[i], to.live[i], SAMPLES, rng)
+        spent.append((time.thread_time_ns() - start) / 1e6)
+    return float(np.median(spent[1:]))

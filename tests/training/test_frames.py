@@ -1,0 +1,70 @@
+"""Contact coordinates: there and back, and what they mean."""
+
+import numpy as np
+import pytest
+import torch
+
+from taxeld import contacts
+from taxeld.observation import ObservationModel
+from taxeld.se2 import Poses
+from taxeld_training.dataset import Touches
+from taxeld_training.frames import ContactFrame, PoseFrame, rotated
+
+
+def poses(four: torch.Tensor) -> Poses:
+    x, y, c, s = four.double().numpy().T
+    return np.column_stack([x, y, np.arctan2(s, c)])
+
+
+def worst_mm(a: Poses, b: Poses) -> float:
+    return 1e3 * float(np.hypot(*(a - b)[:, :2].T).max())
+
+
+@pytest.mark.parametrize("kind", [ContactFrame, PoseFrame])
+def test_a_pose_survives_its_coordinates(
+    kind: type, ring_model: ObservationModel, touches: Touches
+) -> None:
+    frame = ContactFrame(ring_model) if kind is ContactFrame else PoseFrame()
+    back = poses(frame.decode(frame.features(frame.encode(touches.pose))))
+    assert worst_mm(back, touches.pose) < 0.3
+    assert np.abs(np.sin(back[:, 2] - touches.pose[:, 2])).max() < 0.02
+
+
+@pytest.mark.parametrize("kind", [ContactFrame, PoseFrame])
+def test_turning_coordinates_turns_the_pose(
+    kind: type, ring_model: ObservationModel, touches: Touches
+) -> None:
+    frame = ContactFrame(ring_model) if kind is ContactFrame else PoseFrame()
+    angle = torch.linspace(-3.0, 3.0, 500)
+    turned = frame.turned(frame.encode(touches.pose[:500]), angle)
+    back = poses(rotated(frame.decode(frame.features(turned)), angle))
+    assert worst_mm(back, touches.pose[:500]) < 0.3
+
+
+def test_every_coordinate_presses_as_deep_as_it_says(ring_model: ObservationModel) -> None:
+    frame = ContactFrame(ring_model)
+    s = torch.linspace(0.0, 1.0, 400)
+    depth = torch.full_like(s, 0.003)
+    made = poses(frame.pose(s, torch.linspace(-3.0, 3.0, 400), depth))
+    gap = contacts.clearance(ring_model.scene, ring_model.layout.radius_m, made)
+    assert np.abs(gap + 0.003).max() < 2e-4
+
+
+def test_s_is_periodic_and_depth_stays_in_range(ring_model: ObservationModel) -> None:
+    frame = ContactFrame(ring_model)
+    s, phi = torch.tensor([0.3, 1.3, -0.7, 1.0, 0.0]), torch.zeros(5)
+    made = frame.pose(s, phi, torch.tensor([0.002] * 3 + [-1.0, 0.0]))
+    assert torch.allclose(made[0], made[1], atol=1e-5)
+    assert torch.allclose(made[0], made[2], atol=1e-5)
+    assert torch.allclose(made[3], made[4], atol=1e-5)
+
+
+def test_the_direction_is_where_the_skin_is_pressed(
+    ring_model: ObservationModel, touches: Touches
+) -> None:
+    direction = ContactFrame(ring_model).encode(touches.pose)[:, 1].numpy()
+    xy = ring_model.layout.position_m[:, :2]
+    strongest = touches.activation.argmax(axis=1)
+    felt = np.arctan2(xy[strongest, 1], xy[strongest, 0])
+    off = np.abs(np.angle(np.exp(1j * (felt - direction))))
+    assert np.quantile(off, 0.99) < 2.0 * np.pi / 16

@@ -1,0 +1,133 @@
+"""What every model promises: it learns the posterior, and its ONNX file is what torch runs."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import onnx
+import onnxruntime as ort
+import pytest
+import torch
+
+from taxeld.observation import Noise, ObservationModel
+from taxeld.proposals import Projection
+from taxeld.sampler import Sampler
+from taxeld_training import quality, variants
+from taxeld_training.dataset import Touches, simulate
+from taxeld_training.density import BINS, ContactDensity
+from taxeld_training.diffusion import Solver
+from taxeld_training.export import export, flops
+from taxeld_training.frames import ContactFrame
+from taxeld_training.generator import Generator
+from taxeld_training.models import NetworkConfig
+from taxeld_training.variants import Variant
+from taxeld_training.views import Plain, best
+
+TRAINING = variants.density(8).training
+FEW = NetworkConfig(8, 16, steps=8)  # T: the unrolled graph of a hundred is slow to export
+SMALL = {
+    "density": variants.density(8, encoder_width=16),
+    "dpm": Variant("diffusion", FEW, TRAINING, samplers=((Solver.DPM, 3),)),
+    "ddpm": Variant("diffusion", FEW, TRAINING, samplers=((Solver.DDPM, 8),)),
+    "paper": Variant("diffusion", FEW, TRAINING, "plain", "pose", ((Solver.DDPM, 8),)),
+    "generator": Variant("generator", NetworkConfig(8, 16), TRAINING),
+}
+
+
+def fitted(
+    variant: Variant, model: ObservationModel, touches: Touches, updates: int
+) -> torch.nn.Module:
+    small = variants.trained_with(variant, updates, 20_000, 0)
+    network = variants.fit(small, model, Noise(), touches, lambda _update, _loss: None)
+    return next(iter(variants.samplers(small, network).values()))
+
+
+@pytest.mark.parametrize("name", list(SMALL))
+@pytest.mark.parametrize("skin", ["ring_model", "half_model"])
+def test_onnx_equals_torch_for_any_number_of_samples(
+    name: str, skin: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    model: ObservationModel = request.getfixturevalue(skin)
+    taxels = len(model.layout)
+    some = simulate(model, 2000, np.random.default_rng(0))
+    sampler = fitted(SMALL[name], model, some, 3)
+    path = tmp_path / "s.onnx"
+    export(sampler, taxels, path, {"training": {"seed": 1}})  # type: ignore[arg-type]
+    session = ort.InferenceSession(path, providers=["CPUExecutionProvider"])
+    for i, samples in enumerate((1, 3, 250)):
+        z = torch.from_numpy(some.activation[i : i + 1])
+        live = (torch.rand(1, taxels) > 0.2).float()
+        noise = torch.randn(sampler.noise_steps, samples, 4)  # type: ignore[call-overload]
+        with torch.no_grad():
+            expected = sampler(z, live, noise).numpy()
+        inputs = {"z": z.numpy(), "live": live.numpy(), "noise": noise.numpy()}
+        gap = np.abs(session.run(None, inputs)[0] - expected)
+        assert np.quantile(gap, 0.98) < 1e-3
+    metadata = {p.key: json.loads(p.value) for p in onnx.load(path).metadata_props}
+    assert metadata == {"training": {"seed": 1}}
+
+
+@pytest.mark.parametrize(
+    ("name", "updates", "of_projection"), [("density", 300, 0.12), ("generator", 120, 0.7)]
+)
+def test_it_learns_the_posterior(
+    name: str, updates: int, of_projection: float, ring_model: ObservationModel, touches: Touches,
+    tmp_path: Path,
+) -> None:  # fmt: skip
+    to = quality.reference(ring_model, Noise(), 20, np.random.default_rng(1), bank=40_000)
+    sampler = fitted(variants.density(32) if name == "density" else SMALL[name], ring_model,
+                     touches, updates)  # fmt: skip
+    export(sampler, len(ring_model.layout), tmp_path / "s.onnx", {})  # type: ignore[arg-type]
+    rng = np.random.default_rng(2)
+    learned = quality.distance(Sampler(tmp_path / "s.onnx", ring_model.layout, name), to, rng)
+    uninformed = quality.distance(Projection(ring_model), to, rng)
+    assert learned < of_projection * uninformed
+
+
+def density(model: ObservationModel) -> ContactDensity:
+    torch.manual_seed(0)
+    return ContactDensity(NetworkConfig(8, 16), best(model.layout), ContactFrame(model)).eval()
+
+
+def test_the_densitys_samples_follow_its_histogram(ring_model: ObservationModel) -> None:
+    """Counts a bin against the probabilities that the network gives, to within one sample."""
+    net = density(ring_model)
+    with torch.no_grad():
+        net.logits.bias.copy_(torch.randn(BINS, generator=torch.Generator().manual_seed(1)))
+        net.logits.weight.mul_(0.1)
+    z = torch.zeros(1, 32)
+    z[0, 5] = 0.7
+    live, noise = torch.ones(1, 32), torch.randn(1, 20_000, 4)
+    with torch.no_grad():
+        share = torch.softmax(net.logits(net.encode(z, live)[0])[0], 0)
+        four = net(z, live, noise).double().numpy()
+    poses = np.column_stack([four[:, 0], four[:, 1], np.arctan2(four[:, 3], four[:, 2])])
+    s = net.frame.encode(poses)[:, 0]
+    counts = torch.bincount((s * BINS).long().clamp(max=BINS - 1), minlength=BINS) / 20_000
+    assert (counts - share).abs().max() < 0.004  # the lookup of s rounds at a bin's edge
+
+
+def test_the_density_integrates_to_one(ring_model: ObservationModel) -> None:
+    net = density(ring_model)
+    net.scale.copy_(torch.tensor([0.1, 0.001]))
+    side, half = 49, 12.0
+    at = torch.linspace(-half, half, side)
+    s, phi, depth = torch.meshgrid((torch.arange(BINS) + 0.5) / BINS, at, at, indexing="ij")
+    z, live = torch.zeros(1, 32), torch.ones(1, 32)
+    z[0, 5] = 0.7
+    with torch.no_grad():
+        _, angle = net.view(z, live)
+        grid = torch.stack([s, 0.1 * phi + angle, 0.001 * depth], dim=-1).reshape(-1, 3)
+        n = len(grid)
+        log_each = net.log_density(z.expand(n, -1), live.expand(n, -1), grid)
+    cell = (2 * half / (side - 1)) ** 2
+    # the Gaussians' constant, which training does not need
+    assert float(log_each.exp().sum()) * cell / (2 * np.pi) == pytest.approx(1.0, abs=0.02)
+
+
+def test_operations_grow_with_steps_and_samples(ring_model: ObservationModel) -> None:
+    view, frame = Plain(ring_model.layout), ContactFrame(ring_model)
+    net = ContactDensity(NetworkConfig(8, 16), view, frame)
+    assert flops(net, 200) - flops(net, 100) == 100 * 2 * net.multiply_adds_each
+    assert flops(net, 0) == 2 * (64 * 16 + 16 * 16 + 16 * BINS + 16 * 16)
+    assert Generator(NetworkConfig(8, 16), view, frame).multiply_adds_each > 0

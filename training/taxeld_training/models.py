@@ -1,0 +1,66 @@
+"""What all inverse observation models share: a view of the touch, a frame for poses, an encoder."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from taxeld_training.frames import ContactFrame, PoseFrame
+from taxeld_training.views import Centred, Plain, Turned
+
+AnyView = Plain | Turned | Centred
+AnyFrame = PoseFrame | ContactFrame
+
+
+@dataclass(frozen=True)
+class NetworkConfig:
+    """Sizes of a network; saved inside the ONNX file."""
+
+    width: int = 64  # of the layers that run once a hypothesis
+    encoder_width: int = 160  # of the touch's encoder, run once a touch: its cost disappears
+    steps: int = 100  # T of a diffusion
+
+
+class Model(nn.Module):
+    """A sampler of p(pose | touch) in the making: it can be trained, and run as one graph."""
+
+    noise_steps = 1  # noises a sample takes: the first axis of the `noise` input
+    multiply_adds: int  # once a touch
+    multiply_adds_each: int  # once a hypothesis (and step)
+
+    def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
+        super().__init__()
+        self.config, self.view, self.frame = config, view, frame
+        e = config.encoder_width
+        self.encoder = nn.Sequential(
+            nn.Linear(view.width, e), nn.SiLU(), nn.Linear(e, e), nn.SiLU()
+        )
+
+    def encode(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]:
+        """z, live (B, M) → code (B, E), angle (B,) that the touch is seen from."""
+        seen, angle = self.view(z, live)
+        code: Tensor = self.encoder(seen)
+        return code, angle
+
+    def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
+        """Learn from a large batch what whitening takes away."""
+        raise NotImplementedError
+
+    def loss(self, z: Tensor, live: Tensor, coordinates: Tensor) -> Tensor:
+        """What training makes small: z, live (B, M), coordinates (B, 3) of the true poses."""
+        raise NotImplementedError
+
+
+def parameters_of(module: nn.Module) -> int:
+    """Weights of linear layers: a multiply-add each, and run."""
+    return sum(m.weight.numel() for m in module.modules() if isinstance(m, nn.Linear))
+
+
+def standard(values: Tensor) -> tuple[Tensor, Tensor]:
+    """Mean and standard deviation of columns, the latter never 0."""
+    return values.mean(0), values.std(0).clamp(min=1e-6)
+
+
+def uniform_of(noise: Tensor) -> Tensor:
+    """Standard normal → uniform over 0..1."""
+    return 0.5 * (1.0 + torch.erf(noise * 0.5**0.5))

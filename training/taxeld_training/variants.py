@@ -1,0 +1,100 @@
+"""The models there are, by what they are made of; for `build` and the experiments."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from taxeld.observation import Noise, ObservationModel
+from taxeld_training import views
+from taxeld_training.dataset import Touches
+from taxeld_training.density import ContactDensity
+from taxeld_training.diffusion import Denoiser, Sampler, Solver
+from taxeld_training.export import AnySampler
+from taxeld_training.frames import ContactFrame, PoseFrame
+from taxeld_training.generator import Generator
+from taxeld_training.models import AnyFrame, AnyView, Model, NetworkConfig
+from taxeld_training.train import Progress, TrainConfig, train
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One model: family, sizes, how it sees the touch and the pose, and its training."""
+
+    family: str  # density | diffusion | generator
+    network: NetworkConfig
+    training: TrainConfig
+    view: str = "best"  # best | plain
+    frame: str = "contact"  # contact | pose
+    samplers: tuple[tuple[Solver, int], ...] = ()  # of a diffusion
+
+    @property
+    def kind(self) -> str:
+        """The daemon's word for it."""
+        return "ddpm" if self.family == "diffusion" else self.family
+
+    def describe(self) -> dict[str, Any]:
+        """For a file's metadata."""
+        return {key: value for key, value in asdict(self).items() if key != "samplers"}
+
+
+def density(width: int, updates: int = 8_000, encoder_width: int = 160) -> Variant:
+    network = NetworkConfig(width=width, encoder_width=encoder_width)
+    return Variant("density", network, TrainConfig(updates=updates))
+
+
+def diffusion(
+    width: int = 128, updates: int = 8_000,
+    samplers: tuple[tuple[Solver, int], ...] = ((Solver.DPM, 5), (Solver.DDPM, 100)),
+) -> Variant:  # fmt: skip
+    network = NetworkConfig(width=width)
+    return Variant("diffusion", network, TrainConfig(updates=updates), samplers=samplers)
+
+
+def paper(updates: int = 8_000) -> Variant:
+    """Marić et al. 2025: 10⁴ contacts, T = 100, no use of symmetry; width 256 stands in for their
+    unstated one."""
+    return Variant(
+        "diffusion", NetworkConfig(width=256, encoder_width=256),
+        TrainConfig(contacts=10_000, updates=updates), view="plain", frame="pose",
+        samplers=((Solver.DDPM, 100),),
+    )  # fmt: skip
+
+
+def trained_with(variant: Variant, updates: int, contacts: int, seed: int) -> Variant:
+    """The same, trained otherwise; contacts are at most the variant's own."""
+    contacts = min(contacts, variant.training.contacts)
+    training = replace(variant.training, updates=updates, contacts=contacts, seed=seed)
+    return replace(variant, training=training)
+
+
+def fit(
+    variant: Variant, model: ObservationModel, noise: Noise, touches: Touches, progress: Progress
+) -> Model:
+    """The trained model of a variant, on its share of `touches`."""
+    count = variant.training.contacts
+    mine = Touches(touches.pose[:count], touches.activation[:count], touches.dropped_share)
+    return train(lambda: _make(variant, model), variant.training, mine, noise, progress)
+
+
+def samplers(variant: Variant, trained: Model) -> dict[str, AnySampler]:
+    """What the trained model can be run as, by name."""
+    if isinstance(trained, Denoiser):
+        return {
+            f"{solver}-{steps}": Sampler(trained, solver, steps)
+            for solver, steps in variant.samplers
+        }
+    assert isinstance(trained, ContactDensity | Generator)  # noqa: S101
+    return {f"{variant.family}-{variant.network.width}": trained}
+
+
+def _make(variant: Variant, model: ObservationModel) -> Model:
+    view: AnyView = views.best(model.layout)
+    if variant.view == "plain":
+        view = views.Plain(model.layout)
+    frame: AnyFrame = PoseFrame() if variant.frame == "pose" else ContactFrame(model)
+    if isinstance(frame, ContactFrame) and variant.family == "density":
+        return ContactDensity(variant.network, view, frame)
+    if variant.family == "generator":
+        made = Generator(variant.network, view, frame)
+        made.length_m = model.scene.size
+        return made
+    return Denoiser(variant.network, view, frame)

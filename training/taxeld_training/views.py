@@ -1,0 +1,108 @@
+"""How a model sees a touch: turned to its strongest taxel, so that there is less to learn.
+
+A view is the head of every exported graph: z, live (B, M) as the skin has them → features (B, F)
+and the angle (B,) that the touch is seen from; poses are learned turned by it and turned back.
+"""
+
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from taxeld.layout import Layout
+
+TURNED_ORDER = 6  # of symmetry, from which on turning pays more than a window
+WINDOW_RAD = 0.7  # to either side; a flat face pressed 5 mm deep covers half of it
+
+
+class View(Protocol):
+    """z, live (B, M) → features (B, F), angle (B,)."""
+
+    width: int  # F
+
+    def __call__(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]: ...
+
+
+class Plain(nn.Module):
+    """The taxels as they are: the paper's."""
+
+    name = "plain"
+    multiply_adds = 0
+
+    def __init__(self, layout: Layout) -> None:
+        super().__init__()
+        self.width = 2 * len(layout)
+
+    def forward(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]:
+        return torch.cat([z * live, live], dim=-1), torch.zeros_like(z[:, 0])
+
+
+class Turned(nn.Module):
+    """The taxels turned by the layout's rotation symmetry, the strongest one's sector to angle 0.
+
+    Exact: a ring of equal columns feels the same when turned by one of them.
+    """
+
+    name = "turned"
+    multiply_adds = 0
+    turns: Tensor  # (n, M)
+    sector: Tensor  # (M,)
+
+    def __init__(self, layout: Layout) -> None:
+        super().__init__()
+        self.width = 2 * len(layout)
+        self.register_buffer("turns", torch.from_numpy(layout.turns))
+        self.register_buffer("sector", torch.from_numpy(layout.sector))
+
+    def forward(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]:
+        z = z * live
+        turn = self.sector[z.argmax(dim=1)]
+        taxels = self.turns[turn]
+        seen = torch.cat([z.gather(1, taxels), live.gather(1, taxels)], dim=-1)
+        return seen, turn.float() * (2.0 * torch.pi / len(self.turns))
+
+
+class Centred(nn.Module):
+    """What a layout without symmetry has in its place: a window that follows the touch.
+
+    Taxels are spread onto a regular grid of angle × height about the strongest one's direction,
+    bilinearly, so that where between the cells they lie is kept; so is where no live taxel is,
+    since a bare side's silence is no evidence.
+    """
+
+    name = "centred"
+    angle: Tensor  # (M,) of the taxels
+    rise: Tensor  # (M, H) share of each taxel in each row of the grid
+    cells: Tensor  # (G,) offsets of the columns in cells
+
+    def __init__(self, layout: Layout) -> None:
+        super().__init__()
+        xyz = layout.position_m
+        gap = np.linalg.norm(xyz[:, None] - xyz[None], axis=-1)
+        pitch = float(np.median(np.sort(gap, axis=1)[:, min(1, len(xyz) - 1)])) or 0.01
+        half = int(np.ceil(WINDOW_RAD * layout.radius_m / pitch))
+        rows = max(1, round(float(np.ptp(xyz[:, 2])) / pitch)) + 1
+        height = (xyz[:, 2] - xyz[:, 2].min()) / pitch
+        rise = np.clip(1.0 - np.abs(height[:, None] - np.arange(rows)), 0.0, None)
+        self.width = 2 * rows * (2 * half + 1)
+        self.multiply_adds = self.width * len(layout)
+        self.cells_per_rad = layout.radius_m / pitch
+        direction = np.arctan2(xyz[:, 1], xyz[:, 0])
+        self.register_buffer("angle", torch.from_numpy(direction).float())
+        self.register_buffer("rise", torch.from_numpy(rise).float())
+        self.register_buffer("cells", torch.arange(-half, half + 1).float())
+
+    def forward(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]:
+        z = z * live
+        angle = self.angle[z.argmax(dim=1)]
+        off = self.angle - angle[:, None]
+        off = off - 2.0 * torch.pi * torch.round(off / (2.0 * torch.pi))
+        share = (1.0 - (off[..., None] * self.cells_per_rad - self.cells).abs()).clamp(min=0.0)
+        grids = [torch.einsum("bm,bmg,mh->bgh", a, share, self.rise) for a in (z, live)]
+        return torch.cat([grid.flatten(1) for grid in grids], dim=-1), angle
+
+
+def best(layout: Layout) -> Turned | Centred:
+    """The view that uses what the layout has."""
+    return Turned(layout) if len(layout.turns) >= TURNED_ORDER else Centred(layout)
