@@ -1,0 +1,184 @@
+"""Pictures of experiments, from rows made up in the shape of real ones."""
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from matplotlib.figure import Figure
+from matplotlib.text import Text
+
+from taxeld import layout
+from taxeld.errors import SetupError
+from taxeld.observation import ObservationModel
+from taxeld.proposals import Projection
+from taxeld_training import charts, picture, scenes
+from taxeld_training.dataset import simulate
+from taxeld_training.gallery import gallery
+
+OBJECTS = (
+    "003_cracker_box", "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle",
+    "010_potted_meat_can", "019_pitcher_base", "021_bleach_cleanser", "025_mug", "035_power_drill",
+    "061_foam_brick",
+)  # fmt: skip
+# ms of a call, and distance to the exact posterior as a multiple of the floor
+SAMPLERS = {
+    ("ddpm", 100, 64): (55.0, 2.1), ("ddpm", 100, 128): (110.0, 1.35),
+    ("ddim", 5, 128): (5.6, 2.6), ("ddim", 10, 128): (11.0, 1.9), ("ddim", 20, 128): (22.0, 1.6),
+    ("ddim", 10, 64): (5.5, 3.0), ("flow", 1, 64): (0.6, 6.0), ("flow", 2, 64): (1.1, 3.2),
+    ("flow", 4, 64): (2.2, 2.0), ("flow", 4, 128): (4.4, 1.7), ("consistency", 1, 128): (1.2, 2.4),
+    ("consistency", 2, 128): (2.3, 1.75), ("mdn", 1, 128): (0.5, 4.5), ("table", None, None):
+    (0.35, 9.0), ("manifold", None, None): (0.12, 25.0), ("projection", None, None): (0.3, 110.0),
+}  # fmt: skip
+SKIN = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+
+
+def cost_rows(objects: tuple[str, ...] = OBJECTS) -> list[dict[str, Any]]:
+    rng = np.random.default_rng(0)
+    return [
+        {
+            "object": name, "columns": columns, "proposal": proposal, "steps": steps,
+            "width": width, "flops": 1e6, "ms": ms * rng.uniform(0.9, 1.2) * columns / 16,
+            "ms_eager_ddpm100": 140.0, "speedup": 140.0 / ms,
+            "energy_distance": 0.004 * gap * math.exp(rng.normal(0.0, 0.25)), "energy_floor": 0.004,
+        }
+        for name in objects
+        for columns in (16, 32)
+        for (proposal, steps, width), (ms, gap) in SAMPLERS.items()
+    ]  # fmt: skip
+
+
+def sample_rows(objects: tuple[str, ...] = OBJECTS) -> list[dict[str, Any]]:
+    rng = np.random.default_rng(0)
+    rows = []
+    for name in objects:
+        for columns in (8, 16, 32, 64):
+            for proposal, gap in {s[0]: gap for s, (_, gap) in SAMPLERS.items()}.items():
+                median = 25.0 * gap**0.25 * rng.uniform(0.8, 1.25) * (16 / columns) ** 0.1
+                rows.append({
+                    "object": name, "columns": columns, "proposal": proposal,
+                    "add_mm": {"median": median, "best": 0.2 * median, "worst": 2.1 * median},
+                    "add_s_mm": 0.4 * median, "add_sym_mm": 0.7 * median,
+                    "contact_residual_mm": 0.3, "observation_residual": 0.2,
+                    "energy_distance": 0.004 * gap * rng.uniform(0.7, 1.5), "energy_floor": 0.004,
+                    "contacts": 100,
+                })  # fmt: skip
+    return rows
+
+
+def check_picture(path: Path) -> None:
+    data = path.read_bytes()
+    assert data.startswith(b"\x89PNG\r\n\x1a\n")
+    assert 5_000 < len(data) < 300_000
+
+
+def with_gaps(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A rival that was not run on every object, one that failed, a floor that is missing."""
+    kept = [r for r in rows if (r["proposal"], r["object"]) != ("flow", OBJECTS[0])]
+    for row in kept:
+        if row["proposal"] == "mdn":
+            row["energy_distance"] = math.nan
+            row["add_mm"] = {"median": math.nan, "best": None, "worst": math.inf}
+        if row["proposal"] == "table":
+            row["energy_floor"] = 0.0
+            row["ms"] = None
+    return kept
+
+
+@pytest.mark.parametrize("count", [1, 10])
+def test_the_frontier_of_one_object_and_of_many(count: int, tmp_path: Path) -> None:
+    charts.frontier(cost_rows(OBJECTS[:count]), 32, tmp_path / "a.png")
+    check_picture(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("count", [1, 7])
+def test_samplers_are_drawn_side_by_side(count: int, tmp_path: Path) -> None:
+    rows = sample_rows(OBJECTS[:count])
+    charts.proposals(rows, tmp_path / "a.png")
+    charts.proposals(rows, tmp_path / "b.png", "observation_residual")
+    charts.posterior_gap(rows, tmp_path / "c.png")
+    for name in "abc":
+        check_picture(tmp_path / f"{name}.png")
+
+
+def test_what_was_not_run_leaves_a_gap(tmp_path: Path) -> None:
+    charts.frontier(with_gaps(cost_rows(OBJECTS[:2])), 16, tmp_path / "a.png")
+    rows = with_gaps(sample_rows(OBJECTS[:2]))
+    charts.proposals(rows, tmp_path / "b.png")
+    charts.posterior_gap(rows, tmp_path / "c.png")
+    for name in "abc":
+        check_picture(tmp_path / f"{name}.png")
+
+
+def test_a_frontier_of_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match="no complete row of 64 columns"):
+        charts.frontier(cost_rows(), 64, tmp_path / "a.png")
+
+
+def test_a_picture_is_the_same_bytes_again(tmp_path: Path) -> None:
+    rows = cost_rows(OBJECTS[:1])
+    charts.frontier(rows, 16, tmp_path / "a.png")
+    charts.frontier(rows, 16, tmp_path / "b.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_samplers_keep_their_style_whoever_else_is_there() -> None:
+    assert (
+        picture.styles(["table", "ddpm"]).items() <= picture.styles(["ddpm", "x", "table"]).items()
+    )
+    many = [f"rival {i}" for i in range(30)]
+    assert len(set(picture.styles(many).values())) == len(many)
+
+
+def test_labels_of_a_crowded_front_do_not_meet() -> None:
+    figure = Figure(figsize=(10.0, 5.0), layout="constrained")
+    axes = figure.add_subplot()
+    rng = np.random.default_rng(0)
+    x, y = np.sort(rng.uniform(0.3, 1.0, 15)), -np.sort(-rng.uniform(0.5, 0.6, 15))
+    axes.plot([0.0, *x], [0.0, *y], ".")
+    figure.draw_without_rendering()
+    picture.beside(axes, [("flow 4 × 128", point) for point in zip(x, y, strict=True)])
+    figure.draw_without_rendering()
+    boxes = [Text.get_window_extent(note) for note in axes.texts]  # without the ties
+    assert len(boxes) == 15
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+
+
+number = st.sampled_from([1.0, 2.0, 3.0]) | st.floats()  # few values: ties and twins are common
+
+
+@given(st.lists(st.tuples(number, number), max_size=20))
+def test_the_front_is_what_nothing_dominates(points: list[tuple[float, float]]) -> None:
+    finite = [i for i, (x, y) in enumerate(points) if math.isfinite(x) and math.isfinite(y)]
+
+    def dominated(i: int) -> bool:
+        (x, y) = points[i]
+        return any(
+            a <= x and b <= y and (a, b) != (x, y) for a, b in map(points.__getitem__, finite)
+        )
+
+    front = charts.pareto(points)
+    assert sorted(front) == [i for i in finite if not dominated(i)]
+    assert [points[i][0] for i in front] == sorted(points[i][0] for i in front)
+
+
+def test_the_contacts_of_a_touch_are_drawn(tmp_path: Path) -> None:
+    mesh = trimesh.creation.box((0.06, 0.1, 0.1))
+    mesh.apply_translation([0.0, 0.0, 0.05])
+    model = ObservationModel(scenes.build(mesh, SKIN, 0.04), SKIN, 0.005)
+    rng = np.random.default_rng(0)
+    touch = simulate(model, 1, rng)
+    truth, z = touch.pose[0], touch.activation[0].astype(float)
+    live = np.ones(len(SKIN), dtype=bool)
+    panels = {
+        "projection": Projection(model).propose(z, live, 100, rng),
+        "exact posterior": truth + rng.normal(0.0, 0.003, (100, 3)),
+    }
+    gallery(model, panels, z, truth, tmp_path / "a.png")
+    check_picture(tmp_path / "a.png")
+    gallery(model, {"one": panels["projection"][:1]}, z, truth, tmp_path / "b.png")
+    check_picture(tmp_path / "b.png")
