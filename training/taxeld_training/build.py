@@ -17,6 +17,7 @@ from taxeld.sampler import Ddpm
 from taxeld_training import export, meshes, quality, scenes
 from taxeld_training.dataset import Batches, simulate
 from taxeld_training.diffusion import Denoiser, NetworkConfig, Sampler, flops
+from taxeld_training.scene_error import grid_error
 from taxeld_training.train import TrainConfig, train
 
 DEPTH_MAX_M = 0.005
@@ -49,7 +50,9 @@ def build(name: str, layout: Layout, config: BuildConfig, out: Path, progress: P
     if out.exists() and not (out / "bundle.json").is_file() and any(out.iterdir()):
         raise SetupError(f"--out: {out} is a directory with other content; name an empty one")
     path, attribution = meshes.find(name)
-    scene = scenes.build(meshes.load(path), layout, config.height_m)
+    mesh = meshes.load(path)
+    scene = scenes.build(mesh, layout, config.height_m)
+    error = grid_error(scene, mesh, layout, config.height_m, config.depth_max_m)
     model = ObservationModel(scene, layout, config.depth_max_m)
     rng = np.random.default_rng(config.train.seed)
     touches = simulate(model, config.train.contacts, rng)
@@ -81,6 +84,8 @@ def build(name: str, layout: Layout, config: BuildConfig, out: Path, progress: P
             "height_m": config.height_m,
             "depth_max_m": config.depth_max_m,
             "symmetry": scene.symmetry,
+            "repairs": scenes.repairs(mesh, layout, config.height_m),
+            "grid_error_mm": asdict(error),
             "contacts_dropped_share": touches.dropped_share,
             "noise": asdict(config.noise),
             "samplers": samplers,
