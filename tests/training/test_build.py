@@ -18,6 +18,7 @@ SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
 def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("build")
     mesh = trimesh.creation.box((0.06, 0.1, 0.1))
+    mesh.invert()
     mesh.export(place / "block.stl")
     arguments = ["build", str(place / "block.stl"), "--skin", SKIN, "--out", str(place / "block")]
     small = ["--updates", "60", "--contacts", "5000", "--bank", "5000"]
@@ -71,6 +72,13 @@ def test_the_daemons_order_begins_with_the_cheapest_that_is_as_good_as_the_best(
     assert "1.15" in chosen["why"]
     assert choose(candidates, 1.1)["order"] == ["dear", "cheap", "bad", "worst"]
     assert choose(candidates, 4.0)["order"][0] == "bad"
+
+
+def test_the_bundle_records_repairs_and_the_grids_error(built: Path) -> None:
+    info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
+    assert info["repairs"] == ["turned 12 faces outward"]
+    assert info["grid_error_mm"].keys() == {"rms", "p99", "max"}
+    assert 0.0 < info["grid_error_mm"]["rms"] < info["grid_error_mm"]["max"] < 1.0
 
 
 def test_a_directory_of_other_things_is_not_overwritten(

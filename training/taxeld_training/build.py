@@ -24,6 +24,7 @@ from taxeld.sampler import Sampler
 from taxeld_training import export, meshes, quality, scenes, variants
 from taxeld_training.dataset import Touches, simulate
 from taxeld_training.models import Model
+from taxeld_training.scene_error import grid_error
 from taxeld_training.variants import Variant
 
 DEPTH_MAX_M = 0.005
@@ -59,7 +60,9 @@ def build(name: str, layout: Layout, config: BuildConfig, out: Path, progress: P
     if out.exists() and not (out / "bundle.json").is_file() and any(out.iterdir()):
         raise SetupError(f"--out: {out} is a directory with other content; name an empty one")
     path, attribution = meshes.find(name)
-    scene = scenes.build(meshes.load(path), layout, config.height_m)
+    mesh = meshes.load(path)
+    scene = scenes.build(mesh, layout, config.height_m)
+    error = grid_error(scene, mesh, layout, config.height_m, config.depth_max_m)
     model = ObservationModel(scene, layout, config.depth_max_m)
     rng = np.random.default_rng(config.seed)
     touches = simulate(model, max(v.training.contacts for v in config.variants), rng)
@@ -89,6 +92,8 @@ def build(name: str, layout: Layout, config: BuildConfig, out: Path, progress: P
             "height_m": config.height_m,
             "depth_max_m": config.depth_max_m,
             "symmetry": scene.symmetry,
+            "repairs": scenes.repairs(mesh, layout, config.height_m),
+            "grid_error_mm": asdict(error),
             "contacts_dropped_share": touches.dropped_share,
             "noise": asdict(config.noise),
             "samplers": samplers,

@@ -1,6 +1,7 @@
 """`taxeld-train`: the offline commands."""
 
 import argparse
+import json
 import sys
 from pathlib import Path
 
@@ -8,7 +9,8 @@ from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 
 from taxeld import layout
 from taxeld.errors import SetupError
-from taxeld_training.build import VARIANTS, BuildConfig, build
+from taxeld.scene import CONTINUOUS
+from taxeld_training.build import DEPTH_MAX_M, VARIANTS, BuildConfig, build
 from taxeld_training.variants import trained_with
 
 DEFAULT_SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
@@ -42,20 +44,52 @@ def _build(args: argparse.Namespace) -> int:
             bar.update(tasks[stage], completed=share)  # type: ignore[arg-type]
 
         out = build(args.object, layout.load(args.skin), config, args.out, progress)
+    for repair in json.loads((out / "bundle.json").read_text(encoding="utf-8"))["repairs"]:
+        print(f"taxeld-train: {args.object}: {repair}", file=sys.stderr)
     print(out)
+    return 0
+
+
+def _scene(args: argparse.Namespace) -> int:
+    from taxeld_training import meshes, scenes
+    from taxeld_training.scene_error import grid_error
+
+    skin = layout.load(args.skin)
+    mesh = meshes.load(meshes.find(args.object)[0])
+    scene = scenes.build(mesh, skin, args.height_m)
+    error = grid_error(scene, mesh, skin, args.height_m, DEPTH_MAX_M)
+    heights = (args.height_m + scene.heights) * 1e3
+    met = sum(bool((piece < 0.0).any()) for piece in scene.slices)
+    turn = {CONTINUOUS: "continuous", 1: "none"}.get(scene.symmetry, f"{scene.symmetry}-fold")
+    repairs = scenes.repairs(mesh, skin, args.height_m)
+    size = scene.slices.nbytes + scene.silhouette.nbytes
+    print(f"extents     {' × '.join(f'{length * 1e3:.0f}' for length in mesh.extents)} mm")
+    print(
+        f"slices      {len(heights)}, {heights[0]:.0f} to {heights[-1]:.0f} mm above the lowest "
+        f"point, {met} of which meet the object"
+    )
+    print(f"symmetry    {turn}")
+    print(f"repairs     {'; '.join(repairs) or 'none'}")
+    print(f"grid error  rms {error.rms:.3f}, 99 % under {error.p99:.3f}, max {error.max:.3f} mm")
+    print(f"grid        {size / 1e3:.0f} kB")
     return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="taxeld-train", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    one = commands.add_parser("build", help="an object and a skin → a scene bundle")
-    one.add_argument("object", metavar="OBJECT", help="a YCB id (025_mug) or a mesh file")
-    one.add_argument("--skin", default=DEFAULT_SKIN, metavar="LAYOUT")
-    one.add_argument(
+    common = argparse.ArgumentParser(add_help=False)
+    common.add_argument("object", metavar="OBJECT", help="a YCB id (025_mug) or a mesh file")
+    common.add_argument("--skin", default=DEFAULT_SKIN, metavar="LAYOUT")
+    common.add_argument(
         "--height-m", type=float, default=0.04, metavar="H",
         help="sensor frame's origin above the object's lowest point (default 0.04)",
     )  # fmt: skip
+    one = commands.add_parser(
+        "scene", parents=[common], help="what the skin meets of an object, in figures"
+    )
+    one.set_defaults(command=_scene)
+    one = commands.add_parser("build", parents=[common], help="an object and a skin → a bundle")
     one.add_argument("--out", type=Path, required=True, metavar="BUNDLE")
     one.add_argument("--updates", type=int, default=8_000, help="of the weights, of each model")
     one.add_argument("--contacts", type=int, default=300_000, help="simulated, to train on")

@@ -30,11 +30,10 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
     """The scene of `mesh` on `layout`, whose frame's origin is `height_m` above its lowest point.
 
     Raises:
-        SetupError: the skin passes above or below the whole object.
+        SetupError: the skin passes above or below the whole object, or the mesh is open there.
     """
     heights = _heights(layout)
-    bottom = float(mesh.bounds[0][2])
-    shapes = [meshes.cut(mesh, bottom + height_m + z) for z in heights]
+    shapes = [outline.shape for outline in outlines(mesh, layout, height_m)]
     union = meshes.fill(shapely.union_all(shapes))
     if union.is_empty:
         raise SetupError(
@@ -55,6 +54,28 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
         symmetry=order,
         centre=centre,
     )
+
+
+def outlines(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[meshes.Outline]:
+    """The mesh's outline at each of the skin's heights."""
+    bottom = float(mesh.bounds[0][2])
+    return [meshes.outline(mesh, bottom + height_m + z) for z in _heights(layout)]
+
+
+def repairs(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[str]:
+    """In words, what was repaired in the mesh and in its outlines; nothing, for a sound mesh."""
+    cuts = outlines(mesh, layout, height_m)
+    said = list(mesh.metadata.get("repairs", []))
+    crossed = sum(cut.crossed for cut in cuts)
+    if crossed:
+        said.append(f"untangled {crossed} self-crossing outline{'s' * (crossed != 1)}")
+    gaps = [gap for cut in cuts for gap in cut.closed_m]
+    if gaps:
+        s = "s" * (len(gaps) != 1)
+        said.append(
+            f"closed {len(gaps)} gap{s} of at most {max(gaps) * 1e3:.1f} mm in the outlines"
+        )
+    return said
 
 
 def symmetry(shapes: list[BaseGeometry], union: BaseGeometry) -> tuple[int, NDArray[np.float64]]:

@@ -1,0 +1,248 @@
+"""Broken meshes: a stated repair or one clear line, never an outline lost in silence."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from taxeld import layout
+from taxeld.errors import SetupError
+from taxeld_training import meshes, scenes
+from taxeld_training.cli import main
+
+SKIN = layout.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
+HEIGHT_M = 0.05
+AREA_M2 = np.pi * 0.05**2
+
+Bools = NDArray[np.bool_]
+
+
+def can() -> trimesh.Trimesh:
+    mesh = trimesh.creation.cylinder(0.05, 0.1, sections=128)
+    mesh.apply_translation([0.0, 0.0, 0.05])
+    return mesh
+
+
+def without(lost: Callable[[NDArray[np.float64]], Bools]) -> trimesh.Trimesh:
+    mesh = can()
+    mesh.update_faces(~lost(mesh.triangles_center))
+    return mesh
+
+
+def slit(centre: NDArray[np.float64]) -> Bools:
+    """One face of the wall, as wide as a gap of 2.5 mm."""
+    return np.asarray((np.abs(centre[:, 1]) < 0.001) & (centre[:, 0] > 0.03))
+
+
+def half(centre: NDArray[np.float64]) -> Bools:
+    return np.asarray(centre[:, 0] > 0.02)
+
+
+def inside_out() -> trimesh.Trimesh:
+    mesh = can()
+    mesh.invert()
+    return mesh
+
+
+def some_inside_out() -> trimesh.Trimesh:
+    mesh = can()
+    faces = mesh.faces.copy()
+    faces[::7] = faces[::7, ::-1]
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
+def with_faces_too_many() -> trimesh.Trimesh:
+    mesh = can()
+    faces = np.vstack([mesh.faces, mesh.faces[:5], [[0, 0, 1], [3, 4, 4]]])
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+
+
+def with_a_vertex_that_is_not_finite() -> trimesh.Trimesh:
+    mesh = can()
+    vertices = mesh.vertices.copy()
+    vertices[7] = np.nan
+    return trimesh.Trimesh(vertices, mesh.faces, process=False)
+
+
+def prism(corners: NDArray[np.float64]) -> trimesh.Trimesh:
+    """An upright wall around a polygon, without lids."""
+    n = len(corners)
+    low, high = (np.column_stack([corners, np.full(n, z)]) for z in (0.0, 0.1))
+    k = np.arange(n)
+    j = (k + 1) % n
+    faces = np.vstack([np.column_stack([k, j, j + n]), np.column_stack([k, j + n, k + n])])
+    return trimesh.Trimesh(np.vstack([low, high]), faces, process=False)
+
+
+def load(mesh: trimesh.Trimesh, place: Path, suffix: str = ".stl") -> trimesh.Trimesh:
+    path = (place / "broken").with_suffix(suffix)
+    mesh.export(path)
+    return meshes.load(path)
+
+
+def test_a_sound_mesh_needs_no_repair(tmp_path: Path) -> None:
+    assert scenes.repairs(load(can(), tmp_path), SKIN, HEIGHT_M) == []
+
+
+@pytest.mark.parametrize(
+    ("mesh", "said"),
+    [
+        (without(slit), ["closed 3 gaps of at most 2.5 mm in the outlines"]),
+        (inside_out(), ["turned 512 faces outward"]),
+        (some_inside_out(), ["turned 74 faces outward"]),
+        (with_faces_too_many(), ["dropped 2 degenerate faces", "dropped 5 duplicate faces"]),
+        (
+            with_a_vertex_that_is_not_finite(),
+            [
+                "dropped 5 faces with vertices that are not finite",
+                "closed 3 gaps of at most 4.0 mm in the outlines",
+            ],
+        ),
+    ],
+    ids=["open", "inside out", "some inside out", "faces too many", "not finite"],
+)
+@pytest.mark.parametrize("suffix", [".stl", ".ply", ".glb"])
+def test_what_was_repaired_is_said_and_the_outline_is_whole(
+    mesh: trimesh.Trimesh, said: list[str], suffix: str, tmp_path: Path
+) -> None:
+    repaired = load(mesh, tmp_path, suffix)
+    assert scenes.repairs(repaired, SKIN, HEIGHT_M) == said
+    for cut in scenes.outlines(repaired, SKIN, HEIGHT_M):
+        assert np.isclose(cut.shape.area, AREA_M2, rtol=2e-3)
+    assert repaired.volume > 0.0
+
+
+def test_an_outline_in_many_pieces_is_put_together(tmp_path: Path) -> None:
+    mesh = can().subdivide().subdivide()
+    mesh.update_faces(np.random.default_rng(1).random(len(mesh.faces)) > 0.01)
+    repaired = load(mesh, tmp_path)
+    cuts = scenes.outlines(repaired, SKIN, HEIGHT_M)
+    assert sum(len(cut.closed_m) for cut in cuts) > 10
+    assert np.allclose([cut.shape.area for cut in cuts], AREA_M2, rtol=2e-3)
+
+
+def test_an_outline_that_crosses_itself_is_untangled(tmp_path: Path) -> None:
+    """A pentagram is five points and the pentagon between them: 1.1226 R²."""
+    angle = np.arange(5) * 4 * np.pi / 5
+    star = load(prism(0.06 * np.column_stack([np.cos(angle), np.sin(angle)])), tmp_path)
+    assert scenes.repairs(star, SKIN, HEIGHT_M) == ["untangled 3 self-crossing outlines"]
+    assert np.isclose(meshes.cut(star, 0.03).area, 1.1226 * 0.06**2, rtol=1e-3)
+
+
+@pytest.mark.parametrize("z_m", [0.03, 0.05])
+def test_solids_that_share_a_corner_are_both_there(z_m: float) -> None:
+    """Four lines meet where the lobes touch, which makes trimesh's loops ambiguous."""
+    bow = prism(np.array([[-0.05, -0.04], [0.05, 0.04], [0.05, -0.04], [-0.05, 0.04]]))
+    assert np.isclose(meshes.cut(bow, z_m).area, 0.004, rtol=1e-3)
+
+
+def test_solids_that_overlap_are_one() -> None:
+    handle = trimesh.creation.box((0.06, 0.02, 0.1))
+    handle.apply_translation([0.05, 0.0, 0.05])
+    mesh = trimesh.util.concatenate([can(), handle])
+    assert scenes.repairs(mesh, SKIN, HEIGHT_M) == []
+    assert meshes.cut(mesh, 0.05).geom_type == "Polygon"
+    assert AREA_M2 < meshes.cut(mesh, 0.05).area < AREA_M2 + 0.06 * 0.02
+
+
+def test_a_loose_sheet_inside_is_left_alone() -> None:
+    corners = [[0, 0, 0], [0.02, 0, 0], [0.02, 0, 0.1], [0, 0, 0.1]]
+    sheet = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]])
+    mesh = trimesh.util.concatenate([can(), sheet])
+    assert scenes.repairs(mesh, SKIN, HEIGHT_M) == []
+    assert np.isclose(meshes.cut(mesh, 0.05).area, AREA_M2, rtol=2e-3)
+
+
+@pytest.mark.parametrize("z_m", [0.035, 0.05])
+def test_an_outline_with_a_large_gap_is_refused(z_m: float, tmp_path: Path) -> None:
+    mesh = load(without(half), tmp_path)
+    fault = rf"broken\.stl: is open, .* {z_m * 1e3:.0f} mm above .* gap of 9\d\.\d mm.*; fill"
+    with pytest.raises(SetupError, match=fault):
+        meshes.cut(mesh, z_m)
+
+
+def scaled(factor: float) -> trimesh.Trimesh:
+    mesh = can()
+    mesh.apply_scale(factor)
+    return mesh
+
+
+def sheet() -> trimesh.Trimesh:
+    corners = [[0, 0, 0], [0.1, 0, 0], [0.1, 0, 0.1], [0, 0, 0.1]]
+    return trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("mesh", "fault"),
+    [
+        (scaled(1000.0), "100 m large; meshes must be in metres: scale it, by 0.001 if"),
+        (scaled(0.001), "0.0001 m large; meshes must be in metres"),
+        (sheet(), "is flat; export a solid"),
+        (
+            trimesh.Trimesh(can().vertices * np.nan, can().faces, process=False),
+            r"holds no triangles \(left after repair: dropped 512 faces .* finite\); export",
+        ),
+    ],
+    ids=["millimetres", "tiny", "flat", "no number"],
+)
+def test_a_mesh_that_cannot_be_used_is_one_line_with_its_cure(
+    mesh: trimesh.Trimesh, fault: str, tmp_path: Path
+) -> None:
+    with pytest.raises(SetupError, match=rf"broken\.stl: .*{fault}") as caught:
+        load(mesh, tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "fault"),
+    [
+        ("empty.stl", b"", "is an empty file; export it again"),
+        ("empty.glb", b"", "is an empty file; export it again"),
+        ("nothing.stl", b"solid nothing\nendsolid nothing\n", "holds no triangles; export"),
+        ("cut.stl", b"\x80" * 1000, "perhaps cut short"),
+        ("notes.txt", b"hello", "'txt' not supported"),
+        ("dangling.obj", b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nf 1 2 9\n", "unreadable mesh"),
+    ],
+)
+def test_a_file_that_is_no_mesh_is_one_line(
+    name: str, content: bytes, fault: str, tmp_path: Path
+) -> None:
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(SetupError, match=f"{name}: .*{fault}") as caught:
+        meshes.load(path)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_scene_command_prints_a_report(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "can.stl"
+    without(slit).export(path)
+    assert main(["scene", str(path)]) == 0
+    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[:4])
+    assert lines["extents"] == "100 × 100 × 100 mm"
+    assert lines["slices"].startswith("5, 10 to 70 mm")
+    assert lines["symmetry"] == "continuous"
+    assert lines["repairs"] == "closed 5 gaps of at most 2.5 mm in the outlines"
+    assert main(["scene", "025_mug", "--height-m", "0.04"]) == 0
+    report = capsys.readouterr().out
+    assert "symmetry    none" in report
+    assert "grid error  rms 0.0" in report
+    assert "grid        " in report
+
+
+def test_the_scene_command_refuses_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "half.stl"
+    without(half).export(path)
+    for arguments in ([str(path)], ["sofa"], ["025_mug", "--height-m", "3"]):
+        assert main(["scene", *arguments]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert err.startswith("taxeld-train: ")
+        assert err.count("\n") == 1
