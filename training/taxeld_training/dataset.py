@@ -63,9 +63,13 @@ class Batches:
         self.mean, self.scale = sample.mean(0), sample.std(0).clamp(min=1e-3)
 
     def draw(self, n: int) -> tuple[Tensor, Tensor, Tensor]:
-        """z (n, M), live (n, M) and poses (n, 4), all turned to the strongest taxel's sector."""
+        """`read` of n contacts, drawn with replacement."""
+        return self.read(torch.randint(len(self.pose), (n,), generator=self.generator))
+
+    def read(self, i: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """z (n, M), live (n, M) and poses (n, 4) of contacts i, turned to the strongest taxel's
+        sector; their noise and dead taxels are drawn anew each time."""
         g = self.generator
-        i = torch.randint(len(self.pose), (n,), generator=g)
         h = self.activation[i]
         gain = 1.0 + self.noise.gain_cv * torch.randn(h.shape, generator=g)
         z = gain * h + self.noise.sigma * torch.randn(h.shape, generator=g)

@@ -1,0 +1,148 @@
+"""General simulation-based inference as a rival: estimators of the sbi library, trained as shipped.
+
+Each learns p(pose | taxels) from as many simulated contacts as the stored table holds, their noise
+drawn once, turned to the strongest taxel as everywhere here. Settings are sbi's defaults where not
+said otherwise below.
+"""
+
+import contextlib
+import io
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from taxeld import se2
+from taxeld.errors import SetupError
+from taxeld.layout import Layout
+from taxeld.observation import Noise, ObservationModel
+from taxeld.proposals import Proposal
+from taxeld.se2 import Poses
+from taxeld_training.dataset import Batches, simulate
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+RIVALS = ("npe", "npse", "fmpe")
+MAX_EPOCHS = {"npe": 50, "npse": 150, "fmpe": 200}  # about a minute on a core for 10⁴ contacts
+# sbi's 500 steps cost ten times as much and gain little: energy distances of 0.170, 0.178 and 0.162
+# with 50, 100 and 500 steps, over 30 readings of 035_power_drill on a 5×16 cylinder
+NPSE_STEPS = 50
+
+
+class Rival:
+    """Samples of an estimator of sbi, drawn directly: none is rejected, none drawn again."""
+
+    def __init__(self, name: str, posterior: Any, batches: Batches, layout: Layout) -> None:
+        self.name = name
+        self._posterior = posterior
+        self._mean, self._scale = batches.mean, batches.scale
+        self._layout = layout
+        self._options = {"steps": NPSE_STEPS} if name == "npse" else {}
+
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
+        turns = self._layout.turns
+        turn = int(self._layout.sector[np.where(live, z, -1.0).argmax()])
+        taxels = turns[turn]
+        reading = torch.from_numpy(np.where(live, z, 0.0)[taxels]).float()
+        alive = torch.from_numpy(live[taxels]).float()
+        with _quiet(int(rng.integers(2**63))), torch.no_grad():
+            theta = self._posterior.sample(
+                (n,),
+                x=_condition(reading, alive),
+                show_progress_bars=False,
+                reject_outside_prior=False,
+                **self._options,
+            )
+        x, y, c, s = (theta * self._scale + self._mean).numpy().astype(np.float64).T
+        turned = np.array([0.0, 0.0, 2.0 * np.pi * turn / len(turns)])
+        return se2.compose(turned, np.column_stack([x, y, np.arctan2(s, c)]))
+
+
+def train_rival(
+    kind: str,
+    model: ObservationModel,
+    noise: Noise,
+    *,
+    contacts: int = 10_000,
+    seed: int = 0,
+    max_epochs: int | None = None,
+) -> Proposal:
+    """The rival `kind`, trained until sbi stops it early or for `max_epochs`, MAX_EPOCHS if None.
+
+    Raises:
+        SetupError: there is no such rival, sbi is not installed, or the skin misses the object.
+    """
+    if kind not in RIVALS:
+        raise SetupError(f"'{kind}' is no rival; use one of {', '.join(RIVALS)}")
+    touches = simulate(model, contacts, np.random.default_rng(seed))
+    batches = Batches(touches, model, noise, seed)
+    z, live, pose = batches.read(torch.arange(contacts))
+    theta = (pose - batches.mean) / batches.scale
+    with _quiet(seed):
+        trainer = _trainer(kind)
+        trainer.append_simulations(theta, _condition(z, live))
+        epochs = MAX_EPOCHS[kind] if max_epochs is None else max_epochs
+        estimator = trainer.train(max_num_epochs=epochs)
+        with_ = {"npe": "direct", "npse": "sde", "fmpe": "ode"}[kind]
+        posterior = trainer.build_posterior(estimator, sample_with=with_)
+    return Rival(kind, posterior, batches, model.layout)
+
+
+def _trainer(kind: str) -> Any:
+    """sbi's trainer of `kind`; without a prior, it takes the contacts themselves for it."""
+    try:
+        from sbi import inference, neural_nets  # noqa: PLC0415
+    except ImportError:
+        raise SetupError(
+            f"{kind} comes from sbi, which is not installed; pip install 'taxeld[rivals]'"
+        ) from None
+    # Taxels are 0..1 already, and z-scored, the hardly ever pressed ones are loud with noise: FMPE
+    # has 0.090 without and 0.128 with it. The spline flow does best with it, as is sbi's default.
+    options: dict[str, Any] = {"tracker": _Untracked(), "show_progress_bars": False}
+    match kind:
+        case "npe":
+            return inference.NPE(density_estimator=neural_nets.posterior_nn("nsf"), **options)
+        case "npse":
+            net = neural_nets.posterior_score_nn(z_score_x="none")
+            return inference.NPSE(vf_estimator=net, **options)
+        case _:
+            net = neural_nets.posterior_flow_nn(z_score_x="none")
+            return inference.FMPE(vf_estimator=net, **options)
+
+
+def _condition(z: Tensor, live: Tensor) -> Tensor:
+    return torch.cat([z * live, live], dim=-1)
+
+
+@contextlib.contextmanager
+def _quiet(seed: int) -> Iterator[None]:
+    """sbi draws from torch's global generator, prints and warns: none of it reaches the caller."""
+    with (
+        torch.random.fork_rng(devices=[]),
+        contextlib.redirect_stdout(io.StringIO()),
+        warnings.catch_warnings(),
+    ):
+        warnings.simplefilter("ignore")
+        torch.manual_seed(seed)
+        yield
+
+
+class _Untracked:
+    """A tracker of sbi that writes nothing; sbi's own makes a folder of TensorBoard logs."""
+
+    log_dir = None
+
+    def log_metric(self, name: str, value: float, step: int | None = None) -> None: ...
+
+    def log_metrics(self, metrics: dict[str, float], step: int | None = None) -> None: ...
+
+    def log_params(self, params: dict[str, Any]) -> None: ...
+
+    def add_figure(self, name: str, figure: Any, step: int | None = None) -> None: ...
+
+    def flush(self) -> None: ...
