@@ -62,7 +62,11 @@ class Batches:
     def draw(self, n: int) -> tuple[Tensor, Tensor, Tensor]:
         """z (n, M), live (n, M) and coordinates (n, 3)."""
         g, device = self.generator, self.activation.device
-        i = torch.randint(len(self.coordinates), (n,), generator=g, device=device)
+        return self.read(torch.randint(len(self.coordinates), (n,), generator=g, device=device))
+
+    def read(self, i: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """The same of chosen contacts, indices (n,)."""
+        g, device = self.generator, self.activation.device
         h = self.activation[i]
         gain = 1.0 + self.noise.gain_cv * torch.randn(h.shape, generator=g, device=device)
         z = gain * h + self.noise.sigma * torch.randn(h.shape, generator=g, device=device)
