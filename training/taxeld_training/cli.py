@@ -75,6 +75,26 @@ def _scene(args: argparse.Namespace) -> int:
     return 0
 
 
+def _evaluate(args: argparse.Namespace) -> int:
+    from taxeld_training import evaluate, experiment
+
+    objects = tuple(args.objects.split(",")) if args.objects else experiment.OBJECTS
+    options = evaluate.Options(
+        out=args.out,
+        memory=args.memory,
+        objects=objects,
+        columns=tuple(int(c) for c in args.columns.split(",")) if args.columns else (),
+        skin=args.skin or "",
+        quick=args.quick,
+        workers=args.workers,
+        dask=args.dask,
+        seed=args.seed,
+    )
+    for path in getattr(evaluate, args.experiment)(options):
+        print(path)
+    return 0
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="taxeld-train", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -98,6 +118,21 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--seed", type=int, default=0)
     one.set_defaults(command=_build)
+    one = commands.add_parser("evaluate", help="the experiments: JSON beside PNG")
+    one.add_argument("experiment", choices=("proposals", "frontier", "gallery"))
+    one.add_argument("--out", type=Path, default=Path("docs/results"), metavar="DIR")
+    one.add_argument(
+        "--memory", type=Path, default=Path(".experiments"), metavar="DIR",
+        help="what was done is kept here, and an experiment cut short goes on (.experiments)",
+    )  # fmt: skip
+    one.add_argument("--quick", action="store_true", help="a smoke run; its figures mean nothing")
+    one.add_argument("--objects", default="", metavar="A,B", help="default: the paper's ten")
+    one.add_argument("--columns", default="", metavar="N,M", help="of the 5-row skins")
+    one.add_argument("--skin", metavar="LAYOUT", help="this layout in place of them")
+    one.add_argument("--workers", type=int, default=2, help="processes of one thread each")
+    one.add_argument("--dask", default="", metavar="ADDRESS", help="a running Dask scheduler")
+    one.add_argument("--seed", type=int, default=0)
+    one.set_defaults(command=_evaluate)
     return parser
 
 

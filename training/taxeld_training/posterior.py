@@ -79,11 +79,12 @@ def energy_distance(a: Poses, b: Poses, length_m: float) -> float:
 
     Dimensionless: in units of `length_m`. Zero only for equal distributions (Székely & Rizzo).
     """
-    pa, pb = _embed(a, length_m), _embed(b, length_m)
+    pa, pb = embed(a, length_m), embed(b, length_m)
     return float(2.0 * _mean_gap(pa, pb) - _mean_gap(pa, pa) - _mean_gap(pb, pb))
 
 
-def _embed(poses: Poses, length_m: float) -> Floats:
+def embed(poses: Poses, length_m: float) -> Floats:
+    """Poses (n, 3) where Euclidean distances weigh shifts against turns: (n, 4)."""
     x, y, theta = poses.T
     return np.column_stack([x / length_m, y / length_m, np.cos(theta), np.sin(theta)])
 

@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +31,7 @@ class Reference:
     length_m: float
     left_out: int
     bank: int
+    ms: float  # CPU time of one exact posterior
 
     @property
     def floor(self) -> float:
@@ -53,7 +55,8 @@ def reference(
     each; a reading that nothing live feels is drawn again with other dead taxels."""
     posterior = ExactPosterior(simulate(model, bank, rng), model.layout, noise)
     touches = simulate(model, readings, rng)
-    kept = Reference([], [], [], [], [], model.scene.size, 0, bank)
+    kept = Reference([], [], [], [], [], model.scene.size, 0, bank, 0.0)
+    start = time.thread_time()
     for pose, h in zip(touches.pose, touches.activation, strict=True):
         z = noise.draw(h.astype(np.float64), rng)
         live = rng.random(len(z)) >= dead
@@ -70,8 +73,30 @@ def reference(
         kept.ess.append(draws.ess)
     return Reference(
         kept.truth, kept.z, kept.live, kept.exact, kept.ess,
-        kept.length_m, readings - len(kept.z), bank,
+        kept.length_m, readings - len(kept.z), bank, (time.thread_time() - start) / readings * 1e3,
     )  # fmt: skip
+
+
+def save(to: Reference, path: Path) -> None:
+    """Keep a reference for others to measure against."""
+    arrays = {name: np.array(getattr(to, name)) for name in Reference.__dataclass_fields__}
+    np.savez_compressed(path, allow_pickle=False, **arrays)
+
+
+def load(path: Path) -> Reference:
+    """What `save` kept."""
+    with np.load(path, allow_pickle=False) as kept:
+        return Reference(
+            truth=list(kept["truth"]),
+            z=list(kept["z"]),
+            live=list(kept["live"]),
+            exact=list(kept["exact"]),
+            ess=list(kept["ess"]),
+            length_m=float(kept["length_m"]),
+            left_out=int(kept["left_out"]),
+            bank=int(kept["bank"]),
+            ms=float(kept["ms"]),
+        )
 
 
 def distance(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:

@@ -38,7 +38,9 @@ NPSE_STEPS = 50
 class Rival:
     """Samples of an estimator of sbi, drawn directly: none is rejected, none drawn again."""
 
-    def __init__(self, name: str, posterior: Any, view: AnyView, scale: tuple[Tensor, Tensor]) -> None:
+    def __init__(
+        self, name: str, posterior: Any, view: AnyView, scale: tuple[Tensor, Tensor]
+    ) -> None:
         self.name = name
         self._posterior, self._view = posterior, view
         self._mean, self._scale = scale

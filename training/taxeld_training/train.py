@@ -20,7 +20,7 @@ class TrainConfig:
     """What it takes to repeat a training; saved inside the ONNX file."""
 
     contacts: int = 300_000  # simulated once; noise, gain and dead taxels are drawn anew each batch
-    batch: int = 512  # readings an update
+    batch: int = 256  # readings an update
     updates: int = 8_000
     learning_rate: float = 2e-3
     average: float = 0.999  # decay of the exponential average of the weights

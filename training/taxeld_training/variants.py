@@ -36,25 +36,32 @@ class Variant:
         return {key: value for key, value in asdict(self).items() if key != "samplers"}
 
 
-def density(width: int, updates: int = 8_000, encoder_width: int = 160) -> Variant:
-    network = NetworkConfig(width=width, encoder_width=encoder_width)
-    return Variant("density", network, TrainConfig(updates=updates))
+def density(width: int = 64, encoder_width: int = 192, encoder_depth: int = 5) -> Variant:
+    """One pass; the width is that of the layers that run once a hypothesis."""
+    network = NetworkConfig(width, encoder_width, encoder_depth)
+    return Variant("density", network, TrainConfig())
+
+
+def generator(width: int = 128) -> Variant:
+    """One pass, trained by the energy score."""
+    return Variant("generator", NetworkConfig(width), TrainConfig(updates=4_000))
 
 
 def diffusion(
-    width: int = 128, updates: int = 8_000,
+    width: int = 128,
     samplers: tuple[tuple[Solver, int], ...] = ((Solver.DPM, 5), (Solver.DDPM, 100)),
 ) -> Variant:  # fmt: skip
-    network = NetworkConfig(width=width)
-    return Variant("diffusion", network, TrainConfig(updates=updates), samplers=samplers)
+    """Any of its solvers' steps; in the contact's coordinates."""
+    training = TrainConfig(updates=10_000)
+    return Variant("diffusion", NetworkConfig(width), training, samplers=samplers)
 
 
-def paper(updates: int = 8_000) -> Variant:
+def paper() -> Variant:
     """Marić et al. 2025: 10⁴ contacts, T = 100, no use of symmetry; width 256 stands in for their
     unstated one."""
     return Variant(
-        "diffusion", NetworkConfig(width=256, encoder_width=256),
-        TrainConfig(contacts=10_000, updates=updates), view="plain", frame="pose",
+        "diffusion", NetworkConfig(256, 256, encoder_depth=1),
+        TrainConfig(contacts=10_000), view="plain", frame="pose",
         samplers=((Solver.DDPM, 100),),
     )  # fmt: skip
 

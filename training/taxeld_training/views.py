@@ -51,7 +51,7 @@ class Turned(nn.Module):
 
     def __init__(self, layout: Layout) -> None:
         super().__init__()
-        self.width = 2 * len(layout)
+        self.width = 3 * len(layout)
         self.register_buffer("turns", torch.from_numpy(layout.turns))
         self.register_buffer("sector", torch.from_numpy(layout.sector))
 
@@ -59,8 +59,9 @@ class Turned(nn.Module):
         z = z * live
         turn = self.sector[z.argmax(dim=1)]
         taxels = self.turns[turn]
-        seen = torch.cat([z.gather(1, taxels), live.gather(1, taxels)], dim=-1)
-        return seen, turn.float() * (2.0 * torch.pi / len(self.turns))
+        return _seen(z.gather(1, taxels), live.gather(1, taxels)), turn.float() * (
+            2.0 * torch.pi / len(self.turns)
+        )
 
 
 class Centred(nn.Module):
@@ -85,8 +86,8 @@ class Centred(nn.Module):
         rows = max(1, round(float(np.ptp(xyz[:, 2])) / pitch)) + 1
         height = (xyz[:, 2] - xyz[:, 2].min()) / pitch
         rise = np.clip(1.0 - np.abs(height[:, None] - np.arange(rows)), 0.0, None)
-        self.width = 2 * rows * (2 * half + 1)
-        self.multiply_adds = self.width * len(layout)
+        self.width = 3 * rows * (2 * half + 1)
+        self.multiply_adds = 2 * rows * (2 * half + 1) * len(layout)
         self.cells_per_rad = layout.radius_m / pitch
         direction = np.arctan2(xyz[:, 1], xyz[:, 0])
         self.register_buffer("angle", torch.from_numpy(direction).float())
@@ -100,7 +101,12 @@ class Centred(nn.Module):
         off = off - 2.0 * torch.pi * torch.round(off / (2.0 * torch.pi))
         share = (1.0 - (off[..., None] * self.cells_per_rad - self.cells).abs()).clamp(min=0.0)
         grids = [torch.einsum("bm,bmg,mh->bgh", a, share, self.rise) for a in (z, live)]
-        return torch.cat([grid.flatten(1) for grid in grids], dim=-1), angle
+        return _seen(*(grid.flatten(1) for grid in grids)), angle
+
+
+def _seen(z: Tensor, live: Tensor) -> Tensor:
+    """Activations, their roots, which keep slight touches apart, and where there are any."""
+    return torch.cat([z, torch.sqrt(z), live], dim=-1)
 
 
 def best(layout: Layout) -> Turned | Centred:
