@@ -2,7 +2,9 @@
 
 import argparse
 import json
+import math
 import sys
+import time
 from pathlib import Path
 
 from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
@@ -88,6 +90,8 @@ def _evaluate(args: argparse.Namespace) -> int:
         quick=args.quick,
         workers=args.workers,
         dask=args.dask,
+        groups=tuple(args.groups.split(",")) if args.groups else (),
+        until=time.monotonic() + 60.0 * args.minutes,
         seed=args.seed,
     )
     for path in getattr(evaluate, args.experiment)(options):
@@ -130,6 +134,10 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--columns", default="", metavar="N,M", help="of the 5-row skins")
     one.add_argument("--skin", metavar="LAYOUT", help="this layout in place of them")
     one.add_argument("--workers", type=int, default=2, help="processes of one thread each")
+    one.add_argument("--groups", default="", metavar="A,B", help="of samplers: analytic, npe, …")
+    one.add_argument(
+        "--minutes", type=float, default=math.inf, help="begin nothing later; write what is done"
+    )
     one.add_argument("--dask", default="", metavar="ADDRESS", help="a running Dask scheduler")
     one.add_argument("--seed", type=int, default=0)
     one.set_defaults(command=_evaluate)
