@@ -39,5 +39,5 @@ clean:
 	touch $@
 
 .venv/.all: .venv/.runtime
-	$(PIP) -e '.[train,view,dev]'
+	$(PIP) -e '.[train,view,dev,rivals,dask]'
 	touch $@

@@ -17,11 +17,13 @@ from taxeld_hil.simulate import Simulation, configured, error_by_contact
 CONTACTS = 10
 GOOD_MM = 10.0
 VARIANTS = {
-    "ddpm, memory of 8": "",
+    "auto, memory of 8": "",
+    "ddpm-100, memory of 8": 'sampler = "ddpm-100"',
     "table, memory of 8": 'proposal = "table"',
     "manifold, memory of 8": 'proposal = "manifold"',
     "projection, memory of 8": 'proposal = "projection"',
-    "ddpm, Algorithm 1": "memory = 0",
+    "auto, Algorithm 1": "memory = 0",
+    "ddpm-100, Algorithm 1": 'memory = 0\nsampler = "ddpm-100"',
     "projection, Algorithm 1": 'memory = 0\nproposal = "projection"',
 }
 

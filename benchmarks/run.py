@@ -99,7 +99,7 @@ def touches() -> list[dict[str, object]]:
     names = ["projection", *(s["name"] for s in loaded.info["samplers"])]
     for name in names:
         sampler = "" if name == "projection" else name
-        kind = "projection" if name == "projection" else "ddpm"
+        kind = "projection" if name == "projection" else "auto"
         estimator = Estimator(model, loaded.proposal(kind, sampler), settings)
         spent: list[float] = []
         t = 0.0
@@ -114,7 +114,7 @@ def touches() -> list[dict[str, object]]:
                 for gap in (0.1, 0.3):
                     estimator.on_scan(Activation(t + gap, 0.0 * z, live), sensor)
                 t += 1.0
-        shipped = name == loaded.info["samplers"][0]["name"]
+        shipped = name == loaded.info["auto"][0]
         figure = f"a touch, N = 100, S = 100, {name}: CPU ms"
         rows.append(row(figure, float(np.median(spent)), 5.0 if shipped else None))
     return rows

@@ -1,10 +1,13 @@
 """Proposals: poses that explain a touch, as far as each claims to."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from taxeld import bundle, contacts, layout, se2
 from taxeld.config import SkinConfig
+from taxeld.errors import SetupError
 from taxeld.observation import ObservationModel
 from taxeld.proposals import Manifold, Projection, Proposal, Table
 
@@ -85,7 +88,7 @@ def test_dead_taxels_are_not_asked(box_model: ObservationModel, make: type) -> N
     assert np.array_equal(honest, proposal.propose(lying, live, 30, np.random.default_rng(3)))
 
 
-@pytest.mark.parametrize("name", ["ddpm", "table", "manifold", "projection", "auto"])
+@pytest.mark.parametrize("name", ["density", "ddpm", "table", "manifold", "projection"])
 def test_a_bundle_serves_every_proposal(name: str) -> None:
     skin = layout.load(SkinConfig().layout)
     proposal = bundle.load("mug", skin, DEPTH_MAX_M).proposal(name)
@@ -94,4 +97,36 @@ def test_a_bundle_serves_every_proposal(name: str) -> None:
     poses = proposal.propose(z, np.ones(80, dtype=bool), 25, np.random.default_rng(0))
     assert poses.shape == (25, 3)
     assert np.isfinite(poses).all()
-    assert proposal.name == {"auto": "ddpm"}.get(name, name)
+    assert proposal.name == name
+
+
+def test_auto_is_the_bundles_first_choice_that_fits_the_budget(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    skin = layout.load(SkinConfig().layout)
+    loaded = bundle.load("mug", skin, DEPTH_MAX_M)
+    order = ["ddpm-100", "density-64", "table", "projection"]
+    loaded = replace(loaded, info=loaded.info | {"auto": order})
+    cost = {"ddpm": 12.0, "density": 0.3, "table": 0.6, "projection": 0.2}
+    monkeypatch.setattr(bundle, "cpu_ms", lambda proposal, _model, _samples: cost[proposal.name])
+    assert loaded.proposal("auto", budget_ms=20.0).name == "ddpm"
+    assert loaded.proposal("auto", budget_ms=5.0).name == "density"
+    assert loaded.proposal("auto", budget_ms=0.25).name == "projection"
+    assert loaded.proposal("auto", budget_ms=0.1).name == "projection"  # the cheapest, if none fits
+
+
+def test_what_a_proposal_costs_grows_with_what_it_does() -> None:
+    skin = layout.load(SkinConfig().layout)
+    loaded = bundle.load("mug", skin, DEPTH_MAX_M)
+    cheap = bundle.cpu_ms(loaded.proposal("density"), loaded.model, 50)
+    dear = bundle.cpu_ms(loaded.proposal("", "ddpm-100"), loaded.model, 50)
+    assert 0.0 < cheap < dear
+
+
+def test_a_bundle_without_a_kind_of_sampler_says_so() -> None:
+    skin = layout.load(SkinConfig().layout)
+    loaded = bundle.load("mug", skin, DEPTH_MAX_M)
+    bare = replace(loaded, info=loaded.info | {"samplers": [], "auto": []})
+    with pytest.raises(SetupError, match="holds no ddpm sampler; use auto"):
+        bare.proposal("ddpm")
+    assert bare.proposal("auto").name == "table"

@@ -26,13 +26,13 @@ def test_the_demo_finds_the_box(seed: int) -> None:
 def test_the_uninformed_baseline_finds_it_less_often() -> None:
     """What the inverse model is for: at the same cost of particles, projection alone is lost."""
     final = {}
-    for proposal in ("ddpm", "projection"):
+    for proposal in ("auto", "projection"):
         text = f'[filter]\nproposal = "{proposal}"\n'
         final[proposal] = [
             error_by_contact(Simulation(DEMO, seed, configured(DEMO, seed, text)).steps())[3]
             for seed in range(6)
         ]
-    assert np.median(final["ddpm"]) < 0.5 * np.median(final["projection"])
+    assert np.median(final["auto"]) < 0.5 * np.median(final["projection"])
 
 
 def test_the_robot_touches_as_often_as_asked_and_never_deeper() -> None:

@@ -21,7 +21,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh.invert()
     mesh.export(place / "block.stl")
     arguments = ["build", str(place / "block.stl"), "--skin", SKIN, "--out", str(place / "block")]
-    small = ["--updates", "60", "--contacts", "5000", "--bank", "5000"]
+    small = ["--effort", "0.01", "--contacts", "5000", "--bank", "5000"]
     assert main(arguments + small) == 0
     return place / "block"
 

@@ -42,8 +42,9 @@ def test_a_skin_without_symmetry_sees_nearly_the_same_touch_from_every_side(
     centres = []
     for turn in (-0.6, -0.2, 0.3, 0.7):
         seen, angle = view(*tensors(half_model.activation(turned_about_the_axis(pose, turn))))
-        grid = seen[0, : view.width // 3].reshape(len(view.cells), -1).sum(dim=1)
-        offset = (grid * view.cells).sum() / grid.sum() / view.cells_per_rad
+        grid = seen[0, : view.width // 3].reshape(-1, view.rows).sum(dim=1)
+        cells = torch.arange(-view.reach, view.reach + 1)
+        offset = (grid * cells).sum() / grid.sum() / view.cells_per_rad
         centres.append(float(angle[0] + offset) - turn)
     assert np.ptp(centres) < 0.15
 

@@ -32,7 +32,7 @@ def main(argv: list[str] | None = None) -> int:
 def _build(args: argparse.Namespace) -> int:
     config = BuildConfig(
         height_m=args.height_m,
-        variants=tuple(trained_with(v, args.updates, args.contacts, args.seed) for v in VARIANTS),
+        variants=tuple(trained_with(v, args.effort, args.contacts, args.seed) for v in VARIANTS),
         bank=args.bank,
         seed=args.seed,
     )
@@ -92,6 +92,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         dask=args.dask,
         groups=tuple(args.groups.split(",")) if args.groups else (),
         until=time.monotonic() + 60.0 * args.minutes,
+        effort=args.effort,
         seed=args.seed,
     )
     for path in getattr(evaluate, args.experiment)(options):
@@ -115,7 +116,9 @@ def _parser() -> argparse.ArgumentParser:
     one.set_defaults(command=_scene)
     one = commands.add_parser("build", parents=[common], help="an object and a skin → a bundle")
     one.add_argument("--out", type=Path, required=True, metavar="BUNDLE")
-    one.add_argument("--updates", type=int, default=8_000, help="of the weights, of each model")
+    one.add_argument(
+        "--effort", type=float, default=1.0, metavar="SHARE", help="of each model's own training"
+    )
     one.add_argument("--contacts", type=int, default=300_000, help="simulated, to train on")
     one.add_argument(
         "--bank", type=int, default=1_000_000, help="contacts of the exact posterior measured to"
@@ -135,6 +138,9 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--skin", metavar="LAYOUT", help="this layout in place of them")
     one.add_argument("--workers", type=int, default=2, help="processes of one thread each")
     one.add_argument("--groups", default="", metavar="A,B", help="of samplers: analytic, npe, …")
+    one.add_argument(
+        "--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training"
+    )
     one.add_argument(
         "--minutes", type=float, default=math.inf, help="begin nothing later; write what is done"
     )

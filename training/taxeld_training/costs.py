@@ -15,7 +15,7 @@ from taxeld.bundle import ANALYTIC
 from taxeld.observation import Noise
 from taxeld.proposals import Proposal
 from taxeld.sampler import Sampler
-from taxeld_training import experiment, variants
+from taxeld_training import variants
 from taxeld_training.dataset import simulate
 from taxeld_training.experiment import Eager, Setting, described
 from taxeld_training.export import export
@@ -50,7 +50,7 @@ def measure(
                 for name, make in ANALYTIC.items():
                     add(name, None, None, make(model))
             elif wanted is not None:
-                variant = experiment.shortened(wanted, 0.0)
+                variant = variants.trained_with(wanted, 0.0)
                 network = variants.fit(variant, model, Noise(), some, lambda _update, _loss: None)
                 for name, sampler in variants.samplers(variant, network).items():
                     path = Path(place) / f"{group}-{name}.onnx"

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from taxeld_training import costs, experiment, jobs, variants
+from taxeld.errors import SetupError
+from taxeld_training import costs, experiment, jobs, meshes, variants
 from taxeld_training.diffusion import Solver
 from taxeld_training.experiment import MODELS, Setting, ring
 from taxeld_training.jobs import Job
@@ -22,6 +23,7 @@ GROUPS = {
 }
 GALLERY_OBJECT, GALLERY_COLUMNS = "025_mug", (16,)
 GALLERY_MODEL = variants.diffusion(samplers=((Solver.DDPM, 100),))
+EAGER_SIZE = (100, 256)  # steps and width of what speed-ups are relative to
 PROPOSALS = ("projection", "manifold", "table", "paper", "density", "exact")  # the paper's Fig. 2
 PROPOSALS_KEYS = (
     "object", "columns", "proposal", "add_mm", "add_s_mm", "add_sym_mm", "contact_residual_mm",
@@ -43,6 +45,7 @@ class Options:
     dask: str = ""
     groups: tuple[str, ...] = ()  # of samplers; empty: the experiment's own
     until: float = math.inf  # of the monotonic clock: what has not begun by then is left out
+    effort: float = 1.0  # share of each model's own training
     seed: int = 0
 
 
@@ -55,7 +58,9 @@ def settings(options: Options, columns: Sequence[int]) -> list[Setting]:
     if options.quick:
         objects, skins = objects[:2], skins[:1]
     made = [
-        Setting(name, skin, count, seed=options.seed) for count, skin in skins for name in objects
+        Setting(name, skin, count, updates=options.effort, seed=options.seed)
+        for count, skin in skins
+        for name in objects
     ]
     if options.quick:
         made = [
@@ -68,6 +73,11 @@ def settings(options: Options, columns: Sequence[int]) -> list[Setting]:
 
 def rows(name: str, options: Options) -> list[dict[str, Any]]:
     """All rows of an experiment's samplers, with `ms` in those of the frontier."""
+    for group in options.groups:
+        if group not in GROUPS["frontier"]:
+            raise SetupError(f"--groups: no '{group}'; there are {', '.join(GROUPS['frontier'])}")
+    for wanted in options.objects:
+        meshes.find(wanted)
     cells = settings(options, FRONTIER_COLUMNS if name == "frontier" else experiment.COLUMNS)
     memory = options.memory.resolve()
     first = [
@@ -112,7 +122,7 @@ def _with_cost(
         wanted = {"proposal": proposal, "steps": steps, "width": width, "columns": row["columns"]}
         return float(next(t["ms"] for t in timed if wanted.items() <= t.items()))
 
-    eager = ms(costs.EAGER, 100, 256)
+    eager = ms(costs.EAGER, *EAGER_SIZE)
     if row["proposal"] == "exact":
         own = exact[row["object"], row["columns"]]
     else:

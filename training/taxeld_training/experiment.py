@@ -5,7 +5,7 @@ one rival) are jobs of their own, which share the setting's reference through a 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -59,13 +59,13 @@ class Setting:
     contacts: int = 1000  # for errors against the truth
     slow_contacts: int = 200  # the same, of samplers that take long
     bank: int = quality.BANK
-    updates: float = 1.0  # share of a variant's own training
+    updates: float = 1.0  # share of a variant's own
     epochs: int | None = None  # of a rival; None: its own
     seed: int = 0
 
     @property
     def name(self) -> str:
-        return f"{self.object}-{self.columns or Path(self.skin).stem}"
+        return f"{Path(self.object).stem}-{self.columns or Path(self.skin).stem}"
 
     def model(self) -> ObservationModel:
         skin = layouts.load(self.skin)
@@ -188,7 +188,7 @@ def _tried(
         for name, make in ANALYTIC.items():
             yield Tried(name, None, None, None, make(model))
     elif variant is not None:
-        variant = shortened(variant, setting.updates)
+        variant = variants.trained_with(variant, setting.updates)
         rng = np.random.default_rng(setting.seed)
         touches = simulate(model, variant.training.contacts, rng)
         network = variants.fit(variant, model, Noise(), touches, lambda _update, _loss: None)
@@ -208,9 +208,3 @@ def described(group: str, variant: Variant, sampler: AnySampler) -> Tried:
         flops(sampler, quality.SAMPLES),
         Eager(sampler),
     )
-
-
-def shortened(variant: Variant, share: float) -> Variant:
-    """The variant with a share of its updates."""
-    updates = max(2, round(variant.training.updates * share))
-    return replace(variant, training=replace(variant.training, updates=updates))

@@ -1,5 +1,6 @@
 """A sampler as one ONNX file: opset, shapes, normalisation and training config inside it."""
 
+import copy
 import json
 import logging
 import warnings
@@ -19,6 +20,7 @@ from taxeld_training.models import Model
 AnySampler = Sampler | ContactDensity | Generator
 
 OPSET = 20
+HALVED_FROM = 256  # values of a tensor, from which on it is worth halving
 EXPORT_SAMPLES = 100  # the axis is free; the graph is traced and checked with so many
 TOLERANCE = 1e-3  # difference to torch of 99 % of the samples, in the poses' own units: a sample
 # on a kink of the contact curve may fall to its other side by rounding
@@ -42,10 +44,10 @@ def export(sampler: AnySampler, taxels: int, path: Path, metadata: Mapping[str, 
         RuntimeError: the graph differs from torch.
     """
     generator = torch.Generator().manual_seed(0)
-    z = torch.rand(1, taxels, generator=generator)
+    z = (torch.rand(1, taxels, generator=generator) - 0.8).clamp(min=0.0) * 5.0  # a fifth pressed
     live = torch.ones(1, taxels)
     noise = torch.randn(sampler.noise_steps, EXPORT_SAMPLES, 4, generator=generator)
-    sampler = sampler.eval()
+    sampler = rounded(sampler)
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # of the exporter's own future plans
         logging.getLogger("torch.onnx").setLevel(logging.ERROR)
@@ -66,6 +68,7 @@ def export(sampler: AnySampler, taxels: int, path: Path, metadata: Mapping[str, 
     for key, value in metadata.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, json.dumps(value)
+    _halve(model.graph)
     onnx.checker.check_model(model)
     path.write_bytes(model.SerializeToString())
     session = ort.InferenceSession(path, providers=["CPUExecutionProvider"])
@@ -74,3 +77,30 @@ def export(sampler: AnySampler, taxels: int, path: Path, metadata: Mapping[str, 
     if not gap < TOLERANCE:
         raise RuntimeError(f"{path}: the exported graph differs from torch by {gap:g}")
     return gap
+
+
+def rounded(sampler: AnySampler) -> AnySampler:
+    """The sampler with those weights that `_halve` halves rounded to float16."""
+    copied = copy.deepcopy(sampler).eval()
+    for values in [*copied.parameters(), *copied.buffers()]:
+        if values.dtype == torch.float32 and values.numel() >= HALVED_FROM:
+            values.data = values.data.half().float()
+    return copied
+
+
+def _halve(graph: onnx.GraphProto) -> None:
+    """Store large weights as float16, cast back when the file is loaded: half the file, the same
+    arithmetic."""
+    casts = []
+    for tensor in graph.initializer:
+        values = onnx.numpy_helper.to_array(tensor)
+        if values.dtype != np.float32 or values.size < HALVED_FROM:
+            continue
+        name = tensor.name
+        tensor.CopyFrom(onnx.numpy_helper.from_array(values.astype(np.float16), f"{name}_half"))
+        casts.append(
+            onnx.helper.make_node("Cast", [tensor.name], [name], to=onnx.TensorProto.FLOAT)
+        )
+    nodes = [*casts, *graph.node]
+    del graph.node[:]
+    graph.node.extend(nodes)

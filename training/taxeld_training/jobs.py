@@ -21,6 +21,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from taxeld.errors import SetupError
 
+PATIENCE = "10s"  # with a scheduler
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
@@ -117,7 +118,7 @@ def _backend(dask: str) -> Iterator[None]:
             "--dask: distributed is not installed; pip install 'taxeld[dask]'"
         ) from None
     try:
-        client = Client(dask, timeout="10s")
+        client = Client(dask, timeout=PATIENCE)
     except (OSError, ValueError) as error:
         raise SetupError(f"--dask: no scheduler answers at {dask} ({error})") from None
     with client, joblib.parallel_config("dask"):

@@ -66,10 +66,17 @@ def paper() -> Variant:
     )  # fmt: skip
 
 
-def trained_with(variant: Variant, updates: int, contacts: int, seed: int) -> Variant:
-    """The same, trained otherwise; contacts are at most the variant's own."""
-    contacts = min(contacts, variant.training.contacts)
-    training = replace(variant.training, updates=updates, contacts=contacts, seed=seed)
+def trained_with(
+    variant: Variant, effort: float, contacts: int | None = None, seed: int | None = None
+) -> Variant:
+    """The same, trained with a share of its updates; contacts are at most the variant's own."""
+    own = variant.training
+    training = replace(
+        own,
+        updates=max(2, round(own.updates * effort)),
+        contacts=min(contacts or own.contacts, own.contacts),
+        seed=own.seed if seed is None else seed,
+    )
     return replace(variant, training=training)
 
 

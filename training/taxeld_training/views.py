@@ -73,35 +73,45 @@ class Centred(nn.Module):
     """
 
     name = "centred"
+    multiply_adds = 0  # four cells a taxel, nothing beside the encoder
     angle: Tensor  # (M,) of the taxels
-    rise: Tensor  # (M, H) share of each taxel in each row of the grid
-    cells: Tensor  # (G,) offsets of the columns in cells
+    row: Tensor  # (2, M) the grid's rows below and above each
+    rise: Tensor  # (2, M) its share in them
 
     def __init__(self, layout: Layout) -> None:
         super().__init__()
         xyz = layout.position_m
         gap = np.linalg.norm(xyz[:, None] - xyz[None], axis=-1)
         pitch = float(np.median(np.sort(gap, axis=1)[:, min(1, len(xyz) - 1)])) or 0.01
-        half = int(np.ceil(WINDOW_RAD * layout.radius_m / pitch))
-        rows = max(1, round(float(np.ptp(xyz[:, 2])) / pitch)) + 1
-        height = (xyz[:, 2] - xyz[:, 2].min()) / pitch
-        rise = np.clip(1.0 - np.abs(height[:, None] - np.arange(rows)), 0.0, None)
-        self.width = 3 * rows * (2 * half + 1)
-        self.multiply_adds = 2 * rows * (2 * half + 1) * len(layout)
         self.cells_per_rad = layout.radius_m / pitch
+        self.reach = int(np.ceil(WINDOW_RAD * self.cells_per_rad))
+        height = (xyz[:, 2] - xyz[:, 2].min()) / pitch
+        below = np.floor(height).astype(np.int64)
+        self.rows = int(below.max()) + 2
+        self.width = 3 * self.rows * (2 * self.reach + 1)
         direction = np.arctan2(xyz[:, 1], xyz[:, 0])
         self.register_buffer("angle", torch.from_numpy(direction).float())
-        self.register_buffer("rise", torch.from_numpy(rise).float())
-        self.register_buffer("cells", torch.arange(-half, half + 1).float())
+        self.register_buffer("row", torch.from_numpy(np.stack([below, below + 1])))
+        share = height - below
+        self.register_buffer("rise", torch.from_numpy(np.stack([1.0 - share, share])).float())
 
     def forward(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]:
         z = z * live
         angle = self.angle[z.argmax(dim=1)]
         off = self.angle - angle[:, None]
         off = off - 2.0 * torch.pi * torch.round(off / (2.0 * torch.pi))
-        share = (1.0 - (off[..., None] * self.cells_per_rad - self.cells).abs()).clamp(min=0.0)
-        grids = [torch.einsum("bm,bmg,mh->bgh", a, share, self.rise) for a in (z, live)]
-        return _seen(*(grid.flatten(1) for grid in grids)), angle
+        at = off * self.cells_per_rad + self.reach
+        left = torch.floor(at)
+        columns = 2 * self.reach + 1
+        grids = [torch.zeros(len(z), columns * self.rows, device=z.device) for _ in range(2)]
+        for column, share in ((left, 1.0 - (at - left)), (left + 1.0, at - left)):
+            share = torch.where((column >= 0) & (column < columns), share, 0.0)  # noqa: PLW2901
+            first = column.clamp(0, columns - 1).long() * self.rows
+            for row, rise in zip(self.row, self.rise, strict=True):
+                cell, part = first + row, share * rise
+                grids[0] = grids[0].scatter_add(1, cell, z * part)
+                grids[1] = grids[1].scatter_add(1, cell, live * part)
+        return _seen(*grids), angle
 
 
 def _seen(z: Tensor, live: Tensor) -> Tensor:

@@ -1,0 +1,100 @@
+"""The experiments, small: rows, files, and going on where one was cut short."""
+
+import json
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from taxeld_training import evaluate, experiment
+from taxeld_training.cli import main
+
+FRONTIER = {
+    "object", "columns", "proposal", "steps", "width", "flops", "ms", "ms_eager_ddpm100",
+    "speedup", "energy_distance", "energy_floor",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mesh") / "block.stl"
+    trimesh.creation.box((0.06, 0.1, 0.1)).export(path)
+    return path
+
+
+def command(name: str, block: Path, place: Path, *more: str) -> list[str]:
+    return [
+        "evaluate", name, "--quick", "--objects", str(block), "--out", str(place / "out"),
+        "--memory", str(place / "memory"), *more,
+    ]  # fmt: skip
+
+
+def test_the_proposals_of_an_object(
+    block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = command("proposals", block, tmp_path, "--groups", "analytic,density-64")
+    assert main(arguments) == 0
+    printed = capsys.readouterr().out.split()[-3:]
+    assert [Path(line).name for line in printed] == [
+        "proposals.json", "proposals.png", "proposals_posterior.png",
+    ]  # fmt: skip
+    rows = json.loads(Path(printed[0]).read_text(encoding="utf-8"))
+    assert {row["proposal"] for row in rows} == {
+        "projection", "manifold", "table", "exact", "density",
+    }  # fmt: skip
+    for row in rows:
+        assert set(evaluate.PROPOSALS_KEYS) == row.keys()
+        assert row["add_mm"]["best"] <= row["add_mm"]["median"] <= row["add_mm"]["worst"]
+        assert row["add_sym_mm"] <= row["add_mm"]["worst"]
+    by_name = {row["proposal"]: row for row in rows}
+    assert by_name["exact"]["energy_distance"] == by_name["exact"]["energy_floor"]
+    assert by_name["table"]["energy_distance"] < by_name["projection"]["energy_distance"]
+    before = sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
+    assert main(arguments) == 0
+    assert before == sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
+
+
+def test_the_frontier_has_cost_and_distance_of_each(
+    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without the two samplers of 100 steps, whose graphs are slow to export."""
+    monkeypatch.setitem(evaluate.GROUPS, "frontier", ("analytic", "density-16"))
+    monkeypatch.setattr(evaluate.costs, "EAGER", "density")
+    monkeypatch.setattr(evaluate, "EAGER_SIZE", (1, 16))
+    assert main(command("frontier", block, tmp_path)) == 0
+    rows = json.loads((tmp_path / "out" / "frontier.json").read_text(encoding="utf-8"))
+    assert len(rows) == 5
+    for row in rows:
+        assert row.keys() >= FRONTIER
+        assert row["speedup"] == pytest.approx(row["ms_eager_ddpm100"] / row["ms"])
+    assert (tmp_path / "out" / "frontier_16.png").is_file()
+
+
+def test_the_gallery_is_drawn(block: Path, tmp_path: Path) -> None:
+    assert main(command("gallery", block, tmp_path)) == 0
+    assert (tmp_path / "out" / "gallery.png").stat().st_size > 10_000
+
+
+def test_no_time_leaves_rows_of_what_is_remembered_alone(block: Path, tmp_path: Path) -> None:
+    groups = ("--groups", "analytic")
+    assert main(command("proposals", block, tmp_path, *groups)) == 0
+    more = ("--groups", "analytic,density-16", "--minutes", "0")
+    assert main(command("proposals", block, tmp_path, *more)) == 0
+    rows = json.loads((tmp_path / "out" / "proposals.json").read_text(encoding="utf-8"))
+    assert {row["proposal"] for row in rows} == {"projection", "manifold", "table", "exact"}
+
+
+def test_an_unknown_group_or_object_is_one_line(
+    block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(command("proposals", block, tmp_path, "--groups", "magic")) == 2
+    assert "--groups: no 'magic'" in capsys.readouterr().err
+    assert main(command("proposals", Path("999_none"), tmp_path)) == 2
+    assert "999_none" in capsys.readouterr().err
+
+
+def test_settings_of_other_thoroughness_are_other_jobs() -> None:
+    one = experiment.Setting("a", experiment.ring(8), 8)
+    other = experiment.Setting("a", experiment.ring(8), 8, readings=9)
+    assert repr(one) != repr(other)
+    assert one.name == other.name == "a-8"

@@ -1,0 +1,98 @@
+"""Jobs of an experiment: remembered, whole, in time, on one machine or on a cluster."""
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from taxeld.errors import SetupError
+from taxeld_training import jobs
+from taxeld_training.jobs import Job
+
+
+def note(place: str, value: int) -> dict[str, int]:
+    """Leave a mark for every time it runs, and say with how many threads it may."""
+    with (Path(place) / f"ran-{value}").open("a", encoding="ascii") as file:
+        file.write("x")
+    return {"square": value * value, "threads": int(os.environ.get("OPENBLAS_NUM_THREADS", "0"))}
+
+
+def refuse(place: str, value: int) -> None:
+    raise ValueError(f"{place} {value}")
+
+
+def three(place: Path) -> list[Job]:
+    return [Job(f"job-{i}", note, (str(place), i)) for i in range(3)]
+
+
+def times_run(place: Path) -> list[int]:
+    return [len(path.read_text(encoding="ascii")) for path in sorted(place.glob("ran-*"))]
+
+
+def test_what_was_done_is_not_done_again(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    first = jobs.run(three(tmp_path), memory, quiet=True)
+    assert {name: result["square"] for name, result in first.items()} == {
+        "job-0": 0, "job-1": 1, "job-2": 4,
+    }  # fmt: skip
+    assert jobs.run(three(tmp_path), memory, quiet=True) == first
+    assert times_run(tmp_path) == [1, 1, 1]
+
+
+def test_other_arguments_are_another_job(tmp_path: Path) -> None:
+    assert len({job.key for job in three(tmp_path)}) == 3
+    assert Job("job-0", note, (str(tmp_path), 0)).key == three(tmp_path)[0].key
+    assert Job("job-0", refuse, (str(tmp_path), 0)).key != three(tmp_path)[0].key
+
+
+def test_a_torn_result_is_made_again(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    job = three(tmp_path)[2]
+    jobs.run([job], memory, quiet=True)
+    (memory / f"{job.key}.json").write_text('{"squ', encoding="ascii")
+    assert jobs.run([job], memory, quiet=True)["job-2"]["square"] == 4
+    assert times_run(tmp_path) == [2]
+
+
+def test_what_was_done_before_a_failure_is_kept(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    with pytest.raises(ValueError, match="9"):
+        jobs.run([*three(tmp_path), Job("bad", refuse, ("", 9))], memory, workers=1, quiet=True)
+    assert jobs.run(three(tmp_path), memory, quiet=True)["job-1"]["square"] == 1
+    assert times_run(tmp_path) == [1, 1, 1]
+
+
+def test_no_job_begins_when_the_time_is_over(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    jobs.run(three(tmp_path)[:1], memory, quiet=True)
+    late = jobs.run(three(tmp_path), memory, until=time.monotonic() - 1.0, quiet=True)
+    assert late["job-0"]["square"] == 0
+    assert late["job-1"] is None
+    assert times_run(tmp_path) == [1]
+
+
+def test_a_worker_has_one_thread(tmp_path: Path) -> None:
+    assert jobs.run(three(tmp_path), tmp_path / "memory", quiet=True)["job-0"]["threads"] == 1
+
+
+@pytest.mark.filterwarnings("ignore")  # of the cluster's own
+def test_the_same_jobs_run_on_a_dask_cluster(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        found = jobs.run(three(tmp_path), tmp_path / "memory", dask=address, quiet=True)
+    assert [found[f"job-{i}"]["square"] for i in range(3)] == [0, 1, 4]
+    assert times_run(tmp_path) == [1, 1, 1]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_scheduler_that_is_not_there_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(jobs, "PATIENCE", "300ms")
+    with pytest.raises(SetupError, match=r"--dask: no scheduler answers at tcp://127.0.0.1:9"):
+        jobs.run(three(tmp_path), tmp_path / "memory", dask="tcp://127.0.0.1:9", quiet=True)
