@@ -46,6 +46,10 @@ def test_the_proposals_of_an_object(
         assert set(evaluate.PROPOSALS_KEYS) == row.keys()
         assert row["add_mm"]["best"] <= row["add_mm"]["median"] <= row["add_mm"]["worst"]
         assert row["add_sym_mm"] <= row["add_mm"]["worst"]
+    table = Path(printed[0]).with_suffix(".md").read_text(encoding="utf-8").splitlines()
+    assert table[0] == "8 columns:"
+    assert table[2].startswith("| sampler | objects | energy distance | × floor |")
+    assert len(table) == 4 + 5
     by_name = {row["proposal"]: row for row in rows}
     assert by_name["exact"]["energy_distance"] == by_name["exact"]["energy_floor"]
     assert by_name["table"]["energy_distance"] < by_name["projection"]["energy_distance"]

@@ -30,7 +30,7 @@ from taxeld_training.variants import Variant
 DEPTH_MAX_M = 0.005
 MEASURED_READINGS = 48
 TOLERANCE = 1.15  # times the best distance: what counts as as good as the best
-VARIANTS = (variants.diffusion(), variants.density(64), variants.density(16, 48, 2))
+VARIANTS = (variants.density(64), variants.diffusion(), variants.density(16, 48, 2))
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld_training import costs, experiment, jobs, meshes, variants
+from taxeld_training import costs, experiment, jobs, meshes, tables, variants
 from taxeld_training.diffusion import Solver
 from taxeld_training.experiment import MODELS, Setting, ring
 from taxeld_training.jobs import Job
@@ -168,6 +168,7 @@ def _write(options: Options, name: str, found: list[dict[str, Any]]) -> Path:
     path = options.out / f"{name}.json"
     lines = ",\n".join(json.dumps(row) for row in found)  # a row a line: a diff can be read
     path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    path.with_suffix(".md").write_text(tables.means(found) + "\n", encoding="utf-8")
     return path
 
 

@@ -36,10 +36,10 @@ class Variant:
         return {key: value for key, value in asdict(self).items() if key != "samplers"}
 
 
-def density(width: int = 64, encoder_width: int = 192, encoder_depth: int = 5) -> Variant:
+def density(width: int = 64, encoder_width: int = 256, encoder_depth: int = 5) -> Variant:
     """One pass; the width is that of the layers that run once a hypothesis."""
     network = NetworkConfig(width, encoder_width, encoder_depth)
-    return Variant("density", network, TrainConfig())
+    return Variant("density", network, TrainConfig(updates=12_000))
 
 
 def generator(width: int = 128) -> Variant:
@@ -49,11 +49,11 @@ def generator(width: int = 128) -> Variant:
 
 def diffusion(
     width: int = 128,
-    samplers: tuple[tuple[Solver, int], ...] = ((Solver.DPM, 5), (Solver.DDPM, 100)),
+    samplers: tuple[tuple[Solver, int], ...] = ((Solver.DDPM, 100),),
 ) -> Variant:  # fmt: skip
     """Any of its solvers' steps; in the contact's coordinates."""
     training = TrainConfig(updates=10_000)
-    return Variant("diffusion", NetworkConfig(width), training, samplers=samplers)
+    return Variant("diffusion", NetworkConfig(width, 160), training, samplers=samplers)
 
 
 def paper() -> Variant:
