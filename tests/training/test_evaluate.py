@@ -79,6 +79,15 @@ def test_the_gallery_is_drawn(block: Path, tmp_path: Path) -> None:
     assert (tmp_path / "out" / "gallery.png").stat().st_size > 10_000
 
 
+def test_damage_is_measured_on_the_shipped_bundles(tmp_path: Path) -> None:
+    place = ["--out", str(tmp_path), "--memory", str(tmp_path / "memory")]
+    assert main(["evaluate", "damage", "--quick", *place]) == 0
+    rows = json.loads((tmp_path / "damage.json").read_text(encoding="utf-8"))
+    assert {row["dead_share"] for row in rows} == {0.0, 0.1}
+    assert {row["proposal"] for row in rows} == {"density", "ddpm", "table", "manifold"}
+    assert (tmp_path / "damage.png").is_file()
+
+
 def test_no_time_leaves_rows_of_what_is_remembered_alone(block: Path, tmp_path: Path) -> None:
     groups = ("--groups", "analytic")
     assert main(command("proposals", block, tmp_path, *groups)) == 0

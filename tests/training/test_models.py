@@ -127,7 +127,7 @@ def test_the_density_integrates_to_one(ring_model: ObservationModel) -> None:
 
 def test_operations_grow_with_steps_and_samples(ring_model: ObservationModel) -> None:
     view, frame = Plain(ring_model.layout), ContactFrame(ring_model)
-    net = ContactDensity(NetworkConfig(8, 16), view, frame)
+    net = ContactDensity(NetworkConfig(8, 16, encoder_depth=2), view, frame)
     assert flops(net, 200) - flops(net, 100) == 100 * 2 * net.multiply_adds_each
     assert flops(net, 0) == 2 * (64 * 16 + 16 * 16 + 16 * BINS + 16 * 16)
     assert Generator(NetworkConfig(8, 16), view, frame).multiply_adds_each > 0

@@ -126,7 +126,7 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--seed", type=int, default=0)
     one.set_defaults(command=_build)
     one = commands.add_parser("evaluate", help="the experiments: JSON beside PNG")
-    one.add_argument("experiment", choices=("proposals", "frontier", "gallery"))
+    one.add_argument("experiment", choices=("proposals", "frontier", "gallery", "damage"))
     one.add_argument("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     one.add_argument(
         "--memory", type=Path, default=Path(".experiments"), metavar="DIR",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld_training import costs, experiment, jobs, meshes, tables, variants
+from taxeld_training import costs, experiment, jobs, meshes, quality, tables, variants
 from taxeld_training.diffusion import Solver
 from taxeld_training.experiment import MODELS, Setting, ring
 from taxeld_training.jobs import Job
@@ -144,6 +144,7 @@ def proposals(options: Options) -> list[Path]:
         for row in rows("proposals", options) if row["proposal"] in PROPOSALS
     ]  # fmt: skip
     data = _write(options, "proposals", found)
+    tables.write(found, data)
     pictures = [data.with_suffix(".png"), data.with_name("proposals_posterior.png")]
     charts.proposals(found, pictures[0])
     charts.posterior_gap(found, pictures[1])
@@ -156,6 +157,7 @@ def frontier(options: Options) -> list[Path]:
 
     found = rows("frontier", options)
     data = _write(options, "frontier", found)
+    tables.write(found, data)
     pictures = []
     for columns in sorted({row["columns"] for row in found}):
         pictures.append(data.with_name(f"frontier_{columns}.png"))
@@ -168,7 +170,6 @@ def _write(options: Options, name: str, found: list[dict[str, Any]]) -> Path:
     path = options.out / f"{name}.json"
     lines = ",\n".join(json.dumps(row) for row in found)  # a row a line: a diff can be read
     path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
-    path.with_suffix(".md").write_text(tables.means(found) + "\n", encoding="utf-8")
     return path
 
 
@@ -193,3 +194,20 @@ def gallery(options: Options) -> list[Path]:
     picture = options.out / "gallery.png"
     drawing.gallery(cell.model(), panels, np.array(drawn["z"]), np.array(drawn["truth"]), picture)
     return [picture]
+
+
+def damage(options: Options) -> list[Path]:
+    """Dead taxels: the shipped bundles' samplers beside the table."""
+    from taxeld_training import damage as dead  # noqa: PLC0415
+
+    readings, bank = (8, 50_000) if options.quick else (64, quality.BANK)
+    shares = dead.SHARES[:2] if options.quick else dead.SHARES
+    todo = [
+        Job(f"damage-{name}-{share:g}", dead.measure, (name, share, readings, bank, options.seed))
+        for name in dead.BUNDLES
+        for share in shares
+    ]
+    found = [row for rows in _run(todo, options).values() for row in rows or []]
+    data = _write(options, "damage", found)
+    dead.draw(found, data.with_suffix(".png"))
+    return [data, data.with_suffix(".png")]

@@ -22,7 +22,9 @@ COLOURS = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#888888", "#CC79A7", "#000000", "#56B4E9",
 )  # fmt: skip
 MARKERS = ("o", "s", "^", "D", "v", "P", ">")  # with eight colours: 56 pairs before one repeats
-FIRST = ("ddpm", "ddim", "table", "manifold", "projection")  # the same style in every picture
+FIRST = (  # the same style in every picture
+    "density", "ddpm", "ddim", "dpm", "table", "manifold", "projection", "exact", "paper",
+)  # fmt: skip
 LEGEND = 0.8  # entries an inch
 DPI = 120
 

@@ -1,6 +1,7 @@
 """Rows of an experiment as a table in Markdown: means over the objects."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,11 @@ SOURCE = {
     "ADD, mm": "add_mm", "symmetric ADD, mm": "add_sym_mm",
     "contact residual, mm": "contact_residual_mm", "observation residual": "observation_residual",
 }  # fmt: skip
+
+
+def write(rows: Sequence[Row], data: Path) -> None:
+    """The table beside the rows' own file."""
+    data.with_suffix(".md").write_text(means(rows) + "\n", encoding="utf-8")
 
 
 def means(rows: Sequence[Row]) -> str:
