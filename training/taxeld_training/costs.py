@@ -13,11 +13,11 @@ import numpy as np
 
 from taxeld.bundle import ANALYTIC
 from taxeld.observation import Noise
-from taxeld.proposals import Proposal
+from taxeld.proposals import Proposal, Table
 from taxeld.sampler import Sampler
 from taxeld_training import variants
 from taxeld_training.dataset import simulate
-from taxeld_training.experiment import Eager, Setting, described
+from taxeld_training.experiment import LARGE_TABLE, Eager, Setting, described
 from taxeld_training.export import export
 from taxeld_training.quality import SAMPLES
 from taxeld_training.rivals import train_rival
@@ -49,6 +49,8 @@ def measure(
             if group == "analytic":
                 for name, make in ANALYTIC.items():
                     add(name, None, None, make(model))
+            elif group == LARGE_TABLE:
+                add(group, None, None, Table(model, 100_000))
             elif wanted is not None:
                 variant = variants.trained_with(wanted, 0.0)
                 network = variants.fit(variant, model, Noise(), some, lambda _update, _loss: None)

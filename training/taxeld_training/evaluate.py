@@ -19,7 +19,7 @@ from taxeld_training.rivals import RIVALS
 FRONTIER_COLUMNS = (16, 32)
 GROUPS = {
     "proposals": ("analytic", "density-64", "paper"),
-    "frontier": ("analytic", *MODELS, *RIVALS),
+    "frontier": ("analytic", experiment.LARGE_TABLE, *MODELS, *RIVALS),
 }
 GALLERY_OBJECT, GALLERY_COLUMNS = "025_mug", (16,)
 GALLERY_MODEL = variants.diffusion(samplers=((Solver.DDPM, 100),))

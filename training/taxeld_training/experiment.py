@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from taxeld import layout as layouts
 from taxeld.bundle import ANALYTIC
 from taxeld.observation import Noise, ObservationModel
-from taxeld.proposals import Proposal
+from taxeld.proposals import Proposal, Table
 from taxeld.se2 import Poses
 from taxeld_training import meshes, metrics, quality, scenes, variants
 from taxeld_training.dataset import simulate
@@ -30,6 +30,7 @@ OBJECTS = (
     "021_bleach_cleanser", "024_bowl", "025_mug", "035_power_drill", "061_foam_brick",
 )  # fmt: skip
 COLUMNS = (8, 16, 32, 64)  # of the paper's skins, 5 rows each
+LARGE_TABLE = "table-1e5"  # what a table of ten times the contacts buys
 HEIGHT_M, DEPTH_MAX_M = 0.04, 0.005
 
 MODELS: dict[str, Variant] = {
@@ -187,6 +188,8 @@ def _tried(
     if group == "analytic":
         for name, make in ANALYTIC.items():
             yield Tried(name, None, None, None, make(model))
+    elif group == LARGE_TABLE:
+        yield Tried(group, None, None, None, Table(model, 100_000))
     elif variant is not None:
         variant = variants.trained_with(variant, setting.updates)
         rng = np.random.default_rng(setting.seed)
