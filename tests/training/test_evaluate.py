@@ -65,6 +65,7 @@ def test_the_frontier_has_cost_and_distance_of_each(
     monkeypatch.setitem(evaluate.GROUPS, "frontier", ("analytic", "density-16"))
     monkeypatch.setattr(evaluate.costs, "EAGER", "density")
     monkeypatch.setattr(evaluate, "EAGER_SIZE", (1, 16))
+    monkeypatch.setattr(evaluate, "EAGER_GROUP", "density-16")
     assert main(command("frontier", block, tmp_path)) == 0
     rows = json.loads((tmp_path / "out" / "frontier.json").read_text(encoding="utf-8"))
     assert len(rows) == 5

@@ -23,7 +23,7 @@ GROUPS = {
 }
 GALLERY_OBJECT, GALLERY_COLUMNS = "025_mug", (16,)
 GALLERY_MODEL = variants.diffusion(samplers=((Solver.DDPM, 100),))
-EAGER_SIZE = (100, 256)  # steps and width of what speed-ups are relative to
+EAGER_GROUP, EAGER_SIZE = "paper", (100, 256)  # what speed-ups are relative to: steps × width
 PROPOSALS = ("projection", "manifold", "table", "paper", "density", "exact")  # the paper's Fig. 2
 PROPOSALS_KEYS = (
     "object", "columns", "proposal", "add_mm", "add_s_mm", "add_sym_mm", "contact_residual_mm",
@@ -101,7 +101,8 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
         return found
     timed: list[dict[str, Any]] = []
     for cell in {c.columns: c for c in reversed(cells)}.values():
-        groups = tuple((group, MODELS.get(group)) for group in GROUPS[name])
+        wanted_groups = dict.fromkeys((*(options.groups or GROUPS[name]), EAGER_GROUP))
+        groups = tuple((group, MODELS.get(group)) for group in wanted_groups)
         job = Job(f"cost-{cell.columns}", costs.measure, (cell, groups))
         alone = _run([job], replace(options, workers=1, until=math.inf))  # side by side with none
         timed += [row | {"columns": cell.columns} for row in alone[job.name]]
