@@ -1,5 +1,6 @@
 """What all inverse observation models share: a view of the touch, a frame for poses, an encoder."""
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import torch
@@ -22,7 +23,7 @@ class NetworkConfig:
     steps: int = 100  # T of a diffusion
 
 
-class Model(nn.Module):
+class Model(nn.Module, ABC):
     """A sampler of p(pose | touch) in the making: it can be trained, and run as one graph."""
 
     noise_steps = 1  # noises a sample takes: the first axis of the `noise` input
@@ -45,13 +46,13 @@ class Model(nn.Module):
         code: Tensor = self.encoder(seen)
         return code, angle
 
+    @abstractmethod
     def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
         """Learn from a large batch what whitening takes away."""
-        raise NotImplementedError
 
+    @abstractmethod
     def loss(self, z: Tensor, live: Tensor, coordinates: Tensor) -> Tensor:
         """What training makes small: z, live (B, M), coordinates (B, 3) of the true poses."""
-        raise NotImplementedError
 
 
 class Residual(nn.Module):
