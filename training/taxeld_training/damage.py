@@ -11,20 +11,20 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from taxeld import bundle, layout
+from taxeld.config import SkinConfig
 from taxeld.observation import Noise
 from taxeld_training import picture, quality
+from taxeld_training.experiment import DEPTH_MAX_M
 
 BUNDLES = ("box", "mug")
 SHARES = (0.0, 0.1, 0.2, 0.4, 0.6)
 PROPOSALS = ("density", "ddpm", "table", "manifold")
-SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-DEPTH_MAX_M = 0.005
 
 
 def measure(name: str, dead: float, readings: int, bank: int, seed: int) -> list[dict[str, Any]]:
     """Rows of all proposals of a shipped bundle with a share of the taxels dead, others in each
     reading."""
-    loaded = bundle.load(name, layout.load(SKIN), DEPTH_MAX_M)
+    loaded = bundle.load(name, layout.load(SkinConfig().layout), DEPTH_MAX_M)
     rng = np.random.default_rng(seed)
     to = quality.reference(loaded.model, Noise(), readings, rng, dead=dead, bank=bank)
     return [

@@ -5,8 +5,6 @@ coordinates the sheet is flat: *where* on the object the skin's axis stands (s, 
 touch leaves ambiguous), from *which side* it is touched (φ, sharp) and *how deep* (δ, sharp).
 """
 
-from typing import Protocol
-
 import contourpy
 import numpy as np
 import torch
@@ -24,44 +22,26 @@ CURVE_FINE = 16  # times as many to look poses up
 Floats = NDArray[np.float64]
 
 
-class Frame(Protocol):
-    """Coordinates of object poses in the sensor frame."""
-
-    def encode(self, poses: Poses) -> Tensor:
-        """Poses (n, 3) → coordinates (n, 3)."""
-        ...
-
-    def turned(self, coordinates: Tensor, angle: Tensor) -> Tensor:
-        """Coordinates (n, 3) once the touch is turned about the sensor's axis by −angle (n,)."""
-        ...
-
-    def features(self, coordinates: Tensor) -> Tensor:
-        """Coordinates (n, 3) → (n, 4) without a seam, for a diffusion to work in."""
-        ...
-
-    def decode(self, features: Tensor) -> Tensor:
-        """Features (n, 4) → poses (n, 4): x, y, cos θ, sin θ."""
-        ...
-
-
 class PoseFrame(nn.Module):
     """(x, y, θ) and the features (x, y, cos θ, sin θ): the paper's."""
 
-    name = "pose"
-
     def encode(self, poses: Poses) -> Tensor:
+        """Poses (n, 3) → coordinates (n, 3)."""
         return torch.from_numpy(poses).float()
 
     def turned(self, coordinates: Tensor, angle: Tensor) -> Tensor:
+        """Coordinates (n, 3) once the touch is turned about the sensor's axis by −angle (n,)."""
         x, y, theta = coordinates.unbind(-1)
         c, s = torch.cos(angle), torch.sin(angle)
         return torch.stack([c * x + s * y, c * y - s * x, theta - angle], dim=-1)
 
     def features(self, coordinates: Tensor) -> Tensor:
+        """Coordinates (n, 3) → (n, 4) without a seam, for a diffusion to work in."""
         x, y, theta = coordinates.unbind(-1)
         return torch.stack([x, y, torch.cos(theta), torch.sin(theta)], dim=-1)
 
     def decode(self, features: Tensor) -> Tensor:
+        """Features (n, 4) → poses (n, 4): x, y, cos θ, sin θ."""
         return features
 
 
@@ -74,7 +54,6 @@ class ContactFrame(nn.Module):
     [rad]; δ the depth [m]. At δ the axis stands δ further in along the curve's normal.
     """
 
-    name = "contact"
     point: Tensor  # (P, 2) [m] of the curve, object frame
     normal: Tensor  # (P, 2) unit, outwards
     after: Tensor  # (P,) the next point of the same loop
@@ -83,8 +62,7 @@ class ContactFrame(nn.Module):
         super().__init__()
         self._model = model
         self.depth_max_m = model.depth_max_m
-        fine, after = _curve(model, CURVE_POINTS * CURVE_FINE)
-        self._tree = cKDTree(fine)
+        self._tree = cKDTree(_curve(model, CURVE_POINTS * CURVE_FINE)[0])
         point, after = _curve(model, CURVE_POINTS)
         _, gx, gy = model.scene.clearance(*point.T)
         self.register_buffer("point", torch.from_numpy(point).float())
@@ -161,6 +139,8 @@ def _curve(model: ObservationModel, points: int) -> tuple[Floats, NDArray[np.int
     begin = 0
     for loop, length, end in zip(loops, lengths, ends, strict=True):
         mine = at[begin:][at[begin:] < end] - (end - length[-1])
+        if not len(mine):  # a loop shorter than the spacing of the points
+            continue
         knots = np.concatenate([[0.0], length])
         found.append(np.column_stack([np.interp(mine, knots, loop[:, i]) for i in (0, 1)]))
         after[begin + len(mine) - 1] = begin

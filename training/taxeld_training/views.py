@@ -4,8 +4,6 @@ A view is the head of every exported graph: z, live (B, M) as the skin has them 
 and the angle (B,) that the touch is seen from; poses are learned turned by it and turned back.
 """
 
-from typing import Protocol
-
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -16,18 +14,9 @@ TURNED_ORDER = 6  # of symmetry, from which on turning pays more than a window
 WINDOW_RAD = 0.7  # to either side; a flat face pressed 5 mm deep covers half of it
 
 
-class View(Protocol):
-    """z, live (B, M) → features (B, F), angle (B,)."""
-
-    width: int  # F
-
-    def __call__(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]: ...
-
-
 class Plain(nn.Module):
     """The taxels as they are: the paper's."""
 
-    name = "plain"
     multiply_adds = 0
 
     def __init__(self, layout: Layout) -> None:
@@ -44,7 +33,6 @@ class Turned(nn.Module):
     Exact: a ring of equal columns feels the same when turned by one of them.
     """
 
-    name = "turned"
     multiply_adds = 0
     turns: Tensor  # (n, M)
     sector: Tensor  # (M,)
@@ -72,7 +60,6 @@ class Centred(nn.Module):
     since a bare side's silence is no evidence.
     """
 
-    name = "centred"
     multiply_adds = 0  # four cells a taxel, nothing beside the encoder
     angle: Tensor  # (M,) of the taxels
     row: Tensor  # (2, M) the grid's rows below and above each
