@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from taxeld import bundle
+from taxeld.config import SkinConfig
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
 from taxeld.observation import Noise, ObservationModel
@@ -27,7 +28,8 @@ from taxeld_training.models import Model
 from taxeld_training.scene_error import grid_error
 from taxeld_training.variants import Variant
 
-DEPTH_MAX_M = 0.005
+HEIGHT_M = 0.04  # the sensor frame's origin above the object's lowest point
+DEPTH_MAX_M = SkinConfig().full_scale_depth_m
 MEASURED_READINGS = 48
 TOLERANCE = 1.15  # times the best distance: what counts as as good as the best
 VARIANTS = (variants.density(64), variants.diffusion(), variants.density(16, 48, 2))
@@ -37,7 +39,7 @@ VARIANTS = (variants.density(64), variants.diffusion(), variants.density(16, 48,
 class BuildConfig:
     """All that a bundle depends on beside its mesh and layout."""
 
-    height_m: float = 0.04
+    height_m: float = HEIGHT_M
     depth_max_m: float = DEPTH_MAX_M
     variants: tuple[Variant, ...] = VARIANTS
     noise: Noise = field(default_factory=Noise)

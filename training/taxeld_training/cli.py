@@ -12,7 +12,7 @@ from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 from taxeld import layout
 from taxeld.errors import SetupError
 from taxeld.scene import CONTINUOUS
-from taxeld_training.build import DEPTH_MAX_M, VARIANTS, BuildConfig, build
+from taxeld_training.build import DEPTH_MAX_M, HEIGHT_M, VARIANTS, BuildConfig, build
 from taxeld_training.variants import trained_with
 
 DEFAULT_SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
@@ -107,8 +107,8 @@ def _parser() -> argparse.ArgumentParser:
     common.add_argument("object", metavar="OBJECT", help="a YCB id (025_mug) or a mesh file")
     common.add_argument("--skin", default=DEFAULT_SKIN, metavar="LAYOUT")
     common.add_argument(
-        "--height-m", type=float, default=0.04, metavar="H",
-        help="sensor frame's origin above the object's lowest point (default 0.04)",
+        "--height-m", type=float, default=HEIGHT_M, metavar="H",
+        help="sensor frame's origin above the object's lowest point (default %(default)s)",
     )  # fmt: skip
     one = commands.add_parser(
         "scene", parents=[common], help="what the skin meets of an object, in figures"

@@ -14,7 +14,7 @@ from taxeld import bundle, layout
 from taxeld.config import SkinConfig
 from taxeld.observation import Noise
 from taxeld_training import picture, quality
-from taxeld_training.experiment import DEPTH_MAX_M
+from taxeld_training.build import DEPTH_MAX_M
 
 BUNDLES = ("box", "mug")
 SHARES = (0.0, 0.1, 0.2, 0.4, 0.6)

@@ -19,6 +19,7 @@ from taxeld.observation import Noise, ObservationModel
 from taxeld.proposals import Proposal, Table
 from taxeld.se2 import Poses
 from taxeld_training import meshes, metrics, quality, scenes, variants
+from taxeld_training.build import DEPTH_MAX_M, HEIGHT_M
 from taxeld_training.dataset import simulate
 from taxeld_training.diffusion import Solver
 from taxeld_training.export import AnySampler, flops
@@ -31,7 +32,6 @@ OBJECTS = (
 )  # fmt: skip
 COLUMNS = (8, 16, 32, 64)  # of the paper's skins, 5 rows each
 LARGE_TABLE = "table-1e5"  # what a table of ten times the contacts buys
-HEIGHT_M, DEPTH_MAX_M = 0.04, 0.005
 
 MODELS: dict[str, Variant] = {
     "density-64": variants.density(64),
