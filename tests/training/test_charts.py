@@ -43,7 +43,8 @@ def cost_rows(objects: tuple[str, ...] = OBJECTS) -> list[dict[str, Any]]:
         {
             "object": name, "columns": columns, "proposal": proposal, "steps": steps,
             "width": width, "flops": 1e6, "ms": ms * rng.uniform(0.9, 1.2) * columns / 16,
-            "ms_eager_ddpm100": 140.0, "speedup": 140.0 / ms,
+            "ms_eager_ddpm100": 140.0, "speedup": 140.0 / ms, "ms_warm": ms / 2.0,
+            "ms_eager_ddpm100_warm": 100.0, "speedup_warm": 200.0 / ms,
             "energy_distance": 0.004 * gap * math.exp(rng.normal(0.0, 0.25)), "energy_floor": 0.004,
         }
         for name in objects

@@ -11,7 +11,8 @@ from taxeld_training.cli import main
 
 FRONTIER = {
     "object", "columns", "proposal", "steps", "width", "flops", "ms", "ms_eager_ddpm100",
-    "speedup", "energy_distance", "energy_floor",
+    "speedup", "ms_warm", "ms_eager_ddpm100_warm", "speedup_warm", "energy_distance",
+    "energy_floor",
 }  # fmt: skip
 
 
@@ -72,6 +73,10 @@ def test_the_frontier_has_cost_and_distance_of_each(
     for row in rows:
         assert row.keys() >= FRONTIER
         assert row["speedup"] == pytest.approx(row["ms_eager_ddpm100"] / row["ms"])
+        assert row["speedup_warm"] == pytest.approx(row["ms_eager_ddpm100_warm"] / row["ms_warm"])
+        assert row["proposal"] != "exact" or row["ms_warm"] == row["ms"]
+    table = (tmp_path / "out" / "frontier.md").read_text(encoding="utf-8").splitlines()
+    assert table[2].endswith("| ms | ms warm | speed-up | speed-up warm |")
     assert (tmp_path / "out" / "frontier_16.png").is_file()
 
 

@@ -1,76 +1,94 @@
 """What a call of each sampler costs on one thread, side by side in one run.
 
-Cost depends on the network's sizes and not on what it has learned, so models are timed untrained,
-exported as they would be shipped, beside the paper's setting run eagerly by torch.
+Cold: the calls of all samplers interleave, as touches come far apart, and each finds its weights
+out of the caches. Warm: a sampler's calls follow on each other.
+
+A model's cost depends on its network's sizes and not on what it has learned, so models are timed
+untrained, exported as they would be shipped, beside the paper's setting run eagerly by torch.
+Rivals are timed trained: FMPE's adaptive solver takes more steps the more has been learned.
 """
 
 import tempfile
-import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from taxeld.bundle import ANALYTIC
+from taxeld.layout import Layout
 from taxeld.observation import Noise
-from taxeld.proposals import Proposal, Table
+from taxeld.proposals import Proposal
 from taxeld.sampler import Sampler
-from taxeld_training import variants
+from taxeld_training import experiment, quality
 from taxeld_training.dataset import simulate
-from taxeld_training.experiment import LARGE_TABLE, Eager, Setting, described
+from taxeld_training.experiment import Eager, Setting, Tried
 from taxeld_training.export import export
-from taxeld_training.quality import SAMPLES
-from taxeld_training.rivals import train_rival
 from taxeld_training.variants import Variant
 
 EAGER = "eager"  # DDPM-100 of width 256, step by step from Python
-ROUNDS = 15
+CALLS = 15  # counted, of each sampler; one more goes first
 
 
-def measure(
+def time_calls(
     setting: Setting, groups: tuple[tuple[str, Variant | None], ...]
 ) -> list[dict[str, Any]]:
-    """Rows {proposal, steps, width, ms}: median CPU time of SAMPLES samples over interleaved
-    rounds; `groups` as in `experiment.measure`."""
+    """Rows {proposal, steps, width, ms, ms_warm}: median CPU time of a call for SAMPLES samples,
+    cold and warm; `groups` as in `experiment.measure`."""
     model = setting.model()
     rng = np.random.default_rng(0)
-    touches = simulate(model, ROUNDS, rng)
-    live = np.ones(len(model.layout), dtype=bool)
-    rows: list[dict[str, Any]] = []
-    timed: list[Proposal] = []
-
-    def add(proposal: str, steps: int | None, width: int | None, sampler: Proposal) -> None:
-        rows.append({"proposal": proposal, "steps": steps, "width": width})
-        timed.append(sampler)
-
-    some = simulate(model, 2000, rng)
+    readings = Noise().draw(simulate(model, CALLS + 1, rng).activation.astype(np.float64), rng)
+    untrained = replace(setting, updates=0.0)
     with tempfile.TemporaryDirectory() as place:
-        for group, wanted in groups:
-            if group == "analytic":
-                for name, make in ANALYTIC.items():
-                    add(name, None, None, make(model))
-            elif group == LARGE_TABLE:
-                add(group, None, None, Table(model, 100_000))
-            elif wanted is not None:
-                variant = variants.trained_with(wanted, 0.0)
-                network = variants.fit(variant, model, Noise(), some, lambda _update, _loss: None)
-                for name, sampler in variants.samplers(variant, network).items():
-                    path = Path(place) / f"{group}-{name}.onnx"
-                    export(sampler, len(model.layout), path, {})
-                    tried = described(group, variant, sampler)
-                    shipped = Sampler(path, model.layout, variant.kind)
-                    add(tried.proposal, tried.steps, tried.width, shipped)
-                    if group == "paper":
-                        add(EAGER, tried.steps, tried.width, Eager(sampler))
-            else:
-                rival = train_rival(group, model, Noise(), contacts=300, max_epochs=1)
-                add(group, None, None, rival)
-        spent: list[list[float]] = [[] for _ in timed]
-        for z in Noise().draw(touches.activation.astype(np.float64), rng):
-            for each, proposal in zip(spent, timed, strict=True):
-                start = time.thread_time_ns()
-                proposal.propose(z, live, SAMPLES, rng)
-                each.append((time.thread_time_ns() - start) / 1e6)
-    for row, each in zip(rows, spent, strict=True):
-        row["ms"] = float(np.median(each[1:]))
-    return rows
+        timed = [
+            one
+            for group, variant in groups
+            for tried in experiment.samplers_of(untrained, group, variant, model)
+            for one in _as_shipped(tried, model.layout, Path(place) / "sampler.onnx")
+        ]
+    samplers = [one.sampler for one in timed]
+    cold, warm = cold_ms(samplers, readings, rng), warm_ms(samplers, readings, rng)
+    return [
+        {
+            "proposal": one.proposal,
+            "steps": one.steps,
+            "width": one.width,
+            "ms": ms,
+            "ms_warm": ms_warm,
+        }
+        for one, ms, ms_warm in zip(timed, cold, warm, strict=True)
+    ]
+
+
+def cold_ms(
+    samplers: Sequence[Proposal], readings: NDArray[np.float64], rng: np.random.Generator
+) -> list[float]:
+    """Each sampler's median over rounds of a call of every sampler [ms], the first left out."""
+    rounds = [[_call_ms(sampler, z, rng) for sampler in samplers] for z in readings]
+    return [float(ms) for ms in np.median(rounds[1:], axis=0)]
+
+
+def warm_ms(
+    samplers: Sequence[Proposal], readings: NDArray[np.float64], rng: np.random.Generator
+) -> list[float]:
+    """Each sampler's median over calls in a row [ms], the first left out."""
+    return [
+        float(np.median([_call_ms(sampler, z, rng) for z in readings][1:])) for sampler in samplers
+    ]
+
+
+def _call_ms(sampler: Proposal, z: NDArray[np.float64], rng: np.random.Generator) -> float:
+    return quality.call_ms(sampler, z, np.ones(len(z), dtype=bool), rng)
+
+
+def _as_shipped(tried: Tried, layout: Layout, path: Path) -> Iterator[Tried]:
+    """A trained model as the daemon runs it, by way of the file `path`, and the paper's also as
+    torch does; anything else as it is."""
+    if not isinstance(tried.sampler, Eager):
+        yield tried
+        return
+    export(tried.sampler.trained, len(layout), path, {})
+    yield tried._replace(sampler=Sampler(path, layout, tried.sampler.name))
+    if tried.proposal == "paper":
+        yield tried._replace(proposal=EAGER)

@@ -92,17 +92,17 @@ class Tried(NamedTuple):
 class Eager:
     """A trained model as a proposal, without the detour through a file."""
 
-    def __init__(self, sampler: AnySampler) -> None:
-        self.name = sampler.family
-        self._sampler = sampler
-        sampler.eval()
+    def __init__(self, trained: AnySampler) -> None:
+        self.name = trained.family
+        self.trained = trained
+        trained.eval()
 
     def propose(
         self, z: Floats, live: NDArray[np.bool_], n: int, rng: np.random.Generator
     ) -> Poses:
-        noise = rng.standard_normal((self._sampler.noise_steps, n, 4), dtype=np.float32)
+        noise = rng.standard_normal((self.trained.noise_steps, n, 4), dtype=np.float32)
         with torch.no_grad():
-            four = self._sampler(
+            four = self.trained(
                 torch.from_numpy(z).float()[None],
                 torch.from_numpy(live).float()[None],
                 torch.from_numpy(noise),
@@ -129,7 +129,7 @@ def measure(
     touches = simulate(model, setting.contacts, rng)
     z = Noise().draw(touches.activation.astype(np.float64), rng)
     rows = []
-    for tried in _tried(setting, group, variant, model):
+    for tried in samplers_of(setting, group, variant, model):
         slow = tried.sampler.name in ("npse", "fmpe") or (tried.steps or 0) > 50
         count = setting.slow_contacts if slow else setting.contacts
         live = np.ones(len(model.layout), dtype=bool)
@@ -160,7 +160,7 @@ def draw(setting: Setting, reference: str, variant: Variant) -> dict[str, Any]:
     i = int(np.argmax([z.max() for z in to.z]))
     rng = np.random.default_rng(setting.seed)
     projection = ANALYTIC["projection"](model)
-    learned = next(_tried(setting, "", variant, model)).sampler
+    learned = next(samplers_of(setting, "", variant, model)).sampler
     z, live = to.z[i], to.live[i]
     return {
         "z": z.tolist(),
@@ -182,9 +182,10 @@ def _named(setting: Setting, tried: Tried) -> dict[str, Any]:
     }
 
 
-def _tried(
+def samplers_of(
     setting: Setting, group: str, variant: Variant | None, model: ObservationModel
 ) -> Iterator[Tried]:
+    """The samplers of a group, as `measure` has it, trained as the setting says."""
     if group == "analytic":
         for name, make in ANALYTIC.items():
             yield Tried(name, None, None, None, make(model))
@@ -196,18 +197,13 @@ def _tried(
         touches = simulate(model, variant.training.contacts, rng)
         network = variants.fit(variant, model, Noise(), touches, lambda _update, _loss: None)
         for sampler in variants.samplers(variant, network).values():
-            yield described(group, variant, sampler)
+            yield Tried(
+                "paper" if group == "paper" else sampler.family,
+                sampler.steps,
+                variant.network.width,
+                flops(sampler, quality.SAMPLES),
+                Eager(sampler),
+            )
     else:
         rival = train_rival(group, model, Noise(), seed=setting.seed, max_epochs=setting.epochs)
         yield Tried(group, None, None, None, rival)
-
-
-def described(group: str, variant: Variant, sampler: AnySampler) -> Tried:
-    """A trained model's sampler as the rows name it."""
-    return Tried(
-        "paper" if group == "paper" else sampler.family,
-        sampler.steps,
-        variant.network.width,
-        flops(sampler, quality.SAMPLES),
-        Eager(sampler),
-    )

@@ -109,10 +109,15 @@ def distance(proposal: Proposal, to: Reference, rng: np.random.Generator) -> flo
 
 def cost_ms(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:
     """Median CPU time [ms] of a call for SAMPLES samples on this thread, the first left out."""
-    spent = []
-    for k in range(TIMED_CALLS + 1):
-        i = k % len(to.z)
-        start = time.thread_time_ns()
-        proposal.propose(to.z[i], to.live[i], SAMPLES, rng)
-        spent.append((time.thread_time_ns() - start) / 1e6)
+    order = [k % len(to.z) for k in range(TIMED_CALLS + 1)]
+    spent = [call_ms(proposal, to.z[i], to.live[i], rng) for i in order]
     return float(np.median(spent[1:]))
+
+
+def call_ms(
+    proposal: Proposal, z: NDArray[np.float64], live: NDArray[np.bool_], rng: np.random.Generator
+) -> float:
+    """CPU time [ms] of one call for SAMPLES samples on this thread."""
+    start = time.thread_time_ns()
+    proposal.propose(z, live, SAMPLES, rng)
+    return (time.thread_time_ns() - start) / 1e6

@@ -16,7 +16,9 @@ COLUMNS = {
     "in 90 % region": lambda rows: f"{_mean(rows, 'coverage_90'):.0%}",
     "MFLOP": lambda rows: f"{_mean(rows, 'flops') / 1e6:.1f}",
     "ms": lambda rows: f"{_mean(rows, 'ms'):.2f}",
+    "ms warm": lambda rows: f"{_mean(rows, 'ms_warm'):.2f}",
     "speed-up": lambda rows: f"{_mean(rows, 'speedup'):.0f} ×",
+    "speed-up warm": lambda rows: f"{_mean(rows, 'speedup_warm'):.0f} ×",
     "ADD, mm": lambda rows: f"{np.mean([row['add_mm']['median'] for row in rows]):.1f}",
     "symmetric ADD, mm": lambda rows: f"{_mean(rows, 'add_sym_mm'):.1f}",
     "contact residual, mm": lambda rows: f"{_mean(rows, 'contact_residual_mm'):.2f}",
@@ -24,7 +26,8 @@ COLUMNS = {
 }
 SOURCE = {
     "energy distance": "energy_distance", "× floor": "energy_floor",
-    "in 90 % region": "coverage_90", "MFLOP": "flops", "ms": "ms", "speed-up": "speedup",
+    "in 90 % region": "coverage_90", "MFLOP": "flops", "ms": "ms", "ms warm": "ms_warm",
+    "speed-up": "speedup", "speed-up warm": "speedup_warm",
     "ADD, mm": "add_mm", "symmetric ADD, mm": "add_sym_mm",
     "contact residual, mm": "contact_residual_mm", "observation residual": "observation_residual",
 }  # fmt: skip
