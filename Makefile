@@ -5,7 +5,7 @@ SEED ?= 0
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
-.PHONY: demo test lint bench picture clean
+.PHONY: demo test lint bench bench-peers picture clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
@@ -22,6 +22,10 @@ lint: .venv/.all
 bench: .venv/.all
 	$(BIN)/python benchmarks/run.py
 
+# One update beside other filters, in an environment of their own: `particles` needs an older numpy
+bench-peers: .venv/.peers
+	PYTHONPATH=firmware_protocol:daemon OPENBLAS_NUM_THREADS=1 .venv/peers/bin/python benchmarks/peers.py
+
 # The README's picture: the contacts of a demo session
 picture: .venv/.all
 	rm -rf .venv/picture
@@ -33,6 +37,11 @@ clean:
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv
+
+.venv/.peers: .venv/bin/python
+	$(PYTHON) -m venv .venv/peers
+	.venv/peers/bin/python -m pip --disable-pip-version-check install --quiet particles==0.4 pfilter==0.2.5
+	touch $@
 
 .venv/.runtime: .venv/bin/python pyproject.toml constraints.txt
 	$(PIP) -e .

@@ -17,14 +17,15 @@ from taxeld_hil.simulate import Simulation, configured, error_by_contact
 CONTACTS = 10
 GOOD_MM = 10.0
 VARIANTS = {
-    "auto, memory of 8": "",
-    "ddpm-100, memory of 8": 'sampler = "ddpm-100"',
-    "table, memory of 8": 'proposal = "table"',
-    "manifold, memory of 8": 'proposal = "manifold"',
-    "projection, memory of 8": 'proposal = "projection"',
-    "auto, Algorithm 1": "memory = 0",
-    "ddpm-100, Algorithm 1": 'memory = 0\nsampler = "ddpm-100"',
-    "projection, Algorithm 1": 'memory = 0\nproposal = "projection"',
+    "default": "",
+    "mixture, N = 100": "particles_max = 100",
+    "mixture, N = 100, ddpm-100": 'particles_max = 100\nsampler = "ddpm-100"',
+    "mixture, N = 100, table": 'particles_max = 100\nproposal = "table"',
+    "mixture, N = 100, manifold": 'particles_max = 100\nproposal = "manifold"',
+    "mixture, N = 100, projection": 'particles_max = 100\nproposal = "projection"',
+    "paper": 'injection = "paper"',
+    "paper, ddpm-100": 'injection = "paper"\nsampler = "ddpm-100"',
+    "paper, projection": 'injection = "paper"\nproposal = "projection"',
 }
 
 

@@ -90,7 +90,7 @@ def touches() -> list[dict[str, object]]:
     loaded = bundle.load("box", skin, 0.005)
     model = loaded.model
     rng = np.random.default_rng(0)
-    settings = config.FilterConfig(particles=100, injected=100)
+    settings = config.FilterConfig(particles=100, particles_max=100, injected=100)
     poses = contacts.synthesise(model.scene, skin.radius_m, 0.005, 2000, rng).pose
     felt = poses[model.activation(poses).max(axis=1) > 0.3][:TOUCHES]
     readings = model.activation(felt)

@@ -90,8 +90,11 @@ class LoopConfig:
 
 @dataclass(frozen=True, slots=True)
 class FilterConfig:
-    particles: int = key(100, between(2, 100_000), "N")
-    injected: int = key(50, between(0, 10_000), "S, the most that a touch replaces")
+    particles: int = key(100, between(2, 100_000), "N, at least")
+    particles_max: int = key(400, between(2, 100_000), "N while the belief is wide, at most")
+    kld_error: float = key(0.05, between(0.001, 10), "nats between a wide belief and its particles")
+    kld_confidence: float = key(0.99, between(0.5, 0.999999), "probability of no more than that")
+    injected: int = key(50, between(0, 10_000), "S, samples a touch brings")
     proposal: str = key(
         "auto",
         one_of("auto", "density", "ddpm", "table", "manifold", "projection"),
@@ -100,9 +103,15 @@ class FilterConfig:
     propose_budget_ms: float = key(
         5.0, between(0.01, 1000), "CPU time of a proposal that auto may choose, measured at start"
     )
-    memory: int = key(
-        8, between(0, 100), "touches that weigh injected samples; 0: Algorithm 1 as published"
+    injection: str = key(
+        "mixture", one_of("mixture", "paper"),
+        "how they enter: weighed against all that is remembered, or by Algorithm 1 of the paper",
+    )  # fmt: skip
+    project: bool = key(True, doc="bring samples that miss the object onto it by one step")
+    motion: str = key(
+        "none", one_of("none", "push"), "what the object does: stands still, or gives way to a push"
     )
+    memory: int = key(8, between(1, 100), "injection mixture: touches remembered")
     sampler: str = key("", doc="which of the bundle's samplers; empty: as proposal says")
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")

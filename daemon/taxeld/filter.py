@@ -1,14 +1,12 @@
 """The particle filter: a belief over object poses in the world, and the steps that change it.
 
-Particles are a structure of arrays with log-weights; each step is a function of its own. Injection
-is Algorithm 1 of Marić et al. 2025: the lowest-weight particles give way to samples of the inverse
-observation model at the mean weight. Two things are added, both from the memory of past touches: a
-sample's weight is the mean weight times how well it explains them, and particles that resampling
-copied part by Metropolis steps towards all touches at once.
+Particles are a structure of arrays with log-weights; each step is a function of its own. How the
+samples of a touch enter the belief is in `injection`.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +15,13 @@ from taxeld import se2
 from taxeld.se2 import Poses
 
 Floats = NDArray[np.float64]
+Explain = Callable[[Poses], Floats]  # poses (N, 3) → (N, K) as in `Belief.remembered`
 
 RESAMPLE_BELOW = 0.5  # of N: effective sample size at which particles are drawn anew
-MOVE_M, MOVE_RAD = 0.002, 0.02  # sd of a Metropolis step, times 2^u with u in MOVE_OCTAVES
-MOVE_OCTAVES = (-2.5, 1.5)  # coarse steps part the copies, fine ones settle them
+MOVE = np.array([0.002, 0.002, 0.02])  # sd of a random step [m, m, rad], times 2^u with u in
+MOVE_OCTAVES = (-2.5, 1.5)  # these: coarse steps part the copies, fine ones settle them
+DIFFERENCES = (0.3, 0.7, 1.0)  # of two other particles, of which half of the steps are made
+CELL = np.array([0.01, 0.01, np.radians(10.0)])  # cells of SE(2) that a belief occupies
 
 
 @dataclass(slots=True)
@@ -29,7 +30,7 @@ class Belief:
 
     pose: Poses  # (N, 3) world frame
     log_weight: Floats  # (N,)
-    remembered: Floats  # (N, K) log-likelihood of each of K remembered touches
+    remembered: Floats  # (N, K) log-likelihood of each of K remembered scans
 
     def __len__(self) -> int:
         return len(self.log_weight)
@@ -38,11 +39,6 @@ class Belief:
     def weight(self) -> Floats:
         return np.exp(self.log_weight)
 
-    @property
-    def support(self) -> Floats:
-        """(N,) how well each pose explains all remembered touches."""
-        return np.asarray(self.remembered.sum(axis=1))
-
 
 def uniform(
     n: int, centre_m: tuple[float, float], half_width_m: float, rng: np.random.Generator
@@ -50,7 +46,13 @@ def uniform(
     """N equally weighted poses, uniform over a square and all turns, that remember nothing."""
     low = np.array([centre_m[0] - half_width_m, centre_m[1] - half_width_m, -np.pi])
     high = np.array([centre_m[0] + half_width_m, centre_m[1] + half_width_m, np.pi])
-    return Belief(rng.uniform(low, high, (n, 3)), np.full(n, -np.log(n)), np.empty((n, 0)))
+    return equal(rng.uniform(low, high, (n, 3)), np.empty((n, 0)))
+
+
+def equal(pose: Poses, remembered: Floats) -> Belief:
+    """Equally weighted poses (N, 3) that explain what is remembered by `remembered` (N, K)."""
+    n = len(pose)
+    return Belief(pose, np.full(n, -np.log(n)), remembered)
 
 
 def effective_sample_size(belief: Belief) -> float:
@@ -77,59 +79,71 @@ def reweight(belief: Belief, log_likelihood: Floats) -> float | None:
     return normalise(belief)
 
 
-def inject(belief: Belief, poses: Poses, remembered: Floats) -> None:
-    """Replace the lowest-weight particles by `poses` (S, 3), which explain the remembered touches
-    by `remembered` (S, K); normalise.
-
-    Each takes the mean weight times its support over the belief's own, at most N times the mean:
-    one good sample may outweigh a bad belief. With no memory (K = 0) this is Algorithm 1.
-    """
-    n, count = len(belief), min(len(poses), len(belief))
-    if not count:
-        return
-    typical = _log_sum_exp(belief.log_weight + belief.support)
-    ratio = np.minimum(remembered[:count].sum(axis=1) - typical, np.log(n))
-    lowest = np.argpartition(belief.log_weight, count - 1)[:count]
-    belief.pose[lowest] = poses[:count]
-    belief.remembered[lowest] = remembered[:count]
-    belief.log_weight[lowest] = ratio - np.log(n)  # weights sum to 1: their mean is 1 / N
-    normalise(belief)
-
-
 def resampling_is_due(belief: Belief) -> bool:
     return effective_sample_size(belief) < RESAMPLE_BELOW * len(belief)
 
 
-def resample(belief: Belief, rng: np.random.Generator) -> None:
-    """Systematic resampling; weights become equal."""
-    n = len(belief)
+def resample(belief: Belief, n: int, rng: np.random.Generator) -> Belief:
+    """Systematic resampling: `n` particles of equal weight."""
     cumulative = np.cumsum(belief.weight)
     cumulative[-1] = 1.0  # rounding must not leave the last draw without a particle
-    drawn = np.searchsorted(cumulative, (rng.random() + np.arange(n)) / n)
-    belief.pose = belief.pose[drawn]
-    belief.remembered = belief.remembered[drawn]
-    belief.log_weight = np.full(n, -np.log(n))
+    below = np.ceil(n * cumulative - rng.random()).astype(np.intp)  # teeth of a comb of n
+    below[1:] -= below[:-1].copy()
+    drawn = np.repeat(np.arange(len(belief)), below)
+    return equal(belief.pose.take(drawn, axis=0), belief.remembered.take(drawn, axis=0))
 
 
-def rejuvenate(
-    belief: Belief, explain: Callable[[Poses], Floats], rng: np.random.Generator
-) -> None:
-    """One Metropolis step of every particle towards the remembered touches, which leaves their
-    posterior as it is (resample-move, Gilks & Berzuini 2001).
+def roughen(belief: Belief, rng: np.random.Generator) -> None:
+    """Part the copies that resampling made by random steps."""
+    belief.pose = belief.pose + _random_steps(len(belief), rng)
+    belief.pose[:, 2] = se2.wrap(belief.pose[:, 2])
 
-    `explain`: poses (N, 3) → (N, K), as in `Belief.remembered`. With no memory every step is taken:
-    then this is plain roughening.
+
+def rejuvenate(belief: Belief, explain: Explain, share: Floats, rng: np.random.Generator) -> None:
+    """One Metropolis step of every particle, which leaves the posterior ∏ p(z_k | q)^share_k as it
+    is (resample-move, Gilks & Berzuini 2001).
+
+    Half of the steps are random, half along the difference of two other particles, which has the
+    posterior's own shape (differential evolution, ter Braak 2006). `share` (K,): how much each
+    remembered scan counts.
     """
     n = len(belief)
-    size = np.exp2(rng.uniform(*MOVE_OCTAVES, (n, 1)))
-    step = rng.standard_normal((n, 3)) * (MOVE_M, MOVE_M, MOVE_RAD)
-    poses = belief.pose + size * step
+    step = _random_steps(n, rng)
+    one, other = rng.integers(n, size=(2, n))
+    apart = belief.pose[one] - belief.pose[other]
+    apart[:, 2] = se2.wrap(apart[:, 2])
+    apart *= rng.choice(DIFFERENCES, (n, 1))
+    poses = belief.pose + np.where(rng.random((n, 1)) < 0.5, step, apart + 0.1 * step)
     poses[:, 2] = se2.wrap(poses[:, 2])
     remembered = explain(poses)
-    gain = remembered.sum(axis=1) - belief.support
+    gain = (remembered - belief.remembered) @ share
     taken = np.log(rng.random(n)) < gain
     belief.pose[taken] = poses[taken]
     belief.remembered[taken] = remembered[taken]
+
+
+def _random_steps(n: int, rng: np.random.Generator) -> Poses:
+    low, high = MOVE_OCTAVES
+    size = np.exp2(low + (high - low) * rng.random((n, 1)))
+    return np.asarray(rng.standard_normal((n, 3)) * MOVE * size)
+
+
+def occupied(poses: Poses, cell: Floats = CELL) -> int:
+    """How many cells of SE(2) hold a pose."""
+    at = np.floor(poses / cell).astype(np.int64)
+    at -= at.min(axis=0)
+    size = at.max(axis=0) + 1
+    return len(np.unique((at[:, 0] * size[1] + at[:, 1]) * size[2] + at[:, 2]))
+
+
+def enough(cells: int, error: float, confidence: float) -> int:
+    """Particles that a belief over so many cells needs for a Kullback–Leibler divergence from its
+    own histogram of at most `error` with this probability (KLD-sampling, Fox 2003, eq. 7)."""
+    if cells < 2:
+        return 1
+    k = cells - 1
+    root = 1.0 - 2.0 / (9.0 * k) + np.sqrt(2.0 / (9.0 * k)) * NormalDist().inv_cdf(confidence)
+    return int(np.ceil(k / (2.0 * error) * root**3))
 
 
 def _log_sum_exp(values: Floats) -> float:

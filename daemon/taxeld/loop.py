@@ -17,7 +17,7 @@ import zmq
 
 from taxeld import bundle, layout, messages
 from taxeld.config import Config
-from taxeld.estimator import Status
+from taxeld.estimate import Status
 from taxeld.pipeline import Outcome, Pipeline, is_valid
 from taxeld.poses import PoseTrack
 from taxeld.sources import ReplaySource, Source, open_source

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from typing import Any
 
 from taxeld import __version__
-from taxeld.estimator import Estimate, ProposalKind, Status
+from taxeld.estimate import Estimate, ProposalKind, Status
 from taxeld.layout import Layout
 from taxeld.scene import Scene
 from taxeld.se2 import Poses

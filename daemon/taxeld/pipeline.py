@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 
 from taxeld.bundle import Bundle
 from taxeld.config import Config
-from taxeld.estimator import Estimate, Estimator, Status
+from taxeld.estimate import Estimate, Status
+from taxeld.estimator import Estimator
 from taxeld.layout import Layout
 from taxeld.poses import PoseTrack, StandingStill
 from taxeld.proposals import Proposal

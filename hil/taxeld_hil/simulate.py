@@ -11,7 +11,7 @@ import numpy as np
 
 from taxeld import bundle, layout, toml_tables
 from taxeld.config import Config
-from taxeld.estimator import Estimate
+from taxeld.estimate import Estimate
 from taxeld.pipeline import Pipeline
 from taxeld.poses import PoseTrack
 from taxeld.se2 import Poses

@@ -48,7 +48,7 @@ def test_one_survivor_takes_all() -> None:
     made = belief([0.0] * 5)
     pf.reweight(made, np.array([-np.inf, -np.inf, -3.0, -np.inf, -np.inf]))
     assert pf.effective_sample_size(made) == 1.0
-    pf.resample(made, rng())
+    made = pf.resample(made, 5, rng())
     assert (made.pose == [6.0, 7.0, 8.0]).all()
 
 
@@ -56,40 +56,10 @@ def test_one_survivor_takes_all() -> None:
 def test_resampling_draws_each_within_one_of_its_share(values: list[float], seed: int) -> None:
     made = belief(values)
     share = made.weight * len(values)
-    pf.resample(made, np.random.default_rng(seed))
+    made = pf.resample(made, len(values), np.random.default_rng(seed))
     drawn = np.bincount((made.pose[:, 0] / 3).astype(int), minlength=len(values))
     assert (np.abs(drawn - share) < 1.0 + 1e-6).all()
     assert np.allclose(made.weight, 1 / len(values))
-
-
-def test_injection_replaces_the_least_at_the_mean_weight() -> None:
-    made = belief(list(np.log([0.5, 0.3, 0.15, 0.05])))
-    pf.inject(made, np.full((2, 3), 9.0), np.empty((2, 0)))
-    assert (made.pose[:2] != 9.0).all()
-    assert (made.pose[2:] == 9.0).all()
-    assert np.allclose(made.weight, np.array([0.5, 0.3, 0.25, 0.25]) / 1.3)
-
-
-def test_injected_samples_are_weighed_by_what_they_remember() -> None:
-    made = Belief(np.zeros((4, 3)), np.log(np.full(4, 0.25)), np.full((4, 2), -1.0))
-    pf.inject(made, np.ones((2, 3)), np.array([[-1.0, -1.0], [-50.0, -1.0]]))
-    weight = np.sort(made.weight)
-    assert weight[0] < 1e-20
-    assert np.allclose(weight[1:], 1 / 3)
-
-
-def test_no_injected_sample_outweighs_the_mean_n_times() -> None:
-    made = Belief(np.zeros((4, 3)), np.log(np.full(4, 0.25)), np.full((4, 1), -1e4))
-    pf.inject(made, np.ones((1, 3)), np.zeros((1, 1)))
-    assert np.isclose(made.weight.max(), 1.0 / 1.75)
-
-
-@pytest.mark.parametrize("count", [0, 1, 4, 9])
-def test_any_number_may_be_injected(count: int) -> None:
-    made = belief([0.0] * 4)
-    pf.inject(made, np.full((count, 3), 9.0), np.empty((count, 0)))
-    assert (made.pose == 9.0).all(axis=1).sum() == min(count, 4)
-    assert np.isclose(made.weight.sum(), 1.0)
 
 
 def test_rejuvenation_samples_its_target() -> None:
@@ -104,13 +74,44 @@ def test_rejuvenation_samples_its_target() -> None:
     made.remembered = explain(made.pose)
     generator = rng()
     for _ in range(200):
-        pf.rejuvenate(made, explain, generator)
+        pf.rejuvenate(made, explain, np.ones(1), generator)
     assert np.allclose(made.pose.std(axis=0) / sd, 1.0, atol=0.1)
     assert np.allclose(made.remembered, explain(made.pose))
 
 
-def test_without_a_memory_rejuvenation_is_roughening() -> None:
+def test_roughening_parts_copies() -> None:
     made = belief([0.0] * 100)
-    before = made.pose.copy()
-    pf.rejuvenate(made, lambda poses: np.empty((len(poses), 0)), rng())
-    assert (made.pose[:, :2] != before[:, :2]).all()
+    made.pose[:] = [1.0, 2.0, 3.1]
+    pf.roughen(made, rng())
+    assert len(np.unique(made.pose[:, 0])) == 100
+    assert (np.abs(made.pose[:, 2]) <= np.pi).all()
+
+
+@pytest.mark.parametrize("n", [1, 3, 250])
+def test_resampling_makes_any_number(n: int) -> None:
+    made = pf.resample(belief([0.0, -1.0, -2.0]), n, rng())
+    assert len(made) == n
+    assert np.isclose(made.weight.sum(), 1.0)
+
+
+def test_occupied_cells_are_counted_once() -> None:
+    poses = np.array([[0.0, 0.0, 0.0], [0.001, 0.001, 0.01], [0.05, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    assert pf.occupied(poses) == 3
+    assert pf.occupied(poses[:1]) == 1
+
+
+def test_wider_beliefs_need_more_particles() -> None:
+    """Fox 2003: at an error of 0.05 with 99 %, 100 cells need 1347 particles; one needs none."""
+    assert pf.enough(1, 0.05, 0.99) == 1
+    assert pf.enough(100, 0.05, 0.99) == pytest.approx(1347, abs=3)
+    assert pf.enough(200, 0.05, 0.99) > pf.enough(100, 0.05, 0.99) > pf.enough(100, 0.1, 0.99)
+
+
+def test_enough_particles_keep_the_divergence_that_was_asked_for() -> None:
+    cells, error = 20, 0.1
+    n, generator = pf.enough(cells, error, 0.95), rng()
+    divergences = []
+    for _ in range(1000):
+        p = np.bincount(generator.integers(cells, size=n), minlength=cells) / n
+        divergences.append(np.sum(p[p > 0] * np.log(p[p > 0] * cells)))
+    assert 0.92 < np.mean(np.array(divergences) < error) < 0.98

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from taxeld import contacts, layout, scene, se2
 from taxeld.errors import SetupError
 from taxeld.layout import Layout
-from taxeld.memory import Touches
+from taxeld.memory import Felt, Memory
 from taxeld.observation import Noise, ObservationModel
 
 from .conftest import DEPTH_MAX_M
@@ -96,28 +96,39 @@ def test_touches_are_explained_as_the_dense_model_says(box_model: ObservationMod
     rng = np.random.default_rng(0)
     noise = Noise()
     poses = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 700, rng).pose
-    touches, dense = Touches(box_model, noise), []
+    memory, dense = Memory(box_model, noise), []
     for sensor in ([0.0, 0.0, 0.0], [0.01, -0.02, 1.0], [0.3, 0.0, 0.0]):
         seen = se2.compose(se2.inverse(np.array(sensor)), poses)
         h = box_model.activation(seen)
         z, live = noise.draw(h[3], rng), rng.random(h.shape[1]) < 0.8
-        touches.add(np.array(sensor), z, live)
+        memory.add(Felt(np.array(sensor), z, live, touch=True))
         dense.append(noise.log_likelihood(z, live, h))
-    assert np.allclose(touches.explain(poses), np.array(dense).T)
-    touches.keep_last(2)
-    assert np.allclose(touches.explain(poses), np.array(dense).T[:, 1:])
-    assert touches.explain(poses[:0]).shape == (0, 2)
+    assert np.allclose(memory.explain(poses), np.array(dense).T)
+    assert np.allclose(memory.explain(poses, since=2), np.array(dense).T[:, 2:])
+    memory = memory.only(np.array([False, True, True]))
+    assert np.allclose(memory.explain(poses), np.array(dense).T[:, 1:])
+    assert memory.explain(poses[:0]).shape == (0, 2)
+
+
+def test_no_pose_explains_a_scan_better_than_its_ceiling(box_model: ObservationModel) -> None:
+    rng = np.random.default_rng(0)
+    poses = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 500, rng).pose
+    memory = Memory(box_model, Noise())
+    for pose in poses[:20]:
+        z = Noise().draw(box_model.activation(pose[None])[0], rng)
+        memory.add(Felt(np.zeros(3), z, rng.random(len(z)) < 0.9, touch=True))
+    assert (memory.explain(poses).max(axis=0) <= memory.ceiling + 0.01).all()
 
 
 def test_nothing_to_explain_has_no_columns(box_model: ObservationModel) -> None:
-    assert Touches(box_model, Noise()).explain(np.zeros((5, 3))).shape == (5, 0)
+    assert Memory(box_model, Noise()).explain(np.zeros((5, 3))).shape == (5, 0)
 
 
 def test_a_dead_taxel_says_nothing(box_model: ObservationModel) -> None:
-    touches = Touches(box_model, Noise())
-    touches.add(np.zeros(3), np.zeros(32), np.zeros(32, dtype=bool))
+    memory = Memory(box_model, Noise())
+    memory.add(Felt(np.zeros(3), np.zeros(32), np.zeros(32, dtype=bool), touch=False))
     poses = np.array([[0.072, 0.0, 0.0], [0.09, 0.0, 0.0]])
-    assert np.array_equal(touches.explain(poses), np.zeros((2, 1)))
+    assert np.array_equal(memory.explain(poses), np.zeros((2, 1)))
 
 
 def test_one_wrong_taxel_costs_a_bounded_amount() -> None:

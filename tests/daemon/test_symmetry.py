@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 
 from taxeld import se2
 from taxeld.layout import Layout
+from taxeld.observation import ObservationModel
 from taxeld.symmetry import PoseMetric, add_m
 
 from .conftest import box, scene_of
@@ -63,3 +64,15 @@ def test_particles_without_weight_make_no_mode(skin: Layout) -> None:
     cloud = np.array([[0.0, 0, 0], [0.5, 0, 0]])
     modes = metric.modes(cloud, np.array([1.0, 0.0]), 0.02, most=5, candidates=64)
     assert len(modes) == 1
+
+
+def test_no_mode_is_passed_over_for_where_it_stands_in_the_array(
+    box_model: ObservationModel,
+) -> None:
+    """Of many equal particles the last are as good as the first."""
+    poses = np.zeros((400, 3))
+    poses[300:, 0] = 0.3
+    weight = np.full(400, 1 / 400)
+    for order in (slice(None), slice(None, None, -1)):
+        found = PoseMetric(box_model.scene).modes(poses[order], weight, 0.02, 5, 64)
+        assert [round(mode.weight, 6) for mode in found] == [0.75, 0.25]

@@ -1,0 +1,179 @@
+"""One update of the filter beside two published ones: the same likelihood, scans and sizes.
+
+`make bench-peers` gives it an environment of its own, as `particles` needs an older numpy. A step
+is what each does with one scan of 80 taxels and no samples: likelihood, resampling, and a random
+step of each particle. The mixture's step does more: all that is remembered judges it (Metropolis).
+CPU time, medians over interleaved rounds.
+"""
+
+import argparse
+import importlib.util
+import json
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from particles import distributions
+from particles.core import SMC
+from particles.state_space_models import Bootstrap, StateSpaceModel
+from pfilter import ParticleFilter
+
+from taxeld import contacts, layout, scene, se2
+from taxeld import filter as pf
+from taxeld.config import FilterConfig, SkinConfig
+from taxeld.memory import Felt, Memory
+from taxeld.observation import Noise, ObservationModel
+from taxeld.rules import Mixture, Paper
+
+SIZES = {  # particles: rounds, steps of each, budget [ms]
+    100: (20, 20, 0.3),
+    1000: (20, 4, 2.0),
+    10_000: (8, 1, 20.0),
+}
+SCENE = Path(str(importlib.util.find_spec("taxeld").submodule_search_locations[0]))  # type: ignore[union-attr, index]
+PRIOR_SD = np.array([0.01, 0.01, 0.1])
+
+
+class Scans:
+    """Readings of touches with the object at the origin, one after the other."""
+
+    def __init__(self, model: ObservationModel, count: int) -> None:
+        rng = np.random.default_rng(0)
+        self.model, self.noise = model, Noise()
+        made = contacts.synthesise(model.scene, 0.04, 0.005, 4 * count, rng).pose
+        made = made[model.activation(made).max(axis=1) > 0.1][:count]
+        live = np.ones(len(model.layout), dtype=np.bool_)
+        self.felt = [
+            Felt(
+                se2.inverse(p), self.noise.draw(model.activation(p[None])[0], rng), live, touch=True
+            )
+            for p in made
+        ]
+
+    def log_likelihood(self, k: int, poses: np.ndarray) -> np.ndarray:
+        """Of a scan that has just come in, as ours has to take it."""
+        memory = Memory(self.model, self.noise)
+        memory.add(self.felt[k % len(self.felt)])
+        return memory.explain(poses)[:, 0]
+
+
+def ours(scans: Scans, n: int, kind: type[Paper] | type[Mixture]) -> Callable[[], Paper | Mixture]:
+    """Makes one of our rules with N particles; a `Mixture` remembers eight touches."""
+    config = FilterConfig(particles=n, particles_max=n)
+    start = np.random.default_rng(1).standard_normal((n, 3)) * PRIOR_SD
+
+    def made() -> Paper | Mixture:
+        rule = kind(scans.model, config, np.random.default_rng(2))
+        rule.belief = pf.equal(start.copy(), np.empty((n, 0)))
+        if isinstance(rule, Mixture):
+            for felt in scans.felt[:8]:
+                rule.memory.add(felt)
+            rule.belief.remembered = rule.memory.explain(start)
+        return rule
+
+    return made
+
+
+class Model(StateSpaceModel):
+    """The same for `particles`."""
+
+    scans: Scans
+
+    def PX0(self) -> object:  # noqa: N802
+        return distributions.IndepProd(*(distributions.Normal(scale=s) for s in PRIOR_SD))
+
+    def PX(self, t: int, xp: np.ndarray) -> object:  # noqa: N802, ARG002
+        return distributions.IndepProd(
+            *(distributions.Normal(loc=xp[:, i], scale=0.1 * s) for i, s in enumerate(PRIOR_SD))
+        )
+
+    def PY(self, t: int, xp: object, x: np.ndarray) -> object:  # noqa: N802, ARG002
+        return _Likelihood(self.scans, t, x)
+
+
+class _Likelihood(distributions.ProbDist):  # type: ignore[misc]
+    dim = 1
+
+    def __init__(self, scans: Scans, k: int, poses: np.ndarray) -> None:
+        self._scans, self._k, self._poses = scans, k, poses
+
+    def logpdf(self, _y: object) -> np.ndarray:
+        return self._scans.log_likelihood(self._k, self._poses)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="write the figures there as well")
+    args = parser.parse_args()
+    skin = layout.load(SkinConfig().layout)
+    box = scene.load(SCENE / "bundles" / "box" / "scene.npz")
+    scans = Scans(ObservationModel(box, skin, SkinConfig().full_scale_depth_m), 40)
+    rows = [row for n in SIZES for row in measure(scans, n)]
+    print(f"{'filter':34s} {'N':>7s} {'ms':>9s} {'budget':>8s} {'ours is':>10s}")
+    for row in rows:
+        budget = "" if row["budget_ms"] is None else f"{row['budget_ms']:8.1f}"
+        print(
+            f"{row['filter']:34s} {row['particles']:7d} {row['ms']:9.3f} {budget:>8s} "
+            f"{row['ratio']:8.1f} ×"
+        )
+    if args.json:
+        args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+    return 0
+
+
+def measure(scans: Scans, n: int) -> list[dict[str, object]]:
+    """One row a filter. The clock is slow to read, so small steps are timed several at once."""
+    rounds, steps, budget = SIZES[n]
+    Model.scans = scans
+    smc = SMC(
+        fk=Bootstrap(ssm=Model(), data=[None] * (rounds * steps + 1)), N=n,
+        resampling="systematic", store_history=False,
+    )  # fmt: skip
+    at, rng = [0], np.random.default_rng(2)
+    peer = ParticleFilter(
+        prior_fn=lambda count: np.random.default_rng(1).standard_normal((count, 3)) * PRIOR_SD,
+        n_particles=n,
+        observe_fn=lambda poses: poses,
+        weight_fn=lambda poses, _observed: _scaled(scans.log_likelihood(at[0], poses)),
+        noise_fn=lambda poses: poses + rng.standard_normal(poses.shape) * 0.1 * PRIOR_SD,
+        n_eff_threshold=0.5,
+    )
+    nothing = np.empty((0, 3))
+    rules = {"taxeld": Paper, "taxeld, 8 touches remembered": Mixture}
+    spent: dict[str, list[float]] = {name: [] for name in (*rules, "particles", "pfilter")}
+    for k in range(rounds):
+        at[0] = k
+        felt = scans.felt[k % len(scans.felt)]
+        for name, kind in rules.items():
+            make = ours(scans, n, kind)
+            fresh = [(make(), felt) for _ in range(steps)]
+            spent[name].append(_ms(fresh, lambda item: item[0].learn(item[1], nothing)))
+        spent["particles"].append(_ms(range(steps), lambda _: next(smc)))
+        spent["pfilter"].append(_ms(range(steps), lambda _: peer.update(np.zeros(3))))
+    ms = {name: float(np.median(each[1:])) for name, each in spent.items()}
+    return [
+        {
+            "filter": name, "particles": n, "ms": value,
+            "budget_ms": budget if name == "taxeld" else None, "ratio": value / ms["taxeld"],
+        }
+        for name, value in ms.items()
+    ]  # fmt: skip
+
+
+def _ms(items: Sequence[Any], step: Callable[[Any], object]) -> float:
+    """CPU milliseconds a step."""
+    begin = time.thread_time_ns()
+    for item in items:
+        step(item)
+    return (time.thread_time_ns() - begin) / 1e6 / len(items)
+
+
+def _scaled(log_likelihood: np.ndarray) -> np.ndarray:
+    """Weights for a filter that works with plain likelihoods, out of the reach of underflow."""
+    return np.exp(log_likelihood - log_likelihood.max())
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
