@@ -46,6 +46,12 @@ def test_other_arguments_are_another_job(tmp_path: Path) -> None:
     assert Job("job-0", refuse, (str(tmp_path), 0)).key != three(tmp_path)[0].key
 
 
+def test_a_place_does_not_make_another_job(tmp_path: Path) -> None:
+    one = Job("job-0", note, (), (str(tmp_path), 0))
+    assert one.key == Job("job-0", note, (), ("elsewhere", 0)).key
+    assert jobs.run([one], tmp_path / "memory", quiet=True)["job-0"]["square"] == 0
+
+
 def test_a_torn_result_is_made_again(tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     job = three(tmp_path)[2]

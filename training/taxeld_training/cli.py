@@ -16,6 +16,7 @@ from taxeld_training.build import DEPTH_MAX_M, HEIGHT_M, VARIANTS, BuildConfig, 
 from taxeld_training.variants import trained_with
 
 DEFAULT_SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+EXPERIMENTS = ("proposals", "frontier", "gallery", "damage", "filter", "stability", "push")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -78,7 +79,7 @@ def _scene(args: argparse.Namespace) -> int:
 
 
 def _evaluate(args: argparse.Namespace) -> int:
-    from taxeld_training import evaluate, experiment
+    from taxeld_training import evaluate, experiment, filter_experiment, push_experiment, stability
 
     objects = tuple(args.objects.split(",")) if args.objects else experiment.OBJECTS
     options = evaluate.Options(
@@ -93,9 +94,19 @@ def _evaluate(args: argparse.Namespace) -> int:
         groups=tuple(args.groups.split(",")) if args.groups else (),
         until=time.monotonic() + 60.0 * args.minutes,
         effort=args.effort,
+        seeds=args.seeds,
         seed=args.seed,
     )
-    for path in getattr(evaluate, args.experiment)(options):
+    experiments = {
+        "proposals": evaluate.proposals,
+        "frontier": evaluate.frontier,
+        "gallery": evaluate.gallery,
+        "damage": evaluate.damage,
+        "filter": filter_experiment.run,
+        "stability": stability.run,
+        "push": push_experiment.run,
+    }
+    for path in experiments[args.experiment](options):
         print(path)
     return 0
 
@@ -126,20 +137,34 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("--seed", type=int, default=0)
     one.set_defaults(command=_build)
     one = commands.add_parser("evaluate", help="the experiments: JSON beside PNG")
-    one.add_argument("experiment", choices=("proposals", "frontier", "gallery", "damage"))
+    one.add_argument("experiment", choices=EXPERIMENTS)
     one.add_argument("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     one.add_argument(
         "--memory", type=Path, default=Path(".experiments"), metavar="DIR",
         help="what was done is kept here, and an experiment cut short goes on (.experiments)",
     )  # fmt: skip
     one.add_argument("--quick", action="store_true", help="a smoke run; its figures mean nothing")
-    one.add_argument("--objects", default="", metavar="A,B", help="default: the paper's ten")
+    one.add_argument(
+        "--objects",
+        default="",
+        metavar="A,B",
+        help="default: the paper's ten; of stability, box and mug",
+    )
     one.add_argument("--columns", default="", metavar="N,M", help="of the 5-row skins")
     one.add_argument("--skin", metavar="LAYOUT", help="this layout in place of them")
     one.add_argument("--workers", type=int, default=2, help="processes of one thread each")
-    one.add_argument("--groups", default="", metavar="A,B", help="of samplers: analytic, npe, …")
+    one.add_argument(
+        "--groups", default="", metavar="A,B", help="of samplers (analytic, npe, …), or proposals"
+    )
     one.add_argument(
         "--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training"
+    )
+    one.add_argument(
+        "--seeds",
+        type=int,
+        default=0,
+        metavar="N",
+        help="trials a cell of filter, stability and push",
     )
     one.add_argument(
         "--minutes", type=float, default=math.inf, help="begin nothing later; write what is done"

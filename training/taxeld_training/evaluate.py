@@ -46,6 +46,7 @@ class Options:
     groups: tuple[str, ...] = ()  # of samplers; empty: the experiment's own
     until: float = math.inf  # of the monotonic clock: what has not begun by then is left out
     effort: float = 1.0  # share of each model's own training
+    seeds: int = 0  # trials a cell of the filter's experiments; 0: the experiment's own
     seed: int = 0
 
 
@@ -86,7 +87,7 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
     for job in first:
         if not Path(job.arguments[1]).is_file():
             jobs.forget(job, memory)
-    references = _run(first, options)
+    references = run_jobs(first, options)
     second = [
         Job(
             f"{s.name}-{group}", experiment.measure, (s, group, _kept(s, memory), MODELS.get(group))
@@ -95,7 +96,7 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
         if references[f"reference-{s.name}"] is not None
         for group in options.groups or GROUPS[name]
     ]
-    measured = _run(second, options)
+    measured = run_jobs(second, options)
     found = [row for job in second for row in measured[job.name] or []]
     if name != "frontier":
         return found
@@ -104,13 +105,16 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
         wanted_groups = dict.fromkeys((*(options.groups or GROUPS[name]), EAGER_GROUP))
         groups = tuple((group, MODELS.get(group)) for group in wanted_groups)
         job = Job(f"cost-{cell.columns}", costs.time_calls, (cell, groups))
-        alone = _run([job], replace(options, workers=1, until=math.inf))  # side by side with none
+        alone = run_jobs(
+            [job], replace(options, workers=1, until=math.inf)
+        )  # side by side with none
         timed += [row | {"columns": cell.columns} for row in alone[job.name]]
     exact = {(s.object, s.columns): references[f"reference-{s.name}"]["ms"] for s in cells}
     return [_with_cost(row, timed, exact) for row in found]
 
 
-def _run(todo: list[Job], options: Options) -> dict[str, Any]:
+def run_jobs(todo: list[Job], options: Options) -> dict[str, Any]:
+    """Results by job name, as `jobs.run` has it."""
     return jobs.run(
         todo, options.memory, workers=options.workers, dask=options.dask, until=options.until
     )
@@ -149,7 +153,7 @@ def proposals(options: Options) -> list[Path]:
         {key: row[key] for key in PROPOSALS_KEYS}
         for row in rows("proposals", options) if row["proposal"] in PROPOSALS
     ]  # fmt: skip
-    data = _write(options, "proposals", found)
+    data = write(options, "proposals", found)
     tables.write(found, data)
     pictures = [data.with_suffix(".png"), data.with_name("proposals_posterior.png")]
     charts.proposals(found, pictures[0])
@@ -162,7 +166,7 @@ def frontier(options: Options) -> list[Path]:
     from taxeld_training import charts  # noqa: PLC0415
 
     found = rows("frontier", options)
-    data = _write(options, "frontier", found)
+    data = write(options, "frontier", found)
     tables.write(found, data)
     pictures = []
     for columns in sorted({row["columns"] for row in found}):
@@ -171,7 +175,8 @@ def frontier(options: Options) -> list[Path]:
     return [data, *pictures]
 
 
-def _write(options: Options, name: str, found: list[dict[str, Any]]) -> Path:
+def write(options: Options, name: str, found: list[dict[str, Any]]) -> Path:
+    """Rows as the experiment's JSON file."""
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / f"{name}.json"
     lines = ",\n".join(json.dumps(row) for row in found)  # a row a line: a diff can be read
@@ -194,7 +199,7 @@ def gallery(options: Options) -> list[Path]:
     memory = options.memory.resolve()
     path = _kept(cell, memory)
     job = Job(f"gallery-{cell.name}", experiment.draw, (cell, path, GALLERY_MODEL))
-    drawn = _run([job], options)[job.name]
+    drawn = run_jobs([job], options)[job.name]
     panels = {key: np.array(drawn[key]) for key in ("projection", "ddpm", "exact posterior")}
     options.out.mkdir(parents=True, exist_ok=True)
     picture = options.out / "gallery.png"
@@ -213,7 +218,7 @@ def damage(options: Options) -> list[Path]:
         for name in dead.BUNDLES
         for share in shares
     ]
-    found = [row for rows in _run(todo, options).values() for row in rows or []]
-    data = _write(options, "damage", found)
+    found = [row for rows in run_jobs(todo, options).values() for row in rows or []]
+    data = write(options, "damage", found)
     dead.draw(found, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]

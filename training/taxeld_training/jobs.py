@@ -27,11 +27,13 @@ ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 @dataclass(frozen=True)
 class Job:
-    """`work(*arguments)` → something that JSON can hold; arguments must have a stable `repr`."""
+    """`work(*arguments, *beside)` → something that JSON can hold; arguments must have a stable
+    `repr`."""
 
     name: str  # for people, and a part of a file's name
     work: Callable[..., Any]
     arguments: tuple[Any, ...]
+    beside: tuple[Any, ...] = ()  # more of them, on which the result does not depend: places
 
     @property
     def key(self) -> str:
@@ -95,7 +97,7 @@ def forget(job: Job, memory: Path) -> None:
 
 def _work(job: Job) -> tuple[str, str, Any]:
     torch.set_num_threads(1)
-    return job.name, job.key, job.work(*job.arguments)
+    return job.name, job.key, job.work(*job.arguments, *job.beside)
 
 
 def _write(path: Path, result: Any) -> None:

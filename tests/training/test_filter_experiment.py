@@ -1,0 +1,223 @@
+"""The filter experiment, small: rows as the contract has them, and going on where it was cut."""
+
+import ast
+import json
+import math
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from taxeld.estimate import Status
+from taxeld.observation import Noise, ObservationModel
+from taxeld.proposals import Table
+from taxeld_training import cells, follow, trained
+from taxeld_training.cells import Cell
+from taxeld_training.cli import main
+from taxeld_training.conditions import Conditions
+from taxeld_training.evaluate import Options
+from taxeld_training.experiment import Setting, ring
+from taxeld_training.follow import GRID, Method, Outcome
+from taxeld_training.trials import Trial
+
+KEYS = {
+    "object", "proposal", "injection", "particles", "contact", "map_mm", "mean_mm", "success_rate",
+    "seeds",
+}  # fmt: skip
+ADDED = {"flagged_rate", "silent_failure_rate", "particles_mean", "particles_max"}
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mesh") / "block.stl"
+    trimesh.creation.box((0.06, 0.1, 0.1)).export(path)
+    return path
+
+
+def command(block: Path, place: Path, *more: str) -> list[str]:
+    return [
+        "evaluate", "filter", "--quick", "--objects", str(block), "--out", str(place / "out"),
+        "--memory", str(place / "memory"), "--seeds", "3", *more,
+    ]  # fmt: skip
+
+
+def test_rows_have_the_contracts_keys_and_are_remembered(block: Path, tmp_path: Path) -> None:
+    assert main(command(block, tmp_path, "--groups", "table,projection")) == 0
+    file = tmp_path / "out" / "filter.json"
+    rows = json.loads(file.read_text(encoding="utf-8"))
+    methods = {(row["proposal"], row["injection"], row["particles"]) for row in rows}
+    assert methods == {
+        (proposal, injection, 100)
+        for proposal in ("table", "projection")
+        for injection in ("mixture", "paper")
+    }
+    assert len(rows) == 4 * cells.TOUCHES
+    for row in rows:
+        assert row.keys() == KEYS | ADDED
+        assert row["map_mm"]["q10"] <= row["map_mm"]["median"] <= row["map_mm"]["q90"]
+        assert row["seeds"] == 3
+        assert row["silent_failure_rate"] + row["flagged_rate"] <= 1.0
+    best = [row for row in rows if (row["proposal"], row["injection"]) == ("table", "mixture")]
+    assert [row["contact"] for row in best] == list(range(1, 9))
+    assert best[-1]["map_mm"]["median"] < best[0]["map_mm"]["median"]
+    assert (file.with_suffix(".png")).stat().st_size > 10_000
+    assert "block.stl |" in file.with_suffix(".md").read_text(encoding="utf-8")
+
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
+    more = ("--groups", "table,projection,manifold", "--minutes", "0")
+    assert main(command(block, tmp_path, *more)) == 0  # nothing is begun
+    assert json.loads(file.read_text(encoding="utf-8")) == rows
+    assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
+
+
+def test_an_unknown_proposal_is_one_line(
+    block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(command(block, tmp_path, "--groups", "magic")) == 2
+    assert "--groups: no 'magic'" in capsys.readouterr().err
+
+
+def test_a_shipped_density_is_not_trained(tmp_path: Path) -> None:
+    shipped = Setting("003_cracker_box", ring(16), 16)
+    other = Setting("003_cracker_box", ring(8), 8)
+    assert trained.trainings([shipped, other], tmp_path).keys() == {other}
+    assert trained.proposal_of("density", shipped, "").name == "density"
+
+
+def test_a_density_is_trained_once_and_read_from_its_file(block: Path, tmp_path: Path) -> None:
+    setting = Setting(str(block), ring(8), 8, updates=0.001)
+    job = trained.trainings([setting], tmp_path)[setting]
+    job.work(*job.arguments, *job.beside)
+    (file,) = job.beside
+    assert Path(file).parent == tmp_path
+    sampler = trained.proposal_of("density", setting, file)
+    z, live = np.eye(1, 40)[0], np.ones(40, dtype=bool)
+    assert sampler.propose(z, live, 5, np.random.default_rng(0)).shape == (5, 3)
+
+
+def test_more_trials_go_on_where_fewer_stopped(
+    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cells, "BLOCK", 2)
+    setting = Setting(str(block), ring(8), 8)
+    cell = Cell(setting, Method("table", "mixture", 10))
+    options = Options(tmp_path, tmp_path / "memory", workers=1)
+    few = cells.run([(cell, 2)], options)[cell]
+    begun = {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
+    more = cells.run([(cell, 4)], options)[cell]
+    assert len(few) == 2
+    assert more[:2] == few
+    assert len(more) == 4
+    assert all(path.stat().st_mtime_ns == at for path, at in begun.items())
+    assert more[2] != few[0]
+    late = cells.run([(cell, 6)], replace(options, until=time.monotonic() - 1.0))[cell]
+    assert late == more  # the seeds that are there
+
+
+def test_cells_that_differ_are_named_differently() -> None:
+    setting, method = Setting("025_mug", ring(8), 8), Method("table", "mixture", 10)
+    plain = Cell(setting, method)
+    assert plain.name == "trials-025_mug-8-table-mixture-10"
+    names = {
+        plain.name,
+        Cell(setting, method, Conditions(sigma=0.1)).name,
+        Cell(setting, method, Conditions(stuck=1, stuck_at=0.0)).name,
+        Cell(setting, method, Conditions(stuck=1)).name,
+        Cell(setting, method, felt="061_foam_brick").name,
+        Cell(setting, Method("table", "mixture", 10, 20)).name,
+    }
+    assert len(names) == 6
+
+
+def test_other_code_is_another_job_and_other_words_are_not() -> None:
+    assert follow.code("table") == follow.code("density") != follow.code(GRID)
+    source = "class A:\n    def f(self):\n        return 1\n"
+    said = '"""Doc."""\nclass A:\n    """Doc."""\n\n    def f(self):  # why\n        return 1\n'
+    assert follow._bare(source) == follow._bare(said)
+    assert follow._bare(source) != follow._bare(source.replace("1", "2"))
+
+
+@pytest.mark.parametrize(
+    ("first", "rules"), [("estimator", ("daemon", "particles")), ("news", ("daemon",))]
+)
+def test_all_that_a_filter_imports_decides(first: str, rules: tuple[str, ...]) -> None:
+    """But for what only reads layouts, counts and configurations."""
+    daemon = Path(follow.taxeld.__file__).parent
+    idle = {
+        "cylinder_fit", "errors", "generated", "layout", "layout_draw", "layout_files", "skin",
+        "toml_tables",
+    }  # fmt: skip
+    seen, todo = set(), {first}
+    while todo:
+        name = todo.pop()
+        seen.add(name)
+        tree = ast.parse((daemon / f"{name}.py").read_text(encoding="utf-8"))
+        for node in ast.walk(tree):
+            if not isinstance(node, ast.ImportFrom):
+                continue
+            named = [f"{node.module}.{alias.name}" for alias in node.names] + [str(node.module)]
+            parts = [each.split(".") for each in named]
+            found = {each[1] for each in parts if each[0] == "taxeld" and len(each) > 1}
+            todo |= {each for each in found if (daemon / f"{each}.py").is_file()} - seen - idle
+    decide = {name for rule in rules for name in follow.DECIDES[rule].split()}
+    assert seen <= decide
+
+
+def test_a_filter_draws_nothing_that_its_trial_drew() -> None:
+    assert Method("table", "mixture", 20).config(follow.OWN_SEEDS).seed == follow.OWN_SEEDS
+    small = Method("table", "paper", 20).config(0)
+    assert (small.particles, small.particles_max, small.injected) == (20, 20, 10)
+    wide = Method("table", "mixture", 100, 1000).config(0)
+    assert (wide.particles, wide.particles_max) == (100, 1000)
+
+
+@pytest.mark.parametrize(
+    ("error_mm", "status", "succeeded", "silent"),
+    [
+        (9.9, Status.CONVERGED, True, False),
+        (9.9, Status.AMBIGUOUS, True, False),
+        (10.0, Status.CONVERGED, False, False),
+        (20.1, Status.CONVERGED, False, True),
+        (20.1, Status.INCONSISTENT, False, False),
+        (math.nan, Status.CONVERGED, False, True),
+        (math.nan, Status.SEARCHING, False, False),
+    ],
+)
+def test_an_outcome_is_judged_by_error_and_status(
+    error_mm: float, status: Status, succeeded: bool, silent: bool
+) -> None:
+    outcome = Outcome(error_mm, error_mm, status, 100)
+    assert (outcome.succeeded, outcome.failed_silently) == (succeeded, silent)
+
+
+def test_the_grid_learns_from_the_estimators_scans(
+    ring_model: ObservationModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = []
+
+    class Grid:
+        def __init__(self, model: ObservationModel, noise: Noise) -> None:
+            assert (model, noise) == (ring_model, Noise())
+
+        def __len__(self) -> int:
+            return sum(told)
+
+        def update(self, sensor: object, z: object, live: object, *, touched: bool) -> None:
+            del sensor, z, live
+            told.append(touched)
+
+        def estimate(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+            return np.zeros(3), np.zeros(3)
+
+    monkeypatch.setattr(follow, "GridFilter", Grid)
+    outcomes = follow.follow(Trial(ring_model, 0, 3), Method(GRID), ring_model, None)
+    assert [outcome.status for outcome in outcomes] == [None] * 3
+    assert told.count(True) == 3
+    estimator = follow.follow(
+        Trial(ring_model, 0, 3), Method("table", "mixture", 20), ring_model, Table(ring_model)
+    )
+    assert [outcome.particles for outcome in estimator] == [20] * 3

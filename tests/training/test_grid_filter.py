@@ -1,0 +1,230 @@
+"""The grid filter: the belief it must have, and what it must not lose."""
+
+import numpy as np
+import pytest
+
+from taxeld import contacts, layout, se2, symmetry
+from taxeld.memory import Felt, Memory
+from taxeld.observation import Noise, ObservationModel
+from taxeld.se2 import Poses
+from taxeld_training import grid_filter
+from taxeld_training.dataset import FELT
+from taxeld_training.dataset import Touches as Bank
+from taxeld_training.grid_filter import GridFilter
+from taxeld_training.posterior import ExactPosterior, energy_distance
+
+from .conftest import RING
+
+SKIN = layout.load(RING)
+LIVE = np.ones(len(SKIN), dtype=bool)
+NOISE = Noise()
+SENSOR = np.array([0.3, -0.2, 1.0])
+FAR = np.array([5.0, 0.0, 0.0])
+BACK = np.array([1.1, 1.1, 1.0])  # times a pose that touches: the same, let go
+
+
+@pytest.fixture(scope="module")
+def model(ring_model: ObservationModel) -> ObservationModel:
+    return ring_model
+
+
+def band(model: ObservationModel, n: int, rng: np.random.Generator) -> Poses:
+    """`n` poses in the sensor frame, uniform over those that press the skin."""
+    low, high = model.scene.extent
+    poses = np.empty((0, 3))
+    while len(poses) < n:
+        ax, ay = rng.uniform(low[:, None], high[:, None], (2, 10 * n))
+        theta = rng.uniform(-np.pi, np.pi, 10 * n)
+        c, s = np.cos(theta), np.sin(theta)
+        drawn = np.column_stack([s * ay - c * ax, -s * ax - c * ay, theta])
+        gap = contacts.clearance(model.scene, SKIN.radius_m, drawn)
+        poses = np.concatenate([poses, drawn[(gap < 0.0) & (gap > -model.depth_max_m)]])
+    return poses[:n]
+
+
+def felt(model: ObservationModel, n: int, rng: np.random.Generator) -> Poses:
+    poses = band(model, 3 * n, rng)
+    return poses[model.activation(poses).max(axis=1) > FELT][:n]
+
+
+def drawn(belief: GridFilter, n: int) -> Poses:
+    """`n` poses evenly through the belief: less noise than chance has."""
+    return belief.pose[np.searchsorted(belief.weight.cumsum(), (np.arange(n) + 0.5) / n)]
+
+
+def test_the_first_cells_tile_all_contacts_once(model: ObservationModel) -> None:
+    """Cells' midpoints have the volume and the reach of poses drawn evenly."""
+    cells = grid_filter.lay(model)
+    low, high = model.scene.extent
+    axis = np.random.default_rng(0).uniform(low, high, (200_000, 2))
+    gap = model.scene.clearance(*axis.T)[0] - SKIN.radius_m
+    pressed = (gap < 0.0) & (gap > -model.depth_max_m)
+    area = pressed.mean() * np.prod(high - low)
+    volume = np.exp(cells.log_room).sum()
+    assert volume == pytest.approx(2.0 * np.pi * area, rel=0.02)
+    half = 0.5 * np.hypot(grid_filter.FIRST_M, grid_filter.FIRST_DEEP_M)
+    middle = np.unique(cells.mid[:, :2], axis=0)
+    away = np.linalg.norm(axis[pressed][:300, None] - middle, axis=-1).min(axis=1)
+    assert away.max() < 1.3 * half
+
+
+def test_halves_fill_their_cell(model: ObservationModel) -> None:
+    cells = grid_filter.lay(model)
+    cells = cells[np.arange(len(cells)) < 40]
+    cells.information[:] = np.random.default_rng(0).random((40, 3))
+    halves = cells.halved()
+    assert np.allclose(0.5 * (halves.mid[:40] + halves.mid[40:]), cells.mid)
+    volume = np.exp(halves.log_room)
+    cells.information[:] = 0.0
+    assert np.allclose(volume[:40] + volume[40:], np.exp(cells.log_room))
+
+
+def test_a_small_cell_has_the_likelihood_of_its_pose(model: ObservationModel) -> None:
+    rng = np.random.default_rng(0)
+    poses = felt(model, 200, rng)
+    ax, ay = contacts.axis_in_object(poses)
+    mid = np.column_stack([ax, ay, poses[:, 2]])
+    cells = grid_filter.Cells.unweighed(mid, np.tile(1e-8 * np.eye(3), (200, 1, 1)), np.zeros(200))
+    scans, known = [], Memory(model, NOISE)
+    for sensor in (SENSOR, se2.compose(SENSOR, np.array([0.01, 0.02, 0.4]))):
+        z = NOISE.draw(model.activation(poses[:1])[0], rng)
+        live = rng.random(len(SKIN)) < 0.8
+        scans.append(grid_filter.Scan(sensor, z, live))
+        known.add(Felt(sensor, z, live, bool(z.any())))
+    grid_filter.Weigher(model, NOISE).weigh(cells, scans, SENSOR)
+    expected = known.explain(se2.compose(SENSOR, poses)).sum(axis=1)
+    assert np.allclose(cells.log_like, expected, atol=1e-2)
+    assert np.allclose(cells.log_best, expected, atol=1e-2)
+    assert cells.information.max() < 1e-3
+
+
+def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel) -> None:
+    """Or cells would be dropped that hold the truth: a touch, and silence beside another."""
+    rng = np.random.default_rng(6)
+    first, second = felt(model, 2, rng)
+    beside = se2.compose(first, se2.inverse(second * BACK))
+    z = NOISE.draw(model.activation(first[None])[0], rng)
+    scans = [
+        grid_filter.Scan(np.zeros(3), z, LIVE),
+        grid_filter.Scan(beside, np.zeros(len(SKIN)), LIVE),
+    ]
+    weigher, known = grid_filter.Weigher(model, NOISE), Memory(model, NOISE)
+    for scan in scans:
+        known.add(Felt(scan.sensor, scan.z, scan.live, bool(scan.z.any())))
+    cells = grid_filter.lay(model)
+    for _ in range(6):
+        cells = cells[rng.random(len(cells)) < 2000 / len(cells)]
+        weigher.weigh(cells, scans, np.zeros(3))
+        within = rng.uniform(-0.5, 0.5, (8, len(cells), 1, 3)) @ cells.edge
+        ax, ay, turn = (cells.mid + within[:, :, 0]).reshape(-1, 3).T
+        c, s = np.cos(turn), np.sin(turn)
+        poses = np.column_stack([s * ay - c * ax, -s * ax - c * ay, turn])
+        explained = known.explain(poses).sum(axis=1).reshape(8, -1).max(axis=0)
+        matter = explained > explained.max() - grid_filter.DROP_NATS
+        assert np.quantile((explained - cells.log_best)[matter], 0.99) < 1.0
+        cells = cells.halved()
+
+
+def test_one_touch_gives_the_exact_posterior(model: ObservationModel) -> None:
+    rng = np.random.default_rng(1)
+    poses = band(model, 60_000, rng)
+    h = model.activation(poses).astype(np.float32)
+    some = h.max(axis=1) > 0.0
+    exact = ExactPosterior(Bank(poses[some], h[some], 0.0), SKIN, NOISE)
+    gaps, floors = [], []
+    for truth in felt(model, 6, rng):
+        z = NOISE.draw(model.activation(truth[None])[0], rng)
+        belief = GridFilter(model, NOISE)
+        belief.update(np.zeros(3), z, LIVE, touched=True)
+        a, b = (exact.sample(z, LIVE, 800, rng).pose for _ in range(2))
+        gaps.append(energy_distance(drawn(belief, 800), a, 0.05))
+        floors.append(energy_distance(a, b, 0.05))
+    assert np.mean(gaps) < 2.0 * np.mean(floors) + 0.002
+
+
+def test_all_scans_count_as_they_do_by_brute_force(model: ObservationModel) -> None:
+    """A silent scan, two touches and another silent scan, of a skin so noisy that many of the
+    poses drawn by chance explain them."""
+    noise = Noise(sigma=0.3, gain_cv=0.8, outliers=0.1)
+    rng = np.random.default_rng(2)
+    truth, other = felt(model, 2, rng)
+    sensors = [
+        se2.compose(SENSOR, se2.compose(truth, se2.inverse(pose)))
+        for pose in (truth * BACK, truth, other, other * BACK)
+    ]
+    belief, scans = GridFilter(model, noise), Memory(model, noise)
+    for k, sensor in enumerate(sensors):
+        h = model.activation(se2.compose(se2.inverse(sensor), se2.compose(SENSOR, truth))[None])[0]
+        z = noise.draw(h, rng)
+        belief.update(sensor, z, LIVE, touched=k == 1)
+        scans.add(Felt(sensor, z, LIVE, bool(z.any())))
+    poses = se2.compose(sensors[1], band(model, 60_000, rng))
+    log_w = scans.explain(poses).sum(axis=1)
+    w = np.exp(log_w - log_w.max())
+    w /= w.sum()
+    assert 1.0 / np.sum(w**2) > 200.0  # or it is no reference
+    a, b = (poses[rng.choice(len(w), 800, p=w)] for _ in range(2))
+    assert energy_distance(drawn(belief, 800), a, 0.05) < 0.01 + energy_distance(a, b, 0.05)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_truth_is_not_lost_and_soon_found(model: ObservationModel, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    truth = np.array([0.1, 0.2, rng.uniform(-np.pi, np.pi)])
+    belief = GridFilter(model, NOISE)
+    for pose in felt(model, 6, rng):
+        z = NOISE.draw(model.activation(pose[None])[0], rng)
+        belief.update(se2.compose(truth, se2.inverse(pose)), z, LIVE, touched=True)
+        assert belief.metric.distance(belief.pose, truth).min() < 0.003
+    for estimate in belief.estimate():
+        assert symmetry.add_m(model.scene, estimate, truth)[1] < 0.002
+
+
+def test_a_finer_grid_says_the_same(model: ObservationModel) -> None:
+    rng = np.random.default_rng(5)
+    truth = np.array([0.1, 0.2, 0.3])
+    beliefs = GridFilter(model, NOISE), GridFilter(model, NOISE, cells=200_000, coarse=0.1)
+    for pose in felt(model, 3, rng):
+        z = NOISE.draw(model.activation(pose[None])[0], rng)
+        for belief in beliefs:
+            belief.update(se2.compose(truth, se2.inverse(pose)), z, LIVE, touched=True)
+        usual, fine = (drawn(belief, 1000) for belief in beliefs)
+        assert energy_distance(usual, fine, 0.05) < 0.01
+    assert len(beliefs[1]) > 3 * len(beliefs[0])
+
+
+def test_nothing_is_believed_before_the_first_touch(model: ObservationModel) -> None:
+    belief = GridFilter(model, NOISE)
+    belief.update(FAR, NOISE.draw(np.zeros(len(SKIN)), np.random.default_rng(0)), LIVE)
+    assert len(belief) == len(belief.pose) == len(belief.weight) == 0
+    with pytest.raises(ValueError, match="before the first touch"):
+        belief.estimate()
+
+
+def test_scans_before_the_first_touch_count_as_those_after_it(model: ObservationModel) -> None:
+    rng = np.random.default_rng(3)
+    pose = felt(model, 1, rng)[0]
+    touch = NOISE.draw(model.activation(pose[None])[0], rng)
+    x, y = pose[:2]
+    # moved along the face, and in where the face would go on
+    beyond = se2.compose(SENSOR, np.array([0.3 * x - y, 0.3 * y + x, 0.0]))
+    scans = [(beyond, np.zeros(len(SKIN))), (SENSOR, touch)]
+    samples = []
+    for order in (scans, scans[::-1], scans[1:]):
+        belief = GridFilter(model, NOISE)
+        for sensor, z in order:
+            belief.update(sensor, z, LIVE)
+        samples.append(drawn(belief, 1000))
+    assert energy_distance(samples[0], samples[1], 0.05) < 0.005
+    assert energy_distance(samples[0], samples[2], 0.05) > 0.1
+
+
+def test_a_dead_taxel_says_nothing(model: ObservationModel) -> None:
+    rng = np.random.default_rng(4)
+    z = NOISE.draw(model.activation(felt(model, 1, rng))[0], rng)
+    live = np.arange(len(SKIN)) % 3 > 0
+    beliefs = GridFilter(model, NOISE), GridFilter(model, NOISE)
+    beliefs[0].update(SENSOR, z, live, touched=True)
+    beliefs[1].update(SENSOR, np.where(live, z, 1.0), live, touched=True)
+    assert beliefs[0].pose.tobytes() == beliefs[1].pose.tobytes()
+    assert beliefs[0].weight.tobytes() == beliefs[1].weight.tobytes()

@@ -1,0 +1,110 @@
+"""The stability experiment, small: rows, what counts as a failure, and the map."""
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+import trimesh
+
+from taxeld.estimate import Status
+from taxeld_training import cells, stability, stability_map
+from taxeld_training.cli import main
+from taxeld_training.conditions import Conditions
+from taxeld_training.experiment import Setting, ring
+from taxeld_training.filter_experiment import shares
+from taxeld_training.follow import Method, Outcome
+from taxeld_training.stability import LEVELS, Level
+
+KEYS = {
+    "object", "factor", "level", "proposal", "injection", "success_rate", "flagged_rate",
+    "silent_failure_rate", "seeds",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mesh") / "block.stl"
+    trimesh.creation.box((0.06, 0.1, 0.1)).export(path)
+    return path
+
+
+def test_rows_and_map_of_an_object(
+    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    levels = [
+        next(level for level in LEVELS if level.factor == factor)
+        for factor in ("as assumed", "drift", "wrong object", "symmetric")
+    ]
+    monkeypatch.setattr(stability, "LEVELS", levels)
+    arguments = [
+        "evaluate", "stability", "--quick", "--objects", str(block), "--seeds", "2", "--groups",
+        "table,projection", "--out", str(tmp_path / "out"), "--memory", str(tmp_path / "memory"),
+    ]  # fmt: skip
+    assert main(arguments) == 0
+    file = tmp_path / "out" / "stability.json"
+    rows = json.loads(file.read_text(encoding="utf-8"))
+    assert [(row["factor"], row["proposal"]) for row in rows] == [
+        (factor, proposal)
+        for factor in ("as assumed", "drift", "wrong object")
+        for proposal in ("table", "projection")
+    ]  # symmetric objects stand beside the map's own alone
+    for row in rows:
+        assert row.keys() == KEYS
+        assert row["seeds"] == 2
+    assert 10_000 < file.with_suffix(".png").stat().st_size < 300_000
+    assert "| table mixture | 3 |" in file.with_suffix(".md").read_text(encoding="utf-8")
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
+    assert main([*arguments, "--minutes", "0"]) == 0
+    assert json.loads(file.read_text(encoding="utf-8")) == rows
+    assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
+
+
+def test_a_wrong_object_is_never_a_success() -> None:
+    """Whatever is said of it: who converges on it has failed in silence."""
+    level = Level("wrong object", "003_cracker_box", felt="003_cracker_box")
+    mug = Setting("025_mug", ring(16), 16)
+    cell = stability.cell_of(level, Method("table", "mixture"), mug)
+    told = cells.play(cell, 0, 6, "", "")
+    assert all(map_mm is None for trial in told for map_mm, *_ in trial)
+    wrong = Outcome(math.nan, math.nan, Status.CONVERGED, 100)
+    found = shares([wrong, wrong, wrong._replace(status=Status.AMBIGUOUS), wrong])
+    assert found == {"success_rate": 0.0, "flagged_rate": 0.25, "silent_failure_rate": 0.75}
+
+
+def test_every_factor_has_levels_of_its_own_that_differ() -> None:
+    seen = [(level.factor, level.level) for level in LEVELS]
+    assert len(set(seen)) == len(seen)
+    assert len({repr(level) for level in LEVELS}) == len(LEVELS)
+    plain = Level("", 0)
+    for level in LEVELS[1:]:
+        assert (level.conditions, level.columns, level.particles, level.felt, level.objects) != (
+            plain.conditions, plain.columns, plain.particles, plain.felt, plain.objects,
+        )  # fmt: skip
+    assert LEVELS[0].conditions == Conditions()
+
+
+def test_every_level_has_a_label_of_its_own() -> None:
+    labels = [
+        stability_map.label_of({"factor": level.factor, "level": level.level}) for level in LEVELS
+    ]
+    assert len(set(labels)) == len(labels)
+
+
+def test_a_map_of_all_levels_is_small(tmp_path: Path) -> None:
+    rows = [
+        {
+            "object": name, "factor": level.factor, "level": level.level,
+            "proposal": method.proposal, "injection": method.injection,
+            "success_rate": (i % 11) / 10.0, "flagged_rate": 0.3,
+            "silent_failure_rate": 0.05 * (i % 3 == 0), "seeds": 100,
+        }
+        for i, level in enumerate(LEVELS)
+        for name in level.objects or stability.OBJECTS
+        for method in stability.METHODS
+    ]  # fmt: skip
+    picture, table = tmp_path / "map.png", tmp_path / "map.md"
+    stability_map.draw(rows, picture)
+    assert 20_000 < picture.stat().st_size < 300_000
+    stability_map.table(rows, table)
+    assert "- mug, is a power drill: at best 30%" in table.read_text(encoding="utf-8")

@@ -1,0 +1,192 @@
+"""Trials: the same touches for a seed, and each condition does what it says and no more."""
+
+from dataclasses import replace
+from itertools import groupby, pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from taxeld import contacts, se2
+from taxeld.errors import SetupError
+from taxeld.observation import ObservationModel
+from taxeld_training import trials
+from taxeld_training.conditions import BESIDE_M, SIDE_RAD, Beside, Conditions, Skin
+from taxeld_training.trials import Moment, Trial
+
+TOUCHES = 6
+
+
+def moments(model: ObservationModel, seed: int = 3, **given: float) -> list[Moment]:
+    conditions = replace(Conditions(), **given)  # type: ignore[arg-type]
+    return list(Trial(model, seed, TOUCHES, conditions))
+
+
+def true_pose(moment: Moment) -> NDArray[np.float64]:
+    """Of the object in the frame of the sensor as reported."""
+    return se2.compose(se2.inverse(moment.sensor), moment.truth)
+
+
+def test_the_default_conditions_are_the_plain_trial(ring_model: ObservationModel) -> None:
+    """As it was before there were any: what is drawn, and in which order."""
+    model, rng = ring_model, np.random.default_rng(3)
+    most = np.array([trials.PLACE_M, trials.PLACE_M, np.pi])
+    truth = rng.uniform(-most, most)
+    gain = np.maximum(1.0 + 0.17 * rng.standard_normal(len(model.layout)), 0.1)
+    presses = trials.presses(model, TOUCHES, rng)
+    told = iter(Trial(model, 3, TOUCHES))
+    for touch, press in enumerate(presses):
+        path = trials.approach(model, press)
+        for pose in (*path, press, press, press, path[-2]):
+            h = model.activation(pose[None])[0]
+            z = gain * h + 0.02 * rng.standard_normal(len(h))
+            z = np.where(z < 0.08, 0.0, np.minimum(z, 1.0))
+            moment = next(told)
+            assert moment.touch == touch
+            assert np.array_equal(moment.activation.z, z)
+            assert moment.activation.live.all()
+            assert np.array_equal(moment.truth, truth)
+            assert np.array_equal(moment.sensor, se2.compose(truth, se2.inverse(pose)))
+    assert next(told, None) is None
+
+
+def test_a_seed_replays_a_trial(ring_model: ObservationModel) -> None:
+    given = {"dead_share": 0.2, "drift": 0.1, "sensor_sd_m": 0.002, "pushed_m": 0.01}
+    for a, b in zip(moments(ring_model, **given), moments(ring_model, **given), strict=True):
+        assert np.array_equal(a.activation.z, b.activation.z)
+        assert np.array_equal(a.sensor, b.sensor)
+    other = moments(ring_model, 4, **given)
+    assert not np.array_equal(other[0].truth, moments(ring_model, **given)[0].truth)
+
+
+def test_a_kidnapping_moves_the_object_once(ring_model: ObservationModel) -> None:
+    found = moments(ring_model, kidnapped_after=4)
+    truths = [next(each).truth for _, each in groupby(found, key=lambda m: m.touch)]
+    moved = [not np.array_equal(a, b) for a, b in pairwise(truths)]
+    assert moved == [False, False, False, True, False]
+    assert (np.abs(truths[4]) <= [trials.PLACE_M, trials.PLACE_M, np.pi]).all()
+
+
+def test_a_pushed_object_goes_along_a_line(ring_model: ObservationModel) -> None:
+    found = moments(ring_model, pushed_m=0.01, pushed_rad=0.1)
+    truths = np.array([next(each).truth for _, each in groupby(found, key=lambda m: m.touch)])
+    step = np.diff(truths, axis=0)
+    assert np.allclose(step, step[0])
+    assert np.hypot(*step[0, :2]) == pytest.approx(0.01)
+    assert abs(step[0, 2]) == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"kidnapped_after": 2}, {"pushed_m": 0.02}, {"dead_share": 0.3}, {"stuck": 3},
+        {"drift": 0.1}, {"sensor_sd_m": 0.005},
+    ],
+)  # fmt: skip
+def test_the_touches_are_those_of_the_plain_trial(
+    ring_model: ObservationModel, given: dict[str, float]
+) -> None:
+    """All scans come from the truth that they name."""
+    for a, b in zip(moments(ring_model), moments(ring_model, **given), strict=True):
+        if "sensor_sd_m" not in given:
+            assert np.allclose(true_pose(a), true_pose(b))
+        if given.keys() <= {"kidnapped_after", "pushed_m", "sensor_sd_m"}:
+            assert np.array_equal(a.activation.z, b.activation.z)
+
+
+def test_dead_taxels_are_known_and_say_nothing(ring_model: ObservationModel) -> None:
+    taxels = len(ring_model.layout)
+    share = moments(ring_model, dead_share=0.25)
+    assert all((m.activation.live == share[0].activation.live).all() for m in share)
+    assert (~share[0].activation.live).sum() == taxels // 4
+    assert all((m.activation.z[~m.activation.live] == 0.0).all() for m in share)
+    modules = moments(ring_model, dead_modules=2)[0].activation.live
+    dead = {int(i) // 10 for i in np.flatnonzero(~modules)}
+    assert len(dead) == 2
+    assert all(not modules[10 * module : 10 * module + 10].any() for module in dead)
+
+
+def test_stuck_taxels_are_believed(ring_model: ObservationModel) -> None:
+    for at in (0.0, 1.0):
+        found = moments(ring_model, stuck=3, stuck_at=at)
+        z = np.array([m.activation.z for m in found])
+        assert (z == at).all(axis=0).sum() >= 3
+        assert all(m.activation.live.all() for m in found)
+    free = [m.activation.z for m in moments(ring_model, stuck=3) if m.activation.t == 0.0]
+    assert (free[0] == 1.0).sum() == 3
+
+
+def test_drift_grows_to_what_it_is_said_to_be() -> None:
+    still = np.zeros(40)
+    rng = np.random.default_rng(0)
+    skin = Skin(Conditions(sigma=0.0, drift=0.1), still + 1.0, rng)
+    early, late = skin.read(still + 0.5, 0.1, rng), skin.read(still + 0.5, 1.0, rng)
+    assert np.allclose(late - 0.5, 10.0 * (early - 0.5))
+    assert 0.05 < np.abs(late - 0.5).max() <= 0.1
+
+
+def test_deep_touches_saturate(ring_model: ObservationModel) -> None:
+    rng = np.random.default_rng(0)
+    poses = trials.presses(ring_model, 200, rng, depth=2.0)
+    deep = -contacts.clearance(ring_model.scene, ring_model.layout.radius_m, poses)
+    assert ring_model.depth_max_m < deep.max() <= 2.0 * ring_model.depth_max_m + 1e-3
+    assert ring_model.activation(poses).max() == 1.0
+
+
+def test_the_error_of_the_sensor_pose_lasts_a_touch(ring_model: ObservationModel) -> None:
+    plain = moments(ring_model)
+    wrong = moments(ring_model, sensor_sd_m=0.005, sensor_sd_rad=0.02)
+    error = np.array([b.sensor - a.sensor for a, b in zip(plain, wrong, strict=True)])
+    touch = np.array([m.touch for m in plain])
+    for i in range(TOUCHES):
+        assert np.allclose(error[touch == i], error[touch == i][0])
+    assert len(np.unique(error.round(9), axis=0)) == TOUCHES
+    assert all(np.array_equal(a.truth, b.truth) for a, b in zip(plain, wrong, strict=True))
+
+
+def test_one_sided_touches_stay_on_one_side(ring_model: ObservationModel) -> None:
+    found = moments(ring_model, one_side=True)
+    ax, ay = contacts.axis_in_object(
+        np.array([true_pose(m) for m in found if m.activation.z.any()])
+    )
+    centre = ring_model.scene.centre
+    angle = np.arctan2(ay - centre[1], ax - centre[0])
+    assert np.abs(se2.wrap(angle - angle[0])).max() <= 2.0 * SIDE_RAD
+
+
+def test_another_object_stands_beside_and_is_pressed_as_often_as_asked(
+    ring_model: ObservationModel,
+) -> None:
+    for seed in range(5):
+        beside = Beside(ring_model, np.random.default_rng(seed))
+        outline = se2.apply(beside.pose, ring_model.scene.outline)
+        gap = ring_model.scene.clearance(*outline.T)[0].min()
+        assert BESIDE_M - 0.004 < gap <= BESIDE_M
+    plain = Conditions(sigma=0.0, gain_cv=0.0)
+    found = list(Trial(ring_model, 3, TOUCHES, replace(plain, both=2)))
+    pressed = set()
+    for moment in found:
+        alone = ring_model.activation(true_pose(moment)[None])[0]
+        if (moment.activation.z > alone + 0.05).any():
+            pressed.add(moment.touch)
+    assert len(pressed) == 2
+
+
+def test_a_press_has_as_many_scans_as_asked(ring_model: ObservationModel) -> None:
+    for scans in (1, 20):
+        found = moments(ring_model, scans=scans, slip_m=0.001)
+        assert len(found) == TOUCHES * (len(trials.APPROACH_M) + scans + 1)
+        poses = np.array([true_pose(m) for m in found if m.touch == 0])
+        held = poses[len(trials.APPROACH_M) : -1]
+        assert (np.ptp(held[:, :2], axis=0) < 0.01).all()
+        assert scans == 1 or (np.ptp(held[:, :2], axis=0) > 1e-4).all()
+
+
+def test_touches_that_do_not_exist_are_one_line(
+    ring_model: ObservationModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trials, "BATCHES_MAX", 2)
+    with pytest.raises(SetupError, match="hardly exist"):
+        trials.presses(
+            ring_model, 1, np.random.default_rng(0), accepts=lambda poses: poses[:, 0] > 9.0
+        )
