@@ -18,7 +18,7 @@ import numpy as np
 from packaging.requirements import Requirement
 
 import protocol
-from taxeld import bundle, config, contacts, layout
+from taxeld import bundle, config, contacts, layout, se2
 from taxeld.estimator import Estimator
 from taxeld.loop import Daemon
 from taxeld.skin import Activation
@@ -94,6 +94,7 @@ def touches() -> list[dict[str, object]]:
     poses = contacts.synthesise(model.scene, skin.radius_m, 0.005, 2000, rng).pose
     felt = poses[model.activation(poses).max(axis=1) > 0.3][:TOUCHES]
     readings = model.activation(felt)
+    sensors = se2.inverse(felt)  # the object stands at the origin
     live = np.ones(len(skin), dtype=bool)
     rows = []
     names = ["projection", *(s["name"] for s in loaded.info["samplers"])]
@@ -104,8 +105,8 @@ def touches() -> list[dict[str, object]]:
         spent: list[float] = []
         t = 0.0
         for _ in range(ROUNDS):
-            for z in readings:  # press, hold, let go somewhere else: the second scan is judged
-                sensor = np.array([*rng.uniform(-0.1, 0.1, 2), 0.0])
+            # press, hold, let go: the second scan is judged
+            for z, sensor in zip(readings, sensors, strict=True):
                 estimator.on_scan(Activation(t, z, live), sensor)
                 start = time.process_time()
                 estimate = estimator.on_scan(Activation(t + 0.05, z, live), sensor)

@@ -19,6 +19,7 @@ from taxeld.proposals import Proposal
 from taxeld.rules import RULES, Rule, RuleCounters
 from taxeld.se2 import Poses
 from taxeld.skin import Activation
+from taxeld.stuck import Stuck
 from taxeld.symmetry import PoseMetric
 
 CONFIRMED_M = 0.02  # a heaviest mode within this of the touch before is the same
@@ -36,6 +37,7 @@ class EstimatorCounters:
     out_of_range: int = 0  # scans with activations beyond 0..1, which were clipped
     back_in_time: int = 0  # scans older than the one before, not used
     jumps: int = 0  # scans whose sensor pose is too far from the last, not used
+    stuck: int = 0  # scans in which a taxel read the same as ever, and was left out
     blind: int = 0  # scans without a live taxel, or none where the touch is expected
     rule: RuleCounters = field(default_factory=RuleCounters)
 
@@ -62,6 +64,7 @@ class Estimator:
         self._t = -np.inf
         self._sensor: Poses | None = None
         self._before: Felt | None = None
+        self._stuck = Stuck(len(self.model.layout))
         self._confirmed, self._touched = False, 0
         self._summary = summarise(self.rule.belief, self.metric)
         self.estimate = self._estimate(0.0, Status.SEARCHING)
@@ -77,12 +80,11 @@ class Estimator:
         if not self._is_usable(activation, sensor):
             self.estimate = self._estimate(max(self.estimate.t, self._t), self._status())
             return self.estimate
+        felt = self._felt(activation, sensor)
         self._t, self._sensor = t, sensor
-        z = np.where(activation.live, np.clip(activation.z, 0.0, 1.0), 0.0)
-        felt = Felt(sensor, z, activation.live, bool(z.max() > 0.0))
         self._follow(felt)
         injected, log_evidence = 0, 0.0
-        for told in self._news.on_scan(t, felt) if activation.live.any() else ():
+        for told in self._news.on_scan(t, felt) if felt.live.any() else ():
             samples = self._samples(told)
             log_evidence = self._learn(told, samples)
             injected = len(samples)
@@ -108,6 +110,17 @@ class Estimator:
             return False
         counters.out_of_range += bool(z.min() < 0.0 or z.max() > 1.0)
         return True
+
+    def _felt(self, activation: Activation, sensor: Poses) -> Felt:
+        """A scan as evidence: within its range, without taxels that are dead or stuck."""
+        radius_m = self.model.layout.radius_m
+        moved = 0.0 if self._sensor is None else moved_m(self._sensor, sensor, radius_m)
+        z = np.clip(activation.z, 0.0, 1.0)
+        stuck = self._stuck.on_scan(z, moved) & activation.live
+        self.counters.stuck += bool(stuck.any())
+        live = activation.live & ~stuck
+        z = np.where(live, z, 0.0)
+        return Felt(sensor, z, live, bool(z.max() > 0.0))
 
     def _is_blind(self, felt: Felt) -> bool:
         """Whether no taxel lives, or none of those that the best pose presses."""

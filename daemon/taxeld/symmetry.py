@@ -100,7 +100,11 @@ def add_m(scene: Scene, estimate: Poses, truth: Poses) -> tuple[float, float]:
     """Average distance of surface points between two poses (3,): plain, and the least over the
     object's geometric rotation group."""
     at_truth = se2.apply(truth, scene.surface[:, :2])
-    poses = se2.compose(estimate, scene.equivalents)
+    equivalents = scene.equivalents
+    if scene.symmetry == CONTINUOUS:  # of all turns the one that undoes the error's
+        undone = se2.rotation_about(scene.centre, truth[2] - estimate[2])
+        equivalents = np.stack([se2.IDENTITY, undone])
+    poses = se2.compose(estimate, equivalents)
     each = [
         np.linalg.norm(se2.apply(p, scene.surface[:, :2]) - at_truth, axis=1).mean() for p in poses
     ]

@@ -341,3 +341,21 @@ def test_a_belief_that_becomes_impossible_begins_anew(box_model: ObservationMode
     subject.on_scan(feel(box_model, press(0.2), 100.0), press(0.2))
     assert subject.counters.rule.impossible == 1
     assert np.isclose(subject.belief.weight.sum(), 1.0)
+
+
+def test_a_stuck_taxel_does_not_keep_the_object_from_being_found(
+    box_model: ObservationModel,
+) -> None:
+    world = World(box_model)
+    subject = Estimator(box_model, Knowing(world), FilterConfig())
+
+    def on_scan(activation: Activation, sensor: Poses) -> Estimate:
+        z = activation.z.copy()
+        z[5] = 1.0
+        return Estimator.on_scan(subject, replace(activation, z=z), sensor)
+
+    subject.on_scan = on_scan  # type: ignore[method-assign]
+    for angle in (0.2, 1.3, 2.9, 4.5, 5.5, 0.7):
+        estimate = world.press(subject, angle)
+    assert subject.counters.stuck > 0
+    assert subject.metric.distance(estimate.map, TRUTH) < 0.005

@@ -76,3 +76,11 @@ def test_no_mode_is_passed_over_for_where_it_stands_in_the_array(
     for order in (slice(None), slice(None, None, -1)):
         found = PoseMetric(box_model.scene).modes(poses[order], weight, 0.02, 5, 64)
         assert [round(mode.weight, 6) for mode in found] == [0.75, 0.25]
+
+
+def test_the_turn_of_a_round_object_is_no_error(disc_model: ObservationModel) -> None:
+    scene = disc_model.scene
+    assert scene.symmetry == 0
+    for angle in np.linspace(-3.0, 3.0, 13):
+        turned = np.array([0.001, 0.0, angle])
+        assert add_m(scene, turned, np.zeros(3))[1] < 0.0011

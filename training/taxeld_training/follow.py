@@ -28,7 +28,7 @@ GRID = "grid"
 OWN_SEEDS = 2**31  # a filter must not draw what its trial drew
 DECIDES = {  # modules that decide what a filter says in a trial
     "daemon": "contacts estimate memory news observation prior scene se2 symmetry",
-    "particles": "config estimator filter injection proposals push rules sampler",
+    "particles": "config estimator filter injection proposals push rules sampler stuck",
     "training": "conditions follow trials",
 }
 
