@@ -106,6 +106,9 @@ class Paper:
         if evidence is None:
             self.counters.impossible += 1
             self.belief = _anew(self._config, self._rng)
+            if len(samples):
+                drawn = pf.equal(samples, np.empty((len(samples), 0)))
+                self.belief = pf.resample(drawn, len(self.belief), self._rng)
             return 0.0
         self.doubt = bool(_lack(memory, self.belief.weight, explained)[0] > 0.0)
         self.counters.inconsistent += self.doubt
@@ -161,8 +164,7 @@ class Mixture:
         evidence = pf.reweight(belief, explained[:, 0])
         if evidence is None:
             self.counters.impossible += 1
-            self.belief = _anew(self._config, self._rng)
-            self.memory = memory.only(np.zeros(len(memory), dtype=np.bool_))
+            self._begin_anew(felt, samples)
             return 0.0
         belief.remembered = np.hstack([belief.remembered, explained])
         self.doubt = bool(_lack(memory, belief.weight, belief.remembered)[-1] > 0.0)
@@ -176,6 +178,14 @@ class Mixture:
             self._become(belief, moves=1)
         self.counters.inconsistent += self.doubt
         return evidence
+
+    def _begin_anew(self, felt: Felt, samples: Poses) -> None:
+        """From the samples of a touch, or from nothing."""
+        self.memory = Memory(self._model, _noise(self._config))
+        self.belief = _anew(self._config, self._rng)
+        if len(samples):
+            self.memory.add(felt)
+            self._become(pf.equal(samples, self.memory.explain(samples)), moves=MOVES)
 
     def _take(self, samples: Poses) -> None:
         """The samples' own opinion of all that is remembered, beside the belief's."""

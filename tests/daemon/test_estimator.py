@@ -343,6 +343,20 @@ def test_a_belief_that_becomes_impossible_begins_anew(box_model: ObservationMode
     assert np.isclose(subject.belief.weight.sum(), 1.0)
 
 
+def test_a_belief_that_a_touch_makes_impossible_begins_with_its_samples(
+    box_model: ObservationModel,
+) -> None:
+    world, subject = settled(box_model)
+    subject.belief.log_weight[:] = -np.inf
+    world.feel(subject, box_side(box_model, 1.3, -0.02))  # the belief is uniform now
+    subject.belief.log_weight[:] = -np.inf
+    world.press(subject, 1.3)
+    assert subject.counters.rule.impossible == 2
+    assert np.isclose(subject.belief.weight.sum(), 1.0)
+    near = subject.metric.distance(subject.belief.pose, TRUTH) < 0.02
+    assert near.mean() > 0.9
+
+
 def test_a_stuck_taxel_does_not_keep_the_object_from_being_found(
     box_model: ObservationModel,
 ) -> None:
