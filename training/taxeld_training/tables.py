@@ -14,7 +14,7 @@ COLUMNS = {
     "energy distance": lambda rows: f"{_mean(rows, 'energy_distance'):.4f}",
     "× floor": lambda rows: f"{_mean(rows, 'energy_distance') / _mean(rows, 'energy_floor'):.2f}",
     "in 90 % region": lambda rows: f"{_mean(rows, 'coverage_90'):.0%}",
-    "MFLOP": lambda rows: f"{_mean(rows, 'flops') / 1e6:.1f}",
+    "MFLOP": lambda rows: f"{_mean(rows, 'flops') / 1e6:.1f}" if rows[0]["flops"] else "",
     "ms": lambda rows: f"{_mean(rows, 'ms'):.2f}",
     "ms warm": lambda rows: f"{_mean(rows, 'ms_warm'):.2f}",
     "speed-up": lambda rows: f"{_mean(rows, 'speedup'):.0f} ×",
