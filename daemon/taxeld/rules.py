@@ -34,7 +34,7 @@ LACK_MAX, LACK_TAXEL = 10.0, 1.0  # nats a scan, and each taxel that felt, may l
 PUSHED_M = 2e-4  # between two scans: less than this is a press that settles
 USUAL_LACK, USUAL_TAXEL = 2.0, 0.55  # nats that a touch, and each of its taxels, usually lack
 USUAL_SPREAD = 3.5  # of the sum over touches, times the root of its taxels: 3.1 at most in 240 seen
-SURE = 4  # touches
+SURE = 4  # touches that must agree once any was refuted
 SETTLED_SHARE = 0.5  # of S, by the paper's rule when settled: a wrong belief must find out
 
 
