@@ -46,9 +46,7 @@ class Scans:
         made = made[model.activation(made).max(axis=1) > 0.1][:count]
         live = np.ones(len(model.layout), dtype=np.bool_)
         self.felt = [
-            Felt(
-                se2.inverse(p), self.noise.draw(model.activation(p[None])[0], rng), live, touch=True
-            )
+            Felt(se2.inverse(p), self.noise.draw(model.activation(p[None])[0], rng), live)
             for p in made
         ]
 

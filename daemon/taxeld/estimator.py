@@ -84,7 +84,8 @@ class Estimator:
         self._t, self._sensor = t, sensor
         self._follow(felt)
         injected, log_evidence = 0, 0.0
-        for told in self._news.on_scan(t, felt) if felt.live.any() else ():
+        told = self._news.on_scan(t, felt) if felt.live.any() else None
+        if told is not None:
             samples = self._samples(told)
             log_evidence = self._learn(told, samples)
             injected = len(samples)
@@ -119,8 +120,7 @@ class Estimator:
         stuck = self._stuck.on_scan(z, moved) & activation.live
         self.counters.stuck += bool(stuck.any())
         live = activation.live & ~stuck
-        z = np.where(live, z, 0.0)
-        return Felt(sensor, z, live, bool(z.max() > 0.0))
+        return Felt(sensor, np.where(live, z, 0.0), live)
 
     def _is_blind(self, felt: Felt) -> bool:
         """Whether no taxel lives, or none of those that the best pose presses."""

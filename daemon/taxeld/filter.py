@@ -18,8 +18,8 @@ Floats = NDArray[np.float64]
 Explain = Callable[[Poses], Floats]  # poses (N, 3) → (N, K) as in `Belief.remembered`
 
 RESAMPLE_BELOW = 0.5  # of N: effective sample size at which particles are drawn anew
-MOVE = np.array([0.002, 0.002, 0.02])  # sd of a random step [m, m, rad], times 2^u with u in
-MOVE_OCTAVES = (-2.5, 1.5)  # these: coarse steps part the copies, fine ones settle them
+MOVE = np.array([0.002, 0.002, 0.02])  # sd of a random step [m, m, rad], times 2^u
+MOVE_OCTAVES = (-2.5, 1.5)  # of u: coarse steps part the copies, fine ones settle them
 DIFFERENCES = (0.3, 0.7, 1.0)  # of two other particles, of which half of the steps are made
 CELL = np.array([0.01, 0.01, np.radians(10.0)])  # cells of SE(2) that a belief occupies
 

@@ -28,7 +28,11 @@ class Felt:
     sensor: Poses  # (3,) in the world
     z: Floats  # (M,)
     live: Bools  # (M,)
-    touch: bool  # whether anything was felt
+
+    @property
+    def touch(self) -> bool:
+        """Whether anything was felt."""
+        return bool(self.z.max() > 0.0)
 
 
 class Memory:
@@ -48,7 +52,7 @@ class Memory:
 
         self._prior = prior
         if prior is not None:
-            self.add(Felt(se2.IDENTITY, np.zeros(taxels), np.zeros(taxels, np.bool_), touch=False))
+            self.add(Felt(se2.IDENTITY, np.zeros(taxels), np.zeros(taxels, np.bool_)))
             self.felt[0], self.ceiling[0] = -1, prior.ceiling
 
     def __len__(self) -> int:

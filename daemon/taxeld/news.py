@@ -6,7 +6,7 @@
   changed by a unit of news. Silence where the belief expects touch is evidence like any other.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -29,22 +29,25 @@ class News:
     contacts: int = 0  # touches begun
     _told: Felt | None = None  # the last scan that was learned from
     _strongest: float = 0.0  # activation of the scan before this one
-    _pending: Felt | None = field(default=None)  # the strongest scan of a press not judged yet
+    _pending: Felt | None = None  # the strongest scan of a press not judged yet
     _felt_s: float = -np.inf  # when anything was felt last
 
-    def on_scan(self, t: float, felt: Felt) -> list[Felt]:
-        """The scans that this one completes, to be learned from in this order."""
+    def on_scan(self, t: float, felt: Felt) -> Felt | None:
+        """The scan to learn from now, this one or one that it completes; None: there is no news."""
         strongest = float(felt.z.max())
         rising = strongest > self._strongest + RISING
         self._strongest = strongest
-        if felt.touch:
-            return self._tell(self._pressed(t, felt, rising=rising))
+        told = self._pressed(t, felt, rising=rising) if felt.touch else self._silent(t, felt)
+        self._told = told or self._told
+        return told
+
+    def _silent(self, t: float, felt: Felt) -> Felt | None:
         if self._pending is not None:
-            return self._tell(self._judged())
+            return self._judged()
         if t - self._felt_s <= RELEASE_S:  # just let go: neither a touch nor free yet
-            return []
+            return None
         self.contact = False
-        return self._tell(felt if self._is_new(felt) else None)
+        return felt if self._is_new(felt) else None
 
     def _pressed(self, t: float, felt: Felt, *, rising: bool) -> Felt | None:
         begun = not self.contact
@@ -61,12 +64,6 @@ class News:
         """The press that has been waited for: as it is held, or its strongest scan."""
         pending, self._pending = self._pending, None
         return felt or pending
-
-    def _tell(self, felt: Felt | None) -> list[Felt]:
-        if felt is None:
-            return []
-        self._told = felt
-        return [felt]
 
     def _is_new(self, felt: Felt) -> bool:
         told = self._told

@@ -39,8 +39,7 @@ def push(
     advance = np.maximum(inwards @ moved, 0.0)
     pushed = np.clip(radius_m - clearance - felt_m, 0.0, advance)
     arm = after[:2] + clearance[:, None] * inwards - metric.centres(poses)
-    radii = np.linalg.norm(model.scene.outline - model.scene.centre, axis=1)
-    limit_m = LIMIT * float(radii.mean())
+    limit_m = LIMIT * model.scene.mean_radius
     stick = rng.random((n, 1)) * (pushed / np.maximum(advance, 1e-9))[:, None]
     wanted = pushed[:, None] * inwards + stick * (moved - advance[:, None] * inwards)
     across = np.column_stack([-arm[:, 1], arm[:, 0]]) / limit_m
@@ -51,9 +50,4 @@ def push(
     noise = SPREAD * pushed[:, None] * rng.standard_normal((n, 3))
     turn = (np.sum(across * force, axis=1) + noise[:, 2]) / limit_m
     centre = metric.centres(poses) + force + noise[:, :2]
-    theta = poses[:, 2] + turn
-    x, y = metric.centre
-    c, s = np.cos(theta), np.sin(theta)
-    return np.column_stack(
-        [centre[:, 0] - c * x + s * y, centre[:, 1] - s * x - c * y, se2.wrap(theta)]
-    ), pushed
+    return metric.placed(centre, poses[:, 2] + turn), pushed

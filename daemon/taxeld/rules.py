@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from taxeld import filter as pf
 from taxeld import injection
 from taxeld.config import FilterConfig
-from taxeld.estimate import MODE_CANDIDATES, MODE_RADIUS_M, MODES_MAX
+from taxeld.estimate import summarise
 from taxeld.filter import Belief
 from taxeld.memory import Felt, Memory
 from taxeld.observation import Noise, ObservationModel
@@ -33,7 +33,7 @@ LACK_MAX, LACK_TAXEL = 10.0, 1.0  # nats a scan, and each taxel that felt, may l
 # explained as well as any could be: what the true pose lacks in 1 of 1000 touches
 PUSHED_M = 2e-4  # between two scans: less than this is a press that settles
 USUAL_LACK, USUAL_TAXEL = 2.0, 0.55  # nats that a touch, and each of its taxels, usually lack
-USUAL_SPREAD = 3.5  # of the sum over touches, times the root of its taxels: 3.1 at most in 240 seen
+USUAL_SPREAD = 3.5  # of the sum over touches, times the root of its taxels: 3.1 at most in 120 seen
 SURE = 4  # touches that must agree once any was refuted
 SETTLED_SHARE = 0.5  # of S, by the paper's rule when settled: a wrong belief must find out
 
@@ -124,7 +124,8 @@ class Mixture:
     def __init__(self, model: ObservationModel, config: FilterConfig, rng: np.random.Generator):
         self._model, self._config, self._rng = model, config, rng
         self._metric = PoseMetric(model.scene)
-        self.memory = Memory(model, _noise(config))
+        self._noise = _noise(config)
+        self.memory = Memory(model, self._noise)
         self.belief = _anew(config, rng)
         self.doubt = False
         self.counters = RuleCounters()
@@ -145,10 +146,11 @@ class Mixture:
         )  # fmt: skip
         if belief.weight @ pushed < PUSHED_M:
             return False
-        modes = self._metric.modes(pose, belief.weight, MODE_RADIUS_M, MODES_MAX, MODE_CANDIDATES)
+        belief.pose = pose
+        modes = summarise(belief, self._metric).modes
         prior = Prior(self._metric, pose, belief.weight, modes)
-        self.memory = Memory(self._model, _noise(self._config), prior)
-        self.belief = Belief(pose, belief.log_weight, self.memory.explain(pose))
+        self.memory = Memory(self._model, self._noise, prior)
+        belief.remembered = self.memory.explain(pose)
         return True
 
     def wanted(self, settled: float) -> int:  # noqa: ARG002  # a wide belief has more particles
@@ -181,7 +183,7 @@ class Mixture:
 
     def _begin_anew(self, felt: Felt, samples: Poses) -> None:
         """From the samples of a touch, or from nothing."""
-        self.memory = Memory(self._model, _noise(self._config))
+        self.memory = Memory(self._model, self._noise)
         self.belief = _anew(self._config, self._rng)
         if len(samples):
             self.memory.add(felt)

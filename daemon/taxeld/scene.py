@@ -60,6 +60,11 @@ class Scene:
         return float(np.linalg.norm(self.outline - self.centre, axis=1).max())
 
     @cached_property
+    def mean_radius(self) -> float:
+        """Mean distance of the outline from the centre."""
+        return float(np.linalg.norm(self.outline - self.centre, axis=1).mean())
+
+    @cached_property
     def equivalents(self) -> Floats:
         """(n, 3) poses that touch cannot tell apart, the identity first.
 

@@ -42,6 +42,13 @@ class PoseMetric:
         x, y = self.centre
         return np.stack([poses[..., 0] + c * x - s * y, poses[..., 1] + s * x + c * y], axis=-1)
 
+    def placed(self, centres: Floats, theta: Floats) -> Poses:
+        """Poses (…, 3) whose centres (…, 2) and turns (…,) these are: the inverse of `centres`."""
+        c, s = np.cos(theta), np.sin(theta)
+        x, y = self.centre
+        at = [centres[..., 0] - c * x + s * y, centres[..., 1] - s * x - c * y, se2.wrap(theta)]
+        return np.stack(at, axis=-1)
+
     def turn(self, a: Floats, b: Floats) -> Floats:
         """The smallest turn from b to a, up to symmetry, in (−π/n, π/n]."""
         n = max(self.order, 1)
@@ -60,10 +67,7 @@ class PoseMetric:
         centre = weight @ self.centres(poses)
         turns = self.turn(poses[:, 2], near[2])
         theta = near[2] + float(weight @ turns) if self.order != CONTINUOUS else near[2]
-        c, s = np.cos(theta), np.sin(theta)
-        x, y = self.centre
-        mean = np.array([centre[0] - c * x + s * y, centre[1] - s * x - c * y, theta])
-        mean[2] = se2.wrap(mean[2])
+        mean = self.placed(centre, np.asarray(theta))
         off = np.column_stack([self.centres(poses) - centre, self.turn(poses[:, 2], theta)])
         return mean, (off * weight[:, None]).T @ off
 

@@ -101,7 +101,7 @@ def test_touches_are_explained_as_the_dense_model_says(box_model: ObservationMod
         seen = se2.compose(se2.inverse(np.array(sensor)), poses)
         h = box_model.activation(seen)
         z, live = noise.draw(h[3], rng), rng.random(h.shape[1]) < 0.8
-        memory.add(Felt(np.array(sensor), z, live, touch=True))
+        memory.add(Felt(np.array(sensor), z, live))
         dense.append(noise.log_likelihood(z, live, h))
     assert np.allclose(memory.explain(poses), np.array(dense).T)
     assert np.allclose(memory.explain(poses, since=2), np.array(dense).T[:, 2:])
@@ -116,7 +116,7 @@ def test_no_pose_explains_a_scan_better_than_its_ceiling(box_model: ObservationM
     memory = Memory(box_model, Noise())
     for pose in poses[:20]:
         z = Noise().draw(box_model.activation(pose[None])[0], rng)
-        memory.add(Felt(np.zeros(3), z, rng.random(len(z)) < 0.9, touch=True))
+        memory.add(Felt(np.zeros(3), z, rng.random(len(z)) < 0.9))
     assert (memory.explain(poses).max(axis=0) <= memory.ceiling + 0.01).all()
 
 
@@ -126,7 +126,7 @@ def test_nothing_to_explain_has_no_columns(box_model: ObservationModel) -> None:
 
 def test_a_dead_taxel_says_nothing(box_model: ObservationModel) -> None:
     memory = Memory(box_model, Noise())
-    memory.add(Felt(np.zeros(3), np.zeros(32), np.zeros(32, dtype=bool), touch=False))
+    memory.add(Felt(np.zeros(3), np.zeros(32), np.zeros(32, dtype=bool)))
     poses = np.array([[0.072, 0.0, 0.0], [0.09, 0.0, 0.0]])
     assert np.array_equal(memory.explain(poses), np.zeros((2, 1)))
 

@@ -10,14 +10,14 @@ LIVE = np.ones(4, dtype=bool)
 
 def feel(strongest: float, x: float = 0.0) -> Felt:
     z = np.array([strongest, 0.0, 0.0, 0.0])
-    return Felt(np.array([x, 0.0, 0.0]), z, LIVE, touch=strongest > 0.0)
+    return Felt(np.array([x, 0.0, 0.0]), z, LIVE)
 
 
 def told(readings: list[float], x: list[float] | None = None) -> list[list[float]]:
     """The strongest activation of what each scan has counted, at 20 Hz."""
     news, where = News(0.04), x or [0.0] * len(readings)
     scans = [news.on_scan(0.05 * k, feel(r, where[k])) for k, r in enumerate(readings)]
-    return [[float(felt.z.max()) for felt in each] for each in scans]
+    return [[] if felt is None else [float(felt.z.max())] for felt in scans]
 
 
 def test_a_press_counts_once_when_it_stops_deepening() -> None:

@@ -10,12 +10,13 @@ from pathlib import Path
 from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 
 from taxeld import layout
+from taxeld.config import SkinConfig
 from taxeld.errors import SetupError
 from taxeld.scene import CONTINUOUS
 from taxeld_training.build import DEPTH_MAX_M, HEIGHT_M, VARIANTS, BuildConfig, build
 from taxeld_training.variants import trained_with
 
-DEFAULT_SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+DEFAULT_SKIN = SkinConfig().layout
 EXPERIMENTS = ("proposals", "frontier", "gallery", "damage", "filter", "stability", "push")
 
 

@@ -105,9 +105,7 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
         wanted_groups = dict.fromkeys((*(options.groups or GROUPS[name]), EAGER_GROUP))
         groups = tuple((group, MODELS.get(group)) for group in wanted_groups)
         job = Job(f"cost-{cell.columns}", costs.time_calls, (cell, groups))
-        alone = run_jobs(
-            [job], replace(options, workers=1, until=math.inf)
-        )  # side by side with none
+        alone = run_jobs([job], replace(options, workers=1, until=math.inf))  # beside no other
         timed += [row | {"columns": cell.columns} for row in alone[job.name]]
     exact = {(s.object, s.columns): references[f"reference-{s.name}"]["ms"] for s in cells}
     return [_with_cost(row, timed, exact) for row in found]

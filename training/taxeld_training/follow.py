@@ -101,9 +101,9 @@ def _by_the_grid(trial: Trial, model: ObservationModel) -> list[Outcome]:
     found = []
     for _, scans in groupby(trial, key=lambda moment: moment.touch):
         for scan in scans:
-            z, live = scan.activation.z, scan.activation.live
-            felt = Felt(scan.sensor, z, live, bool(z.max() > 0.0))
-            for told in news.on_scan(scan.activation.t, felt):
+            felt = Felt(scan.sensor, scan.activation.z, scan.activation.live)
+            told = news.on_scan(scan.activation.t, felt)
+            if told is not None:
                 grid.update(told.sensor, told.z, told.live, touched=told.touch)
         errors = (math.nan, math.nan)
         if len(grid):

@@ -48,7 +48,7 @@ class PushedTrial:
         given = Conditions()
         gain = np.maximum(1.0 + given.gain_cv * rng.standard_normal(len(model.layout)), 0.1)
         skin = Skin(given, gain, rng)
-        radius_m = float(np.linalg.norm(model.scene.outline - model.scene.centre, axis=1).mean())
+        radius_m = model.scene.mean_radius
         limit_m = LIMIT * radius_m * rng.uniform(1.0 - LIMIT_SPREAD, 1.0 + LIMIT_SPREAD)
         heading, yaw = rng.uniform(-np.pi, np.pi, 2)
         ahead = np.array([np.cos(heading), np.sin(heading)])
