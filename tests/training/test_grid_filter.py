@@ -90,7 +90,7 @@ def test_a_small_cell_has_the_likelihood_of_its_pose(model: ObservationModel) ->
         z = NOISE.draw(model.activation(poses[:1])[0], rng)
         live = rng.random(len(SKIN)) < 0.8
         scans.append(grid_filter.Scan(sensor, z, live))
-        known.add(Felt(sensor, z, live, bool(z.any())))
+        known.add(Felt(sensor, z, live))
     grid_filter.Weigher(model, NOISE).weigh(cells, scans, SENSOR)
     expected = known.explain(se2.compose(SENSOR, poses)).sum(axis=1)
     assert np.allclose(cells.log_like, expected, atol=1e-2)
@@ -110,7 +110,7 @@ def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel
     ]
     weigher, known = grid_filter.Weigher(model, NOISE), Memory(model, NOISE)
     for scan in scans:
-        known.add(Felt(scan.sensor, scan.z, scan.live, bool(scan.z.any())))
+        known.add(Felt(scan.sensor, scan.z, scan.live))
     cells = grid_filter.lay(model)
     for _ in range(6):
         cells = cells[rng.random(len(cells)) < 2000 / len(cells)]
@@ -157,7 +157,7 @@ def test_all_scans_count_as_they_do_by_brute_force(model: ObservationModel) -> N
         h = model.activation(se2.compose(se2.inverse(sensor), se2.compose(SENSOR, truth))[None])[0]
         z = noise.draw(h, rng)
         belief.update(sensor, z, LIVE, touched=k == 1)
-        scans.add(Felt(sensor, z, LIVE, bool(z.any())))
+        scans.add(Felt(sensor, z, LIVE))
     poses = se2.compose(sensors[1], band(model, 60_000, rng))
     log_w = scans.explain(poses).sum(axis=1)
     w = np.exp(log_w - log_w.max())
