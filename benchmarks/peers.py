@@ -24,8 +24,9 @@ from taxeld import contacts, layout, scene, se2
 from taxeld import filter as pf
 from taxeld.config import FilterConfig, SkinConfig
 from taxeld.memory import Felt, Memory
+from taxeld.mixture_rule import Mixture
 from taxeld.observation import Noise, ObservationModel
-from taxeld.rules import Mixture, Paper
+from taxeld.paper_rule import Paper
 
 SIZES = {  # particles: rounds, steps of each, budget [ms]
     100: (20, 20, 0.3),

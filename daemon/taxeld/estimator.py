@@ -16,7 +16,8 @@ from taxeld.memory import Felt
 from taxeld.news import News, moved_m
 from taxeld.observation import ObservationModel
 from taxeld.proposals import Proposal
-from taxeld.rules import RULES, Rule, RuleCounters
+from taxeld.rule import Rule, RuleCounters
+from taxeld.rules import RULES
 from taxeld.se2 import Poses
 from taxeld.skin import Activation
 from taxeld.stuck import Stuck
@@ -33,6 +34,7 @@ class EstimatorCounters:
     scans: int = 0
     updates: int = 0  # scans that told something new
     injections: int = 0
+    thoughts: int = 0  # of them, while nothing new was felt
     bad_input: int = 0  # scans with values that are not finite
     out_of_range: int = 0  # scans with activations beyond 0..1, which were clipped
     back_in_time: int = 0  # scans older than the one before, not used
@@ -86,9 +88,9 @@ class Estimator:
         injected, log_evidence = 0, 0.0
         told = self._news.on_scan(t, felt) if felt.live.any() else None
         if told is not None:
-            samples = self._samples(told)
-            log_evidence = self._learn(told, samples)
-            injected = len(samples)
+            injected, log_evidence = self._learn(told)
+        else:
+            injected = self._think()
         status = self._status()
         if self._is_blind(felt):
             self.counters.blind += 1
@@ -138,6 +140,7 @@ class Estimator:
         if self.config.motion == "none" or before is None or not (before.touch and felt.touch):
             return
         if self.rule.follow(before, felt):
+            self._summary = summarise(self.rule.belief, self.metric)
             self._confirmed = False
 
     def _samples(self, felt: Felt) -> Poses:
@@ -154,18 +157,40 @@ class Estimator:
         self.counters.injections += 1
         return se2.compose(felt.sensor, poses)
 
-    def _learn(self, felt: Felt, samples: Poses) -> float:
+    def _learn(self, felt: Felt) -> tuple[int, float]:
+        """Take news; → how many samples it brought, and its log evidence."""
         self.counters.updates += 1
+        samples = self._samples(felt)
         doubted = self.rule.doubt
         log_evidence = self.rule.learn(felt, samples)
-        before, self._summary = self._summary, summarise(self.rule.belief, self.metric)
+        agreed = self._summarised(len(samples)) and not doubted
         if felt.touch and self._news.contacts != self._touched:  # one touch confirms nothing twice
             self._touched = self._news.contacts
-            self._confirmed = not doubted and self._agrees(before, self._summary)
-        return log_evidence
+            self._confirmed = agreed
+        return len(samples), log_evidence
+
+    def _think(self) -> int:
+        """While nothing new is felt, look for what explains all touches better; → how many samples
+        were drawn for that."""
+        felt = self.rule.recalled()
+        if felt is None:
+            return 0
+        self.counters.thoughts += 1
+        samples = self._samples(felt)
+        self.rule.think(samples)
+        self._confirmed &= self._summarised(len(samples))
+        return len(samples)
+
+    def _summarised(self, samples: int) -> bool:
+        """Look at the belief; → whether a change of it, by so many samples, has left a narrow
+        belief where it was."""
+        before, self._summary = self._summary, summarise(self.rule.belief, self.metric)
+        agreed = self._agrees(before, self._summary)
+        self.rule.searched(samples, agreed=agreed)
+        return agreed
 
     def _agrees(self, before: Summary, now: Summary) -> bool:
-        """Whether a touch has left a narrow belief where it was."""
+        """Whether a narrow belief has stayed where it was."""
         apart = self.metric.distance(before.modes[0].pose, now.modes[0].pose)
         return before.is_narrow and now.is_narrow and bool(apart < CONFIRMED_M)
 

@@ -20,7 +20,9 @@ Explain = Callable[[Poses], Floats]  # poses (N, 3) → (N, K) as in `Belief.rem
 RESAMPLE_BELOW = 0.5  # of N: effective sample size at which particles are drawn anew
 MOVE = np.array([0.002, 0.002, 0.02])  # sd of a random step [m, m, rad], times 2^u
 MOVE_OCTAVES = (-2.5, 1.5)  # of u: coarse steps part the copies, fine ones settle them
-DIFFERENCES = (0.3, 0.7, 1.0)  # of two other particles, of which half of the steps are made
+DIFFERENCES = np.array(
+    [0.3, 0.7, 1.0]
+)  # of two other particles, of which half of the steps are made
 CELL = np.array([0.01, 0.01, np.radians(10.0)])  # cells of SE(2) that a belief occupies
 
 
@@ -112,7 +114,7 @@ def rejuvenate(belief: Belief, explain: Explain, share: Floats, rng: np.random.G
     one, other = rng.integers(n, size=(2, n))
     apart = belief.pose[one] - belief.pose[other]
     apart[:, 2] = se2.wrap(apart[:, 2])
-    apart *= rng.choice(DIFFERENCES, (n, 1))
+    apart *= DIFFERENCES.take(rng.integers(len(DIFFERENCES), size=(n, 1)))
     poses = belief.pose + np.where(rng.random((n, 1)) < 0.5, step, apart + 0.1 * step)
     poses[:, 2] = se2.wrap(poses[:, 2])
     remembered = explain(poses)

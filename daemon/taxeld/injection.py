@@ -17,8 +17,8 @@ from taxeld.se2 import Poses
 
 Floats = NDArray[np.float64]
 
-KEPT = 0.5  # of the samples: effective number that a stage of annealing leaves
-STAGES_MAX = 12  # the last takes all that is left
+KEPT = 0.25  # of the samples: effective number that a stage of annealing leaves
+STAGES_MAX = 6  # the last takes all that is left
 FINE = np.array([0.004, 0.004, 0.06])  # cells that measure how much room a belief takes
 
 

@@ -43,7 +43,7 @@ class Memory:
         taxels = len(model.layout)
         self._model = model
         self._noise = noise
-        self._world_in_sensor = np.empty((0, 3))
+        self._sensor = np.empty((0, 3))
         self._z = np.empty((0, taxels))
         self._live = np.empty((0, taxels))
         self._silent = np.empty((0, taxels))  # log p(z | h = 0): what a taxel says that is not met
@@ -72,17 +72,21 @@ class Memory:
         z = felt.z[:, None]
         density = self._noise.log_density(z, z * LIKELY) * felt.live[:, None]
         silent = density[:, 0]
-        self._world_in_sensor = np.vstack([self._world_in_sensor, se2.inverse(felt.sensor)])
+        self._sensor = np.vstack([self._sensor, felt.sensor])
         self._z = np.vstack([self._z, felt.z])
         self._live = np.vstack([self._live, felt.live])
         self._silent = np.vstack([self._silent, silent])
         self.felt = np.append(self.felt, np.count_nonzero(felt.z))
         self.ceiling = np.append(self.ceiling, density.max(axis=1).sum())
 
+    def scan(self, k: int) -> Felt:
+        """The k-th scan."""
+        return Felt(self._sensor[k], self._z[k], self._live[k] > 0.0)
+
     def only(self, kept: Bools) -> "Memory":
         """The scans that `kept` (K,) names."""
         made = Memory(self._model, self._noise)
-        made._world_in_sensor = self._world_in_sensor[kept]
+        made._sensor = self._sensor[kept]
         made._z, made._live = self._z[kept], self._live[kept]
         made._silent = self._silent[kept]
         made._prior = self._prior if (self.felt[kept] < 0).any() else None
@@ -91,10 +95,9 @@ class Memory:
 
     def explain(self, poses: Poses, since: int = 0) -> Floats:
         """log p(scan | pose) over live taxels of scans from `since`: (N, 3) → (N, K − since)."""
-        world_in_sensor, silent = self._world_in_sensor[since:], self._silent[since:]
+        silent = self._silent[since:]
         k, n, taxels = len(silent), len(poses), len(self._model.layout)
-        seen = se2.compose(world_in_sensor[:, None], poses[None]).reshape(k * n, 3)
-        at, h = self._model.felt(seen)
+        at, h = self._model.felt_from(self._sensor[since:], poses)
         row, taxel = np.divmod(at, taxels)
         cell = (row // max(n, 1) + since) * taxels + taxel
         density = self._noise.log_density(self._z.take(cell), h)

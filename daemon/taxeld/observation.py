@@ -74,40 +74,45 @@ class ObservationModel:
     def felt(self, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
         """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into
         (N, M) and their h > 0."""
+        return self._felt(*axis_in_object(poses), -poses[:, 2])
+
+    def felt_from(self, sensors: Floats, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
+        """The same of sensors (K, 3) and objects (N, 3), both in the world: flat indices into
+        (K, N, M)."""
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        x, y = sensors[:, :1] - poses[:, 0], sensors[:, 1:2] - poses[:, 1]
+        turn = sensors[:, 2:] - poses[:, 2]
+        return self._felt((c * x + s * y).ravel(), (c * y - s * x).ravel(), turn.ravel())
+
+    def _felt(self, x: Floats, y: Floats, turn: Floats) -> tuple[NDArray[np.intp], Floats]:
+        """`felt` with the sensor at (x, y), turned by `turn`, in the object's frame: all (N,)."""
+        reached = np.flatnonzero(self._reach.take(self._cell(x, y)))
         size = max(BLOCK // len(self._column), 1)
-        if len(poses) <= size:
-            return self._felt(poses)
-        blocks = [self._felt(poses[at : at + size]) for at in range(0, len(poses), size)]
-        step = size * len(self.layout)
-        at = np.concatenate([part[0] + i * step for i, part in enumerate(blocks)])
-        return at, np.concatenate([part[1] for part in blocks])
+        blocks = [
+            self._pressed(rows, x.take(rows), y.take(rows), turn.take(rows))
+            for rows in (reached[at : at + size] for at in range(0, max(len(reached), 1), size))
+        ]
+        if len(blocks) == 1:
+            return blocks[0]
+        return np.concatenate([at for at, _ in blocks]), np.concatenate([h for _, h in blocks])
 
-    def _felt(self, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
-        """`felt` of the poses that the link reaches: the others press nothing."""
-        reached = np.flatnonzero(self._reached(poses))
-        if len(reached) == len(poses):
-            return self._pressed(poses)
-        at, h = self._pressed(poses[reached])
-        row, taxel = np.divmod(at, len(self.layout))
-        return reached[row] * len(self.layout) + taxel, h
-
-    def _reached(self, poses: Floats) -> NDArray[np.bool_]:
-        """(N,) whether the link's cylinder may touch the object: one look at the silhouette."""
+    def _cell(self, x: Floats, y: Floats) -> NDArray[np.intp]:
+        """The grid's cell that holds the sensor's axis: one look tells whether the link reaches."""
         scene = self.scene
         ny, nx = scene.silhouette.shape
-        x, y = axis_in_object(poses)
         u = np.clip((x - scene.origin[0]) / scene.cell, 0.0, nx - 1.0)
         v = np.clip((y - scene.origin[1]) / scene.cell, 0.0, ny - 1.0)
-        return np.asarray(self._reach.take(v.astype(np.intp) * nx + u.astype(np.intp)))
+        return np.asarray(v.astype(np.intp) * nx + u.astype(np.intp))
 
-    def _pressed(self, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
+    def _pressed(
+        self, rows: NDArray[np.intp], x: Floats, y: Floats, turn: Floats
+    ) -> tuple[NDArray[np.intp], Floats]:
         scene = self.scene
         ny, nx = scene.silhouette.shape
-        c, s = np.cos(poses[:, 2]) / scene.cell, np.sin(poses[:, 2]) / scene.cell
-        x, y = poses[:, 0], poses[:, 1]
-        x0, y0 = scene.origin / scene.cell
-        u = np.stack([c, s, -c * x - s * y - x0], axis=1) @ self._places
-        v = np.stack([-s, c, s * x - c * y - y0], axis=1) @ self._places
+        c, s = np.cos(turn) / scene.cell, np.sin(turn) / scene.cell
+        x, y = (x - scene.origin[0]) / scene.cell, (y - scene.origin[1]) / scene.cell
+        u = np.stack([c, -s, x], axis=1) @ self._places
+        v = np.stack([s, c, y], axis=1) @ self._places
         np.clip(u, 0.0, nx - 1.001, out=u)
         np.clip(v, 0.0, ny - 1.001, out=v)
         cell = v.astype(np.intp) * nx + u.astype(np.intp)
@@ -124,7 +129,8 @@ class ObservationModel:
         taxel = self._column.take(place, axis=0)
         pressed = np.flatnonzero((depth > 0.0) & (taxel >= 0))
         h = np.minimum(depth.take(pressed) / self.depth_max_m, 1.0)
-        return row.take(pressed // taxel.shape[1]) * len(self.layout) + taxel.take(pressed), h
+        row = rows.take(row.take(pressed // taxel.shape[1]))
+        return row * len(self.layout) + taxel.take(pressed), h
 
     def activation(self, poses: Floats) -> Floats:
         """h: poses (N, 3) of the object in the sensor frame → (N, M) in 0..1."""

@@ -10,10 +10,10 @@ from taxeld import contacts, messages, se2
 from taxeld.config import FilterConfig
 from taxeld.estimate import Estimate, Status
 from taxeld.estimator import Estimator
+from taxeld.mixture_rule import SILENT_MAX, THOUGHTS, Mixture
 from taxeld.observation import ObservationModel
 from taxeld.poses import PoseTrack
 from taxeld.proposals import Projection
-from taxeld.rules import SILENT_MAX, Mixture
 from taxeld.se2 import Poses
 from taxeld.skin import Activation
 
@@ -373,3 +373,28 @@ def test_a_stuck_taxel_does_not_keep_the_object_from_being_found(
         estimate = world.press(subject, angle)
     assert subject.counters.stuck > 0
     assert subject.metric.distance(estimate.map, TRUTH) < 0.005
+
+
+def test_it_thinks_until_enough_samples_have_left_a_narrow_belief_where_it_was(
+    box_model: ObservationModel,
+) -> None:
+    """A held touch tells nothing new, but what is remembered may be explained better."""
+    world = World(box_model)
+    subject = Estimator(box_model, Knowing(world), FilterConfig(injected=20))
+
+    def held(angle: float, scans: int) -> Estimate:
+        for _ in range(scans):
+            estimate = world.feel(subject, box_side(box_model, angle, 0.003))
+        return estimate
+
+    held(0.2, 20)
+    assert subject.counters.thoughts == 0  # a lone touch is all that its samples know
+    for touches, angle in enumerate((1.3, 2.9, 4.5), 1):
+        world.press(subject, angle)
+        estimate = held(angle, 20)
+        assert 0 < subject.counters.thoughts <= 2 * touches * THOUGHTS
+    assert estimate.status is Status.CONVERGED
+    thoughts = subject.counters.thoughts
+    held(4.5, 20)
+    assert subject.counters.thoughts == thoughts
+    assert subject.metric.distance(estimate.map, TRUTH) < 0.003

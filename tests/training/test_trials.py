@@ -167,6 +167,10 @@ def test_another_object_stands_beside_and_is_pressed_as_often_as_asked(
     pressed = set()
     for moment in found:
         alone = ring_model.activation(true_pose(moment)[None])[0]
+        assert moment.twin is not None
+        seen = se2.compose(se2.inverse(moment.sensor), moment.twin)
+        twin = ring_model.activation(seen[None])[0]
+        assert np.allclose(moment.activation.z, np.maximum(alone, twin), atol=1e-9)
         if (moment.activation.z > alone + 0.05).any():
             pressed.add(moment.touch)
     assert len(pressed) == 2

@@ -41,6 +41,7 @@ class Moment(NamedTuple):
     activation: Activation
     sensor: Poses  # (3,) in the world, as the robot reports it
     truth: Poses  # (3,) of the object in the world
+    twin: Poses | None = None  # (3,) of another such object that is touched as well
 
 
 @dataclass(frozen=True)
@@ -69,13 +70,14 @@ class Trial:
             path = approach(model, press)
             slips = given.slip_m * odd.standard_normal((given.scans, 3)) * (1.0, 1.0, 0.0)
             error = odd.standard_normal(3)
+            twin = None if beside is None else se2.compose(truth, beside.pose)
             for pose in (*path, *(press + slips), path[-2]):
                 h = model.activation(pose[None])[0]
                 if beside is not None:
                     h = np.maximum(h, beside.activation(pose[None])[0])
                 z = skin.read(h, (touch + 1) / self.touches, rng)
                 sensor = reported(given, se2.compose(truth, se2.inverse(pose)), error)
-                yield Moment(touch, Activation(t, z, skin.live), sensor, truth)
+                yield Moment(touch, Activation(t, z, skin.live), sensor, truth, twin)
                 t += SCAN_S
             t += BETWEEN_S
 

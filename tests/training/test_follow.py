@@ -1,0 +1,23 @@
+"""What an estimate is judged by."""
+
+import numpy as np
+import pytest
+
+from taxeld import se2
+from taxeld.observation import ObservationModel
+from taxeld_training import follow
+from taxeld_training.conditions import Conditions
+from taxeld_training.trials import Trial
+
+
+def test_of_two_objects_alike_that_are_touched_either_is_found(
+    ring_model: ObservationModel,
+) -> None:
+    trial = Trial(ring_model, 1, 2, Conditions(both=2))
+    moment = next(iter(trial))
+    assert moment.twin is not None
+    beside = se2.compose(moment.twin, np.array([0.001, 0.0, 0.0]))
+    errors = follow._errors(trial, ring_model, moment, beside, moment.truth)
+    assert errors == pytest.approx((1.0, 0.0), abs=1e-6)
+    alone = moment._replace(twin=None)
+    assert follow._errors(trial, ring_model, alone, beside, moment.truth)[0] > follow.SUCCESS_MM
