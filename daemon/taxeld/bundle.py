@@ -12,6 +12,7 @@ import numpy as np
 
 from taxeld import scene
 from taxeld.errors import SetupError
+from taxeld.ladder import Rung, rungs
 from taxeld.layout import Layout
 from taxeld.observation import ObservationModel
 from taxeld.proposals import Manifold, Projection, Proposal, Table
@@ -74,15 +75,28 @@ class Bundle:
     def _learned(self, entry: dict[str, Any]) -> Sampler:
         return Sampler(self.path / entry["file"], self.model.layout, entry["kind"])
 
+    def ladder(self, chosen: Proposal, samples: int) -> list[Rung]:
+        """The chosen proposal, and what can stand in for it where time is short: those after it in
+        the bundle's order of preference that are cheaper."""
+        names = list(self.info["auto"])
+        here = names.index(chosen.name) if chosen.name in names else 0  # of an analytic one
+        others = (self._named(name) for name in names[here:])
+        each = [chosen, *(other for other in others if other.name != chosen.name)]
+        return rungs([(one, 1e6 * cpu_ms(one, self.model, samples)) for one in each])
+
     def _fitting(self, samples: int, budget_ms: float) -> Proposal:
         made: list[tuple[float, Proposal]] = []
         for name in self.info["auto"]:
-            proposal = self.proposal(name) if name in ANALYTIC else self.proposal("", name)
+            proposal = self._named(name)
             cost = cpu_ms(proposal, self.model, samples)
             if cost <= budget_ms:
                 return proposal
             made.append((cost, proposal))
         return min(made, key=lambda pair: pair[0])[1] if made else Table(self.model)
+
+    def _named(self, name: str) -> Proposal:
+        """One of the order of preference."""
+        return self.proposal(name) if name in ANALYTIC else self.proposal("", name)
 
 
 def cpu_ms(proposal: Proposal, model: ObservationModel, samples: int) -> float:

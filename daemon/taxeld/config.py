@@ -86,6 +86,22 @@ class SensorPoseConfig:
 class LoopConfig:
     rate_hz: float = key(100.0, between(1, 1000), "ticks and estimates a second")
     stale_s: float = key(0.5, between(0.01, 60), "without a scan for so long, not valid")
+    priority: int = key(
+        20, between(0, 99), "SCHED_FIFO, and memory locked, where permitted; 0: neither"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetConfig:
+    """Of a tick's stages; what takes longer is counted, and samples keep to what is left."""
+
+    source_ms: float = key(1.0, between(0.01, 1000), "taking what has arrived")
+    skin_ms: float = key(0.5, between(0.01, 1000), "counts to activations")
+    propose_ms: float = key(
+        5.0, between(0.01, 1000), "a proposal; auto chooses by it, measured at start"
+    )
+    filter_ms: float = key(5.0, between(0.01, 1000), "the belief and its summary")
+    publish_ms: float = key(1.0, between(0.01, 1000), "streams and control, kept free of the tick")
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,9 +115,6 @@ class FilterConfig:
         "auto",
         one_of("auto", "density", "ddpm", "table", "manifold", "projection"),
         "where they come from; auto: the bundle's best that fits the budget",
-    )
-    propose_budget_ms: float = key(
-        5.0, between(0.01, 1000), "CPU time of a proposal that auto may choose, measured at start"
     )
     injection: str = key(
         "mixture", one_of("mixture", "paper"),
@@ -140,6 +153,7 @@ class Config:
     skin: SkinConfig = field(default_factory=SkinConfig)
     sensor_pose: SensorPoseConfig = field(default_factory=SensorPoseConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
+    budget: BudgetConfig = field(default_factory=BudgetConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)
     control: ControlConfig = field(default_factory=ControlConfig)

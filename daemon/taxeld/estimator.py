@@ -151,6 +151,8 @@ class Estimator:
             return np.empty((0, 3))
         poses = self.proposal.propose(felt.z, felt.live, count, self.rng)
         poses = poses[np.isfinite(poses).all(axis=1)]
+        if not len(poses):
+            return poses
         if self.config.project:
             poses = injection.project(self.model, poses)
         self._kind = ProposalKind[self.proposal.name.upper()]
@@ -175,8 +177,10 @@ class Estimator:
         felt = self.rule.recalled()
         if felt is None:
             return 0
-        self.counters.thoughts += 1
         samples = self._samples(felt)
+        if not len(samples):
+            return 0
+        self.counters.thoughts += 1
         self.rule.think(samples)
         self._confirmed &= self._summarised(len(samples))
         return len(samples)

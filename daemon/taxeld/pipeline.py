@@ -7,18 +7,23 @@ clock that is passed in; a replay passes none and is the same, byte for byte, ev
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from taxeld import contacts, se2
 from taxeld.bundle import Bundle
 from taxeld.config import Config
 from taxeld.estimate import Estimate, Status
 from taxeld.estimator import Estimator
+from taxeld.ladder import Ladder, LadderCounters, Rung
 from taxeld.layout import Layout
 from taxeld.poses import PoseTrack, StandingStill
-from taxeld.proposals import Proposal
 from taxeld.se2 import Poses
 from taxeld.skin import Activation, Skin
 from taxeld_protocol.decoder import Scan
 
 ClockNs = Callable[[], int]
+
+WARM_UP_TOUCHES = 5
 
 
 def no_clock() -> int:
@@ -37,22 +42,6 @@ class Outcome:
     filter_ns: int = 0
 
 
-class _Timed:
-    """A proposal that notes how long it took."""
-
-    def __init__(self, inner: Proposal, clock: ClockNs) -> None:
-        self.name = inner.name
-        self.spent_ns = 0
-        self._inner = inner
-        self._clock = clock
-
-    def propose(self, z, live, n, rng) -> Poses:  # type: ignore[no-untyped-def]
-        start = self._clock()
-        poses = self._inner.propose(z, live, n, rng)
-        self.spent_ns += self._clock() - start
-        return poses
-
-
 class Pipeline:
     """Scans and sensor poses in, outcomes out."""
 
@@ -65,12 +54,12 @@ class Pipeline:
         self.poses: PoseTrack | StandingStill = StandingStill()
         if config.sensor_pose.endpoint:
             self.poses = PoseTrack(config.sensor_pose.max_age_s)
-        wanted = config.filter
-        proposal = bundle.proposal(
-            wanted.proposal, wanted.sampler, wanted.injected, wanted.propose_budget_ms
-        )
-        self._proposal = _Timed(proposal, clock)
-        self.estimator = Estimator(bundle.model, self._proposal, config.filter)
+        wanted, propose_ms = config.filter, config.budget.propose_ms
+        chosen = bundle.proposal(wanted.proposal, wanted.sampler, wanted.injected, propose_ms)
+        timed = clock is not no_clock
+        steps = bundle.ladder(chosen, wanted.injected) if timed else [Rung(chosen)]
+        self.ladder = Ladder(steps, clock, budget_ns=1e6 * propose_ms)
+        self.estimator = Estimator(bundle.model, self.ladder, config.filter)
         self.estimate = replace(self.estimator.estimate, status=Status.STARTING)
         self.without_pose = 0
 
@@ -87,11 +76,27 @@ class Pipeline:
             self.without_pose += 1
             self.estimate = replace(self.estimate, t=scan.t, status=Status.STALE)
             return Outcome(self.estimate, activation, skin_ns=felt - start)
-        before = self._proposal.spent_ns
+        before = self.ladder.spent_ns
         self.estimate = self.estimator.on_scan(activation, sensor)
-        propose_ns = self._proposal.spent_ns - before
+        self.ladder.used()
+        propose_ns = self.ladder.spent_ns - before
         filter_ns = self.clock() - felt - propose_ns
         return Outcome(self.estimate, activation, sensor, felt - start, propose_ns, filter_ns)
+
+    def warm_up(self) -> None:
+        """Touch the object a few times in another's place: code and memory are there, and what a
+        touch costs is known, before the first one."""
+        model, rng = self.estimator.model, np.random.default_rng(0)
+        radius_m, depth_m = model.layout.radius_m, model.depth_max_m
+        poses = contacts.synthesise(model.scene, radius_m, depth_m, 8 * WARM_UP_TOUCHES, rng).pose
+        subject = Estimator(model, self.ladder, self.config.filter)
+        live = np.ones(len(model.layout), dtype=np.bool_)
+        for k, pose in enumerate(poses[:WARM_UP_TOUCHES]):
+            z = model.activation(pose[None])[0]
+            for late_s, felt in ((0.0, z), (0.05, z), (0.1, 0.0 * z), (0.5, 0.0 * z)):
+                subject.on_scan(Activation(k + late_s, felt, live), se2.inverse(pose))
+                self.ladder.used()
+        self.ladder.counters = LadderCounters()
 
     def tare(self) -> None:
         """Learn the idle baseline anew; the skin must not be touched."""
