@@ -9,8 +9,9 @@ from pathlib import Path
 
 import zmq
 
-from taxeld import layout, session
+from taxeld import curve, layout, session
 from taxeld.config import Config
+from taxeld.curve import Guard
 from taxeld.errors import SetupError
 from taxeld.poses import PoseTrack
 from taxeld.session import Recorder
@@ -44,7 +45,7 @@ class Recording:
             source = open_source(config.source, layout.load(config.skin.layout), recorder)
             shutil.copyfile(self._config_path, self._directory / session.CONFIG)
             track = PoseTrack(config.sensor_pose.max_age_s, on_pose=recorder.pose)
-            robot = PoseInput(context, track)
+            robot = PoseInput(context, track, Guard(context, curve.load(config), config.curve))
             try:
                 if endpoint:
                     robot.connect(endpoint)

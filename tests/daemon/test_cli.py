@@ -191,7 +191,7 @@ def test_a_damaged_bundle_is_one_line_and_status_2(
 @pytest.mark.parametrize(
     "arguments",
     [["check", "/nowhere.toml"], ["decode", "/nowhere.log"], ["replay", "/nowhere"],
-     ["status", "--endpoint", "ipc:///nowhere/control"]],
+     ["status", "/nowhere.toml"]],
 )  # fmt: skip
 def test_a_missing_file_is_one_line_and_status_2(
     capsys: pytest.CaptureFixture[str], arguments: list[str]
