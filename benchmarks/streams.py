@@ -64,12 +64,34 @@ while True:
     s.send(msgpack.packb({"cmd": "status"}))
     s.recv()
 """
+COMMANDS_FLOOD = """
+import sys, msgpack, zmq
+s = zmq.Context().socket(zmq.DEALER)
+s.connect(sys.argv[1] + "/control")
+while True:
+    s.send_multipart([b"", msgpack.packb({"cmd": "status"})])
+    while s.poll(0):
+        s.recv_multipart()
+"""
+SUBSCRIPTIONS_FLOOD = """
+import sys, zmq
+s = zmq.Context().socket(zmq.XSUB)
+s.connect(sys.argv[1] + "/stream")
+n = 0
+while True:
+    n += 1
+    s.send(b"\\x01/taxeld/%d" % n if n % 2 else b"\\x01/taxeld/info")
+    while s.poll(0):
+        s.recv_multipart()
+"""
 CLIENTS: dict[str, tuple[str, ...]] = {
     "nobody": (),
     "one subscriber of all": (READS, "1"),
     "50 subscribers of all": (READS, "50"),
     "a stalled subscriber of all": (STALLS,),
     "a client that asks in a loop": (COMMANDS,),
+    "a flood of commands": (COMMANDS_FLOOD,),
+    "a flood of subscriptions": (SUBSCRIPTIONS_FLOOD,),
 }
 Row = tuple[str, float, float | None]
 
@@ -82,7 +104,7 @@ def sending() -> list[Row]:
     """One estimate, made, packed and sent."""
     found: list[Row] = []
     for name, client in CLIENTS.items():
-        if client[:1] == (COMMANDS,):
+        if client and client[0] not in (READS, STALLS):
             continue
         with tempfile.TemporaryDirectory() as place, zmq.Context() as context:
             guard = Guard(context, None, CurveConfig())
@@ -109,7 +131,11 @@ def ticking() -> list[Row]:
     return [
         ("a tick with nobody there: CPU ms", alone * 1e3, None),
         *(
-            (f"a tick with {name}, over that", statistics.median(times) / alone, 1.1)
+            (
+                f"a tick with {name}, over that",
+                statistics.median(times) / alone,
+                None if "flood" in name else 1.1,
+            )
             for name, times in spent.items()
             if name != "nobody"
         ),
@@ -190,7 +216,7 @@ def _run(place: str, poses: list[session.PoseRow], client: tuple[str, ...]) -> f
     spent, ticks = 0.0, 0
     try:
         with _client(client, place):
-            _settle(daemon.publisher, bool(client) and client[0] != COMMANDS)
+            _settle(daemon.publisher, bool(client) and client[0] in (READS, STALLS))
             for t, x, y, theta in poses:
                 now_s = t - poses[0][0]
                 shift_s = daemon.source.shift_s or time.time() - t

@@ -158,7 +158,7 @@ class Daemon:
             self.latencies.add(lat_us)
         self.guard.poll()
         if self.control is not None:
-            self.control.poll()
+            self.control.poll(now_s)
         self._publish_us = (time.perf_counter_ns() - published) / 1000.0
 
     def close(self) -> None:

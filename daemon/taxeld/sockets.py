@@ -1,5 +1,6 @@
 """What all sockets share: options, binding, and reading a bounded number of frames a tick."""
 
+import errno
 import os
 import socket as unix
 from collections.abc import Iterator
@@ -50,7 +51,7 @@ def bind(socket: zmq.Socket[Any], endpoint: str, key: str) -> None:
         socket.bind(endpoint)
     except zmq.ZMQError as error:
         raise SetupError(
-            f"{key}: cannot bind {endpoint} ({error.strerror}); "
+            f"{key}: cannot bind {endpoint} ({_why(error)}); "
             "is another daemon there? stop it or name another endpoint"
         ) from None
     finally:
@@ -63,7 +64,7 @@ def connect(socket: zmq.Socket[Any], endpoint: str, key: str) -> None:
     try:
         socket.connect(endpoint)
     except zmq.ZMQError as error:
-        raise SetupError(f"{key}: cannot use {endpoint} ({error.strerror})") from None
+        raise SetupError(f"{key}: cannot use {endpoint} ({_why(error)})") from None
 
 
 def unpack(body: bytes) -> dict[str, Any]:
@@ -96,6 +97,10 @@ class Inbox:
             if not self._socket.getsockopt(zmq.RCVMORE):
                 whole, self._parts = self._parts, []
                 yield whole
+
+
+def _why(error: zmq.ZMQError) -> str:
+    return os.strerror(error.errno) if error.errno in errno.errorcode else str(error.strerror)
 
 
 def _make_way(path: Path, key: str) -> None:

@@ -18,8 +18,9 @@ from taxeld.sockets import Inbox, bind, connect, open_socket, unpack
 POSES_PER_TICK = 200
 POSE_FRAMES = 3
 POSE_BYTES = 1024
-EVENTS_PER_TICK = 128  # subscriptions heard
-EVENTS_QUEUED = 4  # a peer: more, and one that floods makes ZeroMQ itself hold the loop for longer
+LISTEN_S = 0.05  # between looks at who has come and gone
+EVENTS_PER_LOOK = 512
+EVENTS_QUEUED = 2  # a peer: more, and ZeroMQ holds a tick while one floods; 1, and no CURVE works
 EVENT_BYTES = 1024  # a topic's prefix; a CURVE handshake takes 400
 INFO_S = 0.1  # at least, between greetings
 
@@ -40,7 +41,7 @@ class Publisher:
         self._pack = msgpack.Packer().pack
         self._info = self._pack(info)
         self._newcomers = False
-        self._next_info_s = -math.inf
+        self._next_look_s = self._next_info_s = -math.inf
         self._outlets: dict[bool, _Outlet] = {}
 
     def bind(self, endpoints: tuple[str, ...]) -> None:
@@ -62,6 +63,9 @@ class Publisher:
 
     def greet(self, now_s: float, t: float) -> None:
         """Hear who came and went, and tell newcomers who speaks; `now_s` is monotonic."""
+        if now_s < self._next_look_s:
+            return
+        self._next_look_s = now_s + LISTEN_S
         for outlet in self._outlets.values():
             self._newcomers |= outlet.listen()
         if self._newcomers and now_s >= self._next_info_s:
@@ -93,7 +97,7 @@ class _Outlet:
     def listen(self) -> bool:
         """Hear subscriptions; → whether one of them wants to know who speaks."""
         newcomer = False
-        for _ in range(EVENTS_PER_TICK):
+        for _ in range(EVENTS_PER_LOOK):
             try:
                 event = self.socket.recv(zmq.NOBLOCK)
             except zmq.Again:
