@@ -16,7 +16,7 @@ SERVER, OWN = "server.key", "client.key_secret"
 
 
 def ask(
-    endpoint: str, command: str, keys: Path | None = None, timeout_s: float = TIMEOUT_S
+    endpoint: str, command: str, keys: Path | None = None, timeout_s: float | None = None
 ) -> dict[str, Any] | None:
     """The answer, or None where none comes; `keys` is a directory with server.key and
     client.key_secret, for a daemon that takes keys.
@@ -31,8 +31,9 @@ def ask(
         socket = open_socket(context, zmq.REQ, send=1, receive=1, largest=ANSWER_BYTES)
         with socket:
             if keys is not None and endpoint.startswith(endpoints.TCP):
-                own = curve.secret_key(keys / OWN)
-                curve.as_client(socket, curve.public_key(keys / SERVER), *own)
+                own = curve.secret_key(keys / OWN, "--keys")
+                curve.as_client(socket, curve.public_key(keys / SERVER, "--keys"), *own)
             connect(socket, endpoint, "--endpoint")
             socket.send(msgpack.packb({"cmd": command}))
-            return unpack(socket.recv()) if socket.poll(round(timeout_s * 1000)) else None
+            wait_s = TIMEOUT_S if timeout_s is None else timeout_s
+            return unpack(socket.recv()) if socket.poll(round(wait_s * 1000)) else None

@@ -17,6 +17,7 @@ from taxeld import endpoints
 from taxeld.config import Config, CurveConfig
 from taxeld.errors import SetupError
 
+KEY = "curve.directory"
 DOMAIN = "taxeld"
 HANDSHAKES_PER_TICK = 4
 OWN, CLIENTS, ROBOT = "server.key_secret", "clients", "robot.key"
@@ -53,7 +54,7 @@ def load(config: Config) -> Keys | None:
     served = (*config.publish.endpoints, config.control.endpoint)
     if not clients and any(takes_keys(endpoint, curve) for endpoint in served):
         raise SetupError(
-            f"curve.directory: no {CLIENTS}/*.key in {directory}; copy the public keys of those "
+            f"{KEY}: no {CLIENTS}/*.key in {directory}; copy the public keys of those "
             "who may subscribe there"
         )
     asks = takes_keys(config.sensor_pose.endpoint, curve)
@@ -61,18 +62,18 @@ def load(config: Config) -> Keys | None:
     return Keys(public, secret, frozenset(clients), robot)
 
 
-def public_key(path: Path) -> bytes:
-    """Raises SetupError where `path` is no certificate."""
-    return _certificate(path)[0]
+def public_key(path: Path, asked_by: str = KEY) -> bytes:
+    """Raises SetupError, in the name of `asked_by`, where `path` is no certificate."""
+    return _certificate(path, asked_by)[0]
 
 
-def secret_key(path: Path) -> tuple[bytes, bytes]:
+def secret_key(path: Path, asked_by: str = KEY) -> tuple[bytes, bytes]:
     """Public and secret key; SetupError also where others may read them."""
-    public, secret = _certificate(path)
+    public, secret = _certificate(path, asked_by)
     if not secret:
-        raise SetupError(f"curve.directory: {path} holds no secret key; make a new pair")
+        raise SetupError(f"{asked_by}: {path} holds no secret key; see docs/stream.md, 'Keys'")
     if path.stat().st_mode & 0o007:
-        raise SetupError(f"curve.directory: {path} is open to others; chmod 640 {path}")
+        raise SetupError(f"{asked_by}: {path} is open to others; chmod 640 {path}")
     return public, secret
 
 
@@ -83,14 +84,14 @@ def as_client(socket: zmq.Socket[Any], server: bytes, public: bytes, secret: byt
     socket.setsockopt(zmq.CURVE_SECRETKEY, secret)
 
 
-def _certificate(path: Path) -> tuple[bytes, bytes | None]:
+def _certificate(path: Path, asked_by: str) -> tuple[bytes, bytes | None]:
     try:
         public, secret = load_certificate(path)
         if any(len(z85.decode(k)) != 32 for k in (public, secret) if k):
             raise ValueError("a key is not 32 bytes in Z85")
     except (OSError, ValueError, KeyError) as error:
         why = "is not there" if not path.exists() else f"is no certificate ({error})"
-        raise SetupError(f"curve.directory: {path} {why}; see docs/stream.md, 'Keys'") from None
+        raise SetupError(f"{asked_by}: {path} {why}; see docs/stream.md, 'Keys'") from None
     return public, secret
 
 

@@ -1,6 +1,5 @@
 """What all sockets share: options, binding, and reading a bounded number of frames a tick."""
 
-import errno
 import os
 import socket as unix
 from collections.abc import Iterator
@@ -100,7 +99,7 @@ class Inbox:
 
 
 def _why(error: zmq.ZMQError) -> str:
-    return os.strerror(error.errno) if error.errno in errno.errorcode else str(error.strerror)
+    return str(error.strerror).partition(" (addr=")[0]  # the endpoint is named already
 
 
 def _make_way(path: Path, key: str) -> None:

@@ -1,6 +1,8 @@
 """Keys: who holds one gets everything, who does not gets nothing, and is counted."""
 
 import socket as unix
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -139,7 +141,7 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
     sockets.callback(daemon.close)
 
     def latest(own: tuple[bytes, bytes], seconds: float) -> float:
-        with sockets.context.socket(zmq.PUB) as robot:
+        with zmq.Context() as context, context.socket(zmq.PUB) as robot:
             robot.setsockopt(zmq.LINGER, 0)
             robot.setsockopt(zmq.CURVE_SERVER, 1)
             robot.setsockopt(zmq.CURVE_SECRETKEY, own[1])
@@ -186,3 +188,14 @@ def test_a_secret_that_the_group_may_read_is_fine(keys: Path, tmp_path: Path) ->
     loaded = curve.load(configuration(tmp_path, 9))
     assert loaded is not None
     assert len(loaded.clients) == 1
+
+
+def test_the_documented_commands_make_a_pair_that_is_taken(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "stream.md").read_text(encoding="utf-8")
+    commands = text.split("```sh\n", maxsplit=1)[1].split("```", maxsplit=1)[0]
+    commands = commands.replace("python3", sys.executable).replace("/etc/taxeld", str(tmp_path))
+    subprocess.run(commands, shell=True, check=True)
+    public, secret = curve.secret_key(tmp_path / "keys" / "server.key_secret")
+    assert public == curve.public_key(tmp_path / "keys" / "server.key")
+    assert zmq.curve_public(secret) == public
+    assert (tmp_path / "keys" / "clients").is_dir()

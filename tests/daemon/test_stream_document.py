@@ -14,9 +14,11 @@ import zmq
 from taxeld import client, messages, streams
 from taxeld.estimate import ProposalKind, Status
 
+from .conftest import Sockets
 from .recorded import configuration, write_session
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "stream.md"
+ROOT = Path(__file__).parents[2]
+DOCUMENT, EXAMPLE = ROOT / "docs" / "stream.md", ROOT / "examples" / "subscribe.py"
 COMMANDS = ("status", "info", "tare", "reset")
 PERIOD_S = 0.02  # a brisk session
 Types = dict[str, str]
@@ -129,6 +131,26 @@ def test_the_documented_sensor_pose_is_taken() -> None:
     assert leaves(example) == keys
     pose = streams._pose([messages.SENSOR_POSE, msgpack.packb(example), b"0.0"])
     assert pose == tuple(example[key] for key in ("t", "x", "y", "theta"))
+
+
+def test_the_example_subscriber_prints_the_example(sockets: Sockets, tmp_path: Path) -> None:
+    """It prints where the object is when a touch has ended."""
+    _, estimate = documented("/taxeld/estimate")
+    publisher = sockets.open(zmq.XPUB)
+    publisher.bind(f"ipc://{tmp_path}/stream")
+    command = [sys.executable, "-u", str(EXAMPLE), f"ipc://{tmp_path}/stream"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as reader:
+        try:
+            assert publisher.poll(20_000)
+            assert publisher.recv() == b"\x01" + messages.ESTIMATE
+            for contact in (True, True, False, False):
+                body = msgpack.packb({**estimate, "contact": contact})
+                publisher.send_multipart([messages.ESTIMATE, body, b"1700000005.121000"])
+            assert reader.stdout is not None
+            printed = reader.stdout.readline()
+        finally:
+            reader.terminate()
+    assert printed == "x 0.103 m  y -0.021 m  yaw 0.52  (98%)\n"
 
 
 def test_a_map_without_one_of_its_keys_or_with_another_is_found() -> None:
