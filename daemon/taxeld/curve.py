@@ -105,7 +105,6 @@ class Guard(Authenticator):
         self._curve = curve
         if keys is not None:
             self.configure_curve_callback(DOMAIN, self)
-            self.start()
 
     def callback(self, _: str, key: bytes) -> bool:
         """What Authenticator asks of a credentials provider."""
@@ -119,6 +118,8 @@ class Guard(Authenticator):
     def serve(self, socket: zmq.Socket[Any]) -> None:
         """Only those who hold a client's key may connect to `socket`."""
         assert self._keys is not None  # noqa: S101  (the configuration was refused without)
+        if self.zap_socket is None:
+            self.start()
         socket.setsockopt(zmq.CURVE_SERVER, 1)
         socket.setsockopt(zmq.CURVE_SECRETKEY, self._keys.secret)
         socket.setsockopt_string(zmq.ZAP_DOMAIN, DOMAIN)

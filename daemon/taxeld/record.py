@@ -40,12 +40,12 @@ class Recording:
         config = self.config
         if config.source.kind == "replay":
             raise SetupError("source.kind: 'replay' is a recording already; use can or serial")
-        endpoint = config.sensor_pose.endpoint
+        endpoint, keys = config.sensor_pose.endpoint, curve.load(config)
         with Recorder(self._directory, moves=bool(endpoint)) as recorder, zmq.Context() as context:
             source = open_source(config.source, layout.load(config.skin.layout), recorder)
             shutil.copyfile(self._config_path, self._directory / session.CONFIG)
             track = PoseTrack(config.sensor_pose.max_age_s, on_pose=recorder.pose)
-            robot = PoseInput(context, track, Guard(context, curve.load(config), config.curve))
+            robot = PoseInput(context, track, Guard(context, keys, config.curve))
             try:
                 if endpoint:
                     robot.connect(endpoint)

@@ -18,6 +18,7 @@ from taxeld import client, curve, messages
 from taxeld.config import Config, parse
 from taxeld.errors import SetupError
 from taxeld.loop import Daemon
+from taxeld.record import Recording
 
 from .conftest import Sockets
 
@@ -156,6 +157,15 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
 
     assert latest(pair(tmp_path / "fake", "fake"), 1.0) == -float("inf")
     assert latest(curve.secret_key(tmp_path / "robot/robot.key_secret"), 10.0) == 1.0
+
+
+@pytest.mark.usefixtures("keys")
+def test_a_recording_hears_such_a_robot_and_ends(tmp_path: Path) -> None:
+    config = configuration(tmp_path, free_port(), poses=free_port())
+    (tmp_path / "config.toml").touch()
+    recording = Recording(config, tmp_path / "config.toml", tmp_path / "session")
+    recording.stopping = True
+    assert "0 scans, 0 sensor poses" in recording.run()
 
 
 @pytest.mark.parametrize(
