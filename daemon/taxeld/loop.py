@@ -15,17 +15,19 @@ from typing import Any
 import numpy as np
 import zmq
 
-from taxeld import bundle, layout, messages
+from taxeld import bundle, curve, layout, messages
 from taxeld.config import Config
+from taxeld.control import Control, ControlCounters
+from taxeld.curve import Guard
 from taxeld.estimate import Status
+from taxeld.latency import Latencies
 from taxeld.pipeline import Outcome, Pipeline, is_valid
 from taxeld.poses import PoseTrack
 from taxeld.sources import ReplaySource, Source, open_source
-from taxeld.streams import Control, PoseInput, Publisher
+from taxeld.streams import PoseInput, Publisher
 
 PARTICLES_HZ = 20.0
 HEALTH_S = 1.0
-LATENCIES_KEPT = 2048  # ticks that percentiles are taken over
 
 
 class Ticker:
@@ -54,27 +56,6 @@ class Ticker:
         return self._clock()
 
 
-class Latencies:
-    """The last durations of each stage, for percentiles."""
-
-    def __init__(self) -> None:
-        self._us = np.zeros((len(messages.STAGES), LATENCIES_KEPT))
-        self._n = 0
-
-    def add(self, us: dict[str, float]) -> None:
-        self._us[:, self._n % LATENCIES_KEPT] = [us[stage] for stage in messages.STAGES]
-        self._n += 1
-
-    def percentiles(self) -> dict[str, dict[str, float]]:
-        if not self._n:
-            return {}
-        table = np.percentile(self._us[:, : min(self._n, LATENCIES_KEPT)], (50, 99, 100), axis=1)
-        return {
-            stage: {"p50": float(p50), "p99": float(p99), "max": float(top)}
-            for stage, p50, p99, top in zip(messages.STAGES, *table, strict=True)
-        }
-
-
 @dataclass(slots=True)
 class LoopCounters:
     """Since start."""
@@ -99,34 +80,43 @@ class Daemon:
         self.layout = layout.load(config.skin.layout)
         scene = bundle.load(config.scene.bundle, self.layout, config.skin.full_scale_depth_m)
         self.pipeline = Pipeline(config, self.layout, scene, time.perf_counter_ns)
-        self._latencies = Latencies()
+        self.latencies = Latencies(messages.STAGES)
         self._publish_us = 0.0
-        self._last_scan_s = time.monotonic()
+        self._start_s = self._last_scan_s = time.monotonic()
         self._next_health_s = self._next_particles_s = 0.0
+        self._estimate_sent: dict[str, Any] = {}
+        self._health_sent: dict[str, Any] = {}
         digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
-        info = messages.info(self.layout, scene.model.scene, scene.info, digest)
+        self._info = messages.info(self.layout, scene.model.scene, scene.info, digest)
         with contextlib.ExitStack() as opened:
             self.source: Source = open_source(config.source, self.layout)
             opened.callback(self.source.close)
-            self._open_streams(opened, info)
+            self._open_streams(opened)
             self._opened = opened.pop_all()
 
-    def _open_streams(self, opened: contextlib.ExitStack, info: dict[str, Any]) -> None:
+    def _open_streams(self, opened: contextlib.ExitStack) -> None:
         config = self.config
         context: zmq.Context[Any] = opened.enter_context(zmq.Context())
+        self.guard = Guard(context, curve.load(config), config.curve)
+        opened.callback(self.guard.stop)
         queue = round(config.loop.rate_hz)  # about a second
-        self.publisher = Publisher(context, queue, info)
+        self.publisher = Publisher(context, queue, self._info, self.guard)
         opened.callback(self.publisher.close)
         self.publisher.bind(config.publish.endpoints)
         self.pose_input: PoseInput | None = None
         if isinstance(self.pipeline.poses, PoseTrack):
-            self.pose_input = PoseInput(context, self.pipeline.poses)
+            self.pose_input = PoseInput(context, self.pipeline.poses, self.guard)
             opened.callback(self.pose_input.close)
             self.pose_input.connect(config.sensor_pose.endpoint)
         self.control: Control | None = None
         if config.control.endpoint:
-            handlers = {"status": self._on_status, "tare": self._on_tare, "reset": self._on_reset}
-            self.control = Control(context, handlers)
+            handlers = {
+                "status": self._on_status,
+                "info": lambda: {"info": self._info},
+                "tare": self._on_tare,
+                "reset": self._on_reset,
+            }
+            self.control = Control(context, handlers, self.guard)
             opened.callback(self.control.close)
             self.control.bind(config.control.endpoint)
 
@@ -165,9 +155,10 @@ class Daemon:
         published = time.perf_counter_ns()
         self._publish(outcome, lat_us, now_s)
         if scans:
-            self._latencies.add(lat_us)
+            self.latencies.add(lat_us)
+        self.guard.poll()
         if self.control is not None:
-            self.control.poll()
+            self.control.poll(now_s)
         self._publish_us = (time.perf_counter_ns() - published) / 1000.0
 
     def close(self) -> None:
@@ -179,9 +170,9 @@ class Daemon:
         if now_s - self._last_scan_s > self.config.loop.stale_s:
             estimate = replace(estimate, status=Status.STALE)
         wall_s = time.time()
-        self.publisher.greet(wall_s)
+        self.publisher.greet(now_s, wall_s)
         seq = self.counters.ticks
-        message = messages.estimate(
+        self._estimate_sent = messages.estimate(
             estimate,
             seq=seq,
             valid=is_valid(estimate),
@@ -190,23 +181,27 @@ class Daemon:
             overruns=self.counters.overruns,
             lat_us=lat_us,
         )
-        self.publisher.send(messages.ESTIMATE, message, estimate.t)
+        self.publisher.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
         if outcome is not None and outcome.activation is not None:
             t = outcome.activation.t
-            self.publisher.send(messages.TAXELS, messages.taxels(outcome.activation, seq), t)
-            if estimate.contact and now_s >= self._next_particles_s:
+            if self.publisher.wants(messages.TAXELS):
+                self.publisher.send(messages.TAXELS, messages.taxels(outcome.activation, seq), t)
+            due = estimate.contact and now_s >= self._next_particles_s
+            if due and self.publisher.wants(messages.PARTICLES):
                 self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
                 belief = self.pipeline.estimator.belief
                 cloud = messages.particles(t, seq, belief.pose, belief.weight)
                 self.publisher.send(messages.PARTICLES, cloud, t)
         if now_s >= self._next_health_s:
             self._next_health_s = now_s + HEALTH_S
-            self.publisher.send(messages.HEALTH, self._health(seq, wall_s), wall_s)
+            self._health_sent = self._health(seq, now_s, wall_s)
+            self.publisher.send(messages.HEALTH, self._health_sent, wall_s)
 
-    def _health(self, seq: int, t: float) -> dict[str, Any]:
+    def _health(self, seq: int, now_s: float, t: float) -> dict[str, Any]:
         pipeline = self.pipeline
         live = pipeline.skin.live
         parts = {
+            "uptime_s": now_s - self._start_s,
             "loop": self.counters,
             "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
             "skin": pipeline.skin.counters,
@@ -215,22 +210,23 @@ class Daemon:
                 "scans_without_pose": pipeline.without_pose,
                 "poses_rejected": pipeline.poses.rejected,
                 "poses_malformed": self.pose_input.malformed if self.pose_input else 0,
-                "unsent": self.publisher.dropped,
+                "scans_stale": now_s - self._last_scan_s > self.config.loop.stale_s,
+                "poses_stale": t - pipeline.poses.latest_t > pipeline.poses.max_age_s,
             },
-            "lat_us": self._latencies.percentiles(),
+            "control": self.control.counters if self.control else ControlCounters(),
+            "keys_refused": self.guard.refused,
+            "lat_us": self.latencies.percentiles(),
             "dead_taxels": [] if live is None else np.flatnonzero(~live).tolist(),
         }
         return messages.health(seq, t, parts)
 
-    def _on_status(self, _: dict[str, Any]) -> dict[str, Any]:
-        estimate = self.pipeline.estimate
-        summary = messages.estimate(estimate, seq=self.counters.ticks, valid=is_valid(estimate))
-        return {"estimate": summary, "health": self._health(self.counters.ticks, time.time())}
+    def _on_status(self) -> dict[str, Any]:
+        return {"estimate": self._estimate_sent, "health": self._health_sent}
 
-    def _on_tare(self, _: dict[str, Any]) -> dict[str, Any]:
+    def _on_tare(self) -> dict[str, Any]:
         self.pipeline.tare()
         return {}
 
-    def _on_reset(self, _: dict[str, Any]) -> dict[str, Any]:
+    def _on_reset(self) -> dict[str, Any]:
         self.pipeline.reset()
         return {}

@@ -20,6 +20,7 @@ ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO = (
     b"/taxeld/estimate", b"/taxeld/particles", b"/taxeld/taxels", b"/taxeld/health",
     b"/taxeld/info",
 )  # fmt: skip
+TOPICS = (ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO)
 SENSOR_POSE = b"/robot/sensor_pose"
 
 STAGES = ("source", "skin", "propose", "filter", "publish", "total")
@@ -71,7 +72,9 @@ def taxels(activation: Activation, seq: int) -> dict[str, Any]:
 
 def health(seq: int, t: float, parts: dict[str, Any]) -> dict[str, Any]:
     """`/taxeld/health`: counters and dataclasses of counters, by part."""
-    plain = {k: v if isinstance(v, (dict, list, float)) else asdict(v) for k, v in parts.items()}
+    plain = {
+        k: v if isinstance(v, (dict, list, float, int)) else asdict(v) for k, v in parts.items()
+    }
     return {"v": VERSION, "seq": seq, "t": t, **plain}
 
 

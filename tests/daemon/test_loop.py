@@ -132,7 +132,8 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
     with zmq.Context() as context, subscribe(context, tmp_path, messages.HEALTH) as socket:
         health = msgpack.unpackb(receive(daemon, socket)[1])
     assert set(health) == {
-        "v", "seq", "t", "loop", "source", "skin", "estimator", "inputs", "lat_us", "dead_taxels",
+        "v", "seq", "t", "uptime_s", "loop", "source", "skin", "estimator", "inputs", "control",
+        "keys_refused", "lat_us", "dead_taxels",
     }  # fmt: skip
     assert health["source"]["frames"] == 0
 
@@ -156,7 +157,7 @@ def test_control_answers_and_survives_nonsense(daemon: Daemon, tmp_path: Path) -
         for nonsense in (b"", b"\xc1", b"junk", msgpack.packb([1]), msgpack.packb({"cmd": 7})):
             answer = ask(daemon, socket, nonsense)
             assert not answer["ok"]
-            assert "known: status, tare, reset" in answer["error"]
+            assert "known: status, info, tare, reset" in answer["error"]
 
 
 def test_a_client_that_breaks_off_does_not_wedge_control(daemon: Daemon, tmp_path: Path) -> None:
