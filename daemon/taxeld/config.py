@@ -50,6 +50,15 @@ class SkinConfig:
     threshold_sigmas: float = key(
         6.0, between(1, 100), "idle noise a reading must exceed to be a touch"
     )
+    drift_s: float = key(
+        60.0, between(1, 86_400), "time constant of the baseline's following, out of contact"
+    )
+    state_dir: str = key(
+        "", doc="where the baseline is kept over restarts; empty: $STATE_DIRECTORY, or nowhere"
+    )
+    state_max_age_s: float = key(
+        43_200.0, between(1, 1e8), "a baseline that was stored longer ago is not used"
+    )
 
 
 @dataclass(frozen=True, slots=True)
