@@ -68,7 +68,7 @@ class Skin:
         self._saturated: Bools = np.zeros(taxels, dtype=bool)
         self._usable: Bools = np.zeros(taxels, dtype=bool)  # has a baseline, and is not frozen
         self._heard: dict[int, tuple[float, Index]] = {}  # by hub: when, and its taxels
-        self._t = 0.0
+        self._t = -np.inf
         self._state: SkinState | None = None  # stored, and not yet borne out where
         self._pending = np.zeros(taxels, dtype=bool)
         self._slice = Slice(taxels, len(self._wiring.suis))
