@@ -16,6 +16,7 @@ import numpy as np
 import zmq
 
 from taxeld import bundle, layout, messages
+from taxeld.clock import WallClock
 from taxeld.config import Config
 from taxeld.estimate import Status
 from taxeld.pipeline import Outcome, Pipeline, is_valid
@@ -99,6 +100,7 @@ class Daemon:
         self.layout = layout.load(config.skin.layout)
         scene = bundle.load(config.scene.bundle, self.layout, config.skin.full_scale_depth_m)
         self.pipeline = Pipeline(config, self.layout, scene, time.perf_counter_ns)
+        self.clock = WallClock()
         self._latencies = Latencies()
         self._publish_us = 0.0
         self._last_scan_s = time.monotonic()
@@ -147,18 +149,21 @@ class Daemon:
         """One pass: inputs, pipeline, outputs. `now_s` is monotonic."""
         start = time.perf_counter_ns()
         self.counters.ticks += 1
+        wall_s, stepped = self.clock.read()
+        if stepped:
+            self._on_clock_step(stepped)
         if self.pose_input is not None:
             self.pose_input.poll()
         scans = self.source.poll(now_s)
         took = {"source": time.perf_counter_ns() - start, "skin": 0, "propose": 0, "filter": 0}
         outcome: Outcome | None = None
-        for scan in scans:
-            outcome = self.pipeline.on_scan(scan)
+        # stamped while they were polled, so not older than now
+        for outcome in self.pipeline.advance(scans, time.time() if scans else wall_s):
             took["skin"] += outcome.skin_ns
             took["propose"] += outcome.propose_ns
             took["filter"] += outcome.filter_ns
             self._last_scan_s = now_s
-            self.counters.scans += 1
+        self.counters.scans += len(scans)
         lat_us = {stage: ns / 1000.0 for stage, ns in took.items()}
         lat_us["publish"] = self._publish_us  # of the tick before: this one is not over yet
         lat_us["total"] = (time.perf_counter_ns() - start) / 1000.0 + self._publish_us
@@ -169,6 +174,11 @@ class Daemon:
         if self.control is not None:
             self.control.poll()
         self._publish_us = (time.perf_counter_ns() - published) / 1000.0
+
+    def _on_clock_step(self, by: float) -> None:
+        self.pipeline.clock_stepped(by)
+        if isinstance(self.source, ReplaySource) and self.source.shift_s is not None:
+            self.source.shift_s += by
 
     def close(self) -> None:
         """Stop the skin and free what is held."""
@@ -205,20 +215,21 @@ class Daemon:
 
     def _health(self, seq: int, t: float) -> dict[str, Any]:
         pipeline = self.pipeline
-        live = pipeline.skin.live
         parts = {
             "loop": self.counters,
             "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
             "skin": pipeline.skin.counters,
             "estimator": pipeline.estimator.counters,
             "inputs": {
-                "scans_without_pose": pipeline.without_pose,
+                **asdict(pipeline.inputs),
                 "poses_rejected": pipeline.poses.rejected,
+                "poses_begun_again": pipeline.poses.begun_again,
                 "poses_malformed": self.pose_input.malformed if self.pose_input else 0,
                 "unsent": self.publisher.dropped,
             },
             "lat_us": self._latencies.percentiles(),
-            "dead_taxels": [] if live is None else np.flatnonzero(~live).tolist(),
+            "drift": pipeline.skin.figures(),
+            **pipeline.skin.faults(),
         }
         return messages.health(seq, t, parts)
 
