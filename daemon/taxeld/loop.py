@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 import zmq
 
-from taxeld import bundle, layout, messages
+from taxeld import bundle, layout, messages, state_file
 from taxeld.clock import WallClock
 from taxeld.config import Config
 from taxeld.estimate import Status
 from taxeld.pipeline import Outcome, Pipeline, is_valid
 from taxeld.poses import PoseTrack
 from taxeld.sources import ReplaySource, Source, open_source
+from taxeld.state_file import StateFile
 from taxeld.streams import Control, PoseInput, Publisher
 
 PARTICLES_HZ = 20.0
@@ -101,6 +102,9 @@ class Daemon:
         scene = bundle.load(config.scene.bundle, self.layout, config.skin.full_scale_depth_m)
         self.pipeline = Pipeline(config, self.layout, scene, time.perf_counter_ns)
         self.clock = WallClock()
+        place, max_age_s = state_file.directory(config), config.skin.state_max_age_s
+        self.kept = StateFile(place, self.pipeline.skin, max_age_s)
+        self.kept.restore(time.time())
         self._latencies = Latencies()
         self._publish_us = 0.0
         self._last_scan_s = time.monotonic()
@@ -108,6 +112,7 @@ class Daemon:
         digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
         info = messages.info(self.layout, scene.model.scene, scene.info, digest)
         with contextlib.ExitStack() as opened:
+            opened.callback(self.kept.close)
             self.source: Source = open_source(config.source, self.layout)
             opened.callback(self.source.close)
             self._open_streams(opened, info)
@@ -164,6 +169,7 @@ class Daemon:
             took["filter"] += outcome.filter_ns
             self._last_scan_s = now_s
         self.counters.scans += len(scans)
+        self.kept.keep(now_s)
         lat_us = {stage: ns / 1000.0 for stage, ns in took.items()}
         lat_us["publish"] = self._publish_us  # of the tick before: this one is not over yet
         lat_us["total"] = (time.perf_counter_ns() - start) / 1000.0 + self._publish_us
@@ -219,6 +225,7 @@ class Daemon:
             "loop": self.counters,
             "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
             "skin": pipeline.skin.counters,
+            "skin_state": self.kept.counters,
             "estimator": pipeline.estimator.counters,
             "inputs": {
                 **asdict(pipeline.inputs),

@@ -94,6 +94,11 @@ class Skin:
         return self._drift.baseline
 
     @property
+    def modules(self) -> int:
+        """How many modules the taxels hang on."""
+        return len(self._wiring.suis)
+
+    @property
     def is_ready(self) -> bool:
         """Whether any taxel has a baseline."""
         return bool(self._idle.known.any())

@@ -49,7 +49,7 @@ def dump(state: SkinState) -> bytes:
             "t": round(state.t, 3),
             "digest": state.digest,
             "baseline": _list(state.baseline, 2),
-            "noise": _list(state.noise, 3),
+            "noise": _list(state.noise, 2),
             "coefficient": _list(state.coefficient, 5),
             "leak": _list(state.leak, 5),
             "t0": _list(state.t0, 2),
