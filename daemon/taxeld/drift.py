@@ -28,13 +28,14 @@ class Slice:
         self.scans: NDArray[np.int64] = np.zeros(taxels, dtype=np.int64)  # valid readings
         self.changed: Bools = np.zeros(taxels, dtype=bool)
         self._sum = np.zeros(taxels)
+        self._squares = np.zeros(taxels)
         self._t0_sum = np.zeros(modules)
         self._t0_n = np.zeros(modules, dtype=np.int64)
         self.begin(-np.inf)
 
     def begin(self, t: float) -> None:
         self.start = self.end = t
-        for total in (self.scans, self.changed, self._sum, self._t0_sum, self._t0_n):
+        for total in (self.scans, self.changed, self._sum, self._squares, self._t0_sum, self._t0_n):
             total[:] = 0
 
     def clock_stepped(self, by: float) -> None:
@@ -50,6 +51,7 @@ class Slice:
         self.scans[taxels] += valid
         self.changed[taxels] |= changed
         self._sum[taxels] += counts
+        self._squares[taxels] += counts * counts
         return t - self.start >= SLICE_S
 
     def add_t0(self, modules: Index, counts: Floats, valid: Bools) -> None:
@@ -60,6 +62,13 @@ class Slice:
     def mean(self) -> Floats:
         """(M,) counts; 0 without a scan."""
         return np.asarray(self._sum / np.maximum(self.scans, 1))
+
+    @property
+    def variance(self) -> Floats:
+        """(M,) counts², about the slice's own mean; 0 of a single scan."""
+        n = self.scans
+        spread = self._squares - n * self.mean**2
+        return np.maximum(spread, 0.0) / np.maximum(n - 1, 1)
 
     @property
     def t0(self) -> Floats:
@@ -114,8 +123,9 @@ class Drift:
     def clock_stepped(self, by: float) -> None:
         self._busy_until += by
 
-    def on_slice(self, part: Slice, usable: Bools, threshold: Floats) -> None:
-        """A full slice; `usable` taxels (M,) have a baseline and can be believed."""
+    def on_slice(self, part: Slice, usable: Bools, threshold: Floats) -> Bools:
+        """A full slice; `usable` taxels (M,) have a baseline and can be believed; → which of them
+        were at rest: free of any touch, and at their baselines."""
         usable = usable & (part.scans > 0)
         over = np.where(usable, part.mean - self.baseline, 0.0)
         press = self._by_module(np.where(over > threshold, over, 0.0))
@@ -127,6 +137,7 @@ class Drift:
         share, most = -np.expm1(-seconds / self._drift_s), self._rate_max * seconds
         self.baseline[free] += np.clip(share * over[free], -most, most)
         self._lower(part.mean, free & (over < -threshold))
+        return free & (np.abs(over) <= threshold)
 
     def _learn(self, mean: Floats, free: Bools, usable: Bools) -> None:
         """Tell the temperature what the taxels of wholly free modules have in common."""

@@ -50,11 +50,6 @@ class Idle:
         full = taxels[self._n[taxels] == len(self._window)]
         return self._judge(full) if len(full) else NONE
 
-    def take(self, taxels: Index, noise: Floats) -> None:
-        """The baseline of these is known from elsewhere."""
-        self.known[taxels] = True
-        self.noise[taxels] = noise
-
     def _judge(self, taxels: Index) -> Index:
         window = self._window[:, taxels].astype(np.float64)
         self._n[taxels] = 0

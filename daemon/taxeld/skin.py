@@ -17,6 +17,7 @@ from taxeld.drift import Drift, Slice
 from taxeld.frozen import Frozen
 from taxeld.idle import Bools, Floats, Idle, Index
 from taxeld.layout import Layout
+from taxeld.noise import Noise
 from taxeld.skin_state import SkinState
 from taxeld.wiring import Wired, Wiring
 from taxeld_protocol.decoder import Scan
@@ -74,6 +75,7 @@ class Skin:
         self._slice = Slice(taxels, len(self._wiring.suis))
         self._drift = Drift(layout, self._wiring, config.full_scale_counts, config.drift_s)
         self._frozen = Frozen(taxels)
+        self._noise = Noise(taxels)
         self.tare()
 
     def tare(self) -> None:
@@ -157,7 +159,7 @@ class Skin:
             t=self._t,
             digest=self.digest,
             baseline=np.where(self._idle.known, self.baseline, np.nan),
-            noise=self._idle.noise.copy(),
+            noise=self._noise.sd.copy(),
             coefficient=temperature.coefficient.copy(),
             leak=temperature.leak.copy(),
             t0=temperature.level,
@@ -214,9 +216,8 @@ class Skin:
             self.counters.states_refused += 1
             self._state = None
             return
-        self._idle.take(taxels[asked], noise[asked])
-        self._drift.take(taxels[asked], (state.baseline[taxels] + moved)[asked])
-        self._know(taxels[asked])
+        self._idle.known[taxels[asked]] = True
+        self._know(taxels[asked], (state.baseline[taxels] + moved)[asked], noise[asked])
         if not self._pending.any():
             self.counters.states_believed += 1
             self._state = None
@@ -227,13 +228,14 @@ class Skin:
             return
         found = self._idle.on_scan(taxels, counts, self._drift.busy(self._t))
         if len(found):
-            self._drift.take(found, self._idle.mean[found])
-            self._know(found)
+            self._know(found, self._idle.mean[found], self._idle.noise[found])
 
-    def _know(self, taxels: Index) -> None:
-        """These taxels have a baseline now."""
+    def _know(self, taxels: Index, baseline: Floats, noise: Floats) -> None:
+        """These taxels have a baseline now [counts], and a noise."""
         self.captures += 1
-        self.threshold[taxels] = self._threshold(self._idle.noise[taxels])
+        self._drift.take(taxels, baseline)
+        self._noise.take(taxels, noise, self.config.baseline_scans)
+        self.threshold[taxels] = self._threshold(noise)
         self._usable = self._idle.known & ~self._frozen.mask
 
     def _threshold(self, noise: Floats) -> Floats:
@@ -251,8 +253,10 @@ class Skin:
 
     def _settle(self) -> None:
         """What a second of scans tells of the taxels themselves."""
-        known = self._idle.known
-        self._frozen.on_slice(self._slice.scans, self._slice.changed, self._idle.noise[known])
+        part, known = self._slice, self._idle.known
+        self._frozen.on_slice(part.scans, part.changed, self._noise.sd[known])
         self._usable = known & ~self._frozen.mask
-        self._drift.on_slice(self._slice, self._usable, self.threshold)
-        self._slice.begin(self._t)
+        at_rest = self._drift.on_slice(part, self._usable, self.threshold)
+        self._noise.on_slice(part.variance, part.scans, at_rest)
+        self.threshold = self._threshold(self._noise.sd)
+        part.begin(self._t)

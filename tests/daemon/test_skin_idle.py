@@ -101,3 +101,16 @@ def test_the_noise_of_each_taxel_is_its_own(skin: Layout) -> None:
     subject = Skin(skin, SkinConfig(baseline_scans=200))
     simulated.run(subject, 11.0)
     assert subject.threshold == pytest.approx(6 * NOISE * simulated.spread, rel=0.25)
+
+
+def test_out_of_contact_the_noise_is_known_ever_better_and_touches_do_not_raise_it(
+    skin: Layout,
+) -> None:
+    simulated, subject = SimulatedSkin(skin, noise=100.0), Skin(skin, SkinConfig())
+    simulated.run(subject, 1.5)
+    early = np.abs(subject.threshold / 600.0 - 1.0).max()
+    for k in range(40):
+        simulated.press[[3, 4]] = 3_000.0 * (k % 2)
+        simulated.run(subject, 3.0 + 4.0 * (k % 2 == 0))
+    assert np.abs(subject.threshold / 600.0 - 1.0).max() < 0.12
+    assert early > 0.2
