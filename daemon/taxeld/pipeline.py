@@ -36,7 +36,7 @@ class Outcome:
     """What one scan led to, and the time each stage took [ns]."""
 
     estimate: Estimate
-    activation: Activation | None = None  # None while the baseline is learned
+    activation: Activation | None = None  # None while the baseline is learned, or not used
     sensor: Poses | None = None  # (3,) in the world; None where it is not known
     skin_ns: int = 0
     propose_ns: int = 0

@@ -1,6 +1,8 @@
 """Inputs age, wait for one another, and are stamped by a clock that somebody may set."""
 
 import json
+from collections import deque
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxeld import bundle, layout, messages, se2
+from taxeld import bundle, layout, messages, se2, session
 from taxeld.bundle import Bundle
 from taxeld.clock import WallClock
 from taxeld.config import Config, parse
@@ -18,7 +20,7 @@ from taxeld.poses import BACK_MAX, PoseTrack
 from taxeld.replay import outcomes
 from taxeld.session import Recorder
 from taxeld_protocol import cyskin
-from taxeld_protocol.decoder import Scan
+from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.daemon.simulated_skin import SimulatedSkin
 
@@ -150,6 +152,10 @@ def told(pipeline: Pipeline, events: list[Event]) -> list[dict[str, object]]:
             pipeline.poses.add(*event)
         found += pipeline.advance(scans, arrival)
     found += pipeline.flush()
+    return published(found)
+
+
+def published(found: Iterable[Outcome]) -> list[dict[str, object]]:
     return [
         messages.estimate(o.estimate, seq=k, valid=is_valid(o.estimate))
         for k, o in enumerate(found)
@@ -302,21 +308,54 @@ def test_a_reading_in_which_the_process_was_put_aside_tells_nothing() -> None:
     assert clock.read()[1] == pytest.approx(HOUR_S, abs=1e-5)
 
 
-def test_a_session_across_a_clock_that_was_set_back_replays(box: Bundle, tmp_path: Path) -> None:
+def recorded(box: Bundle, place: Path, by: float = 0.0) -> None:
+    """The story as a session, with a clock that is set near its middle."""
     hub = VirtualIhb(list(SimulatedSkin(SKIN).modules))
-    with Recorder(tmp_path, moves=True) as recorder:
+    with Recorder(place, moves=True) as recorder:
         for arrival, event in story(box):
-            by = -HOUR_S if arrival > START_S + 1.9 else 0.0
+            later = by if arrival > START_S + 1.9 else 0.0
             if isinstance(event, Scan):
                 for command, payload in hub.sensor_data(list(event.counts)):
-                    for frame in cyskin.to_frames(command, payload, ihb=1, t=arrival + by):
+                    for frame in cyskin.to_frames(command, payload, ihb=1, t=arrival + later):
                         recorder.take(frame)
             else:
-                recorder.pose(event[0] + by, *event[1:])
+                recorder.pose(event[0] + later, *event[1:])
+
+
+@pytest.mark.parametrize("tick_s", [0.004, 0.01, 0.033])
+def test_a_replay_gives_the_bytes_of_the_daemon_that_took_the_same_in_ticks(
+    box: Bundle, tmp_path: Path, tick_s: float
+) -> None:
+    recorded(box, tmp_path)
+    poses = deque(session.read_poses(tmp_path / session.POSES))
+    frames = deque(session.read_frames(tmp_path / session.FRAMES))
+    modules = SimulatedSkin(SKIN).modules
+    pipeline, decoder = Pipeline(config_of(ROBOT), SKIN, box), Decoder(lambda _: modules)
+    live: list[Outcome] = []
+    now = START_S
+    while frames:
+        now += tick_s
+        while poses and poses[0][0] <= now:
+            pipeline.poses.add(*poses.popleft())  # type: ignore[union-attr]
+        scans: list[Scan] = []
+        while frames and frames[0].t <= now:
+            scans += decoder.feed(frames.popleft())[1]
+        live += pipeline.advance(scans, now)
+    live += pipeline.flush()
+    assert live[-1].estimate.contacts == 1
+    again = outcomes(tmp_path, Pipeline(config_of(ROBOT), SKIN, box))
+    assert json.dumps(published(live)) == json.dumps(published(again))
+
+
+@pytest.mark.parametrize("by", [-HOUR_S, -0.5])
+def test_a_session_across_a_clock_that_was_set_back_replays(
+    box: Bundle, tmp_path: Path, by: float
+) -> None:
+    recorded(box, tmp_path, by)
     pipeline = Pipeline(config_of(ROBOT), SKIN, box)
     found = list(outcomes(tmp_path, pipeline))
     assert len(found) == 80
     assert pipeline.inputs.clock_steps == 1
     assert pipeline.inputs.scans_without_pose <= 1
     assert pipeline.estimate.contacts == 1
-    assert pipeline.estimate.t < START_S
+    assert pipeline.estimate.t == pytest.approx(START_S + 4.0 + by, abs=0.1)
