@@ -237,6 +237,7 @@ class Skin:
         self._noise.take(taxels, noise, self.config.baseline_scans)
         self.threshold[taxels] = self._threshold(noise)
         self._usable = self._idle.known & ~self._frozen.mask
+        self._slice.begin(self._t)  # what was read before may have been a touch
 
     def _threshold(self, noise: Floats) -> Floats:
         return np.maximum(self.config.threshold_sigmas * noise, self._floor)

@@ -231,6 +231,48 @@ def test_scans_that_were_under_way_when_the_clock_was_set_are_not_believed(box: 
         assert taken.estimate.status is Status.SEARCHING
 
 
+strange = st.sampled_from([0.0, 0.0, 0.0, 0.03, -0.03, 0.6, -0.6, 1e4, -1e4, np.nan, np.inf])
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from(["scan", "pose", "step", "tare", "reset", "wait"]), strange),
+        max_size=60,
+    )
+)
+@settings(max_examples=40, deadline=None)
+def test_whatever_arrives_whenever_is_counted_and_never_raises(
+    box: Bundle, arrivals: list[tuple[str, float]]
+) -> None:
+    pipeline, skin = Pipeline(config_of(ROBOT), SKIN, box), SimulatedSkin(SKIN)
+    sent, found = 0, list[Outcome]()
+    for kind, by in arrivals:
+        if kind == "scan":
+            scan = skin.scan()
+            sent += 1
+            found += pipeline.advance([_later(scan, by)], scan.t)
+        elif kind == "pose":
+            pipeline.poses.add(skin.t + by, 0.3, 0.0, by)  # type: ignore[union-attr]
+        elif kind == "step" and np.isfinite(by):
+            pipeline.clock_stepped(by)
+            skin.t += by
+        elif kind == "tare":
+            pipeline.tare()
+            assert pipeline.estimate.status is Status.STARTING
+        elif kind == "reset":
+            pipeline.reset()
+        else:
+            skin.t += 0.05
+            found += pipeline.advance([], skin.t)
+        assert np.isfinite(pipeline.estimate.t)
+        assert np.isfinite(pipeline.skin.baseline).all()
+    found += pipeline.flush()
+    assert len(found) == sent
+    inputs = pipeline.inputs
+    refused = inputs.scans_old + inputs.scans_from_the_future
+    assert pipeline.skin.counters.scans == sent - refused
+
+
 def test_a_robot_whose_clock_is_set_back_is_followed() -> None:
     track = PoseTrack(max_age_s=0.2)
     for k in range(20):
