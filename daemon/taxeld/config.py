@@ -38,6 +38,15 @@ class SkinConfig:
     threshold_sigmas: float = key(
         6.0, between(1, 100), "idle noise a reading must exceed to be a touch"
     )
+    drift_s: float = key(
+        60.0, between(1, 86_400), "time constant of the baseline's following, out of contact"
+    )
+    state_dir: str = key(
+        "", doc="where the baseline is kept over restarts; empty: $STATE_DIRECTORY, or nowhere"
+    )
+    state_max_age_s: float = key(
+        43_200.0, between(1, 1e8), "a baseline that was stored longer ago is not used"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +66,9 @@ class SourceConfig:
     path: str = key("", doc="kind replay: a session directory")
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")
     listen_only: bool = key(False, doc="never send: for a skin that something else started")
+    max_age_s: float = key(
+        0.5, between(0.01, 60), "a scan that is older when it arrives is not used"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,6 +80,7 @@ class SceneConfig:
 class SensorPoseConfig:
     endpoint: str = key("", doc="SUB endpoint of the robot; empty: the sensor stands still")
     max_age_s: float = key(0.2, between(0.001, 60), "a scan whose pose is older is not used")
+    wait_s: float = key(0.02, between(0, 1), "a scan waits so long for a pose at or after its time")
 
 
 @dataclass(frozen=True, slots=True)

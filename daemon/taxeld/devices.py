@@ -21,6 +21,7 @@ from taxeld_protocol.frames import Frame
 
 FRAMES_PER_POLL = 1000  # a flooded bus may not hold the loop; the rest waits for the next tick
 BYTES_PER_POLL = 65536
+FOREIGN_CLOCK_S = 86_400.0  # a stamp farther from now is of no Unix clock, but of the adapter's own
 
 
 class LostError(Exception):
@@ -55,6 +56,7 @@ class CanDevice:
 
     def read(self) -> list[Frame]:
         frames = []
+        now = time.time()
         for _ in range(FRAMES_PER_POLL):
             try:
                 message = self._bus.recv(0.0)
@@ -71,9 +73,10 @@ class CanDevice:
             if message.is_error_frame or message.is_remote_frame or message.is_fd:
                 self.foreign += 1
                 continue
+            t = message.timestamp
             frames.append(
                 Frame(
-                    message.timestamp,
+                    t if abs(t - now) < FOREIGN_CLOCK_S else now,
                     message.arbitration_id,
                     bytes(message.data),
                     message.is_extended_id,

@@ -12,10 +12,10 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import numpy as np
 import zmq
 
-from taxeld import bundle, curve, layout, messages
+from taxeld import bundle, curve, layout, messages, state_file
+from taxeld.clock import WallClock
 from taxeld.config import Config
 from taxeld.control import Control, ControlCounters
 from taxeld.curve import Guard
@@ -24,6 +24,7 @@ from taxeld.latency import Latencies
 from taxeld.pipeline import Outcome, Pipeline, is_valid
 from taxeld.poses import PoseTrack
 from taxeld.sources import ReplaySource, Source, open_source
+from taxeld.state_file import StateFile
 from taxeld.streams import PoseInput, Publisher
 
 PARTICLES_HZ = 20.0
@@ -81,6 +82,10 @@ class Daemon:
         scene = bundle.load(config.scene.bundle, self.layout, config.skin.full_scale_depth_m)
         self.pipeline = Pipeline(config, self.layout, scene, time.perf_counter_ns)
         self.latencies = Latencies(messages.STAGES)
+        self.clock = WallClock()
+        place, max_age_s = state_file.directory(config), config.skin.state_max_age_s
+        self.kept = StateFile(place, self.pipeline.skin, max_age_s)
+        self.kept.restore(time.time())
         self._publish_us = 0.0
         self._start_s = self._last_scan_s = time.monotonic()
         self._next_health_s = self._next_particles_s = 0.0
@@ -89,6 +94,7 @@ class Daemon:
         digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
         self._info = messages.info(self.layout, scene.model.scene, scene.info, digest)
         with contextlib.ExitStack() as opened:
+            opened.callback(self.kept.close)
             self.source: Source = open_source(config.source, self.layout)
             opened.callback(self.source.close)
             self._open_streams(opened)
@@ -137,18 +143,22 @@ class Daemon:
         """One pass: inputs, pipeline, outputs. `now_s` is monotonic."""
         start = time.perf_counter_ns()
         self.counters.ticks += 1
+        wall_s, stepped = self.clock.read()
+        if stepped:
+            self._on_clock_step(stepped)
         if self.pose_input is not None:
             self.pose_input.poll()
         scans = self.source.poll(now_s)
         took = {"source": time.perf_counter_ns() - start, "skin": 0, "propose": 0, "filter": 0}
         outcome: Outcome | None = None
-        for scan in scans:
-            outcome = self.pipeline.on_scan(scan)
+        # stamped while they were polled, so not older than now
+        for outcome in self.pipeline.advance(scans, time.time() if scans else wall_s):
             took["skin"] += outcome.skin_ns
             took["propose"] += outcome.propose_ns
             took["filter"] += outcome.filter_ns
             self._last_scan_s = now_s
-            self.counters.scans += 1
+        self.counters.scans += len(scans)
+        self.kept.keep(now_s)
         lat_us = {stage: ns / 1000.0 for stage, ns in took.items()}
         lat_us["publish"] = self._publish_us  # of the tick before: this one is not over yet
         lat_us["total"] = (time.perf_counter_ns() - start) / 1000.0 + self._publish_us
@@ -160,6 +170,11 @@ class Daemon:
         if self.control is not None:
             self.control.poll(now_s)
         self._publish_us = (time.perf_counter_ns() - published) / 1000.0
+
+    def _on_clock_step(self, by: float) -> None:
+        self.pipeline.clock_stepped(by)
+        if isinstance(self.source, ReplaySource) and self.source.shift_s is not None:
+            self.source.shift_s += by
 
     def close(self) -> None:
         """Stop the skin and free what is held."""
@@ -199,16 +214,17 @@ class Daemon:
 
     def _health(self, seq: int, now_s: float, t: float) -> dict[str, Any]:
         pipeline = self.pipeline
-        live = pipeline.skin.live
         parts = {
             "uptime_s": now_s - self._start_s,
             "loop": self.counters,
             "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
             "skin": pipeline.skin.counters,
+            "skin_state": self.kept.counters,
             "estimator": pipeline.estimator.counters,
             "inputs": {
-                "scans_without_pose": pipeline.without_pose,
+                **asdict(pipeline.inputs),
                 "poses_rejected": pipeline.poses.rejected,
+                "poses_begun_again": pipeline.poses.begun_again,
                 "poses_malformed": self.pose_input.malformed if self.pose_input else 0,
                 "scans_stale": now_s - self._last_scan_s > self.config.loop.stale_s,
                 "poses_stale": t - pipeline.poses.latest_t > pipeline.poses.max_age_s,
@@ -216,7 +232,8 @@ class Daemon:
             "control": self.control.counters if self.control else ControlCounters(),
             "keys_refused": self.guard.refused,
             "lat_us": self.latencies.percentiles(),
-            "dead_taxels": [] if live is None else np.flatnonzero(~live).tolist(),
+            "drift": pipeline.skin.figures(),
+            **pipeline.skin.faults(),
         }
         return messages.health(seq, t, parts)
 

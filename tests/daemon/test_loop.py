@@ -132,8 +132,9 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
     with zmq.Context() as context, subscribe(context, tmp_path, messages.HEALTH) as socket:
         health = msgpack.unpackb(receive(daemon, socket)[1])
     assert set(health) == {
-        "v", "seq", "t", "uptime_s", "loop", "source", "skin", "estimator", "inputs", "control",
-        "keys_refused", "lat_us", "dead_taxels",
+        "v", "seq", "t", "uptime_s", "loop", "source", "skin", "skin_state", "estimator", "inputs",
+        "control", "keys_refused", "lat_us", "drift", "dead_taxels", "stuck_taxels",
+        "saturated_taxels", "untared_taxels",
     }  # fmt: skip
     assert health["source"]["frames"] == 0
 
