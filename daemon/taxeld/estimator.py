@@ -104,6 +104,7 @@ class Estimator:
             return False
         if t < self._t:
             counters.back_in_time += 1
+            self._t = t  # a clock that was set back is believed from the next scan on
             return False
         if self._sensor is not None and moved_m(self._sensor, sensor, 0.0) > JUMP_M:
             counters.jumps += 1

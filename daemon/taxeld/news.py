@@ -44,7 +44,7 @@ class News:
     def _silent(self, t: float, felt: Felt) -> Felt | None:
         if self._pending is not None:
             return self._judged()
-        if t - self._felt_s <= RELEASE_S:  # just let go: neither a touch nor free yet
+        if abs(t - self._felt_s) <= RELEASE_S:  # just let go: neither a touch nor free yet
             return None
         self.contact = False
         return felt if self._is_new(felt) else None

@@ -10,6 +10,7 @@ from taxeld import se2
 from taxeld.se2 import Poses
 
 KEPT = 512  # poses: five seconds at 100 Hz
+SET_BACK_S = 1.0  # a pose so much earlier than the last: the clock was set back
 
 
 class PoseTrack:
@@ -32,9 +33,13 @@ class PoseTrack:
         return self._t[-1] if self._t else -np.inf
 
     def add(self, t: float, x: float, y: float, theta: float) -> None:
-        """Take a pose; times must increase."""
+        """Take a pose; times must increase, or the clock was set back and the track begins anew."""
         pose = np.array([x, y, theta], dtype=np.float64)
-        if not (np.isfinite(t) and np.isfinite(pose).all()) or t <= self.latest_t:
+        finite = bool(np.isfinite(t) and np.isfinite(pose).all())
+        if finite and t < self.latest_t - SET_BACK_S:
+            self._t.clear()
+            self._pose.clear()
+        if not finite or t <= self.latest_t:
             self.rejected += 1
             return
         self._t.append(t)

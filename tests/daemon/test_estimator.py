@@ -166,6 +166,18 @@ def test_poses_back_in_time_or_not_finite_are_rejected() -> None:
     assert track.latest_t == 1.0
 
 
+def test_a_clock_that_is_set_back_begins_the_track_anew() -> None:
+    track = PoseTrack(max_age_s=0.2)
+    track.add(3600.0, 0.0, 0.0, 0.0)
+    track.add(10.0, 1.0, 0.0, 0.0)
+    track.add(10.1, 2.0, 0.0, 0.0)
+    assert track.rejected == 0
+    assert track.at(3600.0) is None
+    pose = track.at(10.05)
+    assert pose is not None
+    assert pose[0] == pytest.approx(1.5)
+
+
 def test_by_the_papers_rule_nothing_is_remembered(box_model: ObservationModel) -> None:
     subject = estimator(box_model, injection="paper")
     approach(subject, box_model)
@@ -299,6 +311,19 @@ def test_scans_back_in_time_change_nothing(box_model: ObservationModel) -> None:
     assert subject.counters.back_in_time == 1
     assert np.array_equal(after.map, before.map)
     assert after.t == before.t
+
+
+def test_after_a_clock_was_set_back_scans_count_again(box_model: ObservationModel) -> None:
+    subject = estimator(box_model)
+    approach(subject, box_model)
+    updates, silent = subject.counters.updates, np.zeros(32)
+    for k in range(3):
+        t = -3600.0 + 0.05 * k
+        after = subject.on_scan(Activation(t, silent, np.ones(32, dtype=bool)), press(0.01))
+    assert subject.counters.back_in_time == 1
+    assert subject.counters.updates > updates
+    assert after.t == t
+    assert not after.contact
 
 
 def test_a_sensor_that_jumps_is_not_believed_until_it_stays(box_model: ObservationModel) -> None:
