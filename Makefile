@@ -69,7 +69,7 @@ RELOAD = $(if $(DESTDIR),,test ! -d /run/systemd/system || \
 	{ systemctl daemon-reload && udevadm control --reload; })
 
 # In a virtual machine with a Debian and a kernel of its own: needs root and Debian packages
-vm-test:
+vm-test: .venv/bin/python
 	tests/vm/run
 
 clean:
