@@ -109,7 +109,8 @@ class CanAdapter:
     def serve(self, t: float) -> None:
         """Take what the host has sent and let the hub answer; `t` stamps the frames."""
         with contextlib.suppress(can.CanError, OSError):  # a bus that is down says nothing
-            while message := self._bus.recv(0.0):
+            # not `recv`, whose time-out is taken from a wall clock that may be set back
+            while message := self._bus._recv_internal(0.0)[0]:
                 frame = Frame(t, message.arbitration_id, bytes(message.data))
                 self._on_frame(frame)
                 packet = self._requests.feed(frame)
