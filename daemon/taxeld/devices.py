@@ -59,7 +59,9 @@ class CanDevice:
         now = time.time()
         for _ in range(FRAMES_PER_POLL):
             try:
-                message = self._bus.recv(0.0)
+                # not `recv`, which measures its time-out on the wall clock and waits for an hour
+                # where that is set back by one
+                message, _ = self._bus._recv_internal(0.0)
             except (can.CanError, OSError, ValueError, IndexError) as error:
                 if not isinstance(error.__cause__ or error, (ValueError, IndexError)):
                     raise LostError from error

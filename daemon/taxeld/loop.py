@@ -19,8 +19,9 @@ from taxeld.clock import WallClock
 from taxeld.config import Config
 from taxeld.control import Control, ControlCounters
 from taxeld.curve import Guard
-from taxeld.estimate import Status
+from taxeld.estimate import Estimate, Status
 from taxeld.latency import Latencies
+from taxeld.notify import Notifier
 from taxeld.pipeline import Outcome, Pipeline, is_valid
 from taxeld.poses import PoseTrack
 from taxeld.sources import ReplaySource, Source, open_source
@@ -129,14 +130,18 @@ class Daemon:
     def run(self) -> None:
         """Tick until `stopping`, or to the end of a replayed session."""
         ticker = Ticker(self.config.loop.rate_hz)
+        notifier = Notifier()
+        notifier.ready()
         try:
             while not self.stopping:
                 now = ticker.wait()
                 self.counters.overruns = ticker.missed
                 self.tick(now)
+                notifier.tick(now, self._status_line)
                 if isinstance(self.source, ReplaySource) and self.source.finished:
                     break
         finally:
+            notifier.stopping()
             self.close()
 
     def tick(self, now_s: float) -> None:
@@ -181,9 +186,7 @@ class Daemon:
         self._opened.close()
 
     def _publish(self, outcome: Outcome | None, lat_us: dict[str, float], now_s: float) -> None:
-        estimate = self.pipeline.estimate
-        if now_s - self._last_scan_s > self.config.loop.stale_s:
-            estimate = replace(estimate, status=Status.STALE)
+        estimate = self._estimate(now_s)
         wall_s = time.time()
         self.publisher.greet(now_s, wall_s)
         seq = self.counters.ticks
@@ -211,6 +214,20 @@ class Daemon:
             self._next_health_s = now_s + HEALTH_S
             self._health_sent = self._health(seq, now_s, wall_s)
             self.publisher.send(messages.HEALTH, self._health_sent, wall_s)
+
+    def _estimate(self, now_s: float) -> Estimate:
+        """What the pipeline believes, stale where no scan has come."""
+        estimate = self.pipeline.estimate
+        if now_s - self._last_scan_s > self.config.loop.stale_s:
+            estimate = replace(estimate, status=Status.STALE)
+        return estimate
+
+    def _status_line(self, now_s: float) -> str:
+        estimate = self._estimate(now_s)
+        return (
+            f"{estimate.status.name.lower()}, contacts {estimate.contacts}, "
+            f"overruns {self.counters.overruns}"
+        )
 
     def _health(self, seq: int, now_s: float, t: float) -> dict[str, Any]:
         pipeline = self.pipeline

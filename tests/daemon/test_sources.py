@@ -134,6 +134,26 @@ def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
     source.close()
 
 
+def test_a_clock_that_is_set_back_while_a_bus_is_read_makes_nobody_wait(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Python-can's own `recv` would go on until the old time is reached again."""
+    clock = iter(range(1000, 0, -1))
+    waits: list[float] = []
+
+    def nothing_there(self: can.BusABC, timeout: float) -> tuple[None, bool]:  # noqa: ARG001
+        waits.append(timeout)
+        return None, True
+
+    monkeypatch.setattr("can.bus.time", lambda: float(next(clock)))
+    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", nothing_there)
+    settings = SourceConfig(kind="can", interface="virtual", channel="clock")
+    source = open_source(settings, SKIN)
+    assert source.poll(0.0) == []
+    source.close()
+    assert waits == [0.0]
+
+
 @pytest.mark.parametrize(
     "settings",
     [
@@ -170,7 +190,8 @@ def test_stamps_of_an_adapters_own_clock_are_replaced_by_the_arrivals(
     device = CanDevice(config, lambda *_: [])
     stamp = time.time() - behind_s
     waiting = [can.Message(timestamp=stamp, arbitration_id=0x101, data=b"\x43")]
-    monkeypatch.setattr(device._bus, "recv", lambda _: waiting.pop() if waiting else None)
+    heard = lambda _: (waiting.pop() if waiting else None, False)  # noqa: E731
+    monkeypatch.setattr(device._bus, "_recv_internal", heard)
     (frame,) = device.read()
     assert (frame.t == stamp) == kept
     assert kept or time.time() - frame.t < DEADLINE_S
