@@ -5,6 +5,7 @@ is gone raises LostError, whatever its driver calls that.
 """
 
 import contextlib
+import logging
 import time
 from typing import Any, Protocol
 
@@ -18,6 +19,8 @@ from taxeld.session import Chunk
 from taxeld_protocol import serial_link, slcan
 from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.frames import Frame
+
+logging.getLogger("can").addHandler(logging.NullHandler())  # what goes wrong is said once, here
 
 FRAMES_PER_POLL = 1000  # a flooded bus may not hold the loop; the rest waits for the next tick
 BYTES_PER_POLL = 65536

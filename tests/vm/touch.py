@@ -76,6 +76,11 @@ class Unit:
         sh("journalctl --sync")
         return sh(f"journalctl -b -o cat -u {self.name}")
 
+    def said(self) -> str:
+        """What the daemon itself, not systemd about it, has written into the journal."""
+        sh("journalctl --sync")
+        return sh(f"journalctl -b -o cat -t taxeld _SYSTEMD_UNIT={self.name}.service")
+
     def restarts(self) -> int:
         return int(self.show("NRestarts"))
 
