@@ -12,7 +12,7 @@ import msgpack
 import numpy as np
 import zmq
 
-from taxeld import bundle, layout, messages, session, streams
+from taxeld import bundle, client, layout, messages, session
 from taxeld.config import ControlConfig, PublishConfig, SkinConfig
 from taxeld.estimate import Status
 from taxeld.symmetry import add_m
@@ -96,7 +96,7 @@ class Touch:
     def __init__(self, seed: int, *where: str) -> None:
         """`where` is `--can INTERFACE` or `--link PATH`."""
         for command in ("tare", "reset"):  # another skin, another box
-            streams.request(ControlConfig().endpoint, command, PATIENCE_S)
+            client.ask(ControlConfig().endpoint, command, timeout_s=PATIENCE_S)
         self._place = tempfile.TemporaryDirectory()
         directory = Path(self._place.name)
         self._skin = subprocess.Popen(
