@@ -18,6 +18,7 @@ import numpy as np
 from packaging.requirements import Requirement
 
 import protocol
+import streams
 from taxeld import bundle, config, contacts, layout, se2
 from taxeld.estimator import Estimator
 from taxeld.loop import Daemon
@@ -34,7 +35,9 @@ def main() -> int:
     parser.add_argument("--no-demo", action="store_true", help="leave the real-time demo out")
     args = parser.parse_args()
     wire = [row(*figures) for figures in protocol.rows()]
-    rows = [*installed(), *wire, *touches(), idle_tick(), *([] if args.no_demo else demo())]
+    served = [row(*figures) for figures in streams.rows()]
+    rows = [*installed(), *wire, *touches(), idle_tick(), *served]
+    rows += [] if args.no_demo else demo()
     print(f"{'figure':52s} {'measured':>12s} {'budget':>10s}")
     for line in rows:
         budget = "" if line["budget"] is None else f"{line['budget']:10.2f}"

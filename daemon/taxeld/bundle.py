@@ -12,7 +12,7 @@ import numpy as np
 
 from taxeld import scene
 from taxeld.errors import SetupError
-from taxeld.ladder import Rung, rungs
+from taxeld.ladder import Cost, Rung, Step
 from taxeld.layout import Layout
 from taxeld.observation import ObservationModel
 from taxeld.proposals import Manifold, Projection, Proposal, Table
@@ -20,6 +20,7 @@ from taxeld.sampler import Sampler
 
 FORMAT = 2
 TIMED_CALLS = 5  # the median of which is what a proposal costs
+SHARES = (0.5, 0.25)  # of the samples, where the cheapest sampler with all of them is too much
 
 ANALYTIC: dict[str, Callable[[ObservationModel], Proposal]] = {
     "projection": Projection, "manifold": Manifold, "table": Table,
@@ -76,13 +77,31 @@ class Bundle:
         return Sampler(self.path / entry["file"], self.model.layout, entry["kind"])
 
     def ladder(self, chosen: Proposal, samples: int) -> list[Rung]:
-        """The chosen proposal, and what can stand in for it where time is short: those after it in
-        the bundle's order of preference that are cheaper."""
-        names = list(self.info["auto"])
-        here = names.index(chosen.name) if chosen.name in names else 0  # of an analytic one
-        others = (self._named(name) for name in names[here:])
-        each = [chosen, *(other for other in others if other.name != chosen.name)]
-        return rungs([(one, 1e6 * cpu_ms(one, self.model, samples)) for one in each])
+        """The chosen proposal, and what stands in for it where time is short: cheaper samplers in
+        the bundle's order of preference, fewer samples of the cheapest, the table if it is cheaper
+        still, and none."""
+
+        def rung(step: Step, proposal: Proposal, share: float = 1.0) -> Rung:
+            ms = cpu_ms(proposal, self.model, max(round(share * samples), 1))
+            return Rung(step, proposal, share, Cost(1e6 * ms))
+
+        made = [rung(Step.CHOSEN, chosen)]
+        for entry in self._cheaper_samplers(chosen):
+            made += _cheaper(rung(Step.CHEAPER, self._learned(entry)), made[-1])
+        last = made[-1].proposal
+        assert last is not None  # noqa: S101  (none of these is)
+        made += [rung(Step.FEWER, last, share) for share in SHARES]
+        if chosen.name != Table.name:
+            made += _cheaper(rung(Step.TABLE, Table(self.model)), made[-1])
+        return [*made, Rung(Step.NONE)]
+
+    def _cheaper_samplers(self, chosen: Proposal) -> list[dict[str, Any]]:
+        """Of less work than a chosen one of them, in order of preference."""
+        samplers = {s["name"]: s for s in self.info["samplers"]}
+        preferred = [samplers[name] for name in self.info["auto"] if name in samplers]
+        file = chosen.file if isinstance(chosen, Sampler) else ""
+        most = next((s["flops"] for s in samplers.values() if s["file"] == file), 0)
+        return [s for s in preferred if s["flops"] < most]
 
     def _fitting(self, samples: int, budget_ms: float) -> Proposal:
         made: list[tuple[float, Proposal]] = []
@@ -97,6 +116,10 @@ class Bundle:
     def _named(self, name: str) -> Proposal:
         """One of the order of preference."""
         return self.proposal(name) if name in ANALYTIC else self.proposal("", name)
+
+
+def _cheaper(rung: Rung, than: Rung) -> list[Rung]:
+    return [rung] if rung.cost.ns < than.cost.ns else []
 
 
 def cpu_ms(proposal: Proposal, model: ObservationModel, samples: int) -> float:

@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from taxeld import bundle, dialects, layout, session
+from taxeld import bundle, curve, dialects, layout, session
 from taxeld.config import Config, SourceConfig
+from taxeld.endpoints import no_directory
 from taxeld.errors import SetupError
 
 SYS_NET = Path("/sys/class/net")
@@ -27,16 +28,18 @@ def faults(config: Config) -> list[str]:
         _source(config.source)
     except SetupError as error:
         found.append(str(error))
+    try:
+        curve.load(config)
+    except SetupError as error:
+        found.append(str(error))
     for key, endpoints in (
         ("publish.endpoints", config.publish.endpoints),
         ("control.endpoint", (config.control.endpoint,)),
     ):
         for endpoint in endpoints:
-            path = Path(endpoint.removeprefix("ipc://"))
-            if endpoint.startswith("ipc://") and not path.parent.is_dir():
-                found.append(
-                    f"{key}: {path.parent} does not exist; create it or name another endpoint"
-                )
+            missing = no_directory(endpoint)
+            if missing:
+                found.append(f"{key}: {missing}")
     return found
 
 

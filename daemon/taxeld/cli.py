@@ -14,6 +14,10 @@ from taxeld.toml_tables import ConfigError
 from taxeld_protocol.modules import wired
 
 USAGE_ERROR, FAILED = 2, 1
+DONE = {
+    "tare": "the idle baseline is being learned anew; leave the skin untouched until it is",
+    "reset": "forgotten what was felt",
+}
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -45,6 +49,8 @@ def _run(args: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     daemon.run()
+    if args.histogram:
+        _write(args.histogram, json.dumps(daemon.latencies.as_cyclictest(), indent=1) + "\n")
     return 0
 
 
@@ -110,12 +116,36 @@ def _layout(args: argparse.Namespace) -> int:
 
 
 def _ask(args: argparse.Namespace) -> int:
-    from taxeld.streams import request
+    from taxeld import client, curve
+    from taxeld.status_text import lines
 
-    endpoint = load(args.config).control.endpoint if args.config else args.endpoint
-    answer = request(endpoint, args.name)
-    print(json.dumps(answer, indent=1))
-    return 0 if answer.get("ok") else FAILED
+    endpoint, keys = args.endpoint, args.keys
+    if args.config:
+        config = load(args.config)
+        endpoint = config.control.endpoint
+        if curve.takes_keys(endpoint, config.curve):
+            keys = keys or Path(config.curve.directory)
+        if not endpoint:
+            raise SetupError("control.endpoint: is empty, so this daemon cannot be asked")
+    answer = client.ask(endpoint, args.name, keys)
+    if answer is None:
+        print(f"no daemon answers at {endpoint}; is 'taxeld run' there?", file=sys.stderr)
+        return FAILED
+    if not answer.get("ok"):
+        print(f"{endpoint}: {answer.get('error', 'an answer of another kind')}", file=sys.stderr)
+        return FAILED
+    if args.name == "status":
+        print(json.dumps(answer, indent=1) if args.json else "\n".join(lines(answer)))
+    else:
+        print(DONE[args.name])
+    return 0
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise SetupError(f"cannot write {path} ({error.strerror})") from None
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -125,6 +155,7 @@ def _parser() -> argparse.ArgumentParser:
 
     run = commands.add_parser("run", help="the daemon")
     run.add_argument("config", type=Path, metavar="CONFIG")
+    run.add_argument("--histogram", type=Path, metavar="FILE", help="latencies, when it ends")
     run.set_defaults(command=_run)
 
     record = commands.add_parser("record", help="what skin and robot send → a session")
@@ -160,8 +191,11 @@ def _parser() -> argparse.ArgumentParser:
     ):
         ask = commands.add_parser(name, help=text)
         where = ask.add_mutually_exclusive_group()
-        where.add_argument("--config", type=Path, help="the daemon's configuration")
+        where.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="the daemon's")
         where.add_argument("--endpoint", default=ControlConfig().endpoint)
+        ask.add_argument("--keys", type=Path, metavar="DIR", help="server.key, client.key_secret")
+        if name == "status":
+            ask.add_argument("--json", action="store_true", help="all of it, as it came")
         ask.set_defaults(command=_ask, name=name)
     return parser
 

@@ -6,28 +6,16 @@ Units stand in the names.
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from taxeld import toml_tables
+from taxeld import endpoints, toml_tables
 from taxeld.toml_tables import ConfigError, between, key, one_of
 from taxeld_protocol import icub
 from taxeld_protocol.slcan import BITRATES
-
-
-def _local(endpoint: str) -> str | None:
-    """Streams and control are bound to this machine only."""
-    local = ("ipc://", "inproc://", "tcp://127.0.0.1:", "tcp://localhost:", "tcp://[::1]:")
-    if not endpoint or endpoint.startswith(local):
-        return None
-    return f"'{endpoint}' is not local; use ipc:///path or tcp://127.0.0.1:port"
 
 
 def _bit_rate(value: int) -> str | None:
     if value in BITRATES:
         return None
     return f"{value} is no CAN bit rate; use one of {', '.join(map(str, BITRATES))}"
-
-
-def _all_local(endpoints: tuple[str, ...]) -> str | None:
-    return next((fault for fault in map(_local, endpoints) if fault), None)
 
 
 def _boards(boards: tuple[int, ...]) -> str | None:
@@ -50,6 +38,15 @@ class SkinConfig:
     threshold_sigmas: float = key(
         6.0, between(1, 100), "idle noise a reading must exceed to be a touch"
     )
+    drift_s: float = key(
+        60.0, between(1, 86_400), "time constant of the baseline's following, out of contact"
+    )
+    state_dir: str = key(
+        "", doc="where the baseline is kept over restarts; empty: $STATE_DIRECTORY, or nowhere"
+    )
+    state_max_age_s: float = key(
+        43_200.0, between(1, 1e8), "a baseline that was stored longer ago is not used"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +66,9 @@ class SourceConfig:
     path: str = key("", doc="kind replay: a session directory")
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")
     listen_only: bool = key(False, doc="never send: for a skin that something else started")
+    max_age_s: float = key(
+        0.5, between(0.01, 60), "a scan that is older when it arrives is not used"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +80,7 @@ class SceneConfig:
 class SensorPoseConfig:
     endpoint: str = key("", doc="SUB endpoint of the robot; empty: the sensor stands still")
     max_age_s: float = key(0.2, between(0.001, 60), "a scan whose pose is older is not used")
+    wait_s: float = key(0.02, between(0, 1), "a scan waits so long for a pose at or after its time")
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,13 +138,19 @@ class FilterConfig:
 @dataclass(frozen=True, slots=True)
 class PublishConfig:
     endpoints: tuple[str, ...] = key(
-        ("ipc:///run/taxeld/stream", "tcp://127.0.0.1:9872"), _all_local, "XPUB endpoints"
+        ("ipc:///run/taxeld/stream", "tcp://127.0.0.1:9872"), doc="XPUB endpoints"
     )
 
 
 @dataclass(frozen=True, slots=True)
 class ControlConfig:
-    endpoint: str = key("ipc:///run/taxeld/control", _local, "REP endpoint; empty: none")
+    endpoint: str = key("ipc:///run/taxeld/control", doc="REP endpoint; empty: none")
+
+
+@dataclass(frozen=True, slots=True)
+class CurveConfig:
+    directory: str = key("", doc="keys, without which nothing goes beyond this machine")
+    loopback: bool = key(False, doc="tcp endpoints of this machine take keys as well")
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +164,7 @@ class Config:
     filter: FilterConfig = field(default_factory=FilterConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
+    curve: CurveConfig = field(default_factory=CurveConfig)
 
 
 def load(path: Path) -> Config:
@@ -181,6 +189,7 @@ def parse(text: str, name: str = "configuration") -> Config:
     config = toml_tables.parse(Config, text, name)
     faults: list[str] = []
     _check_source(config.source, faults)
+    _check_endpoints(config, faults)
     if config.source.dialect == "icub":
         _check_icub(config, faults)
     if faults:
@@ -193,6 +202,19 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
         faults.append(f"source.channel: is required for kind '{source.kind}'")
     if source.kind == "replay" and not source.path:
         faults.append("source.path: is required for kind 'replay'")
+
+
+def _check_endpoints(config: Config, faults: list[str]) -> None:
+    has_keys = bool(config.curve.directory)
+    if config.curve.loopback and not has_keys:
+        faults.append("curve.directory: is required with curve.loopback")
+    for name, used in (
+        ("publish.endpoints", config.publish.endpoints),
+        ("control.endpoint", (config.control.endpoint,)),
+        ("sensor_pose.endpoint", (config.sensor_pose.endpoint,)),
+    ):
+        found = (endpoints.fault(endpoint, has_keys) for endpoint in filter(None, used))
+        faults += [f"{name}: {fault}" for fault in found if fault]
 
 
 def _check_icub(config: Config, faults: list[str]) -> None:

@@ -5,6 +5,7 @@ is gone raises LostError, whatever its driver calls that.
 """
 
 import contextlib
+import logging
 import time
 from typing import Any, Protocol
 
@@ -19,8 +20,11 @@ from taxeld_protocol import serial_link, slcan
 from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.frames import Frame
 
+logging.getLogger("can").addHandler(logging.NullHandler())  # what goes wrong is said once, here
+
 FRAMES_PER_POLL = 1000  # a flooded bus may not hold the loop; the rest waits for the next tick
 BYTES_PER_POLL = 65536
+FOREIGN_CLOCK_S = 86_400.0  # a stamp farther from now is of no Unix clock, but of the adapter's own
 
 
 class LostError(Exception):
@@ -55,9 +59,12 @@ class CanDevice:
 
     def read(self) -> list[Frame]:
         frames = []
+        now = time.time()
         for _ in range(FRAMES_PER_POLL):
             try:
-                message = self._bus.recv(0.0)
+                # not `recv`, which measures its time-out on the wall clock and waits for an hour
+                # where that is set back by one
+                message, _ = self._bus._recv_internal(0.0)
             except (can.CanError, OSError, ValueError, IndexError) as error:
                 if not isinstance(error.__cause__ or error, (ValueError, IndexError)):
                     raise LostError from error
@@ -71,9 +78,10 @@ class CanDevice:
             if message.is_error_frame or message.is_remote_frame or message.is_fd:
                 self.foreign += 1
                 continue
+            t = message.timestamp
             frames.append(
                 Frame(
-                    message.timestamp,
+                    t if abs(t - now) < FOREIGN_CLOCK_S else now,
                     message.arbitration_id,
                     bytes(message.data),
                     message.is_extended_id,

@@ -1,107 +1,146 @@
 """Proposals in order of preference, and which of them the time left carries.
 
-Rungs: the chosen sampler, then cheaper ones, then fewer samples, then none. Each call steps down as
-far as it must and no further, so there is nothing to undo: with room again the next call is whole.
-What a rung costs is measured at start and followed while it runs.
+Steps down: the chosen sampler, then cheaper ones, then fewer samples, then the table, then none.
+Each call steps down as far as it must and no further, so there is nothing to undo: with room again
+the next call is whole. What a rung costs is measured at start and followed while it is used; where
+it was too dear, the measurement of the start is believed again bit by bit, so that it gets its try.
+A machine too slow for any sample still gets the fewest now and then: late is better than never.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 import numpy as np
 
 from taxeld.proposals import Bools, Floats, Proposal
 from taxeld.se2 import Poses
 
-SHARES = (0.5, 0.25)  # of the samples, where the cheapest sampler with all of them is too much
 MARGIN = 1.25  # of the expected cost that must be left
 GAIN = 0.25  # of a new cost against what was expected
+SURPRISE = 3.0  # times what was expected: more is believed to be someone else's work
+PATIENCE = 5  # calls in a row that may bring no sample
+FORGET = 0.05  # of what was learned, with each call that it keeps away
 OVERHEAD = 100  # samples that cost the filter as much as their being there at all
+
+
+class Step(IntEnum):
+    """How far down a proposal had to step."""
+
+    CHOSEN = 0
+    CHEAPER = 1  # another sampler
+    FEWER = 2  # samples, of the cheapest sampler
+    TABLE = 3
+    NONE = 4  # no samples this time
+
+
+@dataclass(slots=True)
+class Cost:
+    """What something is expected to take [ns]."""
+
+    ns: float = 0.0
+    at_start_ns: float = 0.0
+
+    def took(self, ns: float) -> None:
+        if not self.ns:
+            self.ns = ns
+        self.ns += GAIN * (min(ns, SURPRISE * self.ns) - self.ns)
+
+    def kept_away(self) -> None:
+        self.ns += FORGET * (self.at_start_ns - self.ns)
 
 
 @dataclass(slots=True)
 class Rung:
-    """A proposal, the share of the samples it is asked for, and its cost."""
+    """A proposal, the share of the samples it is asked for, and what that costs."""
 
-    proposal: Proposal | None  # None: no samples
+    step: Step
+    proposal: Proposal | None = None  # None: no samples
     share: float = 1.0
-    cost_ns: float = 0.0
+    cost: Cost = field(default_factory=Cost)
 
 
 @dataclass(slots=True)
 class LadderCounters:
-    """Since start."""
+    """Since start: proposals, by how far down they had to step."""
 
-    proposals: int = 0
-    degraded: int = 0  # of them, those below the chosen sampler with all its samples
-    skipped: int = 0  # of those, without any sample
+    chosen: int = 0
+    cheaper: int = 0
+    fewer: int = 0
+    table: int = 0
+    none: int = 0
+
+    def count(self, step: Step) -> None:
+        name = step.name.lower()
+        setattr(self, name, getattr(self, name) + 1)
 
 
-@dataclass(slots=True)
 class Ladder:
     """A proposal that keeps to a deadline."""
 
-    rungs: list[Rung]
-    clock: Callable[[], int]  # ns
-    filter_ns: float = 0.0  # expected, of what the filter does with one sample
-    budget_ns: float = float("inf")  # that proposing alone may take
-    deadline_ns: int | None = None  # on `clock`; None: there is time
-    spent_ns: int = 0  # in proposals, since start
-    level: int = 0  # rung of the last call; 0: as chosen
-    counters: LadderCounters = field(default_factory=LadderCounters)
-    name: str = ""  # kind of the sampler last used
-    _begun_ns: int = 0
-    _asked: int = 0
-
-    def __post_init__(self) -> None:
-        if self.rungs[0].proposal is not None:
-            self.name = self.rungs[0].proposal.name
+    def __init__(
+        self, rungs: list[Rung], clock: Callable[[], int], budget_ns: float = float("inf")
+    ) -> None:
+        """`rungs`: from the chosen one down; `clock`: ns; `budget_ns`: of proposing alone."""
+        self.rungs = rungs
+        self.clock = clock
+        self.budget_ns = budget_ns
+        self.deadline_ns = float("inf")  # on `clock`
+        self.spent_ns = 0  # in proposals, since start
+        self.step = Step.CHOSEN  # of the last call
+        self.counters = LadderCounters()
+        self.name = rungs[0].proposal.name if rungs[0].proposal else ""  # of the one last asked
+        self._each = Cost()  # of the filter, with one sample
+        self._done_ns = 0
+        self._without = 0
+        self._asked = 0
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
-        """As `Proposal.propose`, but of as few samples as there is time for: (≤ n, 3)."""
-        self._begun_ns = start = self.clock()
-        left = np.inf if self.deadline_ns is None else self.deadline_ns - start
-        self.level = next(k for k in range(len(self.rungs)) if self._fits(k, n, left))
-        rung = self.rungs[self.level]
-        self.counters.proposals += 1
-        self.counters.degraded += self.level > 0
-        self._asked = max(round(rung.share * n), 1) if rung.proposal is not None else 0
+        """As `Proposal.propose`, but of as many samples as there is time for: (≤ n, 3)."""
+        start = self.clock()
+        left_ns = self.deadline_ns - start
+        rung = next(rung for rung in self.rungs if self._fits(rung, n, left_ns))
+        if rung.proposal is None and self._without >= PATIENCE:
+            rung = self.rungs[-2]
+        self.step = rung.step
+        self.counters.count(rung.step)
         if rung.proposal is None:
-            self.counters.skipped += 1
+            self._without += 1
+            self._each.kept_away()
             return np.empty((0, 3))
+        self._without = 0
+        self._asked = max(round(rung.share * n), 1)
         poses = rung.proposal.propose(z, live, self._asked, rng)
-        took = self.clock() - start
-        self.spent_ns += took
+        self._done_ns = self.clock()
+        self.spent_ns += self._done_ns - start
         self.name = rung.proposal.name
-        rung.cost_ns += GAIN * (took - rung.cost_ns)
+        rung.cost.took(self._done_ns - start)
         return poses
 
     def used(self) -> None:
         """The filter is done with the samples of the last call: learn what it takes for them."""
         if self._asked:
-            each = (self.clock() - self._begun_ns - self.rungs[self.level].cost_ns) / (
-                OVERHEAD + self._asked
-            )
-            self.filter_ns += GAIN * (max(each, 0.0) - self.filter_ns)
+            self._each.took((self.clock() - self._done_ns) / (OVERHEAD + self._asked))
         self._asked = 0
 
-    def _fits(self, k: int, n: int, left_ns: float) -> bool:
+    def is_late(self) -> bool:
+        return self.clock() >= self.deadline_ns
+
+    def settle(self) -> None:
+        """Warm now: costs are those of the start, and counting begins."""
+        self.counters = LadderCounters()
+        self.spent_ns = 0
+        for cost in (self._each, *(rung.cost for rung in self.rungs)):
+            cost.at_start_ns = cost.ns
+
+    def _fits(self, rung: Rung, n: int, left_ns: float) -> bool:
         """Whether the time left carries a rung: the last one always."""
-        rung = self.rungs[k]
-        if rung.proposal is None:
+        if rung.proposal is None or left_ns == float("inf"):
             return True
-        after = self.filter_ns * (OVERHEAD + rung.share * n)
-        in_budget = k > 0 or rung.cost_ns <= self.budget_ns or np.isinf(left_ns)
-        return in_budget and MARGIN * (rung.cost_ns + after) <= left_ns
-
-
-def rungs(chosen: Sequence[tuple[Proposal, float]]) -> list[Rung]:
-    """The ladder of proposals with their cost [ns] in order of preference: of those after the
-    first only what is cheaper than all before; then fewer samples of the cheapest; then none."""
-    made: list[Rung] = []
-    for proposal, cost_ns in chosen:
-        if not made or cost_ns < made[-1].cost_ns:
-            made.append(Rung(proposal, 1.0, cost_ns))
-    last = made[-1]
-    made += [Rung(last.proposal, share, last.cost_ns) for share in SHARES]
-    return [*made, Rung(None)]
+        after_ns = self._each.ns * (OVERHEAD + rung.share * n)
+        fits = MARGIN * (rung.cost.ns + after_ns) <= left_ns
+        if rung.step is Step.CHOSEN and len(self.rungs) > 1:
+            fits = fits and rung.cost.ns <= self.budget_ns
+        if not fits:
+            rung.cost.kept_away()
+        return fits

@@ -9,6 +9,7 @@ from typing import Any
 
 from taxeld import __version__
 from taxeld.estimate import Estimate, ProposalKind, Status
+from taxeld.ladder import Step
 from taxeld.layout import Layout
 from taxeld.scene import Scene
 from taxeld.se2 import Poses
@@ -20,6 +21,7 @@ ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO = (
     b"/taxeld/estimate", b"/taxeld/particles", b"/taxeld/taxels", b"/taxeld/health",
     b"/taxeld/info",
 )  # fmt: skip
+TOPICS = (ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO)
 SENSOR_POSE = b"/robot/sensor_pose"
 
 STAGES = ("source", "skin", "propose", "filter", "publish", "total")
@@ -27,7 +29,7 @@ STAGES = ("source", "skin", "propose", "filter", "publish", "total")
 
 def estimate(
     e: Estimate, *, seq: int, valid: bool, mono_ns: int = 0, age_us: float = 0.0,
-    overruns: int = 0, lat_us: dict[str, float] | None = None,
+    overruns: int = 0, degraded: int = 0, lat_us: dict[str, float] | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """`/taxeld/estimate`; in a replay, where time is not measured, the timing keys are 0."""
     return {
@@ -50,6 +52,7 @@ def estimate(
         "log_evidence": e.log_evidence,
         "age_us": age_us,
         "overruns": overruns,
+        "degraded": degraded,
         "lat_us": lat_us or dict.fromkeys(STAGES, 0.0),
     }
 
@@ -71,7 +74,9 @@ def taxels(activation: Activation, seq: int) -> dict[str, Any]:
 
 def health(seq: int, t: float, parts: dict[str, Any]) -> dict[str, Any]:
     """`/taxeld/health`: counters and dataclasses of counters, by part."""
-    plain = {k: v if isinstance(v, (dict, list, float)) else asdict(v) for k, v in parts.items()}
+    plain = {
+        k: v if isinstance(v, (dict, list, float, int)) else asdict(v) for k, v in parts.items()
+    }
     return {"v": VERSION, "seq": seq, "t": t, **plain}
 
 
@@ -83,6 +88,7 @@ def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str)
         "units": {"length": "m", "angle": "rad", "time": "s", "lat_us": "us", "age_us": "us"},
         "status": {str(int(s)): s.name.lower() for s in Status},
         "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
+        "degraded": {str(int(s)): s.name.lower() for s in Step},
         "layout": {
             "name": layout.name,
             "digest": layout.digest,

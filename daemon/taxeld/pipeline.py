@@ -1,10 +1,12 @@
 """From scans to estimates: skin, sensor pose and estimator in one pure object.
 
 The daemon's loop and the replay of a session run this same code. Time is measured only through the
-clock that is passed in; a replay passes none and is the same, byte for byte, every time.
+clock that is passed in; a replay passes none and is the same, byte for byte, every time. What
+arrives is handed in with the time of its arrival, so the same arrivals lead to the same estimates.
 """
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,16 +16,20 @@ from taxeld.bundle import Bundle
 from taxeld.config import Config
 from taxeld.estimate import Estimate, Status
 from taxeld.estimator import Estimator
-from taxeld.ladder import Ladder, LadderCounters, Rung
+from taxeld.ladder import Ladder, Rung, Step
 from taxeld.layout import Layout
 from taxeld.poses import PoseTrack, StandingStill
 from taxeld.se2 import Poses
 from taxeld.skin import Activation, Skin
 from taxeld_protocol.decoder import Scan
 
-ClockNs = Callable[[], int]
+FUTURE_S = 0.1  # a scan that is stamped later than now by more was stamped wrongly
+WAITING_MAX = 64  # scans; of more the oldest are let go
+SILENT_PERIODS = 3.0  # without a scan of it for so long, a hub is silent
 
 WARM_UP_TOUCHES = 5
+
+ClockNs = Callable[[], int]
 
 
 def no_clock() -> int:
@@ -35,11 +41,24 @@ class Outcome:
     """What one scan led to, and the time each stage took [ns]."""
 
     estimate: Estimate
-    activation: Activation | None = None  # None while the baseline is learned
+    activation: Activation | None = None  # None while the baseline is learned, or not used
     sensor: Poses | None = None  # (3,) in the world; None where it is not known
     skin_ns: int = 0
     propose_ns: int = 0
     filter_ns: int = 0
+
+
+@dataclass(slots=True)
+class InputCounters:
+    """Since start."""
+
+    scans_old: int = 0  # that arrived when older than their limit, not used
+    scans_from_the_future: int = 0  # later than now, or of no time at all, not used
+    scans_without_pose: int = 0  # for which no sensor pose near in time came, not used
+    scans_waited: int = 0  # for a pose at or after their time
+    scans_put_off: int = 0  # to the next tick, as the time of this one was up
+    scans_crowded_out: int = 0  # by too many that waited, not used
+    clock_steps: int = 0  # of the Unix clock
 
 
 class Pipeline:
@@ -50,18 +69,77 @@ class Pipeline:
     ) -> None:
         self.config = config
         self.clock = clock
-        self.skin = Skin(layout, config.skin)
+        period_s = config.source.period_ms / 1000.0
+        silent_s = max(config.source.max_age_s, SILENT_PERIODS * period_s)
+        self.skin = Skin(layout, config.skin, silent_s)
         self.poses: PoseTrack | StandingStill = StandingStill()
         if config.sensor_pose.endpoint:
             self.poses = PoseTrack(config.sensor_pose.max_age_s)
         wanted, propose_ms = config.filter, config.budget.propose_ms
         chosen = bundle.proposal(wanted.proposal, wanted.sampler, wanted.injected, propose_ms)
         timed = clock is not no_clock
-        steps = bundle.ladder(chosen, wanted.injected) if timed else [Rung(chosen)]
-        self.ladder = Ladder(steps, clock, budget_ns=1e6 * propose_ms)
+        rungs = bundle.ladder(chosen, wanted.injected) if timed else [Rung(Step.CHOSEN, chosen)]
+        self.ladder = Ladder(rungs, clock, budget_ns=1e6 * propose_ms)
         self.estimator = Estimator(bundle.model, self.ladder, config.filter)
         self.estimate = replace(self.estimator.estimate, status=Status.STARTING)
-        self.without_pose = 0
+        self.inputs = InputCounters()
+        self._waiting: deque[tuple[float, Scan]] = deque()  # with the time of arrival
+        self._stepped_s = 0.0  # by how much the clock was set since the start
+
+    def advance(self, scans: Iterable[Scan], now: float) -> Iterator[Outcome]:
+        """Take the scans that have arrived by `now`, after the sensor poses that have; → what they,
+        and those that had been waiting, led to.
+
+        A scan waits for a pose at or after its time, which may be on its way, but no longer than
+        `sensor_pose.wait_s`; and for the next call, where the ladder's deadline has passed and
+        another scan has been taken in this one.
+        """
+        for scan in scans:
+            age = now - scan.t
+            if -FUTURE_S <= age <= self.config.source.max_age_s:
+                self._waiting.append((now, scan))
+                self.inputs.scans_waited += self.poses.latest_t < scan.t
+            else:
+                yield self._refused(age)
+        while self._waiting and self._is_due(*self._waiting[0], now):
+            yield self.on_scan(self._waiting.popleft()[1])
+            if self.ladder.is_late():
+                self.inputs.scans_put_off += len(self._waiting)
+                break
+        while len(self._waiting) > WAITING_MAX:
+            self._waiting.popleft()
+            self.inputs.scans_crowded_out += 1
+
+    def flush(self) -> Iterator[Outcome]:
+        """What the scans that still wait led to, as nothing more will come."""
+        while self._waiting:
+            yield self.on_scan(self._waiting.popleft()[1])
+
+    def clock_stepped(self, by: float) -> None:
+        """The Unix clock was set: what it stamps is later by so much than what it stamped.
+
+        The skin's times and the scans that wait are moved along; the poses are forgotten, as the
+        robot's clock may have been set with this one or not; the estimator never notices.
+        """
+        self.inputs.clock_steps += 1
+        self._stepped_s += by
+        self.skin.clock_stepped(by)
+        self.poses.clear()
+        self._waiting = deque((t + by, replace(s, t=s.t + by)) for t, s in self._waiting)
+        if self.estimate.t:  # it is of a scan
+            self.estimate = replace(self.estimate, t=self.estimate.t + by)
+
+    def _is_due(self, arrived: float, scan: Scan, now: float) -> bool:
+        waited = now - arrived >= self.config.sensor_pose.wait_s
+        return waited or self.poses.latest_t >= scan.t or len(self._waiting) > WAITING_MAX
+
+    def _refused(self, age: float) -> Outcome:
+        if age > 0.0:
+            self.inputs.scans_old += 1
+        else:
+            self.inputs.scans_from_the_future += 1
+        self.estimate = replace(self.estimate, status=Status.STALE)
+        return Outcome(self.estimate)
 
     def on_scan(self, scan: Scan) -> Outcome:
         """Take a scan; the sensor's poses up to its time must have been added."""
@@ -73,11 +151,11 @@ class Pipeline:
             return Outcome(self.estimate, skin_ns=felt - start)
         sensor = self.poses.at(scan.t)
         if sensor is None:
-            self.without_pose += 1
+            self.inputs.scans_without_pose += 1
             self.estimate = replace(self.estimate, t=scan.t, status=Status.STALE)
             return Outcome(self.estimate, activation, skin_ns=felt - start)
         before = self.ladder.spent_ns
-        self.estimate = self.estimator.on_scan(activation, sensor)
+        self.estimate = self._estimated(activation, sensor)
         self.ladder.used()
         propose_ns = self.ladder.spent_ns - before
         filter_ns = self.clock() - felt - propose_ns
@@ -96,16 +174,26 @@ class Pipeline:
             for late_s, felt in ((0.0, z), (0.05, z), (0.1, 0.0 * z), (0.5, 0.0 * z)):
                 subject.on_scan(Activation(k + late_s, felt, live), se2.inverse(pose))
                 self.ladder.used()
-        self.ladder.counters = LadderCounters()
+        self.ladder.settle()
 
     def tare(self) -> None:
-        """Learn the idle baseline anew; the skin must not be touched."""
+        """Learn the idle baseline anew; the skin must not be touched. The status is STARTING until
+        that is done."""
         self.skin.tare()
+        self.estimate = replace(self.estimate, status=Status.STARTING)
 
     def reset(self) -> None:
         """Forget what was felt."""
         self.estimator.reset()
         self.estimate = self.estimator.estimate
+
+    def _estimated(self, activation: Activation, sensor: Poses) -> Estimate:
+        """The estimator's word, whose own time goes on as if the clock had never been set."""
+        by = self._stepped_s
+        if not by:
+            return self.estimator.on_scan(activation, sensor)
+        estimate = self.estimator.on_scan(replace(activation, t=activation.t - by), sensor)
+        return replace(estimate, t=estimate.t + by)
 
 
 def is_valid(estimate: Estimate) -> bool:

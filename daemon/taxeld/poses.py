@@ -10,6 +10,7 @@ from taxeld import se2
 from taxeld.se2 import Poses
 
 KEPT = 512  # poses: five seconds at 100 Hz
+BACK_MAX = 10  # poses in a row from before the last, in order: the robot's clock was set back
 
 
 class PoseTrack:
@@ -24,6 +25,8 @@ class PoseTrack:
         self.max_age_s = max_age_s
         self._on_pose = on_pose
         self.rejected = 0  # not finite, or not later than the one before
+        self.begun_again = 0  # times that the robot's clock was seen to be set back
+        self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last of them
         self._t: deque[float] = deque(maxlen=KEPT)
         self._pose: deque[Poses] = deque(maxlen=KEPT)
 
@@ -32,15 +35,34 @@ class PoseTrack:
         return self._t[-1] if self._t else -np.inf
 
     def add(self, t: float, x: float, y: float, theta: float) -> None:
-        """Take a pose; times must increase."""
+        """Take a pose; times must increase, but for a clock that was set back."""
         pose = np.array([x, y, theta], dtype=np.float64)
-        if not (np.isfinite(t) and np.isfinite(pose).all()) or t <= self.latest_t:
+        if not (np.isfinite(t) and np.isfinite(pose).all()):
             self.rejected += 1
             return
+        if t <= self.latest_t and not self._is_set_back(t):
+            self.rejected += 1
+            return
+        self._back = 0
         self._t.append(t)
         self._pose.append(pose)
         if self._on_pose is not None:
             self._on_pose(t, float(x), float(y), float(theta))
+
+    def clear(self) -> None:
+        """Forget all poses: their times are of another clock."""
+        self._t.clear()
+        self._pose.clear()
+
+    def _is_set_back(self, t: float) -> bool:
+        """Whether this pose from the past is the last of so many that they are the present."""
+        self._back = self._back + 1 if t > self._back_t else 1
+        self._back_t = t
+        if self._back < BACK_MAX:
+            return False
+        self.begun_again += 1
+        self.clear()
+        return True
 
     def at(self, t: float) -> Poses | None:
         """The pose (3,) at time t: interpolated, or the last one while it is young enough; None
@@ -64,8 +86,11 @@ class StandingStill:
     """A sensor without a robot: always at the origin."""
 
     max_age_s = np.inf
-    rejected = 0
+    rejected = begun_again = 0
     latest_t = np.inf
+
+    def clear(self) -> None:
+        """There is nothing to forget."""
 
     def at(self, t: float) -> Poses:  # noqa: ARG002
         return se2.IDENTITY

@@ -3,10 +3,13 @@
 What is not permitted is not an error: `/taxeld/health` says what was granted.
 """
 
+import contextlib
 import ctypes
 import gc
 import os
+import resource
 import sys
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 SWITCH_S = 0.0005  # another thread gives the interpreter back after that long
@@ -23,38 +26,50 @@ class RealTime:
     switch_us: float = 0.0
 
 
-def enter(priority: int) -> RealTime:
-    """Make the calling thread, warmed up, a real-time one. `priority`: of SCHED_FIFO, 1..99; 0: the
-    scheduler and memory are left as they are.
+@contextlib.contextmanager
+def thread(priority: int) -> Iterator[RealTime]:
+    """Make the calling thread, warmed up, a real-time one; → what was granted.
 
-    From here on the cyclic collector is off: nothing that runs in the loop makes cycles.
+    `priority` is of SCHED_FIFO, 1..99; with 0 the scheduler and memory are left as they are. The
+    cyclic collector is off meanwhile: nothing that runs in the loop makes cycles.
     """
     gc.collect()
     gc.freeze()
     gc.disable()
+    before_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_S)
-    fifo = priority if priority and _fifo(priority) else 0
+    fifo = priority if priority and _schedule(_FIFO, priority) else 0
     locked = bool(priority) and _lock()
-    return RealTime(fifo, locked, gc_frozen=True, switch_us=SWITCH_S * 1e6)
-
-
-def leave() -> None:
-    """Let the interpreter collect again."""
-    gc.enable()
-    gc.unfreeze()
-
-
-def _fifo(priority: int) -> bool:
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+        yield RealTime(fifo, locked, gc_frozen=True, switch_us=SWITCH_S * 1e6)
+    finally:
+        if locked:
+            ctypes.CDLL(None).munlockall()
+        if fifo:
+            _schedule(os.SCHED_OTHER, 0)
+        sys.setswitchinterval(before_s)
+        gc.enable()
+        gc.unfreeze()
+
+
+_FIFO = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+
+
+def _schedule(policy: int, priority: int) -> bool:
+    try:
+        os.sched_setscheduler(0, policy, os.sched_param(priority))
     except OSError:
         return False
     return True
 
 
 def _lock() -> bool:
+    """Only where no limit is set, behind which memory could no longer be had at all."""
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if limit != resource.RLIM_INFINITY and os.geteuid() != 0:
+        return False
     try:
-        libc = ctypes.CDLL(None, use_errno=True)
-        return bool(libc.mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT) == 0)
+        locked = ctypes.CDLL(None).mlockall(MCL_CURRENT | MCL_FUTURE | MCL_ONFAULT)
     except (OSError, AttributeError):
         return False
+    return bool(locked == 0)

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import zmq
 
-from taxeld import layout, session
+from taxeld import curve, layout, session
 from taxeld.config import Config
+from taxeld.curve import Guard
 from taxeld.errors import SetupError
 from taxeld.poses import PoseTrack
 from taxeld.session import Recorder
@@ -39,12 +40,12 @@ class Recording:
         config = self.config
         if config.source.kind == "replay":
             raise SetupError("source.kind: 'replay' is a recording already; use can or serial")
-        endpoint = config.sensor_pose.endpoint
+        endpoint, keys = config.sensor_pose.endpoint, curve.load(config)
         with Recorder(self._directory, moves=bool(endpoint)) as recorder, zmq.Context() as context:
             source = open_source(config.source, layout.load(config.skin.layout), recorder)
             shutil.copyfile(self._config_path, self._directory / session.CONFIG)
             track = PoseTrack(config.sensor_pose.max_age_s, on_pose=recorder.pose)
-            robot = PoseInput(context, track)
+            robot = PoseInput(context, track, Guard(context, keys, config.curve))
             try:
                 if endpoint:
                     robot.connect(endpoint)

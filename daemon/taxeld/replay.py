@@ -1,15 +1,23 @@
 """Replay of a session: the daemon's pipeline on recorded input, with no clock."""
 
+import heapq
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from operator import itemgetter
 from pathlib import Path
 
 from taxeld import bundle, dialects, layout, messages, session
+from taxeld.clock import STEP_S
 from taxeld.config import Config, SensorPoseConfig
 from taxeld.pipeline import Outcome, Pipeline, is_valid
 from taxeld.poses import PoseTrack
+from taxeld.session import Chunk, PoseRow
 from taxeld.wire import Wire
+from taxeld_protocol.frames import Frame
+
+Arrival = Frame | Chunk | PoseRow
 
 
 def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator[str]:
@@ -46,15 +54,29 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     """
     items = session.read_input(directory)
     track = pipeline.poses if isinstance(pipeline.poses, PoseTrack) else None
-    poses = iter(session.read_poses(directory / session.POSES) if track else [])
+    poses = session.read_poses(directory / session.POSES) if track else []
     decoder = dialects.listener(pipeline.config.source, pipeline.skin.layout)
     wire = Wire(pipeline.config.source, decoder)
-    coming = next(poses, None)
-    for item in items:
-        # as in the daemon, a scan is taken when its last frame is there, and so are the poses
-        while track and coming and coming[0] <= item.t:
-            track.add(*coming)
-            coming = next(poses, None)
-        for heard in wire.take(item, item.t):
-            for scan in heard.scans:
-                yield pipeline.on_scan(scan)
+    before = 0, items[0].t
+    # as in the daemon, a scan is taken when its last frame is there, and so are the poses
+    for now, came in heapq.merge(_ordered(poses), _ordered(items), key=itemgetter(0)):
+        if now[0] > before[0]:
+            pipeline.clock_stepped(now[1] - before[1])
+        before = now
+        if isinstance(came, Frame | Chunk):
+            scans = [scan for heard in wire.take(came, now[1]) for scan in heard.scans]
+            yield from pipeline.advance(scans, now[1])
+        elif track:
+            yield from pipeline.advance((), now[1])
+            track.add(*came)
+    yield from pipeline.flush()
+
+
+def _ordered(arrivals: Iterable[Arrival]) -> Iterator[tuple[tuple[int, float], Arrival]]:
+    """Each with how often its clock was set back before, and its time: the order of arrival."""
+    steps, before = 0, -math.inf
+    for came in arrivals:
+        t = came.t if isinstance(came, Frame | Chunk) else came[0]
+        steps += t < before - STEP_S
+        before = t
+        yield (steps, t), came

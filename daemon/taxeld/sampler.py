@@ -24,6 +24,7 @@ class Sampler:
 
     def __init__(self, path: Path, layout: Layout, name: str) -> None:
         self.name = name
+        self.file = path.name
         self._session = _session(path)
         shapes = {i.name: i.shape for i in self._session.get_inputs()}
         taxels = len(layout)

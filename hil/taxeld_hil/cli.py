@@ -46,7 +46,7 @@ def _emulate(args: argparse.Namespace) -> int:
     from taxeld_hil.emulate import Emulation
 
     emulation = Emulation(scenarios.load(args.scenario), args.seed)
-    if emulation.run(args.poses, args.link, args.out):
+    if emulation.run(args.poses, args.can or args.link, args.out):
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
     return 1
@@ -100,7 +100,9 @@ def _parser() -> argparse.ArgumentParser:
     emulate = commands.add_parser("emulate", help="the virtual skin and robot alone")
     emulate.add_argument("scenario", metavar="SCENARIO")
     emulate.add_argument("--seed", type=int, default=0)
-    emulate.add_argument("--link", type=Path, required=True, help="that will name the device")
+    where = emulate.add_mutually_exclusive_group(required=True)
+    where.add_argument("--link", type=Path, help="that will name an SLCAN adapter")
+    where.add_argument("--can", metavar="INTERFACE", help="of this machine's kernel, as vcan0")
     emulate.add_argument("--poses", required=True, help="endpoint for the robot's poses")
     emulate.add_argument("--out", type=Path, required=True, help="directory for the session")
     emulate.set_defaults(command=_emulate)

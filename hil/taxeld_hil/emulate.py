@@ -13,7 +13,7 @@ from taxeld import bundle, layout, messages, session
 from taxeld.config import SkinConfig
 from taxeld.se2 import Poses
 from taxeld_hil import robot
-from taxeld_hil.adapter import SlcanAdapter
+from taxeld_hil.adapter import CanAdapter, SlcanAdapter
 from taxeld_hil.scenario import Scenario
 from taxeld_hil.world import World
 from taxeld_protocol.modules import wired
@@ -32,9 +32,12 @@ class Emulation:
     scenario: Scenario
     seed: int
 
-    def run(self, endpoint: str, link: Path, directory: Path) -> bool:
-        """Serve the skin on a pseudo-terminal that `link` will point to, publish the robot's poses
-        on `endpoint`, record into `directory`; → whether a host came and stayed to the end."""
+    def run(self, endpoint: str, where: Path | str, directory: Path) -> bool:
+        """Serve the skin, publish the robot's poses on `endpoint`, record into `directory`.
+
+        `where`: a link that will point to a pseudo-terminal, or a CAN interface's name; → whether a
+        host came and stayed to the end.
+        """
         scenario = self.scenario
         skin = layout.load(scenario.layout)
         model = bundle.load(scenario.bundle, skin, SkinConfig().full_scale_depth_m).model
@@ -46,17 +49,22 @@ class Emulation:
             zmq.Context() as context,
             context.socket(zmq.PUB) as poses,
             session.Recorder(directory, moves=True) as recorder,
-            SlcanAdapter(ihb, recorder.take) as adapter,
+            (
+                CanAdapter(ihb, recorder.take, where)
+                if isinstance(where, str)
+                else SlcanAdapter(ihb, recorder.take)
+            ) as adapter,
         ):
             poses.setsockopt(zmq.LINGER, 0)
             poses.bind(endpoint)
             _write_truth(directory, world.truth)
-            link.symlink_to(adapter.device)
+            if isinstance(adapter, SlcanAdapter):
+                Path(where).symlink_to(adapter.device)
             return _serve(adapter, world, path, poses, recorder)
 
 
 def _serve(
-    adapter: SlcanAdapter,
+    adapter: SlcanAdapter | CanAdapter,
     world: World,
     path: robot.Path,
     poses: zmq.Socket[Any],

@@ -1,7 +1,12 @@
 """Scenes with closed forms, so that what the daemon computes can be checked by hand."""
 
+import contextlib
+from collections.abc import Iterator
+from typing import Any
+
 import numpy as np
 import pytest
+import zmq
 
 from taxeld import layout as layouts
 from taxeld.layout import Layout
@@ -62,3 +67,24 @@ def disc_model(skin: Layout) -> ObservationModel:
 @pytest.fixture(scope="session")
 def box_model(skin: Layout) -> ObservationModel:
     return ObservationModel(scene_of(box(0.03, 0.06), skin, symmetry=2), skin, DEPTH_MAX_M)
+
+
+class Sockets(contextlib.ExitStack):
+    """A context, and the sockets of a test, which are closed at its end."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.context: zmq.Context[Any] = self.enter_context(zmq.Context())
+
+    def open(self, kind: int) -> zmq.Socket[Any]:
+        return self.keep(self.context.socket(kind))
+
+    def keep(self, socket: zmq.Socket[Any]) -> zmq.Socket[Any]:
+        socket.setsockopt(zmq.LINGER, 0)
+        return self.enter_context(socket)
+
+
+@pytest.fixture
+def sockets() -> Iterator[Sockets]:
+    with Sockets() as opened:
+        yield opened

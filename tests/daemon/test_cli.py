@@ -116,6 +116,10 @@ FAULTS = [
     ("skin", "layout", '"ball"', "skin.layout: 'ball' is no known layout"),
     ("skin", "full_scale_depth_m", "0.004", "skin.full_scale_depth_m: is 0.004, but box"),
     ("filter", "sampler", '"ddpm-7"', "filter.sampler: box has no 'ddpm-7'; it has "),
+    ("publish", "endpoints", '["tcp://0.0.0.0:1"]', "publish.endpoints: 'tcp://0.0.0.0:1' is not"),
+    ("control", "endpoint", '"tcp://*:1"', "control.endpoint: 'tcp://*:1' is not local"),
+    ("sensor_pose", "endpoint", '"tcp://robot:1"', "sensor_pose.endpoint: 'tcp://robot:1' is not"),
+    ("curve", "directory", '"/nowhere"', "curve.directory: /nowhere/server.key_secret is not"),
     ("source", "path", '"/nowhere"', "/nowhere/frames.log: unreadable log"),
 ]
 
@@ -191,7 +195,7 @@ def test_a_damaged_bundle_is_one_line_and_status_2(
 @pytest.mark.parametrize(
     "arguments",
     [["check", "/nowhere.toml"], ["decode", "/nowhere.log"], ["replay", "/nowhere"],
-     ["status", "--endpoint", "ipc:///nowhere/control"]],
+     ["status", "/nowhere.toml"]],
 )  # fmt: skip
 def test_a_missing_file_is_one_line_and_status_2(
     capsys: pytest.CaptureFixture[str], arguments: list[str]

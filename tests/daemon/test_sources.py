@@ -11,6 +11,7 @@ import pytest
 
 from taxeld import layout
 from taxeld.config import SourceConfig
+from taxeld.devices import CanDevice
 from taxeld.errors import SetupError
 from taxeld.sources import Source, open_source
 from taxeld_hil.adapter import SlcanAdapter
@@ -133,6 +134,26 @@ def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
     source.close()
 
 
+def test_a_clock_that_is_set_back_while_a_bus_is_read_makes_nobody_wait(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Python-can's own `recv` would go on until the old time is reached again."""
+    clock = iter(range(1000, 0, -1))
+    waits: list[float] = []
+
+    def nothing_there(self: can.BusABC, timeout: float) -> tuple[None, bool]:  # noqa: ARG001
+        waits.append(timeout)
+        return None, True
+
+    monkeypatch.setattr("can.bus.time", lambda: float(next(clock)))
+    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", nothing_there)
+    settings = SourceConfig(kind="can", interface="virtual", channel="clock")
+    source = open_source(settings, SKIN)
+    assert source.poll(0.0) == []
+    source.close()
+    assert waits == [0.0]
+
+
 @pytest.mark.parametrize(
     "settings",
     [
@@ -158,3 +179,20 @@ def test_a_session_is_replayed_at_its_own_pace(tmp_path: Path) -> None:
     (tmp_path / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
     source = open_source(SourceConfig(kind="replay", path=str(tmp_path)), SKIN)
     assert [len(source.poll(now)) for now in (50.0, 50.5, 51.0, 51.9, 52.1)] == [1, 0, 1, 0, 1]
+
+
+@pytest.mark.parametrize(("behind_s", "kept"), [(0.02, True), (7200.0, True), (1e8, False)])
+def test_stamps_of_an_adapters_own_clock_are_replaced_by_the_arrivals(
+    monkeypatch: pytest.MonkeyPatch, behind_s: float, kept: bool
+) -> None:
+    """Some count from their start; the kernel's are believed, however old."""
+    config = SourceConfig(kind="can", interface="virtual", channel="stamps")
+    device = CanDevice(config, lambda *_: [])
+    stamp = time.time() - behind_s
+    waiting = [can.Message(timestamp=stamp, arbitration_id=0x101, data=b"\x43")]
+    heard = lambda _: (waiting.pop() if waiting else None, False)  # noqa: E731
+    monkeypatch.setattr(device._bus, "_recv_internal", heard)
+    (frame,) = device.read()
+    assert (frame.t == stamp) == kept
+    assert kept or time.time() - frame.t < DEADLINE_S
+    device.close()

@@ -1,0 +1,125 @@
+"""How long each stage of a tick took since start, in the form that `cyclictest --json` writes."""
+
+import os
+import platform
+import sys
+import time
+from array import array
+from email.utils import formatdate
+from typing import Any
+
+import numpy as np
+
+from taxeld import __version__
+
+BOUND_US = 50_000  # buckets of 1 µs; longer ones are counted, and known by their maximum
+QUANTILES = (0.5, 0.99)
+
+
+class Histogram:
+    """Durations; adding one neither searches nor allocates."""
+
+    def __init__(self) -> None:
+        self.cycles = 0
+        self.overflow = 0  # of them: BOUND_US or more
+        self.max_us = 0.0
+        self._min_us = float("inf")
+        self._sum_us = 0.0
+        self._counts = array("Q", bytes(8 * BOUND_US))
+
+    def add(self, us: float) -> None:
+        self.cycles += 1
+        self._sum_us += us
+        self.max_us = max(self.max_us, us)
+        self._min_us = min(self._min_us, us)
+        bucket = int(us)
+        if bucket < BOUND_US:
+            self._counts[bucket] += 1
+        else:
+            self.overflow += 1
+
+    @property
+    def min_us(self) -> float:
+        return self._min_us if self.cycles else 0.0
+
+    @property
+    def mean_us(self) -> float:
+        return self._sum_us / self.cycles if self.cycles else 0.0
+
+    def quantiles_us(self) -> list[float]:
+        """The QUANTILES, to a microsecond from above; in the overflow, the maximum."""
+        below = np.cumsum(self._filled())
+        ranks = [np.searchsorted(below, np.ceil(q * self.cycles)) for q in QUANTILES]
+        # past the last bucket is the overflow
+        return [
+            min(rank + 1.0, self.max_us) if rank < len(below) else self.max_us for rank in ranks
+        ]
+
+    def counts(self) -> dict[str, int]:
+        """Whole microseconds → how often; those that occurred."""
+        filled = self._filled()
+        return {str(us): int(filled[us]) for us in np.flatnonzero(filled)}
+
+    def _filled(self) -> np.ndarray[Any, np.dtype[np.uint64]]:
+        return np.frombuffer(self._counts, dtype=np.uint64)[: int(self.max_us) + 1]
+
+
+class Latencies:
+    """A histogram a stage."""
+
+    def __init__(self, stages: tuple[str, ...]) -> None:
+        self._start = time.time()
+        self._stages = {stage: Histogram() for stage in stages}
+
+    def add(self, us: dict[str, float]) -> None:
+        for stage, histogram in self._stages.items():
+            histogram.add(us[stage])
+
+    def percentiles(self) -> dict[str, dict[str, float]]:
+        """Since start; zeros where nothing was measured."""
+        found = {}
+        for stage, histogram in self._stages.items():
+            p50, p99 = histogram.quantiles_us()
+            found[stage] = {"p50": p50, "p99": p99, "max": histogram.max_us}
+        return found
+
+    def as_cyclictest(self) -> dict[str, Any]:
+        """What `cyclictest --json --histogram=50000` writes: a stage stands where a thread does.
+
+        Counts are by whole microseconds; `cycles` beyond their sum went over the bound.
+        """
+        return {
+            "file_version": 1,
+            "cmdline": " ".join(sys.argv),
+            "taxeld_version": __version__,
+            "start_time": formatdate(self._start, localtime=True),
+            "end_time": formatdate(localtime=True),
+            "return_code": 0,
+            "sysinfo": _sysinfo(),
+            "num_threads": len(self._stages),
+            "resolution_in_ns": 0,  # as cyclictest has it: microseconds
+            "thread": {
+                str(number): {
+                    "name": stage,
+                    "histogram": histogram.counts(),
+                    "cycles": histogram.cycles,
+                    "min": int(histogram.min_us),
+                    "max": int(histogram.max_us),
+                    "avg": round(histogram.mean_us, 2),
+                    "cpu": cpus.pop() if len(cpus := os.sched_getaffinity(0)) == 1 else -1,
+                    "node": 0,
+                }
+                for number, (stage, histogram) in enumerate(self._stages.items())
+            },
+        }
+
+
+def _sysinfo() -> dict[str, str | int]:
+    system = platform.uname()
+    return {
+        "sysname": system.system,
+        "release": system.release,
+        "version": system.version,
+        "machine": system.machine,
+        "realtime": int("PREEMPT_RT" in system.version),
+    }

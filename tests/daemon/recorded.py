@@ -1,0 +1,50 @@
+"""A recorded session: an idle skin that is then touched, as frames of a candump log."""
+
+from pathlib import Path
+
+import numpy as np
+
+from taxeld import layout
+from taxeld.config import SkinConfig
+from taxeld_protocol import cyskin
+from taxeld_protocol.modules import wired
+from taxeld_protocol.virtual_ihb import VirtualIhb
+
+PERIOD_S = 0.05
+IDLE_SCANS = 25  # the baseline takes 20
+IDLE_COUNTS, NOISE = 1000, 30.0
+PRESSED = range(36, 44)  # channels of one side of the skin
+DEAD = 5  # a channel that never reads anything
+
+
+def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S) -> None:
+    """`frames.log` in `place`: idle, then `touches` times ten scans of touch and ten of none."""
+    modules = wired(layout.load(SkinConfig().layout).uid.tolist())
+    channels = sum(module.channels for module in modules)
+    rng = np.random.default_rng(0)
+    ihb = VirtualIhb(modules)
+    lines = []
+    for scan in range(IDLE_SCANS + 20 * touches):
+        t = 1e9 + scan * period_s
+        counts = IDLE_COUNTS + rng.normal(0.0, NOISE, channels)
+        if scan >= IDLE_SCANS and (scan - IDLE_SCANS) % 20 < 10:
+            counts[PRESSED] += 8000.0
+        counts[DEAD] = 0.0
+        for command, payload in ihb.sensor_data(counts.astype(int).tolist()):
+            lines += [
+                f"({t:.6f}) can0 {frame.can_id:03X}#{frame.data.hex().upper()}"
+                for frame in cyskin.to_frames(command, payload, ihb=ihb.short_id, t=t)
+            ]
+    (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def configuration(place: Path, more: str = "") -> Path:
+    """Of a daemon that replays `place` and serves there."""
+    path = place / "config.toml"
+    path.write_text(
+        f'[source]\nkind = "replay"\npath = "{place}"\n[scene]\nbundle = "box"\n'
+        f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
+        f'[control]\nendpoint = "ipc://{place}/control"\n{more}',
+        encoding="utf-8",
+    )
+    return path

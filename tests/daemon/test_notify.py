@@ -1,0 +1,150 @@
+"""What the service manager is told: on a real datagram socket, and by a real daemon."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from taxeld.notify import Notifier
+
+from .test_cli import configuration
+from .test_ticker import FakeClock
+
+DEADLINE_S = 60.0
+
+
+@pytest.fixture(params=["path", "abstract"])
+def manager(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[socket.socket]:
+    """A service manager's socket, in the file system or in the abstract name space."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as bound:
+        abstract = request.param == "abstract"
+        bound.bind(f"\0taxeld-test-{os.getpid()}" if abstract else str(tmp_path / "notify"))
+        bound.settimeout(DEADLINE_S)
+        yield bound
+
+
+def environ(manager: socket.socket, **more: str) -> dict[str, str]:
+    name = manager.getsockname()
+    return {"NOTIFY_SOCKET": f"@{name[1:].decode()}" if isinstance(name, bytes) else name, **more}
+
+
+def heard(manager: socket.socket) -> list[str]:
+    manager.setblocking(False)
+    messages = []
+    try:
+        while True:
+            messages.append(manager.recv(4096).decode())
+    except BlockingIOError:
+        return messages
+
+
+def ticks(notifier: Notifier, seconds: float) -> None:
+    """A loop at 100 Hz on a fake clock."""
+    clock = FakeClock()
+    while clock.now < seconds:
+        notifier.tick(clock.now, lambda now_s: f"{now_s:.1f} s")
+        clock.sleep(0.01)
+
+
+def test_a_manager_hears_ready_and_stopping(manager: socket.socket) -> None:
+    notifier = Notifier(environ(manager))
+    notifier.ready()
+    notifier.stopping()
+    assert heard(manager) == ["READY=1", "STOPPING=1"]
+
+
+def test_the_watchdog_is_fed_by_ticks_at_half_its_time_and_the_status_said_each_second(
+    manager: socket.socket,
+) -> None:
+    notifier = Notifier(environ(manager, WATCHDOG_USEC="1000000", WATCHDOG_PID=str(os.getpid())))
+    ticks(notifier, 2.95)
+    notifier.stopping()
+    said = heard(manager)
+    assert said.count("WATCHDOG=1") == 6
+    others = [message for message in said if message != "WATCHDOG=1"]
+    assert others == ["STATUS=0.0 s", "STATUS=1.0 s", "STATUS=2.0 s", "STOPPING=1"]
+
+
+@pytest.mark.parametrize(
+    "watch", [{}, {"WATCHDOG_USEC": "soon"}, {"WATCHDOG_USEC": "1000000", "WATCHDOG_PID": "1"}]
+)
+def test_without_a_watch_on_this_process_no_sign_of_life_is_sent(
+    manager: socket.socket, watch: dict[str, str]
+) -> None:
+    notifier = Notifier(environ(manager, **watch))
+    ticks(notifier, 2.95)
+    notifier.stopping()
+    assert "WATCHDOG=1" not in heard(manager)
+
+
+def test_a_manager_that_is_slow_or_gone_holds_nobody_up(manager: socket.socket) -> None:
+    notifier = Notifier(environ(manager, WATCHDOG_USEC="20000"))
+    ticks(notifier, 100.0)  # far more than its socket holds
+    first = heard(manager)
+    assert 0 < first.count("WATCHDOG=1") < 10_000
+    ticks(notifier, 100.0)
+    manager.close()
+    ticks(notifier, 1.0)
+    notifier.stopping()
+
+
+def test_without_a_manager_nothing_is_asked() -> None:
+    asked: list[float] = []
+
+    def status(now_s: float) -> str:
+        asked.append(now_s)
+        return ""
+
+    notifier = Notifier({"WATCHDOG_USEC": "1000000"})
+    notifier.ready()
+    notifier.tick(0.0, status)
+    notifier.stopping()
+    assert not asked
+
+
+@pytest.fixture
+def config(tmp_path: Path) -> Path:
+    """A daemon's configuration, on a bus where nobody speaks."""
+    path = configuration(tmp_path, "source", "kind", '"can"')
+    text = path.read_text(encoding="utf-8")
+    path.write_text(
+        text.replace("[source]\n", '[source]\ninterface = "virtual"\nchannel = "quiet"\n'),
+        encoding="utf-8",
+    )
+    return path
+
+
+def test_a_daemon_is_ready_says_how_it_is_feeds_the_watchdog_and_says_when_it_stops(
+    manager: socket.socket, config: Path
+) -> None:
+    said = environ(manager, WATCHDOG_USEC="200000")
+    command = [sys.executable, "-m", "taxeld.cli", "run", str(config)]
+    with subprocess.Popen(command, env={**os.environ, **said}) as process:
+        first = [manager.recv(4096).decode() for _ in range(5)]
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(DEADLINE_S) == 0
+    assert first[0] == "READY=1"
+    assert sorted(first[1:4]) == [
+        "STATUS=starting, contacts 0, overruns 0", "WATCHDOG=1", "WATCHDOG=1",
+    ]  # fmt: skip
+    assert heard(manager)[-1] == "STOPPING=1"
+
+
+def test_a_daemon_that_is_halted_falls_silent(manager: socket.socket, config: Path) -> None:
+    said = environ(manager, WATCHDOG_USEC="200000")
+    command = [sys.executable, "-m", "taxeld.cli", "run", str(config)]
+    with subprocess.Popen(command, env={**os.environ, **said}) as process:
+        for _ in range(4):
+            manager.recv(4096)
+        process.send_signal(signal.SIGSTOP)
+        os.waitpid(process.pid, os.WUNTRACED)
+        heard(manager)
+        manager.settimeout(1.0)
+        with pytest.raises(TimeoutError):
+            manager.recv(4096)
+        process.kill()

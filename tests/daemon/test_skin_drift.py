@@ -1,0 +1,171 @@
+"""The baseline over minutes: what it follows, and what it must not."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from taxeld.config import SkinConfig
+from taxeld.drift import HOLD_OFF_S
+from taxeld.layout import Layout
+from taxeld.skin import Skin
+from tests.daemon.simulated_skin import NOISE, SimulatedSkin
+
+MINUTE_S = 60.0
+HELD = [3, 4, 19]
+
+
+def begun(skin: Layout, seed: int = 0) -> tuple[SimulatedSkin, Skin]:
+    simulated, subject = SimulatedSkin(skin, seed), Skin(skin, SkinConfig(baseline_scans=100))
+    simulated.run(subject, 6.0)
+    return simulated, subject
+
+
+def ramp(counts_a_minute: float) -> Callable[[float], float]:
+    return lambda t: counts_a_minute * t / MINUTE_S
+
+
+def test_drift_is_followed_and_never_felt(skin: Layout) -> None:
+    simulated, subject = begun(skin)
+    simulated.own_drift = ramp(50.0)
+    for activation in simulated.lead(subject, 10 * MINUTE_S):
+        assert activation is not None
+        assert not activation.z.any()
+    lag = simulated.base + simulated.own_drift(simulated.t - 100.0) - subject.baseline
+    assert np.abs(lag).max() < 50.0 + NOISE
+    assert subject.figures()["max_counts"] > 400.0
+
+
+@pytest.mark.parametrize("counts", [400.0, 2_000.0, 15_000.0])
+def test_a_touch_held_for_ten_minutes_does_not_fade(skin: Layout, counts: float) -> None:
+    simulated, subject = begun(skin)
+    simulated.press[HELD] = counts
+    before = subject.baseline[HELD].copy()
+    for activation in simulated.lead(subject, 10 * MINUTE_S):
+        assert activation is not None
+        assert (activation.z[HELD] > 0.0).mean() > 0.6
+    assert np.abs(subject.baseline[HELD] - before).max() < NOISE
+    simulated.press[:] = 0.0
+    assert not simulated.run(subject, 1.0).z.any()
+
+
+def test_what_lies_beside_a_held_touch_is_not_absorbed_either(skin: Layout) -> None:
+    """The rim of a press is below its threshold, and must still be there when it rises."""
+    simulated, subject = begun(skin)
+    simulated.press[3], simulated.press[4] = 4_000.0, 150.0
+    before = subject.baseline[4]
+    simulated.run(subject, 5 * MINUTE_S)
+    assert subject.baseline[4] == before
+
+
+def test_far_from_a_touch_the_baseline_goes_on(skin: Layout) -> None:
+    simulated, subject = begun(skin)
+    simulated.press[0] = 4_000.0
+    simulated.own_drift = ramp(50.0)
+    simulated.run(subject, 5 * MINUTE_S)
+    assert abs(subject._drift.followed[0]) < 1.0
+    assert subject._drift.followed[8] > 150.0
+
+
+def test_after_a_release_nothing_is_followed_for_a_while(skin: Layout) -> None:
+    simulated, subject = begun(skin)
+    simulated.press[3] = 4_000.0
+    simulated.run(subject, 5.0)
+    simulated.press[3] = 50.0  # the skin has not come back yet
+    before = subject.baseline[3]
+    simulated.run(subject, HOLD_OFF_S - 0.1)
+    assert subject.baseline[3] == before
+    simulated.run(subject, 30.0)
+    assert subject.baseline[3] > before
+
+
+def test_a_press_that_comes_slowly_is_felt_all_the_same(skin: Layout) -> None:
+    """Slower than the threshold in two time constants it would be lost without a bounded rate."""
+    simulated, subject = begun(skin)
+    felt = False
+    for _ in range(round(2 * MINUTE_S / 0.05)):
+        simulated.press[3] += 600.0 / MINUTE_S * 0.05
+        activation = subject.on_scan(simulated.scan())
+        assert activation is not None
+        felt = bool(activation.z[3] > 0.0)
+    assert felt
+    assert activation.z[3] > 0.02
+
+
+def test_a_baseline_that_is_a_little_high_comes_down(skin: Layout) -> None:
+    simulated, subject = begun(skin)
+    simulated.base -= 150.0
+    simulated.run(subject, 5 * MINUTE_S)
+    assert np.abs(subject.baseline - simulated.base).max() < NOISE
+
+
+def test_drift_that_t0_explains_is_learned(skin: Layout) -> None:
+    simulated, subject = begun(skin)
+    simulated.coefficient = 0.4
+    simulated.warmth = ramp(60.0)
+    simulated.run(subject, 10 * MINUTE_S)
+    assert subject._drift.temperature.coefficient == pytest.approx(0.4, abs=0.08)
+
+
+@pytest.mark.parametrize("counts", [1_000.0, 8_000.0])
+def test_a_touch_held_for_ten_minutes_while_the_skin_warms_keeps_its_size(
+    skin: Layout, counts: float
+) -> None:
+    simulated, subject = begun(skin)
+    simulated.coefficient = 0.4
+    simulated.warmth = ramp(60.0)
+    simulated.run(subject, 10 * MINUTE_S)
+    simulated.press[HELD] = counts
+    early = simulated.run(subject, 10.0).z[HELD]
+    late = simulated.run(subject, 10 * MINUTE_S).z[HELD]
+    drifted = 0.4 * 60.0 * 10.0
+    noise = NOISE / 20_000.0
+    assert np.abs(late - early).max() < 0.25 * drifted / 20_000.0 + 4 * noise
+    assert early == pytest.approx(counts / 20_000.0, abs=0.003)
+
+
+def test_a_press_is_no_temperature(skin: Layout) -> None:
+    """T0 sees a share of a press; what that does to a learned coefficient must not move z."""
+    simulated, subject = begun(skin)
+    simulated.coefficient = 0.4
+    simulated.warmth = ramp(60.0)
+    simulated.run(subject, 10 * MINUTE_S)
+    simulated.warmth = lambda t: 600.0 + 0.0 * t
+    simulated.run(subject, 60.0)
+    before = subject.baseline.copy()
+    for _ in range(30):
+        simulated.press[HELD] = 8_000.0
+        simulated.run(subject, 2.0)
+        simulated.press[:] = 0.0
+        simulated.run(subject, 1.0)
+    assert subject._drift.temperature.leak[0] == pytest.approx(0.04, abs=0.01)
+    assert np.abs(subject.baseline - before)[HELD].max() < NOISE
+
+
+def test_where_t0_stands_still_or_explains_nothing_it_moves_nothing(skin: Layout) -> None:
+    still, drifting = begun(skin)
+    still.own_drift = ramp(30.0)
+    still.run(drifting, 10 * MINUTE_S)
+    assert not drifting._drift.temperature.coefficient.any()
+    swinging, steady = begun(skin)
+    swinging.warmth = lambda t: 100.0 * np.sin(2 * np.pi * t / 90.0)
+    swinging.run(steady, 10 * MINUTE_S)
+    assert np.abs(steady._drift.temperature.coefficient).max() < 0.05
+
+
+def test_a_jump_of_t0_is_no_temperature(skin: Layout) -> None:
+    simulated, subject = begun(skin)
+    subject._drift.temperature.coefficient[:] = 0.5
+    simulated.warmth = lambda t: 5_000.0 + 0.0 * t
+    simulated.run(subject, 5.0)
+    assert np.abs(subject.baseline - simulated.base).max() < NOISE
+    assert subject.figures()["t0_steps"] >= len(subject._drift.temperature.coefficient)
+
+
+def test_a_pause_of_the_skin_is_no_slice(skin: Layout) -> None:
+    simulated, subject = begun(skin)
+    simulated.run(subject, 0.5)
+    simulated.t += 3_600.0
+    before = subject.baseline.copy()
+    simulated.run(subject, 2.0)
+    assert np.abs(subject.baseline - before).max() < 2.0

@@ -1,0 +1,293 @@
+"""What a skin has learned, kept over restarts."""
+
+import json
+import logging
+import os
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from taxeld import layout as layouts
+from taxeld import skin_state, state_file
+from taxeld.config import SkinConfig, parse
+from taxeld.layout import Layout
+from taxeld.skin import Skin
+from taxeld.skin_state import SkinState
+from taxeld.state_file import NAME, StateFile
+from tests.daemon.simulated_skin import SimulatedSkin
+
+HELD = [3, 4]
+DAY_S = 86_400.0
+
+
+def begun(skin: Layout) -> tuple[SimulatedSkin, Skin]:
+    simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
+    simulated.run(subject, 4.0)
+    return simulated, subject
+
+
+def state_of(subject: Skin) -> SkinState:
+    state = subject.state()
+    assert state is not None
+    return state
+
+
+def restarted(skin: Layout, state: SkinState) -> Skin:
+    subject = Skin(skin, SkinConfig())
+    subject.restore(state)
+    return subject
+
+
+def test_a_restarted_skin_feels_from_the_first_scan_though_it_is_held(skin: Layout) -> None:
+    simulated, before = begun(skin)
+    simulated.press[HELD] = 5_000.0
+    subject = restarted(skin, state_of(before))
+    activation = subject.on_scan(simulated.scan())
+    assert activation is not None
+    assert np.flatnonzero(activation.z).tolist() == HELD
+    assert activation.z[HELD] == pytest.approx(0.25, abs=0.01)
+    assert activation.live.all()
+    assert subject.threshold == pytest.approx(before.threshold, abs=0.1)
+    assert (subject.counters.states_believed, subject.counters.states_refused) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    "happened",
+    [
+        lambda simulated: simulated.base.__iadd__(3_000.0),
+        lambda simulated: simulated.base.__isub__(3_000.0),
+        lambda simulated: simulated.rng.shuffle(simulated.base),
+        lambda simulated: simulated.press.__iadd__(5_000.0),
+    ],
+)
+def test_a_baseline_that_the_skin_does_not_bear_out_is_captured_afresh(
+    skin: Layout, happened: Callable[[SimulatedSkin], None]
+) -> None:
+    simulated, before = begun(skin)
+    happened(simulated)
+    subject = restarted(skin, state_of(before))
+    assert subject.on_scan(simulated.scan()) is None
+    assert subject.counters.states_refused == 1
+    simulated.run(subject, 3.0)
+    reads = simulated.base + simulated.press
+    assert np.abs(subject.baseline - reads).max() < 50.0
+
+
+def test_what_t0_explains_of_the_time_between_is_taken_off(skin: Layout) -> None:
+    simulated, before = begun(skin)
+    state = replace(state_of(before), coefficient=np.full(4, 0.5))
+    simulated.coefficient, simulated.warmth = 0.5, lambda t: 1_000.0 + 0.0 * t
+    simulated.press[HELD] = 5_000.0
+    subject = restarted(skin, replace(state, leak=np.full(4, 0.04)))
+    activation = subject.on_scan(simulated.scan())
+    assert activation is not None
+    assert np.flatnonzero(activation.z).tolist() == HELD
+    assert activation.z[HELD] == pytest.approx(0.25, abs=0.01)
+
+
+def test_what_was_dead_is_judged_when_it_speaks_and_a_first_scan_may_be_torn(
+    skin: Layout,
+) -> None:
+    simulated, before = begun(skin)
+    subject = restarted(skin, state_of(before))
+    torn = simulated.scan()
+    few = (*torn.counts[:12], *[-1] * (len(torn.counts) - 12))
+    assert subject.on_scan(replace(torn, counts=few)) is None
+    simulated.fixed[7] = 0
+    activation = subject.on_scan(simulated.scan())
+    assert activation is not None
+    assert np.flatnonzero(~activation.live).tolist() == [7]
+    del simulated.fixed[7]
+    assert simulated.run(subject, 0.1).live.all()
+
+
+def test_tare_forgets_what_was_stored(skin: Layout) -> None:
+    simulated, before = begun(skin)
+    subject = restarted(skin, state_of(before))
+    subject.tare()
+    assert subject.on_scan(simulated.scan()) is None
+    simulated.run(subject, 2.0)
+    assert subject.counters.states_believed == 0
+
+
+def text_of(skin: Layout, at: float, /, **changes: object) -> bytes:
+    data = json.loads(skin_state.dump(replace(state_of(begun(skin)[1]), t=at)))
+    return json.dumps({**data, **changes}).encode()
+
+
+FAULTS: list[tuple[str, Callable[[Layout, float], bytes], str]] = [
+    ("empty", lambda _s, _t: b"", "it is damaged"),
+    ("garbage", lambda _s, _t: bytes(range(256)), "it is damaged"),
+    ("torn", lambda s, t: text_of(s, t)[:200], "it is damaged"),
+    ("deep", lambda _s, _t: b"[" * 100_000, "it is damaged"),
+    ("a list", lambda _s, _t: b"[1, 2]", "it is not of version 1"),
+    ("version", lambda s, t: text_of(s, t, version=2), "it is not of version 1"),
+    ("skin", lambda s, t: text_of(s, t, digest="0" * 16), "it is of another skin"),
+    ("time", lambda s, t: text_of(s, t, t=float("nan")), "its time is damaged"),
+    ("nan", lambda s, t: text_of(s, t, baseline=[float("nan")] * 32), "its baseline is damaged"),
+    ("text", lambda s, t: text_of(s, t, noise=["1"] * 32), "its noise is damaged"),
+    ("short", lambda s, t: text_of(s, t, noise=[1.0] * 31), "its noise is damaged"),
+    ("range", lambda s, t: text_of(s, t, leak=[7.0] * 4), "its leak is damaged"),
+    ("gap", lambda s, t: text_of(s, t, coefficient=[None] * 4), "its coefficient is damaged"),
+    ("old", lambda s, t: text_of(s, t - DAY_S), "it is 24.0 h old"),
+    ("future", lambda s, t: text_of(s, t + DAY_S), "it is from the future"),
+    ("huge", lambda _s, _t: b" " * 2_000_000, "it is no state file"),
+]
+
+
+@pytest.mark.parametrize(("make", "fault"), [f[1:] for f in FAULTS], ids=[f[0] for f in FAULTS])
+def test_a_file_that_cannot_be_used_is_one_warning_and_a_fresh_capture(
+    skin: Layout,
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    make: Callable[[Layout, float], bytes],
+    fault: str,
+) -> None:
+    now = 1e9
+    (tmp_path / NAME).write_bytes(make(skin, now))
+    simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
+    kept = StateFile(tmp_path, subject, 43_200.0)
+    with caplog.at_level(logging.WARNING):
+        kept.restore(now)
+    (line,) = caplog.messages
+    assert fault in line
+    assert "\n" not in line
+    assert (kept.counters.loaded, kept.counters.refused) == (0, 1)
+    simulated.run(subject, 2.0)
+
+
+def test_a_directory_in_its_place_is_no_state_file(skin: Layout, tmp_path: Path) -> None:
+    (tmp_path / NAME).mkdir()
+    kept = StateFile(tmp_path, begun(skin)[1], 43_200.0)
+    kept.restore(1e9)
+    kept.close()
+    assert (kept.counters.refused, kept.counters.failed) == (1, 1)
+
+
+def test_what_is_kept_is_what_is_restored(skin: Layout, tmp_path: Path) -> None:
+    simulated, before = begun(skin)
+    kept = StateFile(tmp_path / "made", before, 43_200.0)
+    kept.restore(simulated.t)
+    kept.close()
+    assert (kept.counters.loaded, kept.counters.refused, kept.counters.saved) == (0, 0, 1)
+    assert [path.name for path in (tmp_path / "made").iterdir()] == [NAME]
+    after = Skin(skin, SkinConfig())
+    again = StateFile(tmp_path / "made", after, 43_200.0)
+    again.restore(simulated.t + 3_600.0)
+    activation = after.on_scan(simulated.scan())
+    assert activation is not None
+    assert np.abs(after.baseline - before.baseline).max() < 0.01
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_are_a_state_or_a_reason(text: bytes) -> None:
+    with pytest.raises(ValueError, match=r"^it"):
+        skin_state.parse(text, "0" * 16, 3, 1)
+
+
+def test_the_file_of_a_very_large_skin_is_small() -> None:
+    large = layouts.load("wrap:modules=62,radius_m=0.3,rows=4")
+    simulated, subject = SimulatedSkin(large), Skin(large, SkinConfig())
+    simulated.run(subject, 2.0)
+    assert len(large) == 2480
+    assert len(skin_state.dump(state_of(subject))) < 50_000
+
+
+def test_writing_is_seldom_and_waits_for_the_end_of_a_touch(skin: Layout, tmp_path: Path) -> None:
+    simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
+    kept = StateFile(tmp_path, subject, 43_200.0)
+    offered: list[float] = []
+    kept._offer = lambda state: offered.append(-1.0 if state is None else state.t)  # type: ignore[method-assign]
+    for k in range(20 * 700):
+        simulated.press[3] = 5_000.0 if 250.0 < 0.05 * k < 320.0 else 0.0
+        subject.on_scan(simulated.scan())
+        if subject.is_ready:
+            kept.keep(0.05 * k)
+    begin, later, last = (t - 100.0 for t in offered)
+    assert begin == pytest.approx(1.0, abs=0.06)  # the end of the capture
+    assert later == pytest.approx(320.0, abs=0.2)
+    assert last == pytest.approx(620.0, abs=0.3)
+
+
+def test_a_slow_disk_holds_nothing_up_and_gets_the_newest(
+    skin: Layout, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free, syncing = threading.Event(), threading.Event()
+
+    def slow(_: int) -> None:
+        syncing.set()
+        assert free.wait(30.0)
+
+    monkeypatch.setattr(os, "fsync", slow)
+    simulated, subject = begun(skin)
+    kept = StateFile(tmp_path, subject, 43_200.0)
+    kept.keep(0.0)
+    assert syncing.wait(30.0)
+    for k in range(1, 50):
+        simulated.run(subject, 0.05)
+        kept.keep(k * state_file.EVERY_S)
+    assert kept.counters.saved == 0
+    free.set()
+    kept.close()
+    assert kept.counters.saved <= 3
+    assert json.loads((tmp_path / NAME).read_bytes())["t"] == pytest.approx(simulated.t, abs=1e-3)
+
+
+def test_a_disk_that_hangs_does_not_keep_the_daemon_from_ending(
+    skin: Layout, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(state_file, "CLOSE_S", 0.05)
+    free = threading.Event()
+    monkeypatch.setattr(os, "fsync", lambda _: free.wait(30.0))
+    kept = StateFile(tmp_path, begun(skin)[1], 43_200.0)
+    kept.close()
+    assert kept.counters.saved == 0
+    free.set()
+
+
+def test_a_disk_that_takes_nothing_is_one_warning(
+    skin: Layout,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    kept = StateFile(tmp_path, begun(skin)[1], 43_200.0)
+    with caplog.at_level(logging.WARNING):
+        for failed in (1, 2):
+            kept.keep(failed * state_file.EVERY_S)
+            deadline = time.monotonic() + 30.0
+            while kept.counters.failed < failed and time.monotonic() < deadline:
+                time.sleep(0.002)
+    kept.close()
+    assert kept.counters.failed == 3
+    (line,) = caplog.messages
+    assert line.endswith("not written (No space left on device)")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "variable", "where"),
+    [
+        ("can", "", "", None),
+        ("can", "", "/var/lib/taxeld/a:/var/lib/b", "/var/lib/taxeld/a"),
+        ("can", '[skin]\nstate_dir = "/tmp/c"\n', "/var/lib/a", "/tmp/c"),  # noqa: S108
+        ("replay", "", "/var/lib/a", None),
+    ],
+)
+def test_the_place_is_the_configured_one_or_systemds(
+    monkeypatch: pytest.MonkeyPatch, kind: str, text: str, variable: str, where: str | None
+) -> None:
+    monkeypatch.setenv("STATE_DIRECTORY", variable)
+    source = f'[source]\nkind = "{kind}"\nchannel = "can0"\npath = "."\n[scene]\nbundle = "box"\n'
+    assert state_file.directory(parse(source + text)) == (Path(where) if where else None)

@@ -1,0 +1,120 @@
+"""Asking a running daemon from the command line."""
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from taxeld import client
+from taxeld.cli import main
+from taxeld.status_text import lines
+
+from .recorded import configuration, write_session
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """The place of a daemon that replays a long session."""
+    place = tmp_path_factory.mktemp("daemon")
+    write_session(place, touches=40)
+    command = ["run", str(configuration(place)), "--histogram", str(place / "histogram.json")]
+    with subprocess.Popen([sys.executable, "-m", "taxeld.cli", *command]) as daemon:
+        try:
+            deadline = time.monotonic() + 60.0
+            while (
+                client.ask(f"ipc://{place}/control", "info", timeout_s=0.5) is None
+            ) or _contacts(place) < 1:
+                assert time.monotonic() < deadline, "the daemon does not answer"
+                time.sleep(0.1)
+            yield place
+        finally:
+            daemon.terminate()
+    assert daemon.returncode == 0
+    written = json.loads((place / "histogram.json").read_text(encoding="utf-8"))
+    assert written["thread"]["5"]["name"] == "total"
+    assert written["thread"]["5"]["cycles"] > 20
+
+
+def _contacts(place: Path) -> int:
+    answer = client.ask(f"ipc://{place}/control", "status", timeout_s=20.0)
+    assert answer is not None
+    return int(answer["estimate"]["contacts"])
+
+
+def test_status_is_aligned_names_and_values_with_units(
+    running: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["status", str(running / "config.toml")]) == 0
+    out, err = capsys.readouterr()
+    assert err == ""
+    rows = dict(line.split(": ", maxsplit=1) for line in out.splitlines())
+    assert {len(name) for name in rows} == {14}
+    values = {name.strip(): value for name, value in rows.items()}
+    assert values["Contacts"].split(",")[0].isdigit()
+    assert values["Dead taxels"] == "1 (4)"
+    assert values["Stale inputs"] == "none"
+    assert values["Total time"].startswith("median ")
+    assert " mm, y " in values["Uncertainty"]
+
+
+def test_status_as_json_is_the_whole_answer(
+    running: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["status", "--endpoint", f"ipc://{running}/control", "--json"]) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert set(answer) == {"ok", "estimate", "health"}
+
+
+def test_reset_and_tare_wait_for_the_answer_and_say_what_happened(
+    running: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = str(running / "config.toml")
+    before = _contacts(running)
+    assert main(["reset", config]) == 0
+    assert capsys.readouterr().out == "forgotten what was felt\n"
+    assert before > 0
+    assert main(["tare", config]) == 0
+    assert "leave the skin untouched" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("command", ["status", "tare", "reset"])
+def test_a_daemon_that_is_not_there_is_one_line_and_status_1(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    command: str,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(client, "TIMEOUT_S", 0.1)
+    assert main([command, "--endpoint", f"ipc://{tmp_path}/control"]) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err == f"no daemon answers at ipc://{tmp_path}/control; is 'taxeld run' there?\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--endpoint", "tcp://robot:1"], "--endpoint: 'tcp://robot:1' is not local; "),
+        (["--endpoint", "nonsense"], "--endpoint: 'nonsense' is no endpoint; use ipc:///path"),
+        (["--endpoint", "tcp://robot:1", "--keys", "/nowhere"], "--keys: /nowhere/client.key_s"),
+    ],
+)
+def test_a_wrong_endpoint_is_one_line_and_status_2(
+    capsys: pytest.CaptureFixture[str], arguments: list[str], line: str
+) -> None:
+    assert main(["status", *arguments]) == 2
+    err = capsys.readouterr().err
+    assert err.startswith(line)
+    assert err.count("\n") == 1
+
+
+def test_a_daemon_without_health_yet_still_has_a_status(running: Path) -> None:
+    answer = client.ask(f"ipc://{running}/control", "status")
+    assert answer is not None
+    answer["health"] = {}
+    answer["estimate"]["status"] = 99
+    text = list(lines(answer))
+    assert "99 (of a newer daemon), " in text[0]
+    assert all(line[14] == ":" for line in text)

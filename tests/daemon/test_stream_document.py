@@ -1,0 +1,164 @@
+"""docs/stream.md says exactly what a running daemon sends: every key, its type, and an example."""
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+
+from taxeld import client, messages, streams
+from taxeld.estimate import ProposalKind, Status
+
+from .conftest import Sockets
+from .recorded import configuration, write_session
+
+ROOT = Path(__file__).parents[2]
+DOCUMENT, EXAMPLE = ROOT / "docs" / "stream.md", ROOT / "examples" / "subscribe.py"
+COMMANDS = ("status", "info", "tare", "reset")
+PERIOD_S = 0.02  # a brisk session
+Types = dict[str, str]
+
+
+def leaves(value: object, path: str = "") -> Types:
+    """Path of each number, text or truth value → its type; `[]` stands for each of a list, `*`
+    for each of a map whose keys are numbers."""
+    found: Types = {}
+    if isinstance(value, dict):
+        for key, item in value.items():
+            found |= leaves(item, f"{path}.*" if key.isdigit() else f"{path}.{key}")
+    elif isinstance(value, list):
+        for item in value:
+            found |= leaves(item, f"{path}[]")
+    else:
+        return {path.removeprefix("."): type(value).__name__}
+    return found
+
+
+def section(title: str) -> str:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    return text.split(f"\n## `{title}`\n", maxsplit=1)[1].split("\n## ", maxsplit=1)[0]
+
+
+def documented(title: str) -> tuple[Types, dict[str, Any]]:
+    """The keys of a section's table with their types, and its example."""
+    part = section(title)
+    rows = [line.split("|")[1:3] for line in part.splitlines() if line.startswith("| `")]
+    example = part.split("```json\n", maxsplit=1)[1].split("```", maxsplit=1)[0]
+    keys = {key: kind.strip() for text, kind in rows for key in expanded(text.strip().strip("`"))}
+    return keys, json.loads(example)
+
+
+def expanded(key: str) -> list[str]:
+    """`a.{b,c}` → `a.b` and `a.c`."""
+    head, brace, rest = key.partition("{")
+    if not brace:
+        return [key]
+    names, _, tail = rest.partition("}")
+    return [head + name + more for name in names.split(",") for more in expanded(tail)]
+
+
+@pytest.fixture(scope="module")
+def heard(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, Any]]]:
+    """All that a daemon sends and answers while it replays a session, by topic and command."""
+    place = tmp_path_factory.mktemp("run")
+    write_session(place, touches=4, period_s=PERIOD_S)
+    command = [sys.executable, "-m", "taxeld.cli", "run", str(configuration(place))]
+    received: dict[str, list[dict[str, Any]]] = {}
+    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.SUBSCRIBE, b"")
+        socket.connect(f"ipc://{place}/stream")
+        with subprocess.Popen(command) as daemon:
+            try:
+                deadline = time.monotonic() + 60.0
+                while daemon.poll() is None:
+                    assert time.monotonic() < deadline, "the replay does not end"
+                    if socket.poll(20):
+                        topic, body, _ = socket.recv_multipart()
+                        received.setdefault(topic.decode(), []).append(msgpack.unpackb(body))
+                    if messages.PARTICLES.decode() in received and "status" not in received:
+                        for name in COMMANDS:
+                            answer = client.ask(f"ipc://{place}/control", name, timeout_s=20.0)
+                            assert answer is not None
+                            received[name] = [answer]
+            finally:
+                daemon.kill()
+    assert daemon.returncode == 0
+    return received
+
+
+@pytest.mark.parametrize("topic", [topic.decode() for topic in messages.TOPICS])
+def test_each_message_has_the_documented_keys_and_types(
+    heard: dict[str, list[dict[str, Any]]], topic: str
+) -> None:
+    keys, example = documented(topic)
+    sent: Types = {}
+    for message in heard[topic]:
+        sent |= leaves(message)
+        assert message.keys() == example.keys(), "every key is always there"
+    unseen = keys.keys() - sent.keys()
+    assert sent == {key: kind for key, kind in keys.items() if key not in unseen}
+    assert all(key.endswith("_taxels[]") for key in unseen), (
+        "of a skin that is whole they are empty"
+    )
+    assert leaves(example) == keys
+
+
+def test_the_commands_answer_what_is_documented(
+    heard: dict[str, list[dict[str, Any]]],
+) -> None:
+    part = section("control")
+    for name in COMMANDS:
+        (answer,) = heard[name]
+        (row,) = (line for line in part.splitlines() if line.startswith(f"| `{name}`"))
+        named = [text for text in row.split("|")[2].split("`") if text.isidentifier()]
+        assert sorted(answer) == sorted(["ok", *named])
+    assert heard["info"][0]["info"] == heard["/taxeld/info"][0]
+    assert heard["status"][0]["estimate"].keys() == heard["/taxeld/estimate"][0].keys()
+    assert heard["status"][0]["health"].keys() == heard["/taxeld/health"][0].keys()
+
+
+@pytest.mark.parametrize("kind", [Status, ProposalKind])
+def test_every_name_of_a_number_is_documented(kind: type[Status] | type[ProposalKind]) -> None:
+    text = section("/taxeld/estimate")
+    for member in kind:
+        assert f"{int(member)} `{member.name.lower()}`" in text
+
+
+def test_the_documented_sensor_pose_is_taken() -> None:
+    keys, example = documented("/robot/sensor_pose")
+    assert leaves(example) == keys
+    pose = streams._pose([messages.SENSOR_POSE, msgpack.packb(example), b"0.0"])
+    assert pose == tuple(example[key] for key in ("t", "x", "y", "theta"))
+
+
+def test_the_example_subscriber_prints_the_example(sockets: Sockets, tmp_path: Path) -> None:
+    """It prints where the object is when a touch has ended."""
+    _, estimate = documented("/taxeld/estimate")
+    publisher = sockets.open(zmq.XPUB)
+    publisher.bind(f"ipc://{tmp_path}/stream")
+    command = [sys.executable, "-u", str(EXAMPLE), f"ipc://{tmp_path}/stream"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as reader:
+        try:
+            assert publisher.poll(20_000)
+            assert publisher.recv() == b"\x01" + messages.ESTIMATE
+            for contact in (True, True, False, False):
+                body = msgpack.packb({**estimate, "contact": contact})
+                publisher.send_multipart([messages.ESTIMATE, body, b"1700000005.121000"])
+            assert reader.stdout is not None
+            printed = reader.stdout.readline()
+        finally:
+            reader.terminate()
+    assert printed == "x 0.103 m  y -0.021 m  yaw 0.52  (98%)\n"
+
+
+def test_a_map_without_one_of_its_keys_or_with_another_is_found() -> None:
+    keys, example = documented("/taxeld/estimate")
+    example["map"].pop("x")
+    assert leaves(example) != keys
+    assert leaves({"a": [{"b": 1}], "c": {"3": "x"}}) == {"a[].b": "int", "c.*": "str"}

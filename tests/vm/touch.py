@@ -1,0 +1,159 @@
+"""What the checks look at: units as systemd sees them, and estimates of a skin that is touched."""
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Self
+
+import msgpack
+import numpy as np
+import zmq
+
+from taxeld import bundle, client, layout, messages, session
+from taxeld.config import ControlConfig, PublishConfig, SkinConfig
+from taxeld.estimate import Status
+from taxeld.symmetry import add_m
+
+PATIENCE_S = 180.0  # an emulated processor is some twenty times slower
+GOOD_MM = 10.0
+POSES = "tcp://127.0.0.1:9874"
+
+CONFIG = f"""\
+[source]
+kind = "can"
+channel = "%s"
+[skin]
+baseline_scans = 10
+[scene]
+bundle = "box"
+[sensor_pose]
+endpoint = "{POSES}"
+[loop]
+rate_hz = 10.0
+[budget]
+propose_ms = 1000.0
+"""
+
+
+def sh(command: str) -> str:
+    """What a shell command prints; AssertionError with its complaint where it fails."""
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"{command}: {done.stderr.strip() or done.returncode}"
+    return done.stdout.strip()
+
+
+def until(what: str, true: Callable[[], bool], patience_s: float = PATIENCE_S) -> None:
+    deadline = time.monotonic() + patience_s
+    while not true():
+        assert time.monotonic() < deadline, f"waited in vain: {what}"
+        time.sleep(0.2)
+
+
+class Unit:
+    """An instance of the service."""
+
+    def __init__(self, instance: str) -> None:
+        self.name = f"taxeld@{instance}"
+        self.config = Path(f"/etc/taxeld/{instance}.toml")
+
+    def show(self, key: str) -> str:
+        return sh(f"systemctl show -P {key} {self.name}")
+
+    @property
+    def pid(self) -> int:
+        return int(self.show("MainPID"))
+
+    def start(self) -> None:
+        sh(f"systemctl start {self.name}")  # returns when it has said READY=1
+
+    def stop(self) -> None:
+        sh(f"systemctl stop {self.name}")
+
+    def journal(self) -> str:
+        sh("journalctl --sync")
+        return sh(f"journalctl -b -o cat -u {self.name}")
+
+    def said(self) -> str:
+        """What the daemon itself, not systemd about it, has written into the journal."""
+        sh("journalctl --sync")
+        return sh(f"journalctl -b -o cat -t taxeld _SYSTEMD_UNIT={self.name}.service")
+
+    def restarts(self) -> int:
+        return int(self.show("NRestarts"))
+
+    def wait_restarted(self, restarts: int) -> None:
+        """Until systemd has started it once more than `restarts`, and it is ready."""
+        until(f"{self.name} is restarted", lambda: self.restarts() > restarts)
+        until(f"{self.name} is active", lambda: self.show("ActiveState") == "active")
+
+
+class Touch:
+    """A virtual robot that touches a box somewhere, from all sides, and the estimates of it."""
+
+    def __init__(self, seed: int, *where: str) -> None:
+        """`where` is `--can INTERFACE` or `--link PATH`."""
+        for command in ("tare", "reset"):  # another skin, another box
+            client.ask(ControlConfig().endpoint, command, timeout_s=PATIENCE_S)
+        self._place = tempfile.TemporaryDirectory()
+        directory = Path(self._place.name)
+        self._skin = subprocess.Popen(
+            [sys.executable, "-m", "taxeld_hil.cli", "emulate", "demo", "--seed", str(seed),
+             "--poses", POSES, "--out", str(directory), *where],
+        )  # fmt: skip
+        truth = directory / session.TRUTH
+        until("the virtual skin", truth.exists)
+        self.truth = np.array(session.read_poses(truth)[-1][1:])
+        skin = layout.load(SkinConfig().layout)
+        self._scene = bundle.load("box", skin, SkinConfig().full_scale_depth_m).model.scene
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.SUBSCRIBE, messages.ESTIMATE)
+        self._socket.connect(PublishConfig().endpoints[0])
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._skin.kill()
+        self._skin.wait()
+        self._context.destroy()
+        self._place.cleanup()
+
+    def wait(self, what: str, true: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+        """The first estimate from now on of which `true` holds."""
+        last: dict[str, Any] | None = None
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            if not self._socket.poll(1000):
+                continue
+            last = msgpack.unpackb(self._socket.recv_multipart()[1])
+            if true(last):
+                return last
+        raise AssertionError(f"waited in vain: {what}; last was {self._told(last)}")
+
+    def wait_felt(self) -> None:
+        """Until the skin has been learned, and fresh scans are estimated."""
+        self.wait("fresh scans", lambda e: e["status"] in (Status.SEARCHING, Status.AMBIGUOUS))
+
+    def wait_found(self) -> str:
+        """Until an estimate says that it has converged, and has."""
+        found = self.wait(
+            "a converged estimate",
+            lambda e: e["valid"] and e["status"] == Status.CONVERGED and self.error_mm(e) < GOOD_MM,
+        )
+        return f"{self.error_mm(found):.1f} mm after contact {found['contacts']}"
+
+    def _told(self, estimate: dict[str, Any] | None) -> str:
+        if estimate is None:
+            return "nothing"
+        status, contacts = Status(estimate["status"]).name.lower(), estimate["contacts"]
+        return f"{status}, contacts {contacts}, error {self.error_mm(estimate):.1f} mm"
+
+    def error_mm(self, estimate: dict[str, Any]) -> float:
+        pose = estimate["map"]
+        at = np.array([pose["x"], pose["y"], pose["theta"]])
+        return 1e3 * add_m(self._scene, at, self.truth)[1]
