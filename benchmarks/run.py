@@ -18,6 +18,7 @@ import numpy as np
 from packaging.requirements import Requirement
 
 import protocol
+import service
 import streams
 from taxeld import bundle, config, contacts, layout, se2
 from taxeld.estimator import Estimator
@@ -36,7 +37,8 @@ def main() -> int:
     args = parser.parse_args()
     wire = [row(*figures) for figures in protocol.rows()]
     served = [row(*figures) for figures in streams.rows()]
-    rows = [*installed(), *wire, *touches(), idle_tick(), *served]
+    process = [row(*figures) for figures in service.rows()]
+    rows = [*installed(), *wire, *touches(), idle_tick(), *served, *process]
     rows += [] if args.no_demo else demo()
     print(f"{'figure':52s} {'measured':>12s} {'budget':>10s}")
     for line in rows:

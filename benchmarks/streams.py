@@ -109,8 +109,8 @@ def sending() -> list[Row]:
             guard = Guard(context, None, CurveConfig())
             publisher = Publisher(context, 100, {}, guard)
             publisher.bind((f"ipc://{place}/stream",))
-            estimate = Pipeline(*_setting(place)).estimate
-            with _client(client, place):
+            estimate = Pipeline(*setting(place)).estimate
+            with connected(client, place):
                 _settle(publisher, bool(client))
                 spent = _send_many(publisher, estimate)
             publisher.close()
@@ -122,7 +122,7 @@ def ticking() -> list[Row]:
     """The mean tick of a daemon that is touched, beside the same with nobody there."""
     spent: dict[str, list[float]] = {name: [] for name in CLIENTS}
     with tempfile.TemporaryDirectory() as place:
-        poses = _record(Path(place))
+        poses = record(Path(place))
         for _ in range(ROUNDS):
             for name, client in CLIENTS.items():
                 spent[name].append(_run(place, poses, client))
@@ -162,7 +162,7 @@ def _settle(publisher: Publisher, somebody: bool) -> None:
 
 
 @contextmanager
-def _client(client: tuple[str, ...], place: str) -> Iterator[None]:
+def connected(client: tuple[str, ...], place: str) -> Iterator[None]:
     if not client:
         yield
         return
@@ -175,7 +175,7 @@ def _client(client: tuple[str, ...], place: str) -> Iterator[None]:
         process.wait()
 
 
-def _setting(place: str) -> tuple[Config, layout.Layout, bundle.Bundle]:
+def setting(place: str) -> tuple[Config, layout.Layout, bundle.Bundle]:
     settings = config.parse(
         f'[source]\nkind = "replay"\npath = "{place}"\n[scene]\nbundle = "{SCENARIO.bundle}"\n'
         f'[skin]\nlayout = "{SCENARIO.layout}"\nfull_scale_counts = {SCENARIO.full_scale_counts}\n'
@@ -187,9 +187,9 @@ def _setting(place: str) -> tuple[Config, layout.Layout, bundle.Bundle]:
     return settings, skin, bundle.load(SCENARIO.bundle, skin, settings.skin.full_scale_depth_m)
 
 
-def _record(place: Path) -> list[session.PoseRow]:
+def record(place: Path) -> list[session.PoseRow]:
     """The scenario as a session; → the sensor's poses."""
-    _, skin, loaded = _setting(str(place))
+    _, skin, loaded = setting(str(place))
     modules = wired(skin.uid.tolist())
     world = World(SCENARIO, loaded.model, modules, 0)
     path = robot.plan(SCENARIO, loaded.model, world.truth, 0)
@@ -209,12 +209,12 @@ def _record(place: Path) -> list[session.PoseRow]:
 
 def _run(place: str, poses: list[session.PoseRow], client: tuple[str, ...]) -> float:
     """Mean CPU seconds of a tick over the session."""
-    daemon = Daemon(_setting(place)[0])
+    daemon = Daemon(setting(place)[0])
     assert isinstance(daemon.source, ReplaySource)
     assert isinstance(daemon.pipeline.poses, PoseTrack)
     spent, ticks = 0.0, 0
     try:
-        with _client(client, place):
+        with connected(client, place):
             _settle(daemon.publisher, bool(client) and client[0] in (READS, STALLS))
             for t, x, y, theta in poses:
                 now_s = t - poses[0][0]

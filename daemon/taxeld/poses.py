@@ -1,5 +1,6 @@
 """The sensor's pose over time, interpolated to the moment of a scan."""
 
+import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable
@@ -28,7 +29,7 @@ class PoseTrack:
         self.begun_again = 0  # times that the robot's clock was seen to be set back
         self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last of them
         self._t: deque[float] = deque(maxlen=KEPT)
-        self._pose: deque[Poses] = deque(maxlen=KEPT)
+        self._pose: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
 
     @property
     def latest_t(self) -> float:
@@ -36,8 +37,7 @@ class PoseTrack:
 
     def add(self, t: float, x: float, y: float, theta: float) -> None:
         """Take a pose; times must increase, but for a clock that was set back."""
-        pose = np.array([x, y, theta], dtype=np.float64)
-        if not (np.isfinite(t) and np.isfinite(pose).all()):
+        if not all(map(math.isfinite, (t, x, y, theta))):
             self.rejected += 1
             return
         if t <= self.latest_t and not self._is_set_back(t):
@@ -45,7 +45,7 @@ class PoseTrack:
             return
         self._back = 0
         self._t.append(t)
-        self._pose.append(pose)
+        self._pose.append((x, y, theta))
         if self._on_pose is not None:
             self._on_pose(t, float(x), float(y), float(theta))
 
@@ -70,10 +70,10 @@ class PoseTrack:
         i = bisect_right(self._t, t)
         if i == 0:
             return None
-        before, t_before = self._pose[i - 1], self._t[i - 1]
+        before, t_before = np.array(self._pose[i - 1]), self._t[i - 1]
         if i == len(self._t):
             return before if t - t_before <= self.max_age_s else None
-        after, span = self._pose[i], self._t[i] - t_before
+        after, span = np.array(self._pose[i]), self._t[i] - t_before
         if span > self.max_age_s:
             return before if t - t_before <= self.max_age_s else None
         share = (t - t_before) / span

@@ -1,0 +1,100 @@
+"""A whole daemon on a fake clock, touched over and over: how much its memory grows."""
+
+import resource
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import streams
+from taxeld import loop, realtime, session
+from taxeld.clock import WallClock
+from taxeld.loop import Daemon
+from taxeld.poses import PoseTrack
+from taxeld.sources import SourceCounters
+from taxeld.wire import Wire
+from taxeld_protocol.decoder import Scan
+
+TICK_S = 0.01
+EPOCH_S = 1e9
+
+
+class FakeTime:
+    """The clocks of a daemon, set by hand."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def as_module(self) -> SimpleNamespace:
+        return SimpleNamespace(
+            time=lambda: EPOCH_S + self.now_s,
+            monotonic=lambda: self.now_s,
+            monotonic_ns=lambda: round(self.now_s * 1e9),
+            perf_counter_ns=time.perf_counter_ns,
+            thread_time_ns=time.thread_time_ns,
+        )
+
+
+class Again:
+    """A session without end: its scans and poses anew, one lap after another."""
+
+    def __init__(self, place: Path, wire: Wire, poses: PoseTrack, clock: FakeTime) -> None:
+        self.wire, self.counters = wire, SourceCounters()
+        self._clock, self._track = clock, poses
+        items = session.read_input(place)
+        self._poses = session.read_poses(place / session.POSES)
+        self._t0 = self._poses[0][0]
+        self._scans = [
+            scan for item in items for heard in wire.take(item, item.t) for scan in heard.scans
+        ]
+        self._lap = self._scan = self._pose = 0
+
+    def poll(self, now_s: float) -> list[Scan]:
+        lap_s = self._poses[-1][0] - self._t0 + 1.0
+        lap, into_s = divmod(now_s, lap_s)
+        if lap != self._lap:
+            self._lap, self._scan, self._pose = lap, 0, 0
+        by = EPOCH_S + lap * lap_s - self._t0
+        while self._pose < len(self._poses) and self._poses[self._pose][0] - self._t0 <= into_s:
+            t, *pose = self._poses[self._pose]
+            self._track.add(t + by, *pose)
+            self._pose += 1
+        found = []
+        while self._scan < len(self._scans) and self._scans[self._scan].t - self._t0 <= into_s:
+            scan = self._scans[self._scan]
+            found.append(replace(scan, t=scan.t + by))
+            self._scan += 1
+        return found
+
+    def close(self) -> None:
+        """Nothing is held open."""
+
+
+def grown_mb(ticks: int) -> float:
+    """Growth of this process between a tenth of the ticks and all of them [MB]."""
+    clock = FakeTime()
+    loop.time = clock.as_module()
+    with tempfile.TemporaryDirectory() as place:
+        streams.record(Path(place))
+        daemon = Daemon(streams.setting(place)[0])
+        daemon.clock = WallClock(loop.time.time, loop.time.monotonic)
+        assert isinstance(daemon.pipeline.poses, PoseTrack)
+        daemon.source = Again(Path(place), daemon.source.wire, daemon.pipeline.poses, clock)
+        before = 0
+        with realtime.thread(0):
+            for tick in range(ticks):
+                clock.now_s = tick * TICK_S
+                daemon.tick(clock.now_s)
+                if tick == ticks // 10:
+                    before = resident_kb()
+        after = resident_kb()
+        daemon.close()
+    assert daemon.counters.scans > ticks // 8
+    assert daemon.pipeline.estimator.counters.updates > ticks // 200
+    return (after - before) / 1024.0
+
+
+def resident_kb() -> int:
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return pages * resource.getpagesize() // 1024
