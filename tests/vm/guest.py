@@ -13,8 +13,10 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from touch import CONFIG, Touch, Unit, sh, until
+from touch import CONFIG, PATIENCE_S, Touch, Unit, sh, until
 
+from taxeld import client
+from taxeld.config import ControlConfig, LoopConfig
 from taxeld.estimate import Status
 
 CHECKS: list[Callable[[], str | None]] = []
@@ -55,6 +57,21 @@ def estimates_arrive_through_socketcan_and_converge() -> str:
         found = skin.wait_found()
         until("a status line that says so", lambda: "converged" in VCAN0.show("StatusText"))
     return found
+
+
+@check
+def the_loop_is_a_real_time_thread_with_locked_memory() -> str:
+    """As it says itself, and as the kernel does."""
+    answer = client.ask(ControlConfig().endpoint, "status", timeout_s=PATIENCE_S)
+    assert answer is not None
+    granted, wanted = answer["health"]["realtime"], LoopConfig().priority
+    assert (granted["fifo"], granted["locked"]) == (wanted, True), granted
+    assert os.sched_getscheduler(VCAN0.pid) & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
+    assert os.sched_getparam(VCAN0.pid).sched_priority == wanted
+    locked = re.search(r"VmLck:\s+(\d+) kB", Path(f"/proc/{VCAN0.pid}/status").read_text("ascii"))
+    assert locked is not None
+    assert int(locked[1]) > 0
+    return f"FIFO {wanted}, {int(locked[1]) // 1024} MB"
 
 
 @check
