@@ -32,7 +32,7 @@ class IcubBringUp:
         """These boards send none."""
         return []
 
-    def on_scan(self, now_s: float) -> None:
+    def on_scan(self, ihb: int, now_s: float) -> None:
         """Silence is told board by board from what the decoder has heard."""
 
     def due(self, now_s: float) -> Iterable[Request]:

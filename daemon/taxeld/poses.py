@@ -70,14 +70,16 @@ class PoseTrack:
         i = bisect_right(self._t, t)
         if i == 0:
             return None
-        before, t_before = np.array(self._pose[i - 1]), self._t[i - 1]
+        before: Poses = np.array(self._pose[i - 1])
+        t_before = self._t[i - 1]
         if i == len(self._t):
             return before if t - t_before <= self.max_age_s else None
-        after, span = np.array(self._pose[i]), self._t[i] - t_before
+        after: Poses = np.array(self._pose[i])
+        span = self._t[i] - t_before
         if span > self.max_age_s:
             return before if t - t_before <= self.max_age_s else None
         share = (t - t_before) / span
-        pose = before + share * (after - before)
+        pose: Poses = before + share * (after - before)
         pose[2] = se2.wrap(before[2] + share * se2.wrap(after[2] - before[2]))
         return pose
 

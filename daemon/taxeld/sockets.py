@@ -88,7 +88,7 @@ class Inbox:
         cut to one part more than that."""
         for _ in range(frames):
             # cheaper than an exception; a message comes whole
-            if not self._parts and not self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+            if not self._parts and not int(self._socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN:
                 return
             frame = self._socket.recv(zmq.NOBLOCK)
             if len(self._parts) <= self._most:

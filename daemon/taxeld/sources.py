@@ -111,8 +111,8 @@ class LiveSource:
             self.wire.decoder.drop_foreign()
         device.noise = device.foreign = 0
         if self._bring_up is not None:
-            if scans:
-                self._bring_up.on_scan(now_s)
+            for scan in scans:
+                self._bring_up.on_scan(scan.ihb, now_s)
             requests += self._bring_up.due(now_s)
         for request in requests:
             self._send(device, request)

@@ -116,6 +116,10 @@ class Decoder:
         """The module table of a hub, empty until it is declared."""
         return self.hubs[ihb].table if ihb in self.hubs else ModuleTable()
 
+    def forget(self, ihb: int) -> None:
+        """What was declared under a short id is not of the hub that has it now."""
+        self.hubs.pop(ihb, None)
+
     def feed(self, frame: Frame) -> tuple[Packet | None, list[Scan]]:
         """The packet that the frame completes, and the scans that it ends: at most two."""
         packet = self.link.feed(frame)

@@ -1,5 +1,7 @@
 """Bring-up against the virtual hub, on a fake clock."""
 
+import pytest
+
 from taxeld.bring_up import BringUp, Request
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import BROADCAST, Command
@@ -11,10 +13,13 @@ UIDS = [i // 10 + 1 << 4 | i % 10 + 1 for i in range(30)]
 
 
 class Bus:
-    """Hubs and a host that talk without delay; time is what `run` says."""
+    """Hubs and a host that talk without delay, or with a tick of it; time is what `run` says."""
 
-    def __init__(self, *hubs: VirtualIhb) -> None:
+    def __init__(self, *hubs: VirtualIhb, late: bool = False) -> None:
         self.hubs = list(hubs)
+        self.late = late
+        self._under_way: list[tuple[int, Request]] = []
+        self.walked: list[tuple[tuple[int, ...], tuple[int, ...]]] = []  # SUIs: own, of the table
         self.decoder = Decoder()
         self.bring_up = BringUp(self.decoder, period_ms=20)
         self.scans = 0
@@ -23,12 +28,15 @@ class Bus:
     def run(self, start: float, stop: float) -> None:
         now = start
         while now < stop:
+            arrived, self._under_way = self._under_way, []
+            for ihb, answer in arrived:
+                self._take(ihb, answer, now)
             for request in self.bring_up.due(now):
                 self._ask(*request)
             for hub in self.hubs:
                 if hub.due(now):
                     channels = sum(module.channels for module in hub.modules)
-                    for answer in hub.sensor_data([100] * channels):
+                    for answer in hub.sensor_data([self.hubs.index(hub)] * channels):
                         self._hear(hub.short_id, answer, now)
             now = round(now + 0.01, 6)
 
@@ -40,11 +48,20 @@ class Bus:
                 self._hear(hub.short_id, answer, 0.0)
 
     def _hear(self, ihb: int, answer: Request, now: float) -> None:
+        if self.late:
+            self._under_way.append((ihb, answer))
+        else:
+            self._take(ihb, answer, now)
+
+    def _take(self, ihb: int, answer: Request, now: float) -> None:
         for frame in cyskin.to_frames(*answer, ihb=ihb):
             packet, scans = self.decoder.feed(frame)
             self.scans += len(scans)
-            if scans:
-                self.bring_up.on_scan(now)
+            for scan in scans:
+                self.bring_up.on_scan(scan.ihb, now)
+                own = self.hubs[scan.counts[0]].modules
+                table = tuple(module.sui for module in scan.table)
+                self.walked.append((tuple(module.sui for module in own), table))
             if packet:
                 for request in self.bring_up.on_packet(packet):
                     self._ask(*request)
@@ -75,6 +92,43 @@ def test_two_hubs_get_short_ids_of_their_own() -> None:
     bus = Bus(one, two)
     bus.run(0.0, 0.1)
     assert (one.short_id, two.short_id) == (1, 2)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_hubs_that_exchange_their_short_ids_keep_their_own_tables(late: bool) -> None:
+    """What they declare under their old ids is on its way when they are given the new ones."""
+    one = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=2)
+    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=1)
+    bus = Bus(one, two, late=late)
+    bus.run(0.0, 5.0)
+    assert (one.short_id, two.short_id) == (1, 2)
+    assert bus.scans > 2 * 180
+    assert [own for own, table in bus.walked if own != table] == []
+
+
+def test_a_hub_that_reboots_while_another_speaks_is_started_again() -> None:
+    one = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=1)
+    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=2)
+    bus = Bus(one, two, late=True)
+    bus.run(0.0, 3.0)
+    two.reboot()
+    bus.run(3.0, 6.0)
+    assert two.auto_sync
+    before = bus.scans
+    bus.run(6.0, 7.0)
+    assert bus.scans - before >= 2 * 45
+
+
+def test_a_hub_that_is_gone_for_good_is_called_now_and_then_and_the_other_is_heard() -> None:
+    one = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=1)
+    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=2)
+    bus = Bus(one, two)
+    bus.run(0.0, 3.0)
+    bus.hubs.remove(two)
+    sent, before = len(bus.sent), bus.scans
+    bus.run(3.0, 33.0)
+    assert len(bus.sent) - sent <= 3 * 7
+    assert bus.scans - before >= 30 * 45
 
 
 def test_a_hub_that_rebooted_is_started_again() -> None:
