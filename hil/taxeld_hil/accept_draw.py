@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
 from taxeld.layout_draw import middle, plane
@@ -14,6 +15,7 @@ from taxeld_hil.accept_readings import Readings
 from taxeld_hil.accept_report import Report, strongest
 from taxeld_hil.accept_taxels import failing, noisy
 
+NOISE_LEAST = 0.1  # counts: less is drawn as this
 MARKS = {"dead": "x", "stuck": "s", "saturated": "^", "noisy": "o", "not heard": "+"}
 
 
@@ -42,8 +44,10 @@ def draw(report: Report, out: Path) -> None:
 
 
 def _noise(axes: Axes, received: Received, got: Readings) -> None:
-    with np.errstate(divide="ignore"):
-        _map(axes, received, np.log10(np.maximum(got.noise, 0.1)), "idle noise, log10 of counts")
+    tells = got.spoke & ~np.any([*failing(got).values()], axis=0)
+    noise = np.where(tells, np.maximum(got.noise, NOISE_LEAST), np.nan)
+    low, high = (np.nanmin(noise), np.nanmax(noise)) if tells.any() else (1.0, 1.0)
+    _map(axes, received, noise, "idle noise, counts", LogNorm(low, max(high, 2.0 * low)))
     x, y = plane(received.layout.position_m, received.layout.radius_m)
     groups = {
         **failing(got),
@@ -57,10 +61,12 @@ def _noise(axes: Axes, received: Received, got: Readings) -> None:
         axes.legend(fontsize=7, loc="upper right")
 
 
-def _map(axes: Axes, received: Received, value: Floats, title: str) -> None:
+def _map(
+    axes: Axes, received: Received, value: Floats, title: str, norm: LogNorm | None = None
+) -> None:
     layout = received.layout
     x, y = plane(layout.position_m, layout.radius_m)
-    dots = axes.scatter(x, y, c=value, s=18, cmap="viridis", plotnonfinite=False)
+    dots = axes.scatter(x, y, c=value, s=18, cmap="viridis", norm=norm)
     axes.figure.colorbar(dots, ax=axes, shrink=0.8).ax.tick_params(labelsize=7)
     serial = layout.uid >> 4
     for sui in received.serials:

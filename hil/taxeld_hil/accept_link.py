@@ -70,8 +70,7 @@ def rate(received: Received) -> Check:
             f"fewer than {SCANS_MIN} whole scans in the period",
             "see the check of the link; else ask for a longer --seconds",
         )
-        for hub in received.tables
-        if hub not in by_hub
+        for hub in {scan.ihb for scan in received.scans} - by_hub.keys()
     ]
     explained = received.link.damaged + received.link.orphan
     for hub, one in by_hub.items():

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from taxeld.idle import SD_OF_STEP
 from taxeld.layout import Layout
 from taxeld.skin import INVALID_FROM
 from taxeld.wiring import Wired, Wiring
@@ -26,7 +27,8 @@ class Readings:
     still: Bools  # not a single count of change
     t0_level: Floats
     t0_invalid: Floats  # share
-    t0_step: Floats  # most that its mean changed within a second [counts]
+    t0_noise: Floats  # sd, by the changes from scan to scan [counts]
+    t0_step: Floats  # most that its median changed within a second [counts]
 
     @property
     def spoke(self) -> Bools:
@@ -40,7 +42,7 @@ def readings(layout: Layout, scans: Sequence[Scan], period_s: float) -> Readings
     taxels, modules = len(layout), len(wiring.suis)
     level, noise, zero, saturated = np.full((4, taxels), np.nan)
     spoke, still = np.zeros(taxels), np.zeros(taxels, dtype=bool)
-    t0_level, t0_invalid, t0_step = np.full((3, modules), np.nan)
+    t0_level, t0_invalid, t0_noise, t0_step = np.full((4, modules), np.nan)
     for counts, wired in _by_hub(scans, wiring):
         at, values = wired.taxels, counts[:, wired.channels]
         n = np.isfinite(values).sum(axis=0)
@@ -57,9 +59,10 @@ def readings(layout: Layout, scans: Sequence[Scan], period_s: float) -> Readings
         t0_level[at] = np.nanmedian(t0, axis=0)
         valid = np.isfinite(t0) & (t0 > 0) & (t0 < INVALID_FROM)
         t0_invalid[at] = 1.0 - valid.sum(axis=0) / np.isfinite(t0).sum(axis=0)
-        t0_step[at] = _steps(np.where(valid, t0, np.nan), round(1.0 / period_s))
+        t0_noise[at] = SD_OF_STEP * _middle(np.abs(np.diff(t0, axis=0)))
+        t0_step[at] = _steps(np.where(valid, t0, np.nan), max(round(1.0 / period_s), 1))
     return Readings(
-        spoke, level, noise, zero, saturated, still, t0_level, t0_invalid, t0_step
+        spoke, level, noise, zero, saturated, still, t0_level, t0_invalid, t0_noise, t0_step
     )  # fmt: skip
 
 
@@ -77,10 +80,17 @@ def _by_hub(scans: Sequence[Scan], wiring: Wiring) -> list[tuple[Floats, Wired]]
 
 def _steps(t0: Floats, per_second: int) -> Floats:
     """The greatest change between the medians of consecutive seconds, channel by channel."""
-    whole = len(t0) // max(per_second, 1)
+    whole = len(t0) // per_second
     if whole < 2:
         return np.zeros(t0.shape[1])
     seconds = t0[: whole * per_second].reshape(whole, per_second, -1)
-    middle = np.ma.median(np.ma.masked_invalid(seconds), axis=1)  # type: ignore[no-untyped-call]
-    change = np.abs(np.diff(middle, axis=0))
-    return np.asarray(np.ma.max(change, axis=0).filled(0.0), dtype=np.float64)
+    change = _middle(seconds.swapaxes(0, 1))
+    return np.asarray(np.nan_to_num(np.abs(np.diff(change, axis=0))).max(axis=0))
+
+
+def _middle(values: Floats) -> Floats:
+    """Medians along the first axis, nan where there is nothing else."""
+    if not len(values):
+        return np.full(values.shape[1:], np.nan)
+    found = np.ma.median(np.ma.masked_invalid(values), axis=0)  # type: ignore[no-untyped-call]
+    return np.ma.filled(found, np.nan)

@@ -15,6 +15,7 @@ from taxeld_hil.accept_readings import Readings
 STILL_SCANS = 50  # two readings with a noise of a count agree in 0.28 of cases: 1e-27 for fifty
 INVALID = 0.01  # of the scans
 STANDS_OUT = 10.0  # times the skin's median noise; 23..59 counts is what 80 % of a skin lie in
+SD_OF_MEDIAN = np.sqrt(np.pi / 2.0)  # √n times: of n normal readings
 THRESHOLD_SIGMAS = SkinConfig().threshold_sigmas
 
 _TAXEL = (
@@ -121,7 +122,10 @@ def temperature(received: Received, got: Readings) -> Check:
     heard = np.isfinite(got.t0_level)
     if not heard.any():
         return Check("temperature", "no T0 was heard", checked=False)
-    places, limit = received.places, STEP * received.full_scale_counts
+    # two medians of n readings differ by 1.25 √(2 / n) of their noise
+    spread = SD_OF_MEDIAN * np.sqrt(2.0 * received.period_ms / 1e3) * got.t0_noise
+    limit = np.maximum(STEP * received.full_scale_counts, THRESHOLD_SIGMAS * spread)
+    places = received.places
     findings = []
     for k in np.flatnonzero(heard):
         sui = received.serials[k]
@@ -135,12 +139,12 @@ def temperature(received: Received, got: Readings) -> Check:
                     "this module's drift will not be compensated; replace the module if it matters",
                 )
             )
-        elif got.t0_step[k] > limit:
+        elif got.t0_step[k] > limit[k]:
             findings.append(
                 Finding(
                     where,
                     f"jumped by {got.t0_step[k]:.0f} counts within a second; a temperature moves "
-                    f"less than {limit:.0f}",
+                    f"less than {limit[k]:.0f}",
                     "run once more with the skin untouched; then check the module's supply",
                 )
             )
@@ -162,6 +166,7 @@ def _by_module(
     findings = []
     for sui in np.unique(serial[bad]).tolist():
         own, failed = np.flatnonzero(serial == sui), np.flatnonzero(bad & (serial == sui))
+        failed = failed[np.argsort(uid[failed])]
         names = listed([name_of(int(uid[i])) for i in failed])
         whole = len(failed) == len(own) > 1
         where = f"{names} of module {sui} ({places.get(sui, 'no hub')})"

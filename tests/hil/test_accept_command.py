@@ -14,7 +14,14 @@ from taxeld_hil import cli
 from taxeld_protocol.virtual_ihb import VirtualIhb
 
 from .accept_skin import (
-    LAYOUT, MODULES, BusAdapter, Clock, Counts, NativeAdapter, Operator, VirtualSkin,
+    LAYOUT,
+    MODULES,
+    BusAdapter,
+    Clock,
+    Counts,
+    NativeAdapter,
+    Operator,
+    VirtualSkin,
 )  # fmt: skip
 
 CHECKS = ["discovery", "modules", "rate", "link", "noise", "taxels", "temperature", "press"]
