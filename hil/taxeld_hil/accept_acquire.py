@@ -46,7 +46,7 @@ class Acquisition:
             layout=self._layout,
             period_ms=period_ms,
             full_scale_counts=full_scale_counts,
-            tables=self._tables(),
+            tables=self._tables({scan.ihb for scan in scans}),
             bring_up=before.since(began),
             link=Link.of(self._source).since(before),
             scans=scans,
@@ -104,9 +104,14 @@ class Acquisition:
             yield from self._source.poll(now)
             time.sleep(POLL_S)
 
-    def _tables(self) -> dict[int, Sequence[Module]]:
+    def _tables(self, heard: set[int]) -> dict[int, Sequence[Module]]:
+        """The hubs' tables, by the ids they were `heard` under: a hub that was given another short
+        id has declared itself under both."""
         decoder = self._source.wire.decoder
         assert isinstance(decoder, Decoder)  # noqa: S101  (the CySkin dialect's)
-        return {
-            ihb: tuple(hub.table.modules) for ihb, hub in decoder.hubs.items() if hub.table.declared
-        }
+        hubs: dict[tuple[Module, ...], int] = {}
+        for ihb, hub in decoder.hubs.items():
+            modules = tuple(hub.table.modules)
+            if modules and (modules not in hubs or ihb in heard):
+                hubs[modules] = ihb
+        return {ihb: modules for modules, ihb in hubs.items()}

@@ -29,7 +29,7 @@ MODULES = tuple(wired([i // 10 + 1 << 4 | i % 10 + 1 for i in range(40)]))
 LEVEL, T0, NOISE = 10_000.0, 12_000.0, 34.0
 PRESS_COUNTS = 9_000.0
 CARRY_S = 5.0
-SLOW = 5.0  # times the sleep that was asked for, as on a busy machine
+SLOW = 10.0  # times the sleep that was asked for, as on a busy machine
 PROMPT = re.compile(r"^\d+/\d+ press module (\d+) ")
 
 
@@ -141,6 +141,7 @@ class VirtualSkin:
         self.period_ms: int | None = None  # what it keeps to, whatever it is asked for
         self.wired_as: dict[int, int] = {}  # module that is asked for → that lies there
         self._clock = clock
+        self.operator = self.on_text  # hears what is printed
         self._release_s = np.inf
         clock.on_sleep = self.serve
 

@@ -67,7 +67,7 @@ def skin(clock: Clock) -> Iterator[VirtualSkin]:
 @pytest.fixture
 def accept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
     def run(skin: VirtualSkin, *more: str, kind: str = "slcan") -> Ran:
-        operator, out = Operator(skin.on_text), tmp_path / "report"
+        operator, out = Operator(skin.operator), tmp_path / "report"
         target = f"{kind}:{skin.adapter.device}"
         with monkeypatch.context() as patch:
             patch.setattr(sys, "stdout", operator)
@@ -141,6 +141,20 @@ def test_a_module_that_nobody_presses_is_a_failure_after_a_time(
     assert "module 3" in ran.findings("press")
 
 
+def test_presses_that_are_broken_off_still_make_a_report(
+    skin: VirtualSkin, accept: Accept, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def leave(asked: str) -> None:
+        skin.on_text(asked)
+        if asked.startswith("3/4 press"):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(skin, "operator", leave)
+    ran = accept(skin, "--press")
+    assert (ran.code, ran.failed) == (1, ["press"]), ran.printed
+    assert "2 of 4 modules answered" in ran.printed
+
+
 def test_corrupted_frames_fail_the_link_alone(skin: VirtualSkin, accept: Accept) -> None:
     skin.adapter.damage_every = 9
     ran = accept(skin)
@@ -163,6 +177,12 @@ def test_a_taxel_that_was_cut_off_fails_the_module_table_alone(
         ran = accept(VirtualSkin(adapter, Counts(cut), clock))
     assert (ran.code, ran.failed) == (1, ["modules"]), ran.printed
     assert "T10" in ran.findings("modules")
+
+
+def test_a_hub_that_is_given_another_short_id_is_one_hub(clock: Clock, accept: Accept) -> None:
+    with BusAdapter(VirtualIhb(MODULES, short_id=9), lambda _: None) as adapter:
+        ran = accept(VirtualSkin(adapter, Counts(MODULES), clock))
+    assert (ran.code, ran.failed) == (0, []), ran.printed
 
 
 def test_a_line_on_which_nobody_answers_fails_discovery_and_says_what_to_look_at(
