@@ -86,11 +86,11 @@ def run(
                 acquisition = Acquisition(source, placed, say)
                 received = acquisition.receive(seconds, period_ms, full_scale_counts)
                 got = readings(placed, received.scans, period_ms / 1e3)
-                if presses and received.scans:
+                if presses:
                     received = replace(received, presses=_presses(acquisition, received, got))
             finally:
                 source.close()
-        report = Report(target, when, seconds, received, got, checks(received, got))
+        report = Report(target, when, received, got, checks(received, got))
         _write(report, out, say)
     except OSError as error:  # a device's own are the source's to handle
         raise SetupError(f"--out: cannot write {out} ({error.strerror})") from None

@@ -56,6 +56,8 @@ class Acquisition:
     def presses(self, level: Floats, threshold: Floats, usable: Bools) -> list[Press]:
         """A press on every module that has a usable taxel; Ctrl-C ends them early."""
         modules = sorted(set(self._wiring.module[usable].tolist()))
+        if not modules:
+            return []
         self._say(f"press {len(modules)} modules with a finger, one after the other; Ctrl-C ends")
         watch = Watch(level, threshold, usable)
         found: list[Press] = []

@@ -73,6 +73,8 @@ def rate(received: Received) -> Check:
         for hub in {scan.ihb for scan in received.scans} - by_hub.keys()
     ]
     explained = received.link.damaged + received.link.orphan
+    if received.link.lost:  # which the check of the link tells
+        explained = sum(one.missed for one in by_hub.values())
     for hub, one in by_hub.items():
         findings += _of_hub(f"hub {hub}", one, asked_s, explained)
     told = [
@@ -142,7 +144,7 @@ def link(received: Received) -> Check:
         findings.append(
             Finding(
                 "the adapter",
-                f"went away {got.lost} times",
+                f"went away, {got.lost} × in the period",
                 "check its plug, its cable and its supply",
             )
         )

@@ -10,7 +10,8 @@ LISTED = 8  # modules of one kind of fault that get a line each
 
 _POWER = (
     "check that the hub has power, that CAN-H and CAN-L are not exchanged, that the bus ends in "
-    "120 Ω at both ends, and that the interface runs at 1 Mbit/s"
+    "120 Ω at both ends and runs at 1 Mbit/s; on a serial device, that the target's kind (slcan or "
+    "serial) is the right one"
 )
 _SPI = "check the cable from the hub to this module and its neighbours, then power the hub anew"
 _LAYOUT = "give the layout file of this skin, or correct the serial number in it"

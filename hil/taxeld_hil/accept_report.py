@@ -22,10 +22,15 @@ class Report:
 
     target: str
     when: str
-    seconds: float
     received: Received
     readings: Readings
     checks: Sequence[Check]
+
+    @property
+    def seconds(self) -> float:
+        """For so long it was listened to."""
+        start, end = self.received.span
+        return round(end - start, 3)
 
     @property
     def passed(self) -> bool:
@@ -39,7 +44,7 @@ class Report:
         verdict = "PASSED" if self.passed else f"FAILED, {failed} of {len(self.checks)} checks"
         lines = [
             f"skin acceptance: {verdict}",
-            f"target {self.target}, {self.when}, {self.seconds:g} s untouched",
+            f"target {self.target}, {self.when}, {self.seconds:.0f} s untouched",
             f"layout {layout.name}: {len(layout)} taxels on {len(self.received.serials)} modules",
             "",
         ]

@@ -157,7 +157,9 @@ FAULTS: list[tuple[str, str, Callable[[], Received]]] = [
     ("link", "command does not allow", link(malformed=1)),
     ("link", "could not read", link(undecodable=1)),
     ("link", "without the beginning", link(orphan=40)),
-    ("link", "went away 2 times", link(lost=2)),
+    ("link", "went away, 2 ×", link(lost=2)),
+    ("link", "went away", lambda: received(
+        scans_of(Counts(MODULES))[:100], link=replace(HEALTHY_LINK, lost=1))),
     ("noise", "T5 of module 1 (hub 1, position 0)", noise(5, 500.0)),
     ("noise", "the whole module", noise(slice(12, 22), 500.0)),
     ("noise", "T1, T2, T3, T4, T5, T6, T7, T8, T9, T10 of module 4", noise(slice(0, 44), 1500.0)),
@@ -319,7 +321,7 @@ def test_taxels_that_cannot_be_believed_press_nothing() -> None:
 def test_the_json_is_plain_and_has_a_row_a_taxel() -> None:
     got = received(scans_of(Counts((A, B, C)), (A, B, C)), tables={1: (A, B, C)})
     found = readings(SKIN, got.scans, PERIOD_S)
-    report = Report("can:can0", "now", 10.0, got, found, checks(got, found))
+    report = Report("can:can0", "now", got, found, checks(got, found))
     value = json.loads(report.json, parse_constant=pytest.fail)
     assert len(value["taxels"]) == len(SKIN)
     assert value["taxels"][-1]["noise"] is None
@@ -339,7 +341,7 @@ def test_the_json_is_plain_and_has_a_row_a_taxel() -> None:
 def test_whatever_was_found_can_be_drawn(make: Callable[[], Received], tmp_path: Path) -> None:
     got = make()
     found = readings(SKIN, got.scans, PERIOD_S)
-    draw(Report("can:can0", "now", 10.0, got, found, checks(got, found)), tmp_path / "p.png")
+    draw(Report("can:can0", "now", got, found, checks(got, found)), tmp_path / "p.png")
     assert 10_000 < (tmp_path / "p.png").stat().st_size < 300_000
 
 

@@ -191,9 +191,10 @@ def test_a_line_on_which_nobody_answers_fails_discovery_and_says_what_to_look_at
     with BusAdapter(VirtualIhb(MODULES), lambda _: None) as adapter:
         silent = VirtualSkin(adapter, Counts(MODULES), clock)
         clock.on_sleep = lambda: None
-        ran = accept(silent)
+        ran = accept(silent, "--press")
     assert (ran.code, ran.failed) == (1, ["discovery"])
     assert "120 Ω" in ran.printed
+    assert "no module that can be pressed" in ran.printed
 
 
 @pytest.mark.parametrize(
