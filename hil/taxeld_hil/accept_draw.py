@@ -15,6 +15,7 @@ from taxeld_hil.accept_readings import Readings
 from taxeld_hil.accept_report import Report, strongest
 from taxeld_hil.accept_taxels import failing, noisy
 
+LABEL = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0.0}
 NOISE_LEAST = 0.1  # counts: less is drawn as this
 MARKS = {"dead": "x", "stuck": "s", "saturated": "^", "noisy": "o", "not heard": "+"}
 
@@ -37,7 +38,7 @@ def draw(report: Report, out: Path) -> None:
     else:
         _map(right, received, peak, "strongest press, counts over idle")
     for axes in (left, centre, right):
-        axes.tick_params(labelsize=7)
+        axes.tick_params(labelsize=7, which="both")
     verdict = "passed" if report.passed else "failed"
     figure.suptitle(f"{received.layout.name} on {report.target}: {verdict}", fontsize=10)
     figure.savefig(out, dpi=90, format="png")
@@ -67,11 +68,11 @@ def _map(
     layout = received.layout
     x, y = plane(layout.position_m, layout.radius_m)
     dots = axes.scatter(x, y, c=value, s=18, cmap="viridis", norm=norm)
-    axes.figure.colorbar(dots, ax=axes, shrink=0.8).ax.tick_params(labelsize=7)
+    axes.figure.colorbar(dots, ax=axes, shrink=0.8).ax.tick_params(labelsize=7, which="both")
     serial = layout.uid >> 4
     for sui in received.serials:
         at = middle(layout, serial == sui)
-        axes.annotate(str(sui), at, fontsize=5, ha="center", va="center")
+        axes.annotate(str(sui), at, fontsize=5, ha="center", va="center", bbox=LABEL)
     flat = math.isinf(layout.radius_m)
     axes.set_xlabel("x [mm]" if flat else "angle · radius [mm], from outside", fontsize=8)
     axes.set_ylabel("y [mm]" if flat else "z [mm]", fontsize=8)

@@ -81,7 +81,7 @@ def noise(received: Received, got: Readings) -> Check:
     return Check(
         "noise",
         f"{middle:.1f} counts (10..90 %: {low:.1f}..{high:.1f}), "
-        f"{100 * middle / full_scale:.2f} % of full scale; {int(bad.sum())} taxels stand out",
+        f"{100 * middle / full_scale:.2f} % of full scale; {int(bad.sum())} taxels too noisy",
         findings,
         notes,
         {"median": float(middle), "p10": float(low), "p90": float(high)},

@@ -1,6 +1,7 @@
 """The acceptance checks, as functions of what was received: every fault fails its own check."""
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from taxeld import layout
 from taxeld.errors import SetupError
+from taxeld_hil import accept_link, accept_press, accept_taxels
 from taxeld_hil.accept import checks, source_of
 from taxeld_hil.accept_draw import draw
 from taxeld_hil.accept_parts import Check, Link, Press, Received, Verdict
@@ -370,3 +372,15 @@ def test_a_serial_target_may_carry_its_speed() -> None:
 def test_a_target_that_is_none_is_refused(target: str) -> None:
     with pytest.raises(SetupError, match="use can:can0"):
         source_of(target, 50)
+
+
+def test_the_document_has_every_threshold_as_the_code_has_it() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "acceptance.md").read_text(encoding="utf-8")
+    said = dict(re.findall(r"`([A-Z_]+)` = ([0-9.]+)", text))
+    names = {
+        accept_link: ("RATE_OFF", "JITTER_OFF", "MISSED", "DAMAGED"),
+        accept_taxels: ("STANDS_OUT", "NOISE_MAX", "INVALID", "STILL_SCANS", "STEP"),
+        accept_press: ("WEAK",),
+    }
+    held = {name: getattr(module, name) for module, own in names.items() for name in own}
+    assert {name: float(value) for name, value in said.items()} == pytest.approx(held)
