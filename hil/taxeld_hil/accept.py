@@ -22,6 +22,8 @@ from taxeld_hil.accept_taxels import failing, noise, noisy, taxels, temperature,
 
 TEXT, JSON, PICTURE = "report.txt", "report.json", "report.png"
 SECONDS_MIN = 5.0  # 100 scans at the usual rate: what stands still needs half of that
+SECONDS_MAX = 600.0  # all scans are held
+BAUD = range(1200, 12_000_001)
 
 _CURES = {
     "can": "bring it up: ip link set {channel} up type can bitrate {bitrate}",
@@ -50,7 +52,7 @@ def source_of(target: str, period_ms: int) -> SourceConfig:
     config = SourceConfig(kind="serial", channel=device, period_ms=period_ms)
     if not baud:
         return config
-    if not baud.isdecimal():
+    if not (baud.isdecimal() and int(baud) in BAUD):
         raise SetupError(f"TARGET: '{baud}' is no baud rate; use serial:{device}@{config.baud}")
     return replace(config, baud=int(baud))
 

@@ -55,16 +55,15 @@ def _emulate(args: argparse.Namespace) -> int:
 
 
 def _accept(args: argparse.Namespace) -> int:
-    from taxeld_hil.accept import SECONDS_MIN, run
+    from taxeld_hil.accept import SECONDS_MAX, SECONDS_MIN, run
 
-    if not args.seconds >= SECONDS_MIN:
-        raise SetupError(f"--seconds: must be {SECONDS_MIN:g} or more, not {args.seconds:g}")
-    for option, value, most in (
-        ("--period-ms", args.period_ms, 0xFFFF),
-        ("--full-scale-counts", args.full_scale_counts, 0xFFFF),
+    for option, value, least, most in (
+        ("--seconds", args.seconds, SECONDS_MIN, SECONDS_MAX),
+        ("--period-ms", args.period_ms, 1, 0xFFFF),
+        ("--full-scale-counts", args.full_scale_counts, 1, 0xFFFF),
     ):
-        if not 1 <= value <= most:
-            raise SetupError(f"{option}: must be 1..{most}, not {value:g}")
+        if not least <= value <= most:
+            raise SetupError(f"{option}: must be {least:g}..{most:g}, not {value:g}")
     out = args.out or Path(time.strftime("acceptance-%Y%m%d-%H%M%S"))
     report = run(
         args.target,

@@ -66,11 +66,13 @@ def skin(clock: Clock) -> Iterator[VirtualSkin]:
 
 @pytest.fixture
 def accept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
-    def run(skin: VirtualSkin, *more: str, kind: str = "slcan") -> Ran:
+    def run(skin: VirtualSkin, *more: str, kind: str = "slcan", view: bool = False) -> Ran:
         operator, out = Operator(skin.operator), tmp_path / "report"
         target = f"{kind}:{skin.adapter.device}"
         with monkeypatch.context() as patch:
             patch.setattr(sys, "stdout", operator)
+            if not view:  # as where the extra is not installed
+                patch.setitem(sys.modules, "taxeld_hil.accept_draw", None)
             code = cli.main(["accept", target, "--layout", LAYOUT, "--out", str(out), *FIVE, *more])
         return Ran(code=code, out=out, printed=operator.getvalue())
 
@@ -83,7 +85,7 @@ Accept = Callable[..., Ran]
 def test_a_healthy_skin_passes_all_and_leaves_a_page_a_picture_and_the_recording(
     skin: VirtualSkin, accept: Accept
 ) -> None:
-    ran = accept(skin, "--press")
+    ran = accept(skin, "--press", view=True)
     assert (ran.code, ran.failed) == (0, []), ran.printed
     assert [c["name"] for c in ran.report["checks"]] == CHECKS
     assert {c["verdict"] for c in ran.report["checks"]} == {"passed"}
@@ -100,6 +102,14 @@ def test_the_native_serial_link_is_looked_at_the_same_way(clock: Clock, accept: 
         ran = accept(VirtualSkin(adapter, Counts(MODULES), clock), kind="serial")
     assert (ran.code, ran.failed) == (0, []), ran.printed
     assert (ran.out / "serial.bin").stat().st_size > 0
+
+
+def test_without_matplotlib_all_but_the_picture_is_there(skin: VirtualSkin, accept: Accept) -> None:
+    ran = accept(skin)
+    assert ran.code == 0
+    assert "no picture: " in ran.printed
+    assert "pip install 'taxeld[view]'" in ran.printed
+    assert sorted(p.name for p in ran.out.iterdir()) == ["frames.log", "report.json", "report.txt"]
 
 
 def test_without_presses_the_rest_is_judged(skin: VirtualSkin, accept: Accept) -> None:
@@ -203,10 +213,11 @@ def test_a_line_on_which_nobody_answers_fails_discovery_and_says_what_to_look_at
         ("slcan:/dev/nothing", [], "plugged in"),
         ("serial:/dev/nothing", [], "plugged in"),
         ("serial:/dev/nothing@fast", [], "'fast' is no baud rate"),
+        ("serial:/dev/nothing@99999999999999999999", [], "is no baud rate"),
         ("no_such:x", [], "driver installed"),
         ("can0", [], "use can:can0"),
-        ("slcan:/dev/nothing", ["--seconds", "1"], "--seconds: must be 5 or more"),
-        ("slcan:/dev/nothing", ["--seconds", "nan"], "--seconds: must be 5 or more"),
+        ("slcan:/dev/nothing", ["--seconds", "1"], "--seconds: must be 5..600"),
+        ("slcan:/dev/nothing", ["--seconds", "nan"], "--seconds: must be 5..600"),
         ("slcan:/dev/nothing", ["--period-ms", "0"], "--period-ms: must be 1..65535"),
         ("slcan:/dev/nothing", ["--layout", "nothing.json"], "skin.layout"),
     ],
