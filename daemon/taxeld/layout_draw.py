@@ -29,7 +29,7 @@ def draw(layout: Layout, out: Path) -> None:
     left, right = figure.subplots(1, 2, width_ratios=(2.0, 1.0))
     _unrolled(left, layout, flat, colour)
     for i, serial in enumerate(sui):
-        x, y = _middle(layout, module == i)
+        x, y = middle(layout, module == i)
         left.annotate(str(serial), (x, y), fontsize=5, ha="center", va="center")
     _section(right, layout, flat, colour)
     for axes in (left, right):
@@ -40,7 +40,7 @@ def draw(layout: Layout, out: Path) -> None:
 
 
 def _unrolled(axes: Axes, layout: Layout, flat: bool, colour: NDArray[np.float64]) -> None:
-    x, y = _plane(layout.position_m, layout.radius_m)
+    x, y = plane(layout.position_m, layout.radius_m)
     axes.scatter(x, y, c=colour, s=22)
     axes.set_xlabel("x [mm]" if flat else "angle · radius [mm]")
     axes.set_ylabel("y [mm]" if flat else "z [mm]")
@@ -62,14 +62,14 @@ def _section(axes: Axes, layout: Layout, flat: bool, colour: NDArray[np.float64]
     axes.set_title("from the side" if flat else "from above, the fitted circle dashed", fontsize=9)
 
 
-def _middle(layout: Layout, taxels: NDArray[np.bool_]) -> tuple[float, float]:
+def middle(layout: Layout, taxels: NDArray[np.bool_]) -> tuple[float, float]:
     """Where a module's serial number goes: its middle, found before unrolling cuts it in two."""
     middle = layout.position_m[taxels].mean(axis=0, keepdims=True)
-    x, y = _plane(middle, layout.radius_m)
+    x, y = plane(middle, layout.radius_m)
     return float(x[0]), float(y[0])
 
 
-def _plane(
+def plane(
     position_m: NDArray[np.float64], radius_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Paper coordinates [mm] of positions (n, 3)."""

@@ -4,6 +4,8 @@ import argparse
 import signal
 import sys
 import tempfile
+import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +52,31 @@ def _emulate(args: argparse.Namespace) -> int:
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
     return 1
+
+
+def _accept(args: argparse.Namespace) -> int:
+    from taxeld_hil.accept import SECONDS_MAX, SECONDS_MIN, run
+
+    for option, value, least, most in (
+        ("--seconds", args.seconds, SECONDS_MIN, SECONDS_MAX),
+        ("--period-ms", args.period_ms, 1, 0xFFFF),
+        ("--full-scale-counts", args.full_scale_counts, 1, 0xFFFF),
+    ):
+        if not least <= value <= most:
+            raise SetupError(f"{option}: must be {least:g}..{most:g}, not {value:g}")
+    out = args.out or Path(time.strftime("acceptance-%Y%m%d-%H%M%S"))
+    report = run(
+        args.target,
+        args.layout,
+        out,
+        partial(print, flush=True),
+        seconds=args.seconds,
+        period_ms=args.period_ms,
+        full_scale_counts=args.full_scale_counts,
+        presses=args.press,
+    )
+    print(f"\n{report.text}\nreport, picture and recording in {out}", flush=True)
+    return 0 if report.passed else 1
 
 
 def _watch(args: argparse.Namespace) -> int:
@@ -114,6 +141,21 @@ def _parser() -> argparse.ArgumentParser:
     watch.add_argument("--truth", type=Path, help="t,x,y,theta of the object, for errors")
     watch.add_argument("--error-to", type=Path, help="file for the final error in mm")
     watch.set_defaults(command=_watch)
+
+    accept = commands.add_parser("accept", help="whether a skin that is there is fit for use")
+    accept.add_argument(
+        "target", metavar="TARGET", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …"
+    )
+    accept.add_argument("--layout", required=True, help="of this skin, as skin.layout")
+    accept.add_argument("--out", type=Path, help="directory for the report")
+    accept.add_argument("--seconds", type=float, default=15.0, help="to listen, untouched")
+    accept.add_argument("--press", action="store_true", help="then ask for a press on each module")
+    accept.add_argument("--period-ms", type=int, default=50, help="between scans, to ask for")
+    accept.add_argument(
+        "--full-scale-counts", type=float, default=SkinConfig().full_scale_counts,
+        help="as skin.full_scale_counts",
+    )  # fmt: skip
+    accept.set_defaults(command=_accept)
 
     draw = commands.add_parser("draw", help="a session's contacts as a picture")
     draw.add_argument("session", type=Path)

@@ -1,0 +1,386 @@
+"""The acceptance checks, as functions of what was received: every fault fails its own check."""
+
+import json
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from taxeld import layout
+from taxeld.errors import SetupError
+from taxeld_hil import accept_link, accept_press, accept_taxels
+from taxeld_hil.accept import checks, source_of
+from taxeld_hil.accept_draw import draw
+from taxeld_hil.accept_parts import Check, Link, Press, Received, Verdict
+from taxeld_hil.accept_press import Watch
+from taxeld_hil.accept_readings import readings
+from taxeld_hil.accept_report import Report
+from taxeld_protocol.decoder import MISSING, Scan
+from taxeld_protocol.modules import Module
+
+from .accept_skin import LAYOUT, MODULES, Counts
+
+SKIN = layout.read(LAYOUT)
+SCANS, PERIOD_S = 200, 0.05
+FULL_SCALE = 20_000.0
+HEALTHY_LINK = Link(frames=2400, packets=200)
+
+
+def scans_of(
+    counts: Counts, modules: tuple[Module, ...] = MODULES, times: Any = None, version: int = 1
+) -> list[Scan]:
+    t = 1000.0 + PERIOD_S * np.arange(SCANS) if times is None else times
+    return [Scan(float(at), 1, tuple(counts.scan()), modules, version) for at in t]
+
+
+def received(scans: list[Scan] | None = None, **more: Any) -> Received:
+    """A healthy skin, but for what is given."""
+    healthy: dict[str, Any] = {
+        "layout": SKIN,
+        "period_ms": 50,
+        "full_scale_counts": FULL_SCALE,
+        "tables": {1: MODULES},
+        "bring_up": Link(frames=20, packets=9),
+        "link": HEALTHY_LINK,
+        "scans": scans_of(Counts(MODULES)) if scans is None else scans,
+        "span": (1000.0, 1000.0 + SCANS * PERIOD_S),
+    }
+    return Received(**{**healthy, **more})
+
+
+def judged(got: Received) -> dict[str, Check]:
+    found = checks(got, readings(got.layout, got.scans, PERIOD_S))
+    return {check.name: check for check in found}
+
+
+def failed(got: Received) -> dict[str, str]:
+    """The checks that fail, with all that they say."""
+    return {
+        name: " | ".join(" ".join(finding) for finding in check.findings)
+        for name, check in judged(got).items()
+        if check.verdict is Verdict.FAILED
+    }
+
+
+def fixed(*faults: tuple[int, int, int]) -> Callable[[], Received]:
+    """Taxels (SUI, name) that read some counts whatever happens."""
+
+    def make() -> Received:
+        counts = Counts(MODULES)
+        counts.fixed = {(sui, name): value for sui, name, value in faults}
+        return received(scans_of(counts))
+
+    return make
+
+
+def noise(channels: slice | int, sd: float) -> Callable[[], Received]:
+    def make() -> Received:
+        counts = Counts(MODULES)
+        counts.noise[channels] = sd
+        return received(scans_of(counts))
+
+    return make
+
+
+def table(*modules: Module) -> Callable[[], Received]:
+    """A hub with other modules than the layout's."""
+    return lambda: received(scans_of(Counts(modules), modules), tables={1: modules})
+
+
+def times(change: Callable[[Any], Any]) -> Callable[[], Received]:
+    def make() -> Received:
+        t = change(1000.0 + PERIOD_S * np.arange(SCANS))
+        span = (1000.0, max(float(t[-1]), 1000.0 + SCANS * PERIOD_S))
+        return received(scans_of(Counts(MODULES), times=t), span=span)
+
+    return make
+
+
+def link(**counters: int) -> Callable[[], Received]:
+    return lambda: received(link=replace(HEALTHY_LINK, **counters))
+
+
+def presses(*answers: int | None, counts: float = 9000.0) -> Callable[[], Received]:
+    made = [
+        Press(asked, answered, np.full(len(SKIN), 0.0 if answered is None else counts))
+        for asked, answered in enumerate(answers)
+    ]
+    return lambda: received(presses=made)
+
+
+def no_scans(tables: dict[int, tuple[Module, ...]], **bring_up: int) -> Callable[[], Received]:
+    return lambda: received([], tables=tables, bring_up=Link(**bring_up), link=Link())
+
+
+def jumping_t0() -> Received:
+    scans = scans_of(Counts(MODULES))
+    late = [
+        replace(s, counts=(s.counts[0] + 300, *s.counts[1:])) if i >= SCANS // 2 else s
+        for i, s in enumerate(scans)
+    ]
+    return received(late)
+
+
+A, B, C, D = MODULES
+
+FAULTS: list[tuple[str, str, Callable[[], Received]]] = [
+    # checks that fail, what the first must say, what is wrong
+    ("discovery", "nothing at all was heard", no_scans({})),
+    ("discovery", "3 requests could not be sent", no_scans({}, unsent=3)),
+    ("discovery", "none of them CySkin's", no_scans({}, frames=7)),
+    ("discovery", "40 bytes came", no_scans({}, bytes=40)),
+    ("discovery", "no answer to DECLARE", no_scans({}, frames=7, packets=7)),
+    ("discovery", "went away", no_scans({}, lost=1)),
+    ("discovery", "no module with a channel", no_scans({1: (Module(0),)})),
+    ("discovery modules", "positions 1", no_scans({1: (A, Module(11), C, D)}, packets=4)),
+    ("discovery", "sent no scan", no_scans({1: MODULES}, packets=9)),
+    ("discovery", "hub 2 answers, but sent no scan",
+     lambda: received(tables={1: (A, B, C), 2: (D,)})),
+    ("modules", "module 2 did not answer; 10 taxels", table(A, C, D)),
+    ("modules", "module 9 (hub 1, position 4)", table(*MODULES, replace(A, sui=9))),
+    ("modules", "replaced", table(A, B, C, replace(D, sui=9))),
+    ("modules", "2 modules answer", table(A, B, C, D, D)),
+    ("modules", "leaves out T9, T10", table(replace(A, mask=0x1FF, channels=9), B, C, D)),
+    ("modules", "no T0", table(A, replace(B, mask=0x7FE, channels=10), C, D)),
+    ("modules", "which taxel is which", table(A, B, C, replace(D, channels=10, mask=0x7FF))),
+    ("rate", "80.0 ms, where 50", times(lambda t: 1000.0 + 1.6 * (t - 1000.0))),
+    ("rate", "another host", times(lambda t: 1000.0 + 0.5 * (t - 1000.0))),
+    ("rate", "off its time", times(lambda t: t + 0.014 * (np.arange(len(t)) % 7 == 0))),
+    ("rate", "10 of 200 scans", times(lambda t: np.delete(t, range(30, 130, 10)))),
+    ("rate", "scans did not come", times(lambda t: t[:100])),
+    ("rate", "fewer than 10", lambda: received(scans_of(Counts(MODULES))[:5])),
+    ("link", "1 with a wrong checksum", link(crc_errors=1)),
+    ("link", "2 of a wrong length", link(length_errors=2)),
+    ("link", "short id", link(index_errors=3)),
+    ("link", "command does not allow", link(malformed=1)),
+    ("link", "could not read", link(undecodable=1)),
+    ("link", "without the beginning", link(orphan=40)),
+    ("link", "went away, 2 ×", link(lost=2)),
+    ("link", "went away", lambda: received(
+        scans_of(Counts(MODULES))[:100], link=replace(HEALTHY_LINK, lost=1))),
+    ("noise", "T5 of module 1 (hub 1, position 0)", noise(5, 500.0)),
+    ("noise", "the whole module", noise(slice(12, 22), 500.0)),
+    ("noise", "T1, T2, T3, T4, T5, T6, T7, T8, T9, T10 of module 4", noise(slice(0, 44), 1500.0)),
+    ("taxels", "T4 of module 3 (hub 1, position 2) dead: reads 0", fixed((3, 4, 0))),
+    ("taxels", "T2, T7 of module 1", fixed((1, 2, 0), (1, 7, 0))),
+    ("taxels", "the whole module fails", fixed(*((2, name, 0) for name in range(1, 11)))),
+    ("taxels", "saturated: reads 43000 or more in 100 %", fixed((4, 1, 43_000))),
+    ("taxels", "stuck: reads 10123 without a count", fixed((4, 10, 10_123))),
+    ("temperature", "T0 of module 2 (hub 1, position 1)", fixed((2, 0, 0))),
+    ("temperature", "43000 and more, in 100 %", fixed((2, 0, 0xFFFF))),
+    ("temperature", "jumped by", jumping_t0),
+    ("press", "modules 2 and 4 answer for each other", presses(0, 3, 2, 1)),
+    ("press", "module 3 answered when it was pressed", presses(1, 2, 0, 3)),
+    ("press", "module 3 (hub 1, position 2) nothing was felt", presses(0, 1, None, 3)),
+    ("press", "modules 1, 2, 3, 4 felt 900 counts", presses(0, 1, 2, 3, counts=900.0)),
+]  # fmt: skip
+
+
+def test_a_healthy_skin_fails_nothing() -> None:
+    got = presses(0, 1, 2, 3)()
+    assert failed(got) == {}
+    assert {check.verdict for check in judged(got).values()} == {Verdict.PASSED}
+
+
+@pytest.mark.parametrize(
+    ("name", "said", "make"), FAULTS, ids=[f"{name}: {said}" for name, said, _ in FAULTS]
+)
+def test_a_fault_fails_its_own_check_alone_and_is_named(
+    name: str, said: str, make: Callable[[], Received]
+) -> None:
+    found = failed(make())
+    assert list(found) == name.split()
+    assert said in found[name.split(maxsplit=1)[0]]
+
+
+def test_a_swapped_pair_is_told_once() -> None:
+    assert failed(presses(0, 3, 2, 1)())["press"].count("swapped") == 1
+
+
+def test_scans_lost_to_damaged_packets_are_the_links_fault_and_not_the_rates() -> None:
+    scans = scans_of(Counts(MODULES))
+    torn = [
+        replace(scan, counts=(*scan.counts[:40], *[MISSING] * 4)) if i % 20 == 10 else scan
+        for i, scan in enumerate(scans)
+    ]
+    got = received(torn, link=replace(HEALTHY_LINK, crc_errors=10))
+    assert list(failed(got)) == ["link"]
+    assert "10 of 200 missed" in judged(got)["rate"].summary
+
+
+def test_what_cannot_be_checked_is_not_said_to_have_passed() -> None:
+    verdicts = {name: c.verdict for name, c in judged(no_scans({})()).items()}
+    assert verdicts.pop("discovery") is Verdict.FAILED
+    assert set(verdicts.values()) == {Verdict.NOT_CHECKED}
+
+
+def test_a_table_without_scans_is_still_held_against_the_layout() -> None:
+    found = failed(no_scans({1: (A, C, D)}, packets=9)())
+    assert list(found) == ["discovery", "modules"]
+    assert "module 2 did not answer" in found["modules"]
+
+
+def test_channels_that_the_layout_lacks_are_noted_and_no_fault() -> None:
+    more = replace(A, mask=0xFFF, channels=12)
+    got = table(more, B, C, D)()
+    assert failed(got) == {}
+    assert judged(got)["modules"].notes == [
+        "module 1 (hub 1, position 0): T11 are not in the layout; the daemon passes them over"
+    ]
+
+
+def test_a_skin_too_quiet_to_tell_a_stuck_taxel_says_so() -> None:
+    counts = Counts(MODULES, noise=0.2)
+    counts.fixed = {(1, 3): 10_000}
+    got = received(scans_of(counts))
+    assert failed(got) == {}
+    assert "use --press" in judged(got)["noise"].notes[0]
+
+
+def test_every_skin_is_measured_by_its_own_noise() -> None:
+    for sd in (0.5, 34.0, 130.0):  # a flat patch, a handle, a large curved patch
+        assert failed(received(scans_of(Counts(MODULES, noise=sd)))) == {}
+
+
+def test_slow_drift_is_neither_noise_nor_a_fault_of_the_temperature() -> None:
+    scans = [
+        replace(scan, counts=tuple(value + i // 20 for value in scan.counts))
+        for i, scan in enumerate(scans_of(Counts(MODULES)))
+    ]
+    assert failed(received(scans)) == {}
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 19, 21])
+def test_a_period_of_few_scans_is_judged_as_far_as_it_goes(n: int) -> None:
+    assert set(failed(received(scans_of(Counts(MODULES))[:n], span=(1000.0, 1000.0)))) <= {"rate"}
+
+
+def test_presses_beyond_full_scale_are_noted() -> None:
+    got = presses(0, 1, 2, 3, counts=31_000.0)()
+    assert failed(got) == {}
+    assert "full_scale_counts towards 31000" in judged(got)["press"].notes[0]
+
+
+def test_a_hub_that_declared_itself_anew_is_judged_by_its_last_table() -> None:
+    dead = Counts(MODULES)
+    dead.fixed = {(1, 1): 0}
+    scans = scans_of(dead)[:100] + scans_of(Counts(MODULES), version=2)[100:]
+    assert failed(received(scans)) == {}
+
+
+def feed(watch: Watch, over: list[float], t: float) -> float:
+    """Ten counts on taxel 0 of module 0 and taxel 1 of module 1, over a level of 100."""
+    for value in over:
+        watch.on_counts(t, np.arange(2), np.array([100.0, 100.0 + value]))
+        t += PERIOD_S
+    return t
+
+
+def watch() -> Watch:
+    return Watch(np.full(2, 100.0), np.full(2, 50.0), np.ones(2, dtype=bool))
+
+
+MODULE = np.array([0, 1], dtype=np.intp)
+
+
+def test_a_press_begins_over_the_threshold_and_ends_with_its_release() -> None:
+    one = watch()
+    t = feed(one, [0, 10, 49, 0, 60, 300, 200], 0.0)
+    assert (one.pressed, one.done) == (True, False)
+    feed(one, [0] * 8, t)
+    assert one.done
+    assert one.answer(MODULE) == 1
+    assert one.peak.max() == 300.0
+
+
+def test_a_spark_is_no_press() -> None:
+    one = watch()
+    feed(one, [0, 400, 0, 0, 400, 0], 0.0)
+    assert one.answer(MODULE) is None
+
+
+def test_a_hand_that_is_still_there_is_not_the_next_press() -> None:
+    one = watch()
+    t = feed(one, [400] * 20, 0.0)
+    one.begin()  # the time for the first is over
+    t = feed(one, [400] * 20, t)
+    assert not one.pressed
+    t = feed(one, [0] * 10, t)
+    feed(one, [400] * 3, t)
+    assert one.pressed
+
+
+def test_taxels_that_cannot_be_believed_press_nothing() -> None:
+    one = Watch(np.full(2, 100.0), np.full(2, 50.0), np.array([True, False]))
+    feed(one, [400] * 5, 0.0)
+    assert not one.pressed
+
+
+def test_the_json_is_plain_and_has_a_row_a_taxel() -> None:
+    got = received(scans_of(Counts((A, B, C)), (A, B, C)), tables={1: (A, B, C)})
+    found = readings(SKIN, got.scans, PERIOD_S)
+    report = Report("can:can0", "now", got, found, checks(got, found))
+    value = json.loads(report.json, parse_constant=pytest.fail)
+    assert len(value["taxels"]) == len(SKIN)
+    assert value["taxels"][-1]["noise"] is None
+    assert value["passed"] is False
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        no_scans({}),
+        fixed(*((sui, name, 0) for sui in range(1, 5) for name in range(1, 11))),
+        fixed((1, 1, 0), (2, 2, 50_000), (3, 3, 10_000)),
+        presses(0, 3, 2, 1),
+    ],
+    ids=["silent", "dead", "some of each", "pressed"],
+)
+def test_whatever_was_found_can_be_drawn(make: Callable[[], Received], tmp_path: Path) -> None:
+    got = make()
+    found = readings(SKIN, got.scans, PERIOD_S)
+    draw(Report("can:can0", "now", got, found, checks(got, found)), tmp_path / "p.png")
+    assert 10_000 < (tmp_path / "p.png").stat().st_size < 300_000
+
+
+@pytest.mark.parametrize(
+    ("target", "kind", "interface", "channel"),
+    [
+        ("can:can0", "can", "socketcan", "can0"),
+        ("slcan:/dev/ttyACM0@3000000", "can", "slcan", "/dev/ttyACM0@3000000"),
+        ("pcan:PCAN_USBBUS1", "can", "pcan", "PCAN_USBBUS1"),
+        ("serial:/dev/ttyACM0", "serial", "socketcan", "/dev/ttyACM0"),
+    ],
+)
+def test_a_target_is_one_of_the_daemons_sources(
+    target: str, kind: str, interface: str, channel: str
+) -> None:
+    config = source_of(target, 20)
+    assert (config.kind, config.interface, config.channel) == (kind, interface, channel)
+    assert config.period_ms == 20
+
+
+def test_a_serial_target_may_carry_its_speed() -> None:
+    assert source_of("serial:/dev/ttyUSB0@115200", 50).baud == 115_200
+
+
+@pytest.mark.parametrize("target", ["can0", "can:", ":can0", ""])
+def test_a_target_that_is_none_is_refused(target: str) -> None:
+    with pytest.raises(SetupError, match="use can:can0"):
+        source_of(target, 50)
+
+
+def test_the_document_has_every_threshold_as_the_code_has_it() -> None:
+    text = (Path(__file__).parents[2] / "docs" / "acceptance.md").read_text(encoding="utf-8")
+    said = dict(re.findall(r"`([A-Z_]+)` = ([0-9.]+)", text))
+    names = {
+        accept_link: ("RATE_OFF", "JITTER_OFF", "MISSED", "DAMAGED"),
+        accept_taxels: ("STANDS_OUT", "NOISE_MAX", "INVALID", "STILL_SCANS", "STEP"),
+        accept_press: ("WEAK",),
+    }
+    held = {name: getattr(module, name) for module, own in names.items() for name in own}
+    assert {name: float(value) for name, value in said.items()} == pytest.approx(held)

@@ -1,0 +1,243 @@
+"""`taxeld-hil accept` as a whole, on virtual skins behind real pseudo-terminals."""
+
+import json
+import re
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from taxeld_hil import cli
+from taxeld_protocol.virtual_ihb import VirtualIhb
+
+from .accept_skin import (
+    LAYOUT,
+    MODULES,
+    BusAdapter,
+    Clock,
+    Counts,
+    NativeAdapter,
+    Operator,
+    VirtualSkin,
+)  # fmt: skip
+
+CHECKS = ["discovery", "modules", "rate", "link", "noise", "taxels", "temperature", "press"]
+FIVE = ["--seconds", "5"]
+
+
+class Ran(SimpleNamespace):
+    code: int
+    out: Path
+    printed: str
+
+    @property
+    def failed(self) -> list[str]:
+        return [c["name"] for c in self.report["checks"] if c["verdict"] == "failed"]
+
+    @property
+    def report(self) -> dict:  # type: ignore[type-arg]
+        return json.loads((self.out / "report.json").read_text(encoding="utf-8"))
+
+    def findings(self, name: str) -> str:
+        (check,) = (c for c in self.report["checks"] if c["name"] == name)
+        return json.dumps(check["findings"], ensure_ascii=False)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    """Everything that looks at a clock between device and report looks at this one."""
+    made = Clock()
+    for module in (
+        "taxeld_hil.accept", "taxeld_hil.accept_acquire", "taxeld.devices", "can.interfaces.slcan",
+    ):  # fmt: skip
+        monkeypatch.setattr(f"{module}.time", made)
+    return made
+
+
+@pytest.fixture
+def skin(clock: Clock) -> Iterator[VirtualSkin]:
+    """A healthy skin behind an SLCAN adapter; tests break it."""
+    with BusAdapter(VirtualIhb(MODULES), lambda _: None) as adapter:
+        yield VirtualSkin(adapter, Counts(MODULES), clock)
+
+
+@pytest.fixture
+def accept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
+    def run(skin: VirtualSkin, *more: str, kind: str = "slcan", view: bool = False) -> Ran:
+        operator, out = Operator(skin.operator), tmp_path / "report"
+        target = f"{kind}:{skin.adapter.device}"
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "stdout", operator)
+            if not view:  # as where the extra is not installed
+                patch.setitem(sys.modules, "taxeld_hil.accept_draw", None)
+            code = cli.main(["accept", target, "--layout", LAYOUT, "--out", str(out), *FIVE, *more])
+        return Ran(code=code, out=out, printed=operator.getvalue())
+
+    return run
+
+
+Accept = Callable[..., Ran]
+
+
+def test_a_healthy_skin_passes_all_and_leaves_a_page_a_picture_and_the_recording(
+    skin: VirtualSkin, accept: Accept
+) -> None:
+    ran = accept(skin, "--press", view=True)
+    assert (ran.code, ran.failed) == (0, []), ran.printed
+    assert [c["name"] for c in ran.report["checks"]] == CHECKS
+    assert {c["verdict"] for c in ran.report["checks"]} == {"passed"}
+    text = (ran.out / "report.txt").read_text(encoding="utf-8")
+    assert text in ran.printed
+    assert max(map(len, text.splitlines())) <= 100
+    assert (ran.out / "report.png").stat().st_size < 300_000
+    assert (ran.out / "frames.log").stat().st_size > 0
+    assert skin.was_stopped()
+
+
+def test_the_native_serial_link_is_looked_at_the_same_way(clock: Clock, accept: Accept) -> None:
+    with NativeAdapter(VirtualIhb(MODULES)) as adapter:
+        ran = accept(VirtualSkin(adapter, Counts(MODULES), clock), kind="serial")
+    assert (ran.code, ran.failed) == (0, []), ran.printed
+    assert (ran.out / "serial.bin").stat().st_size > 0
+
+
+def test_without_matplotlib_all_but_the_picture_is_there(skin: VirtualSkin, accept: Accept) -> None:
+    ran = accept(skin)
+    assert ran.code == 0
+    assert "no picture: " in ran.printed
+    assert "pip install 'taxeld[view]'" in ran.printed
+    assert sorted(p.name for p in ran.out.iterdir()) == ["frames.log", "report.json", "report.txt"]
+
+
+def test_without_presses_the_rest_is_judged(skin: VirtualSkin, accept: Accept) -> None:
+    ran = accept(skin)
+    assert ran.code == 0
+    assert re.search(r"^press +not checked +not asked for", ran.printed, re.MULTILINE)
+
+
+def test_a_dead_taxel_fails_the_taxels_alone(skin: VirtualSkin, accept: Accept) -> None:
+    skin.counts.fixed[3, 4] = 0
+    ran = accept(skin, "--press")
+    assert (ran.code, ran.failed) == (1, ["taxels"]), ran.printed
+    assert "T4 of module 3 (hub 1, position 2)" in ran.findings("taxels")
+
+
+def test_a_missing_module_fails_the_module_table_alone(clock: Clock, accept: Accept) -> None:
+    rest = [module for module in MODULES if module.sui != 2]
+    with BusAdapter(VirtualIhb(rest), lambda _: None) as adapter:
+        ran = accept(VirtualSkin(adapter, Counts(rest), clock), "--press")
+    assert (ran.code, ran.failed) == (1, ["modules"]), ran.printed
+    assert "module 2" in ran.findings("modules")
+
+
+def test_a_swapped_pair_of_modules_fails_the_presses_alone(
+    skin: VirtualSkin, accept: Accept
+) -> None:
+    skin.wired_as = {2: 4, 4: 2}
+    ran = accept(skin, "--press")
+    assert (ran.code, ran.failed) == (1, ["press"]), ran.printed
+    assert "modules 2 and 4" in ran.findings("press")
+
+
+def test_a_module_that_nobody_presses_is_a_failure_after_a_time(
+    skin: VirtualSkin, accept: Accept
+) -> None:
+    skin.wired_as = {3: 99}
+    ran = accept(skin, "--press")
+    assert (ran.code, ran.failed) == (1, ["press"]), ran.printed
+    assert "module 3" in ran.findings("press")
+
+
+def test_presses_that_are_broken_off_still_make_a_report(
+    skin: VirtualSkin, accept: Accept, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def leave(asked: str) -> None:
+        skin.on_text(asked)
+        if asked.startswith("3/4 press"):
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(skin, "operator", leave)
+    ran = accept(skin, "--press")
+    assert (ran.code, ran.failed) == (1, ["press"]), ran.printed
+    assert "2 of 4 modules answered" in ran.printed
+
+
+def test_corrupted_frames_fail_the_link_alone(skin: VirtualSkin, accept: Accept) -> None:
+    skin.adapter.damage_every = 9
+    ran = accept(skin)
+    assert (ran.code, ran.failed) == (1, ["link"]), ran.printed
+    assert "wrong checksum" in ran.findings("link")
+
+
+def test_a_slow_hub_fails_the_rate_alone(skin: VirtualSkin, accept: Accept) -> None:
+    skin.period_ms = 80
+    ran = accept(skin)
+    assert (ran.code, ran.failed) == (1, ["rate"]), ran.printed
+    assert "80.0 ms" in ran.findings("rate")
+
+
+def test_a_taxel_that_was_cut_off_fails_the_module_table_alone(
+    clock: Clock, accept: Accept
+) -> None:
+    cut = [replace(MODULES[0], mask=0x3FF, channels=10), *MODULES[1:]]
+    with BusAdapter(VirtualIhb(cut), lambda _: None) as adapter:
+        ran = accept(VirtualSkin(adapter, Counts(cut), clock))
+    assert (ran.code, ran.failed) == (1, ["modules"]), ran.printed
+    assert "T10" in ran.findings("modules")
+
+
+def test_a_hub_that_is_given_another_short_id_is_one_hub(clock: Clock, accept: Accept) -> None:
+    with BusAdapter(VirtualIhb(MODULES, short_id=9), lambda _: None) as adapter:
+        ran = accept(VirtualSkin(adapter, Counts(MODULES), clock))
+    assert (ran.code, ran.failed) == (0, []), ran.printed
+
+
+def test_a_line_on_which_nobody_answers_fails_discovery_and_says_what_to_look_at(
+    clock: Clock, accept: Accept
+) -> None:
+    with BusAdapter(VirtualIhb(MODULES), lambda _: None) as adapter:
+        silent = VirtualSkin(adapter, Counts(MODULES), clock)
+        clock.on_sleep = lambda: None
+        ran = accept(silent, "--press")
+    assert (ran.code, ran.failed) == (1, ["discovery"])
+    assert "120 Ω" in ran.printed
+    assert "no module that can be pressed" in ran.printed
+
+
+@pytest.mark.parametrize(
+    ("target", "more", "said"),
+    [
+        ("slcan:/dev/nothing", [], "plugged in"),
+        ("serial:/dev/nothing", [], "plugged in"),
+        ("serial:/dev/nothing@fast", [], "'fast' is no baud rate"),
+        ("serial:/dev/nothing@99999999999999999999", [], "is no baud rate"),
+        ("no_such:x", [], "driver installed"),
+        ("can0", [], "use can:can0"),
+        ("slcan:/dev/nothing", ["--seconds", "1"], "--seconds: must be 5..600"),
+        ("slcan:/dev/nothing", ["--seconds", "nan"], "--seconds: must be 5..600"),
+        ("slcan:/dev/nothing", ["--period-ms", "0"], "--period-ms: must be 1..65535"),
+        ("slcan:/dev/nothing", ["--layout", "nothing.json"], "skin.layout"),
+    ],
+)
+def test_what_cannot_be_used_is_one_line_and_exit_status_2(
+    target: str, more: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "report"
+    code = cli.main(["accept", target, "--layout", LAYOUT, "--out", str(out), *more])
+    error = capsys.readouterr().err
+    assert (code, error.count("\n")) == (2, 1)
+    assert said in error
+    assert not out.exists()
+
+
+def test_a_report_is_not_written_over_another(
+    skin: VirtualSkin, accept: Accept, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first = accept(skin)
+    kept = (first.out / "report.json").read_bytes()
+    assert accept(skin).code == 2
+    assert "name another directory" in capsys.readouterr().err
+    assert (first.out / "report.json").read_bytes() == kept
