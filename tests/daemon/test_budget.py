@@ -1,0 +1,168 @@
+"""A tick's time, on a clock that is set by hand: what waits, what is saved, and what is counted."""
+
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld import bundle, contacts, layout, messages
+from taxeld.bundle import Bundle
+from taxeld.config import load, parse
+from taxeld.estimate import Status
+from taxeld.ladder import Step
+from taxeld.loop import STAGES, Daemon
+from taxeld.pipeline import WAITING_MAX, Pipeline
+from tests.daemon.recorded import configuration, write_session
+from tests.daemon.simulated_skin import SimulatedSkin
+
+SKIN = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+CONFIG = (
+    '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n[skin]\nbaseline_scans = 5\n'
+)
+
+
+class Clock:
+    ns = 1
+
+    def __call__(self) -> int:
+        return self.ns
+
+
+@pytest.fixture(scope="module")
+def box() -> Bundle:
+    return bundle.load("box", SKIN, 0.005)
+
+
+@pytest.fixture
+def begun(box: Bundle) -> tuple[Pipeline, SimulatedSkin]:
+    """A pipeline on a clock that stands still, with a baseline, and the skin that it is of."""
+    pipeline, skin = Pipeline(parse(CONFIG), SKIN, box, Clock()), SimulatedSkin(SKIN, noise=5.0)
+    for _ in range(8):
+        scan = skin.scan()
+        list(pipeline.advance([scan], scan.t))
+    assert pipeline.estimate.status is Status.SEARCHING
+    return pipeline, skin
+
+
+def test_once_a_tick_is_late_one_scan_is_taken_and_the_others_wait(
+    begun: tuple[Pipeline, SimulatedSkin],
+) -> None:
+    pipeline, skin = begun
+    scans = [skin.scan() for _ in range(4)]
+    pipeline.ladder.deadline_ns = 0
+    taken = [[o.estimate.t for o in pipeline.advance(scans, scans[-1].t)]]
+    taken += [[o.estimate.t for o in pipeline.advance((), scans[-1].t)] for _ in range(4)]
+    assert taken == [[scan.t] for scan in scans] + [[]]
+    assert pipeline.inputs.scans_put_off == 3 + 2 + 1
+    pipeline.ladder.deadline_ns = float("inf")
+    scans = [skin.scan() for _ in range(4)]
+    assert len(list(pipeline.advance(scans, scans[-1].t))) == 4
+
+
+def test_of_more_scans_than_can_ever_be_taken_the_oldest_are_let_go_and_counted(
+    begun: tuple[Pipeline, SimulatedSkin],
+) -> None:
+    pipeline, skin = begun
+    pipeline.ladder.deadline_ns = 0
+    scans = [skin.scan() for _ in range(WAITING_MAX + 11)]
+    now = scans[-1].t
+    list(pipeline.advance([scan for scan in scans if now - scan.t < 0.5], now))
+    fresh = sum(now - scan.t < 0.5 for scan in scans)
+    for scan in scans:  # as if each had only just been sent
+        list(pipeline.advance([scan, scan], scan.t))
+    inputs = pipeline.inputs
+    sent = fresh + 2 * len(scans)
+    assert inputs.scans_crowded_out > 0
+    assert (
+        pipeline.skin.counters.scans
+        - 8
+        + inputs.scans_crowded_out
+        + inputs.scans_old
+        + len(pipeline._waiting)
+        == sent
+    )
+    assert len(pipeline._waiting) <= WAITING_MAX
+
+
+def test_a_touch_without_time_brings_no_sample_and_the_next_with_time_all_of_them(
+    begun: tuple[Pipeline, SimulatedSkin], box: Bundle
+) -> None:
+    pipeline, skin = begun
+    pressed = _pressed(box)
+
+    def touch() -> list[int]:
+        """Samples that each scan of a touch brings; let go after it."""
+        brought = []
+        for press in [*3 * [pressed], *6 * [0.0 * pressed]]:
+            skin.press = press
+            scan = skin.scan()
+            brought += [o.estimate.injected for o in pipeline.advance([scan], scan.t)]
+        return brought
+
+    pipeline.ladder.deadline_ns = 0
+    assert set(touch()) == {0}
+    assert pipeline.estimate.contacts == 1
+    assert pipeline.ladder.step is Step.NONE
+    pipeline.ladder.deadline_ns = float("inf")
+    assert max(touch()) >= parse(CONFIG).filter.injected
+    assert pipeline.ladder.step is Step.CHOSEN
+
+
+def test_to_warm_up_leaves_no_trace_in_the_belief(box: Bundle) -> None:
+    told = []
+    for warm in (False, True):
+        pipeline, skin = Pipeline(parse(CONFIG), SKIN, box, Clock()), SimulatedSkin(SKIN, noise=5.0)
+        if warm:
+            pipeline.warm_up()
+        scans = [skin.scan() for _ in range(8)]
+        skin.press = _pressed(box)
+        scans += [skin.scan() for _ in range(3)]
+        for scan in scans:
+            list(pipeline.advance([scan], scan.t))
+        estimate = messages.estimate(pipeline.estimate, seq=0, valid=True)
+        told.append((json.dumps(estimate), pipeline.ladder.counters.chosen))
+    assert told[0] == told[1]
+
+
+def test_the_ladder_has_cheaper_rungs_below_the_chosen_one_and_ends_without_samples(
+    box: Bundle,
+) -> None:
+    rungs = box.ladder(box.proposal("", "ddpm-100"), 50)
+    steps = [rung.step for rung in rungs]
+    assert steps == sorted(steps)
+    assert steps[0] is Step.CHOSEN
+    assert {Step.CHEAPER, Step.FEWER} < set(steps)
+    assert rungs[-1].proposal is None
+    costs = [rung.cost.ns for rung in rungs[:2]]
+    assert costs[1] < 0.5 * costs[0]
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Daemon]:
+    write_session(tmp_path)
+
+    tight = "[budget]\n" + "".join(f"{stage}_ms = 0.01\n" for stage in STAGES)
+    made = Daemon(load(configuration(tmp_path, tight)))
+    yield made
+    made.close()
+
+
+def test_a_stage_that_takes_longer_than_its_budget_is_counted(daemon: Daemon) -> None:
+    start = time.monotonic()
+    for k in range(200):
+        daemon.tick(start + k * 0.01)
+    health = daemon._health(1, start + 2.0, 0.0)
+    assert health["over_budget"]["publish"] > 100
+    assert health["over_budget"]["skin"] <= health["skin"]["scans"]
+    assert health["over_budget"]["propose"] == 0  # no touch
+
+
+def _pressed(box: Bundle) -> np.ndarray:
+    """Counts over baseline (M,) of a firm touch."""
+    rng = np.random.default_rng(0)
+    poses = contacts.synthesise(box.model.scene, SKIN.radius_m, 0.005, 200, rng).pose
+    z = box.model.activation(poses)
+    return np.asarray(20_000.0 * z[np.argmax(z.max(axis=1))])
