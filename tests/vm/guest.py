@@ -236,7 +236,7 @@ def main() -> int:
         except Exception as error:  # a check that breaks has failed, and the others go on
             failed += 1
             print(f"FAILED  {name}: {type(error).__name__}: {error}")
-            print(sh("journalctl -b -n 12 --no-hostname -u 'taxeld@*'"))
+            print(sh("journalctl -b -n 40 --no-hostname -u 'taxeld@*'"))
         else:
             took = f"{time.monotonic() - started:.0f} s"
             print(f"passed  {name} ({', '.join(filter(None, (note, took)))})")
