@@ -18,6 +18,7 @@ LATTICE_M = (0.002, 0.003)  # around and along, of the skin's points beside the 
 MARGIN_M = 0.008  # of skin around the taxels that is looked at
 LAYER_M = 0.008  # how deep the skin can give way
 STEP_M = 0.001  # along a ray
+PATCH_M = 0.012  # of skin that one look tells to be out of reach
 LEAST_SHARE = 0.02  # of a press: what sags less is left out
 ELECTRODE = np.vstack([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3)])
 ELECTRODE_RADII = np.sqrt(7.0 / 12.0)  # to the outer six points: as far on the mean as a disc's
@@ -46,6 +47,7 @@ class MeshSkin:
         self._normal = np.stack([np.cos(phi), np.sin(phi)])
         self._point = np.stack([r * self._normal[0], r * self._normal[1], z])
         self._near, self._share = _sagging(self._point, len(on_taxel[0]), sag_m)
+        self._patch, self._middle, self._widest_m = _patches(self._point, phi * r)
         self._depths = np.arange(0.0, LAYER_M + 0.5 * STEP_M, STEP_M)
         self._reach = solid.size + float(radius.max())
 
@@ -63,12 +65,19 @@ class MeshSkin:
         """The skin's points that the solid stands in the way of, and how deep [m]."""
         c, s = np.cos(seen[2]), np.sin(seen[2])
         turn = np.array([[c, s], [-s, c]])
-        point = np.vstack([turn @ (self._point[:2] - seen[:2, None]), self._point[2:]])
-        close = np.flatnonzero(self._solid.distance(point) <= LAYER_M)
-        if not len(close):
-            return close, np.empty(0)
+        nothing = np.empty(0, dtype=np.intp), np.empty(0)
+        apart = self._solid.distance(_seen(self._middle, seen, turn))
+        if apart.min() > self._widest_m:
+            return nothing
+        near = np.flatnonzero((apart < self._widest_m + LAYER_M).take(self._patch))
+        point = _seen(self._point[:, near], seen, turn)
+        gap = self._solid.distance(point)
+        if gap.min() > 0.0:  # who is pressed at all is pressed at the surface
+            return nothing
+        able = np.flatnonzero(gap <= LAYER_M)
+        close, point = near[able], point[:, able]
         inwards = -(turn @ self._normal[:, close])
-        way = point[:, close, None] + np.concatenate(
+        way = point[:, :, None] + np.concatenate(
             [inwards[:, :, None] * self._depths, np.zeros((1, len(close), len(self._depths)))]
         )
         distance = self._solid.distance(way.reshape(3, -1)).reshape(len(close), -1)
@@ -79,6 +88,22 @@ class MeshSkin:
         beyond = distance[hit, np.minimum(deepest + 1, len(self._depths) - 1)]
         part = within / np.where(beyond > within, within - beyond, 1.0)
         return close[hit], self._depths[deepest] + STEP_M * np.clip(part, 0.0, 1.0)
+
+
+def _seen(point: Floats, seen: Poses, turn: Floats) -> Floats:
+    """Points (3, n) of the sensor in the frame of an object at `seen`, turned by `turn` (2, 2)."""
+    return np.vstack([turn @ (point[:2] - seen[:2, None]), point[2:]])
+
+
+def _patches(point: Floats, around: Floats) -> tuple[NDArray[np.intp], Floats, float]:
+    """Points (3, n) in patches: the patch of each (n,), the patches' middles (3, p), and no point's
+    distance from its middle is more than the last."""
+    tile = np.floor(np.stack([around, point[2]]) / PATCH_M)
+    _, patch = np.unique(tile, axis=1, return_inverse=True)
+    count = np.bincount(patch)
+    middle = np.stack([np.bincount(patch, row) / count for row in point])
+    widest = float(np.linalg.norm(point - middle[:, patch], axis=0).max())
+    return patch, middle, widest
 
 
 def _lattice(angle: Floats, z: Floats, radius: Floats) -> Floats:

@@ -87,7 +87,7 @@ def test_an_edge_between_two_columns_is_felt_by_a_soft_skin_alone() -> None:
     pose = np.array([*(0.087 * np.array([np.cos(between), np.sin(between)])), between])
     assert not MeshSkin(thin, SKIN, 0.0, 0.0).indentation(pose).any()
     felt = MeshSkin(thin, SKIN, 0.002, 0.003).indentation(pose)
-    np.testing.assert_allclose(felt[0::16], felt[1::16], rtol=0.1)
+    np.testing.assert_allclose(felt[0::16], felt[1::16], rtol=0.2)  # to the lattice
     assert felt[0] > 1e-4
 
 
