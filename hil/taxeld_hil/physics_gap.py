@@ -6,6 +6,7 @@ those before it, and readings are compared with h of the same pose. All in activ
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -27,6 +28,7 @@ STAGES = (
     "3-D distance", "electrode's area", "sag", "foam", "condenser", "gains", "cross-talk", "counts",
 )  # fmt: skip
 BINS = np.arange(6) * 0.001  # depths
+EXPECTED = np.linspace(0.0, 1.0, 11)
 SIGMAS = np.geomspace(0.005, 0.2, 30)
 CVS = np.linspace(0.0, 0.8, 41)
 
@@ -121,6 +123,7 @@ def compare(readings: Readings, layout: Layout, noise: Noise) -> dict[str, Any]:
             {"z_mm": 1e3 * z, **_figures(last, expected, touched & (row == k))}
             for k, z in enumerate(rows)
         ],
+        "read_by_expected": _spread(last, expected),
         "held": _figures(last, expected, touched & (readings.receding == 0.0)[:, None]),
         "receding": _figures(last, expected, touched & (readings.receding == 1.0)[:, None]),
         "felt_unexpected": float(np.mean(np.sum((expected <= 0.0) & (last > 0.0), axis=1))),
@@ -152,6 +155,19 @@ def _figures(z: Floats, h: Floats, of: Any) -> dict[str, float]:
         "p99_abs": float(np.quantile(np.abs(gap), 0.99)),
         "correlation": float(np.corrcoef(z[of], h[of])[0, 1]),
     }
+
+
+def _spread(z: Floats, h: Floats) -> list[dict[str, float]]:
+    """Where nine in ten readings lie, by what was expected; the first row is of nothing expected
+    beside a touch, as far as anything is read."""
+    rows = []
+    for low, high in [(-1.0, 0.0), *pairwise(EXPECTED)]:
+        mine = z[(h > low) & (h <= high) & ((h > 0.0) | (z > 0.0))]
+        if len(mine) > 20:
+            q05, median, q95 = np.quantile(mine, (0.05, 0.5, 0.95))
+            middle = max(0.5 * (low + high), 0.0)
+            rows.append({"expected": middle, "q05": q05, "median": median, "q95": q95})
+    return rows
 
 
 def _by_stage(read: Floats, expected: Floats) -> dict[str, float]:

@@ -194,6 +194,19 @@ def test_a_mesh_is_built_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         meshes.load("025_mug", 0.05, 0.01)
 
 
+def test_a_damaged_or_unwritable_cache_is_done_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = meshes.load("025_mug", 0.04, 0.01)
+    (kept,) = (tmp_path / "taxeld" / "meshes").iterdir()
+    kept.write_bytes(kept.read_bytes()[:1000])
+    np.testing.assert_array_equal(meshes.load("025_mug", 0.04, 0.01).values, first.values)
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    np.testing.assert_array_equal(meshes.load("025_mug", 0.04, 0.01).values, first.values)
+
+
 def test_a_mesh_that_cannot_be_had_is_a_line_with_the_cure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

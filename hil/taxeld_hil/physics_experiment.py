@@ -1,0 +1,98 @@
+"""`taxeld-hil physics`: the two models of a skin side by side, as JSON and a picture."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from taxeld import bundle, layout
+from taxeld.config import SkinConfig
+from taxeld.errors import SetupError
+from taxeld.observation import Noise
+from taxeld_hil import physics_cost, physics_gap, scenario
+from taxeld_hil.mesh_world import solid_of
+from taxeld_hil.physics import MeshConfig
+from taxeld_hil.scenario import Scenario
+
+STEPS = 10  # lines of progress an object
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How much is measured."""
+
+    objects: tuple[str, ...]  # bundles
+    contacts: int = 2000  # an object
+    seeds: int = 20  # an object and kind of physics
+    seed: int = 0  # of the contacts
+
+    @classmethod
+    def quick(cls, objects: tuple[str, ...], contacts: int = 60, seeds: int = 2, seed: int = 0
+              ) -> Self:  # fmt: skip
+        return cls(objects, contacts, seeds, seed)
+
+
+def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
+    """Measure, and write `physics.json` and `physics.png` into the directory `out`.
+
+    Raises:
+        SetupError: an object has no mesh here; or, with the JSON written, nothing to draw with.
+    """
+    demo = scenario.load("demo")
+    gaps = {name: _gap(demo, name, plan, say) for name in plan.objects}
+    done: list[physics_cost.Run] = []
+    for run in physics_cost.runs(demo, list(plan.objects), plan.seeds):
+        done.append(run)
+        if run.kind == list(physics_cost.KINDS)[-1]:
+            say(f"{run.object}, seed {run.seed}: all effects {run.final_mm:.2f} mm")
+    result = {
+        "plan": asdict(plan),
+        "mesh": asdict(MeshConfig()),
+        "gap": gaps,
+        "cost": physics_cost.summary(done),
+        "scan_cpu_ms": {
+            name: {
+                kind: physics_cost.scan_ms(physics_cost.of(demo, name, mesh), seed=0)
+                for kind, mesh in (("scene", None), ("mesh", physics_cost.FULL))
+            }
+            for name in plan.objects
+        },
+    }
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / "physics.json"
+    path.write_text(json.dumps(_rounded(result), indent=1) + "\n", encoding="utf-8")
+    yield path
+    try:
+        from taxeld_hil import physics_chart  # noqa: PLC0415  # the picture alone needs it
+    except ImportError:
+        cure = "pip install 'taxeld[view]'"
+        raise SetupError(f"physics.png: drawing needs matplotlib; {cure}") from None
+    physics_chart.draw(result, out / "physics.png")
+    yield out / "physics.png"
+
+
+def _gap(demo: Scenario, name: str, plan: Plan, say: Say) -> dict[str, Any]:
+    skin = layout.load(demo.layout)
+    model = bundle.load(name, skin, SkinConfig().full_scale_depth_m).model
+    bench = physics_gap.Bench(demo, model, solid_of(name, skin))
+
+    def progress(done: int) -> None:
+        if done * STEPS % plan.contacts < STEPS:
+            say(f"{name}: {done} of {plan.contacts} contacts")
+
+    readings = bench.readings(plan.contacts, np.random.default_rng(plan.seed), progress)
+    return physics_gap.compare(readings, skin, Noise())
+
+
+def _rounded(value: Any) -> Any:
+    """Floats to five digits: more would be noise in a file that is kept."""
+    if isinstance(value, dict):
+        return {k: _rounded(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(v) for v in value]
+    return float(f"{value:.5g}") if isinstance(value, float) else value
