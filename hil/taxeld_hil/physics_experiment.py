@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -18,6 +18,7 @@ from taxeld_hil.physics import MeshConfig
 from taxeld_hil.scenario import Scenario
 
 STEPS = 10  # lines of progress an object
+SAGS_M = (0.0, 0.0015, 0.003, 0.006)  # what is assumed of the cover matters most
 
 Say = Callable[[str], None]
 
@@ -79,14 +80,28 @@ def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
 def _gap(demo: Scenario, name: str, plan: Plan, say: Say) -> dict[str, Any]:
     skin = layout.load(demo.layout)
     model = bundle.load(name, skin, SkinConfig().full_scale_depth_m).model
-    bench = physics_gap.Bench(demo, model, solid_of(name, skin))
+    solid = solid_of(name, skin)
 
-    def progress(done: int) -> None:
-        if done * STEPS % plan.contacts < STEPS:
-            say(f"{name}: {done} of {plan.contacts} contacts")
+    def compared(scenario: Scenario, contacts: int) -> dict[str, Any]:
+        def progress(done: int) -> None:
+            if done * STEPS % contacts < STEPS:
+                sag = 1e3 * scenario.mesh.sag_m
+                say(f"{name}, a cover that sags {sag:g} mm: {done} of {contacts} contacts")
 
-    readings = bench.readings(plan.contacts, np.random.default_rng(plan.seed), progress)
-    return physics_gap.compare(readings, skin, Noise())
+        bench = physics_gap.Bench(scenario, model, solid)
+        readings = bench.readings(contacts, np.random.default_rng(plan.seed), progress)
+        return physics_gap.compare(readings, skin, Noise())
+
+    gap = compared(demo, plan.contacts)
+    gap["noise_by_sag"] = [
+        {"sag_mm": 1e3 * sag, **compared(_sagging(demo, sag), plan.contacts // 4)["noise"]["best"]}
+        for sag in SAGS_M
+    ]
+    return gap
+
+
+def _sagging(demo: Scenario, sag_m: float) -> Scenario:
+    return replace(demo, mesh=replace(demo.mesh, sag_m=sag_m))
 
 
 def _rounded(value: Any) -> Any:

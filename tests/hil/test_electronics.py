@@ -14,7 +14,7 @@ from taxeld_hil.scenario import Scenario
 from taxeld_hil.world import COUNT_MAX, World, world
 from taxeld_protocol.modules import wired
 
-DEMO = scenario.load("demo")
+DEMO = replace(scenario.load("demo"), physics="scene")
 MESH = replace(DEMO, physics="mesh")
 SKIN = layout.load(DEMO.layout)
 MODEL = bundle.load(DEMO.bundle, SKIN, 0.005).model

@@ -64,7 +64,7 @@ def test_the_command_writes_json_beside_a_picture(
     assert not cli.main(["physics", "--quick", "--object", "box", "--contacts", "12",
                          "--seeds", "1", "--out", str(tmp_path)])  # fmt: skip
     said = capsys.readouterr()
-    assert "box: 12 of 12 contacts" in said.err
+    assert "box, a cover that sags 3 mm: 12 of 12 contacts" in said.err
     result = json.loads((tmp_path / "physics.json").read_text(encoding="utf-8"))
     assert [stage["stage"] for stage in result["gap"]["box"]["stages"]] == list(STAGES)
     assert [row["kind"] for row in result["cost"]] == list(physics_cost.KINDS)
