@@ -44,7 +44,7 @@ def _effects(axes: Axes, result: dict[str, Any], colour: dict[str, str]) -> None
         axes.plot(total, at + 0.35 * (k - 0.5), "k|", ms=9, mew=1.6)
     axes.set_yticks(at, STAGES)
     axes.invert_yaxis()
-    axes.axvline(0.02, color="0.4", ls="--", lw=1)
+    axes.axvline(result["plan"]["noise_sigma"], color="0.4", ls="--", lw=1)
     axes.set_xlabel("rms change of an activation; bar: this effect, tick: all so far; dashed σ",
                     fontsize=8)  # fmt: skip
     axes.set_title("What parts the two models", fontsize=10)

@@ -9,14 +9,16 @@ from typing import Any, Self
 import numpy as np
 
 from taxeld import bundle, layout
-from taxeld.config import SkinConfig
+from taxeld.config import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
 from taxeld.observation import Noise
 from taxeld_hil import physics_cost, physics_gap, scenario
 from taxeld_hil.mesh_world import solid_of
 from taxeld_hil.physics import MeshConfig
 from taxeld_hil.scenario import Scenario
+from taxeld_hil.simulate import configured
 
+LEAST_CONTACTS = 8
 STEPS = 10  # lines of progress an object
 SAGS_M = (0.0, 0.0015, 0.003, 0.006)  # what is assumed of the cover matters most
 
@@ -31,11 +33,12 @@ class Plan:
     contacts: int = 2000  # an object
     seeds: int = 20  # an object and kind of physics
     seed: int = 0  # of the contacts
+    noise_sigma: float = FilterConfig().noise_sigma  # that the daemon assumes
 
     @classmethod
-    def quick(cls, objects: tuple[str, ...], contacts: int = 60, seeds: int = 2, seed: int = 0
+    def quick(cls, objects: tuple[str, ...], contacts: int = 60, seeds: int = 2, **keys: Any
               ) -> Self:  # fmt: skip
-        return cls(objects, contacts, seeds, seed)
+        return cls(objects, contacts, seeds, **keys)
 
 
 def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
@@ -44,10 +47,14 @@ def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
     Raises:
         SetupError: an object has no mesh here; or, with the JSON written, nothing to draw with.
     """
+    if plan.contacts < LEAST_CONTACTS or plan.seeds < 1:
+        raise SetupError(f"--contacts must be at least {LEAST_CONTACTS}, --seeds at least 1")
     demo = scenario.load("demo")
+    config = f"[filter]\nnoise_sigma = {plan.noise_sigma}\n"
+    configured(demo, plan.seed, config)  # a figure that is none is told at once
     gaps = {name: _gap(demo, name, plan, say) for name in plan.objects}
     done: list[physics_cost.Run] = []
-    for run in physics_cost.runs(demo, list(plan.objects), plan.seeds):
+    for run in physics_cost.runs(demo, list(plan.objects), plan.seeds, config):
         done.append(run)
         if run.kind == list(physics_cost.KINDS)[-1]:
             say(f"{run.object}, seed {run.seed}: all effects {run.final_mm:.2f} mm")
@@ -90,7 +97,7 @@ def _gap(demo: Scenario, name: str, plan: Plan, say: Say) -> dict[str, Any]:
 
         bench = physics_gap.Bench(scenario, model, solid)
         readings = bench.readings(contacts, np.random.default_rng(plan.seed), progress)
-        return physics_gap.compare(readings, skin, Noise())
+        return physics_gap.compare(readings, skin, Noise(plan.noise_sigma))
 
     gap = compared(demo, plan.contacts)
     gap["noise_by_sag"] = [

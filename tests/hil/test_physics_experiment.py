@@ -57,6 +57,16 @@ def test_kinds_add_one_effect_after_the_other_up_to_all() -> None:
     assert kinds[-1] == DEMO.mesh
 
 
+def test_figures_that_are_none_are_refused_with_a_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for option, value, message in (("--noise-sigma", "-1", "filter.noise_sigma: must be"),
+                                   ("--contacts", "0", "--contacts must be at least"),
+                                   ("--object", "party", "no bundle 'party'")):  # fmt: skip
+        assert cli.main(["physics", option, value, "--out", str(tmp_path)]) == 2
+        assert message in capsys.readouterr().err
+
+
 def test_the_command_writes_json_beside_a_picture(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
