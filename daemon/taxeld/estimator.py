@@ -175,8 +175,10 @@ class Estimator:
         felt = self.rule.recalled()
         if felt is None:
             return 0
-        self.counters.thoughts += 1
         samples = self._samples(felt)
+        if not len(samples):  # none are asked for: there is nothing to think with
+            return 0
+        self.counters.thoughts += 1
         self.rule.think(samples)
         self._confirmed &= self._summarised(len(samples))
         return len(samples)
