@@ -103,6 +103,7 @@ class BudgetConfig:
     )
     filter_ms: float = key(5.0, between(0.01, 1000), "the belief and its summary")
     publish_ms: float = key(1.0, between(0.01, 1000), "streams and control, kept free of the tick")
+    degrade: bool = key(True, doc="save samples where a tick lacks time; false: let it be late")
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +131,8 @@ class FilterConfig:
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")
     half_width_m: float = key(0.5, between(0.01, 100), "of that square, world frame")
-    noise_sigma: float = key(0.02, between(1e-4, 1), "sd of an activation")
+    # what a soft skin reads lies so far from what is expected of it (docs/physics.md)
+    noise_sigma: float = key(0.04, between(1e-4, 1), "sd of an activation")
     gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
     outliers: float = key(0.01, between(0, 0.5), "share of readings that mean nothing")
 

@@ -178,7 +178,7 @@ class Estimator:
         if felt is None:
             return 0
         samples = self._samples(felt)
-        if not len(samples):
+        if not len(samples):  # none are asked for, or there is no time for any
             return 0
         self.counters.thoughts += 1
         self.rule.think(samples)

@@ -133,8 +133,9 @@ class Daemon:
         """One pass: inputs, pipeline, outputs. `now_s` is monotonic; there is time for `left_s`."""
         start, cpu = time.perf_counter_ns(), time.thread_time_ns()
         self.counters.ticks += 1
-        for_pipeline_s = left_s - self.config.budget.publish_ms / 1000.0
-        self.pipeline.ladder.deadline_ns = start + 1e9 * for_pipeline_s
+        if self.config.budget.degrade:
+            for_pipeline_s = left_s - self.config.budget.publish_ms / 1000.0
+            self.pipeline.ladder.deadline_ns = start + 1e9 * for_pipeline_s
         wall_s, stepped = self.clock.read()
         if stepped:
             self._on_clock_step(stepped)

@@ -114,6 +114,23 @@ def _draw(args: argparse.Namespace) -> int:
     return 0
 
 
+def _physics(args: argparse.Namespace) -> int:
+    from taxeld_hil.physics_experiment import Plan, experiment
+
+    plan = Plan.quick if args.quick else Plan
+    given = {
+        "contacts": args.contacts,
+        "seeds": args.seeds,
+        "seed": args.seed,
+        "noise_sigma": args.noise_sigma,
+    }
+    objects = tuple(args.object or ("box", "mug"))
+    chosen = plan(objects=objects, **{k: v for k, v in given.items() if v is not None})
+    for path in experiment(chosen, args.out, lambda line: print(line, file=sys.stderr, flush=True)):
+        print(path)
+    return 0
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="taxeld-hil", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
@@ -161,6 +178,16 @@ def _parser() -> argparse.ArgumentParser:
     draw.add_argument("session", type=Path)
     draw.add_argument("--out", type=Path, required=True)
     draw.set_defaults(command=_draw)
+
+    physics = commands.add_parser("physics", help="the estimator's model beside a soft skin's")
+    physics.add_argument("--object", action="append", metavar="BUNDLE", help="default: box and mug")
+    physics.add_argument("--contacts", type=int, metavar="N", help="an object, to compare readings")
+    physics.add_argument("--seeds", type=int, metavar="N", help="runs of the demo's path a kind")
+    physics.add_argument("--seed", type=int, help="of the contacts")
+    physics.add_argument("--noise-sigma", type=float, metavar="SD", help="default: the daemon's")
+    physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")
+    physics.add_argument("--out", type=Path, required=True, help="directory for JSON and PNG")
+    physics.set_defaults(command=_physics)
     return parser
 
 

@@ -16,6 +16,7 @@ from taxeld_hil import robot
 from taxeld_hil.adapter import CanAdapter, SlcanAdapter
 from taxeld_hil.scenario import Scenario
 from taxeld_hil.world import World
+from taxeld_hil.world import world as world_of
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
 
@@ -42,7 +43,7 @@ class Emulation:
         skin = layout.load(scenario.layout)
         model = bundle.load(scenario.bundle, skin, SkinConfig().full_scale_depth_m).model
         modules = wired(skin.uid.tolist())
-        world = World(scenario, model, modules, self.seed)
+        world = world_of(scenario, model, modules, self.seed)
         path = robot.plan(scenario, model, world.truth, self.seed)
         ihb = VirtualIhb(modules)
         with (
@@ -87,7 +88,7 @@ def _serve(
             poses.send_multipart((messages.SENSOR_POSE, body, b"%.6f" % wall), zmq.NOBLOCK)
             recorder.pose(wall, x, y, theta)
         if adapter.ihb.due(now):
-            for command, payload in adapter.ihb.sensor_data(world.counts(pose)):
+            for command, payload in adapter.ihb.sensor_data(world.counts(pose, now)):
                 adapter.send(command, payload, wall)
         if start_s is None and now - began > ANSWER_S:
             return False

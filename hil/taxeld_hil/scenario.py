@@ -1,13 +1,14 @@
 """Scenarios: what is touched, how, and by what skin (TOML)."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import resources
 from pathlib import Path
 
 from taxeld import toml_tables
 from taxeld.config import SkinConfig
 from taxeld.errors import SetupError
-from taxeld.toml_tables import between, key
+from taxeld.toml_tables import between, key, one_of
+from taxeld_hil.physics import MeshConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +24,10 @@ class Scenario:
     noise_counts: float = key(34.0, between(0, 1000), "sd of a reading")
     gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
     full_scale_counts: float = key(20_000.0, between(100, 60_000), "counts of a 5 mm press")
+    physics: str = key(
+        "scene", one_of("scene", "mesh"), "what is felt: the estimator's own model, or [mesh]"
+    )
+    mesh: MeshConfig = field(default_factory=MeshConfig)
 
 
 def load(name: str) -> Scenario:

@@ -47,6 +47,19 @@ def sharpness(estimate: Estimate) -> tuple[float, float]:
     return estimate.ess, float(np.trace(estimate.cov))
 
 
+def test_without_samples_there_is_nothing_to_think_with(box_model: ObservationModel) -> None:
+    """Two touches that do not agree, and filter.injected = 0."""
+    subject = estimator(box_model, particles=2, particles_max=60, injected=0)
+    approach(subject, box_model)
+    odd = np.zeros(len(box_model.layout))
+    for k, value in enumerate((0.0, 0.0, 1.0, 1.0, 1.0, 1.0)):
+        odd[0] = value
+        reading = Activation(1.0 + 0.05 * k, odd.copy(), np.ones(len(odd), dtype=bool))
+        subject.on_scan(reading, press(0.1))
+    assert subject.counters.thoughts == 0
+    assert np.isclose(subject.belief.weight.sum(), 1.0)
+
+
 def test_a_held_contact_counts_once(box_model: ObservationModel) -> None:
     """Ten minutes at 20 Hz of the same touch leave the belief as it was."""
     subject = estimator(box_model)

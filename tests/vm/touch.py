@@ -35,6 +35,7 @@ endpoint = "{POSES}"
 rate_hz = 10.0
 [budget]
 propose_ms = 1000.0
+degrade = false
 """
 
 

@@ -54,6 +54,7 @@ class Method:
             particles_max=self.particles_max or self.particles,
             injected=self.particles // 2,
             injection=self.injection,
+            noise_sigma=Noise().sigma,  # with which trials are read
             seed=seed,
         )
 

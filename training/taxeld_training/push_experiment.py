@@ -11,6 +11,7 @@ from taxeld.config import FilterConfig
 from taxeld.errors import SetupError
 from taxeld.estimate import Status
 from taxeld.estimator import Estimator
+from taxeld.observation import Noise
 from taxeld.symmetry import add_m
 from taxeld_training import experiment, follow, trained
 from taxeld_training.cells import COLUMNS, setting_of
@@ -65,7 +66,7 @@ def play(setting: Setting, motion: str, first: int, count: int, code: str) -> li
     proposal = trained.proposal_of(DENSITY, setting, "")
     told = []
     for seed in range(first, first + count):
-        config = FilterConfig(motion=motion, seed=OWN_SEEDS + seed)
+        config = FilterConfig(motion=motion, noise_sigma=Noise().sigma, seed=OWN_SEEDS + seed)
         estimator = Estimator(model, proposal, config)
         errors = []
         for touch, scans in groupby(PushedTrial(model, seed), key=lambda scan: scan.touch):

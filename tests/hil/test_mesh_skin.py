@@ -1,0 +1,205 @@
+"""A solid against a soft skin: closed forms, symmetry, and the estimator's model beside it."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld import bundle, contacts, layout
+from taxeld.errors import SetupError
+from taxeld_hil import meshes
+from taxeld_hil.mesh_skin import LAYER_M, MeshSkin
+from taxeld_hil.mesh_world import solid_of
+from taxeld_hil.solids import Floats
+
+SKIN = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+HALF = np.array([0.05, 0.03, 0.04])
+FACING = np.array([0.04 + 0.05, 0.0, 0.0])  # a box's face just touches column 0
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright box around the origin, in closed form."""
+
+    half: Floats
+    centre = np.zeros(2)
+
+    @property
+    def size(self) -> float:
+        return float(np.hypot(*self.half[:2]))
+
+    def distance(self, points: Floats) -> Floats:
+        out = np.abs(points) - self.half[:, None]
+        outside = np.linalg.norm(np.maximum(out, 0.0), axis=0)
+        return np.asarray(outside + np.minimum(out.max(axis=0), 0.0))
+
+
+BOX = Box(HALF)
+HARD = MeshSkin(BOX, SKIN, taxel_radius_m=0.0, sag_m=0.0)
+SOFT = MeshSkin(BOX, SKIN, taxel_radius_m=0.002, sag_m=0.003)
+
+
+def faces_of(half: Floats) -> Floats:
+    """(12, 3, 3) the triangles of an upright box around the origin, wound outwards."""
+    triangles = []
+    for axis in range(3):
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        for side in (-1.0, 1.0):
+            corners = np.zeros((4, 3))
+            corners[:, axis] = side
+            corners[:, u] = [-1.0, 1.0, 1.0, -1.0]
+            corners[:, v] = [-1.0, -1.0, 1.0, 1.0]
+            order = [(0, 1, 2), (0, 2, 3)] if side > 0 else [(0, 2, 1), (0, 3, 2)]
+            triangles += [corners[list(face)] for face in order]
+    return np.array(triangles) * half
+
+
+def pressed(depth_m: float) -> Floats:
+    return FACING - np.array([depth_m, 0.0, 0.0])
+
+
+@pytest.mark.parametrize("depth_m", [0.0005, 0.002, 0.0045])
+def test_a_flat_press_is_as_deep_as_the_plane_stands_in_each_normals_way(depth_m: float) -> None:
+    column = np.arctan2(SKIN.position_m[:, 1], SKIN.position_m[:, 0])
+    way = (0.04 - depth_m) / np.maximum(np.cos(column), 1e-9)  # from the axis to the face
+    expected = np.where(np.cos(column) > 0.0, np.clip(0.04 - way, 0.0, None), 0.0)
+    np.testing.assert_allclose(HARD.indentation(pressed(depth_m)), expected, atol=1e-9)
+
+
+def test_what_does_not_touch_is_not_felt() -> None:
+    assert not SOFT.indentation(pressed(-1e-4)).any()
+    assert not SOFT.indentation(np.array([1.0, 0.0, 0.3])).any()
+
+
+def test_a_soft_skin_sags_beside_the_press_and_nowhere_rises() -> None:
+    hard, soft = HARD.indentation(pressed(0.002)), SOFT.indentation(pressed(0.002))
+    beside = (hard == 0.0) & (soft > 0.0)
+    assert beside.any()
+    assert soft[beside].max() < 0.5 * hard.max()
+    assert soft.max() <= hard.max() + 1e-9
+
+
+def test_an_edge_between_two_columns_is_felt_by_a_soft_skin_alone() -> None:
+    thin = Box(np.array([0.05, 0.003, 0.04]))
+    between = np.pi / 16
+    pose = np.array([*(0.087 * np.array([np.cos(between), np.sin(between)])), between])
+    assert not MeshSkin(thin, SKIN, 0.0, 0.0).indentation(pose).any()
+    felt = MeshSkin(thin, SKIN, 0.002, 0.003).indentation(pose)
+    np.testing.assert_allclose(felt[0::16], felt[1::16], rtol=0.2)  # to the lattice
+    assert felt[0] > 1e-4
+
+
+def test_the_skin_turned_by_a_column_feels_the_same_one_column_on() -> None:
+    pose = np.array([0.06, 0.05, 0.4])
+    turn = 2.0 * np.pi / 16
+    c, s = np.cos(turn), np.sin(turn)
+    turned = np.array([c * pose[0] - s * pose[1], s * pose[0] + c * pose[1], pose[2] + turn])
+    before, after = HARD.indentation(pose), HARD.indentation(turned)
+    assert before.max() > 0.001
+    np.testing.assert_allclose(after.reshape(5, 16), np.roll(before.reshape(5, 16), 1, axis=1),
+                               atol=1e-9)  # fmt: skip
+
+
+def test_a_wall_that_is_thinner_than_the_press_is_felt_as_deep_as_its_outside() -> None:
+    """What the estimator does by filling its slices."""
+    wall = Box(np.array([0.001, 0.03, 0.04]))
+    pose = np.array([0.04 + 0.001 - 0.004, 0.0, 0.0])
+    assert MeshSkin(wall, SKIN, 0.0, 0.0).indentation(pose)[0] == pytest.approx(0.004, abs=1e-9)
+
+
+def test_no_press_is_deeper_than_the_skin() -> None:
+    assert HARD.indentation(pressed(0.02)).max() == pytest.approx(LAYER_M)
+
+
+def test_a_mesh_of_a_box_has_its_closed_form() -> None:
+    """Of a trilinear grid: exact beside faces, and off by less than a cell's half at edges."""
+    grid = meshes.build(faces_of(HALF), reach_z_m=0.03)
+    rng = np.random.default_rng(0)
+    points = rng.uniform(-1.0, 1.0, (3, 20_000)) * np.array([[0.058], [0.038], [0.028]])
+    true, found = BOX.distance(points), grid.distance(points)
+    near = np.abs(true) < 0.0015
+    assert np.sqrt(np.mean((found - true)[near] ** 2)) < 5e-5
+    assert np.abs(found - true)[near].max() < 5e-4
+    clear = np.abs(true) > 0.001
+    assert (np.sign(found) == np.sign(true))[clear].all()
+    outside = true > 0.003
+    assert (found[outside] > 0.0015).all()
+    assert (found[outside] < true[outside] + 5e-4).all()
+
+
+@pytest.mark.parametrize(("name", "middle_m", "most_m"), [("box", 3e-4, 1e-3), ("mug", 3e-4, 1e-3)])
+def test_a_hard_skin_and_the_estimators_model_differ_by_little(
+    name: str, middle_m: float, most_m: float
+) -> None:
+    """Nine in ten taxels within a millimetre; the rest are at edges, where the nearest way out and
+    the way along a normal are not the same."""
+    model = bundle.load(name, SKIN, 0.005).model
+    skin = MeshSkin(solid_of(name, SKIN), SKIN, 0.0, 0.0)
+    rng = np.random.default_rng(0)
+    touches = contacts.synthesise(model.scene, SKIN.radius_m, 0.005, 200, rng)
+    theirs = 0.005 * model.activation(touches.pose)
+    ours = np.array([skin.indentation(pose) for pose in touches.pose])
+    gap = np.abs(ours - theirs)[(ours > 0.0) | (theirs > 0.0)]
+    assert np.median(gap) < middle_m
+    assert np.quantile(gap, 0.9) < most_m
+
+
+def test_the_estimators_object_stands_at_the_same_height() -> None:
+    """The mug narrows downwards: a height that is off would show as a bias between rows."""
+    model = bundle.load("mug", SKIN, 0.005).model
+    solid = solid_of("mug", SKIN)
+    for z in SKIN.position_m[::16, 2]:
+        k = int(np.abs(model.scene.heights - z).argmin())
+        at = model.scene.surface[np.abs(model.scene.surface[:, 2] - model.scene.heights[k]) < 1e-6]
+        off = solid.distance(np.array([*at[:, :2].T, np.full(len(at), z)]))
+        assert np.abs(np.median(off)) < 2e-4
+        assert np.quantile(np.abs(off), 0.9) < 1e-3
+
+
+def test_what_is_far_away_costs_little() -> None:
+    def cpu(pose: Floats) -> int:
+        start = time.process_time_ns()
+        for _ in range(200):
+            SOFT.indentation(pose)
+        return time.process_time_ns() - start
+
+    assert 5 * cpu(np.array([0.3, 0.0, 0.0])) < cpu(pressed(0.003))
+
+
+def test_a_mesh_is_built_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = meshes.load("025_mug", 0.04, 0.01)
+    monkeypatch.setattr(meshes, "build", lambda *_: pytest.fail("built again"))
+    again = meshes.load("025_mug", 0.04, 0.01)
+    np.testing.assert_array_equal(first.values, again.values)
+    with pytest.raises(pytest.fail.Exception):
+        meshes.load("025_mug", 0.05, 0.01)
+
+
+def test_a_damaged_or_unwritable_cache_is_done_without(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = meshes.load("025_mug", 0.04, 0.01)
+    (kept,) = (tmp_path / "taxeld" / "meshes").iterdir()
+    kept.write_bytes(kept.read_bytes()[:1000])
+    np.testing.assert_array_equal(meshes.load("025_mug", 0.04, 0.01).values, first.values)
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    np.testing.assert_array_equal(meshes.load("025_mug", 0.04, 0.01).values, first.values)
+
+
+def test_a_mesh_that_cannot_be_had_is_a_line_with_the_cure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(SetupError, match="no such mesh file"):
+        meshes.load(str(tmp_path / "none.stl"), 0.04, 0.01)
+    text = tmp_path / "text.stl"
+    text.write_text("solid box\n" + "facet normal 0 0 1\n" * 10, encoding="ascii")
+    with pytest.raises(SetupError, match=r"cannot be read as a mesh|without a triangle"):
+        meshes.load(str(text), 0.04, 0.01)
+    monkeypatch.setattr(meshes, "find_spec", lambda _: None)
+    with pytest.raises(SetupError, match="pip install 'taxeld"):
+        meshes.load("035_power_drill", 0.04, 0.01)
