@@ -7,7 +7,8 @@ arrives is handed in with the time of its arrival, so the same arrivals lead to 
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from taxeld.bundle import Bundle
 from taxeld.config import Config
@@ -161,6 +162,25 @@ class Pipeline:
         propose_ns = self._proposal.spent_ns - before
         filter_ns = self.clock() - felt - propose_ns
         return Outcome(self.estimate, activation, sensor, felt - start, propose_ns, filter_ns)
+
+    def input_counts(self) -> dict[str, int]:
+        """What became of scans and poses before they were used; what waits has no count yet."""
+        return {
+            **asdict(self.inputs),
+            "scans_waiting": len(self._waiting),
+            "poses": self.poses.taken,
+            "poses_rejected": self.poses.rejected,
+            "poses_begun_again": self.poses.begun_again,
+        }
+
+    def health(self) -> dict[str, Any]:
+        """Counters of the stages since start, and the taxels that cannot be believed."""
+        return {
+            "skin": asdict(self.skin.counters),
+            "estimator": asdict(self.estimator.counters),
+            "drift": self.skin.figures(),
+            **self.skin.faults(),
+        }
 
     def tare(self) -> None:
         """Learn the idle baseline anew; the skin must not be touched. The status is STARTING until

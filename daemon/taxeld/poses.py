@@ -24,6 +24,7 @@ class PoseTrack:
         """`on_pose` hears every pose (t, x, y, θ) that is taken."""
         self.max_age_s = max_age_s
         self._on_pose = on_pose
+        self.taken = 0
         self.rejected = 0  # not finite, or not later than the one before
         self.begun_again = 0  # times that the robot's clock was seen to be set back
         self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last of them
@@ -44,6 +45,7 @@ class PoseTrack:
             self.rejected += 1
             return
         self._back = 0
+        self.taken += 1
         self._t.append(t)
         self._pose.append(pose)
         if self._on_pose is not None:
@@ -86,7 +88,7 @@ class StandingStill:
     """A sensor without a robot: always at the origin."""
 
     max_age_s = np.inf
-    rejected = begun_again = 0
+    taken = rejected = begun_again = 0
     latest_t = np.inf
 
     def clear(self) -> None:

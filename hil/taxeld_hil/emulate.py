@@ -87,7 +87,7 @@ def _serve(
             poses.send_multipart((messages.SENSOR_POSE, body, b"%.6f" % wall), zmq.NOBLOCK)
             recorder.pose(wall, x, y, theta)
         if adapter.ihb.due(now):
-            for command, payload in adapter.ihb.sensor_data(world.counts(pose)):
+            for command, payload in adapter.ihb.sensor_data(world.counts(pose, along)):
                 adapter.send(command, payload, wall)
         if start_s is None and now - began > ANSWER_S:
             return False

@@ -1,19 +1,62 @@
-"""Scenarios: what is touched, how, and by what skin (TOML)."""
+"""Scenarios: what is touched, how, by what skin, what fails meanwhile, and what is expected (TOML).
 
-from dataclasses import dataclass
+Times are scenario times: seconds from the first scan.
+"""
+
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 
 from taxeld import toml_tables
 from taxeld.config import SkinConfig
 from taxeld.errors import SetupError
-from taxeld.toml_tables import between, key
+from taxeld.toml_tables import between, key, one_of
+
+TRANSPORTS = ("slcan", "native", "can")
+
+KINDS = (
+    "dropped", "duplicated", "reordered", "corrupted", "late", "flooded",
+    "module_dead", "taxel_stuck", "saturated", "baseline_jump",
+    "reboot", "unplugged",
+    "pose_silent", "pose_frozen", "pose_late", "pose_jumping",
+    "subscriber_dead", "daemon_killed",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something that fails for a while; what a kind does not need is not read."""
+
+    kind: str = key(check=one_of(*KINDS), doc="what fails")
+    at_s: float = key(check=between(0, 1e6), doc="when it begins")
+    for_s: float = key(1.0, between(0, 1e6), "how long it lasts")
+    share: float = key(0.1, between(0, 1), "of the frames or poses that it hits")
+    delay_s: float = key(0.1, between(0, 10), "late, pose_late: by so much")
+    per_s: float = key(2000.0, between(1, 20_000), "flooded: foreign frames a second")
+    module: int = key(0, between(0, 247), "module_dead, baseline_jump: which")
+    taxels: tuple[int, ...] = key((), doc="taxel_stuck, saturated: which; empty: of the module")
+    counts: float = key(3000.0, between(-40_000, 40_000), "baseline_jump: by so much")
+    offset_m: float = key(2.0, between(0, 100), "pose_jumping: how far off")
+
+    @property
+    def end_s(self) -> float:
+        return self.at_s + self.for_s
+
+
+@dataclass(frozen=True, slots=True)
+class Expect:
+    """What a run is graded by."""
+
+    error_mm: float = key(10.0, between(0, 1000), "symmetry-aware ADD at the end, under this")
+    recovery_s: float = key(2.0, between(0, 60), "fresh estimates again so soon after a fault")
+    found: bool = key(True, doc="whether the object must be found in the end")
 
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
     bundle: str = key(doc="the object, as a bundle that the daemon can load")
     layout: str = key(SkinConfig().layout, doc="the skin")
+    transport: str = key("slcan", one_of(*TRANSPORTS), "how the skin is reached in simulation")
     contacts: int = key(8, between(1, 1000), "presses, spread around the object")
     press_min_m: float = key(0.002, between(0.0005, 0.005), "least depth of a press")
     press_max_m: float = key(0.0045, between(0.0005, 0.005), "most")
@@ -23,6 +66,18 @@ class Scenario:
     noise_counts: float = key(34.0, between(0, 1000), "sd of a reading")
     gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
     full_scale_counts: float = key(20_000.0, between(100, 60_000), "counts of a 5 mm press")
+    expect: Expect = Expect()  # what the run is graded by
+    fault: tuple[Fault, ...] = key((), doc="what fails, and when")
+
+    def over(self, transport: str | None) -> "Scenario":
+        """The same over another transport, if one is named."""
+        return replace(self, transport=transport) if transport else self
+
+
+def shipped() -> dict[str, Path]:
+    """The shipped scenarios by name."""
+    place = Path(str(resources.files("taxeld_hil") / "scenarios"))
+    return {path.stem: path for path in sorted(place.glob("*.toml"))}
 
 
 def load(name: str) -> Scenario:
@@ -31,9 +86,8 @@ def load(name: str) -> Scenario:
     Raises:
         SetupError: no such scenario, or faults in it.
     """
-    shipped = Path(str(resources.files("taxeld_hil") / "scenarios"))
-    for path in (shipped / f"{name}.toml", Path(name)):
-        if path.is_file():
+    for path in (shipped().get(name), Path(name)):
+        if path is not None and path.is_file():
             return toml_tables.parse(Scenario, path.read_text(encoding="utf-8"), str(path))
-    names = ", ".join(sorted(path.stem for path in shipped.glob("*.toml")))
+    names = ", ".join(shipped())
     raise SetupError(f"no scenario '{name}'; shipped are {names}, or give a TOML file")

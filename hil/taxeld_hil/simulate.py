@@ -61,7 +61,7 @@ class Simulation:
             _add_pose(pipeline, t, pose)
             if tick % round(SCAN_PERIOD_S / POSE_PERIOD_S):
                 continue
-            for command, payload in ihb.sensor_data(world.counts(pose)):
+            for command, payload in ihb.sensor_data(world.counts(pose, t)):
                 for frame in cyskin.to_frames(command, payload, ihb=ihb.short_id, t=t):
                     for scan in decoder.feed(frame)[1]:
                         estimate = pipeline.on_scan(scan).estimate

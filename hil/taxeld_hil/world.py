@@ -35,8 +35,8 @@ class World:
         self._channel_taxel = np.array([index.get(uid, -1) for uid in uids])
         self._channel_module = np.repeat(range(len(modules)), [m.channels for m in modules])
 
-    def counts(self, sensor: Poses) -> list[int]:
-        """One scan, channel by channel, with the sensor at a pose (3,) in the world."""
+    def counts(self, sensor: Poses, t: float) -> list[int]:  # noqa: ARG002  (nothing moves)
+        """One scan, channel by channel, with the sensor at a pose (3,) in the world at time t."""
         seen = se2.compose(se2.inverse(sensor), self.truth)
         press = self._full_scale * self._model.activation(seen[None])[0]
         noise = self._scenario.noise_counts

@@ -50,12 +50,12 @@ def test_the_robot_touches_as_often_as_asked_and_never_deeper() -> None:
 def test_counts_rise_with_pressure_over_a_baseline_of_their_own() -> None:
     world = World(DEMO, MODEL, MODULES, seed=1)
     far = np.array([5.0, 5.0, 0.0])
-    idle = np.array([world.counts(far) for _ in range(50)])
+    idle = np.array([world.counts(far, 0.0) for _ in range(50)])
     assert idle.shape == (50, 88)
     assert 20 < np.median(idle.std(axis=0)) < 50
     path = robot.plan(DEMO, MODEL, world.truth, seed=1)
     pressed = np.array(
-        [world.counts(path.at(t)) for t in np.arange(0.0, path.duration_s, 0.05)]
+        [world.counts(path.at(t), t) for t in np.arange(0.0, path.duration_s, 0.05)]
     ).max(axis=0)
     rise = pressed - idle.mean(axis=0)
     temperature = [0, 11, 22, 33]

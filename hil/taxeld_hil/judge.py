@@ -1,0 +1,212 @@
+"""What a subscriber sees of a run, graded as it goes: silent failures, flags, recoveries, ages.
+
+Memory is bounded, so that a day can be judged as well as a minute.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from taxeld.estimate import Status
+from taxeld.scene import Scene
+from taxeld.se2 import Poses
+from taxeld.symmetry import add_m
+from taxeld_hil import flags
+from taxeld_hil.flags import Flag, Health, TaxelsOf
+from taxeld_hil.rig import SETTLE_S
+from taxeld_hil.scenario import Fault, Scenario
+
+SILENT_MM = 20.0  # converged and farther off: a silent failure (docs/results.md)
+SILENCE_S = 0.1  # without an estimate for so long, the stream is silent
+FRESH = (Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED)
+AGE_UNIT_S = 1e-4
+
+
+class Sample(NamedTuple):
+    """An estimate as it was received."""
+
+    t: float  # scenario time
+    status: Status
+    valid: bool
+    contacts: int
+    map: Poses  # (3,)
+    scan_t: float  # of the scan it is of, by the same clock; 0: none yet
+    total_us: float = 0.0  # of the tick
+
+
+@dataclass(slots=True)
+class Seen:
+    """What was seen of one fault."""
+
+    fault: Fault
+    flag: Flag | None
+    injected: bool = True
+    detected_s: float | None = None  # after its beginning
+    recovered_s: float | None = None  # after its end, to estimates that are and stay fresh
+    found_again_s: float | None = None  # after its end, to a converged and right one
+    overlapped: bool = False  # another began before it could recover
+    taxels: tuple[int, ...] = ()
+    before: Health | None = None  # the last health without it
+    unfresh_s: float = 0.0  # the last unfresh estimate, after its end
+    listed_s: float = 0.0  # the last health that named its taxels, after its end
+
+
+@dataclass(slots=True)
+class Tally:
+    """Of all estimates."""
+
+    estimates: int = 0
+    valid: int = 0
+    silent: int = 0  # estimates that are silent failures,
+    silent_episodes: int = 0  # in so many pieces
+    worst_silent_mm: float = 0.0
+    ages: Counter[int] = field(default_factory=Counter)  # of each scan's first estimate
+    ticks_us: Counter[int] = field(default_factory=Counter)
+
+
+class Judge:
+    """Follows one run."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        scene: Scene,
+        truth: Poses | None,
+        not_injected: tuple[str, ...],
+        taxels_of: TaxelsOf,
+    ) -> None:
+        """`truth` (3,) where it is known; `not_injected`: kinds that this run cannot do."""
+        self.scenario = scenario
+        self.truth = truth
+        self.tally = Tally()
+        self.last: Sample | None = None
+        self.health: Health | None = None
+        self.seen: list[Seen] = []
+        self._window_s = scenario.expect.recovery_s + SETTLE_S
+        self._scene = scene
+        self._live: list[Seen] = []
+        self._todo = [
+            Seen(
+                fault,
+                flags.flag_of(fault, scenario.transport),
+                fault.kind not in not_injected,
+                taxels=tuple(taxels_of(fault)),
+            )
+            for fault in sorted(scenario.fault, key=lambda fault: fault.at_s)
+        ]
+        self._error: tuple[bytes, float] = b"", np.nan
+        self._was_silent = False
+
+    def error_mm(self, pose: Poses) -> float:
+        """Symmetry-aware ADD; not a number without a truth."""
+        if self.truth is None:
+            return float("nan")
+        at = np.asarray(pose).tobytes()
+        if at != self._error[0]:  # it stays the same for many ticks
+            self._error = at, 1e3 * add_m(self._scene, np.asarray(pose), self.truth)[1]
+        return self._error[1]
+
+    def moved(self, truth: Poses) -> None:
+        """The object stands elsewhere now."""
+        self.truth, self._error = truth, (b"", np.nan)
+
+    def on_estimate(self, sample: Sample) -> None:
+        tally, last = self.tally, self.last
+        tally.estimates += 1
+        tally.valid += sample.valid
+        if sample.scan_t and (last is None or sample.scan_t != last.scan_t):
+            tally.ages[round((sample.t - sample.scan_t) / AGE_UNIT_S)] += 1
+            tally.ticks_us[round(sample.total_us)] += 1
+        self._count_silent(sample)
+        if self._todo or self._live:
+            self._advance(sample.t)
+            for seen in self._live:
+                self._look(seen, sample, last)
+        self.last = sample
+
+    def on_health(self, t: float, health: Health) -> None:
+        self._advance(t)
+        for seen in self._live:
+            flag, fault = seen.flag, seen.fault
+            if flag is None:
+                continue
+            listed = flags.lists(flag, health, seen.taxels)
+            if seen.detected_s is None and (listed or flags.grew(flag, seen.before, health)):
+                seen.detected_s = t - fault.at_s
+            if listed and t > fault.end_s:
+                seen.listed_s = t - fault.end_s
+        self.health = health
+
+    def end(self, t: float) -> None:
+        """Nothing more is seen."""
+        self._advance(t)
+        for seen in self._live:
+            self._close(seen)
+        self._live = []
+
+    def _advance(self, t: float) -> None:
+        """Begin with faults that begin, and end with those that had their time to recover."""
+        while self._todo and self._todo[0].fault.at_s <= t:
+            seen = self._todo.pop(0)
+            seen.before = self.health
+            for other in self._live:
+                if other.fault.end_s + self._window_s > seen.fault.at_s:
+                    other.overlapped = True
+            self._live.append(seen)
+            self.seen.append(seen)
+        for seen in [s for s in self._live if s.fault.end_s + self._window_s < t]:
+            self._live.remove(seen)
+            self._close(seen)
+
+    def _look(self, seen: Seen, sample: Sample, last: Sample | None) -> None:
+        fault, flag = seen.fault, seen.flag
+        if seen.detected_s is None and flag is not None:
+            if sample.status.name in flag.status:
+                seen.detected_s = sample.t - fault.at_s
+            elif flag.silence and last is not None and sample.t - last.t > SILENCE_S:
+                seen.detected_s = max(0.0, last.t + SILENCE_S - fault.at_s)
+        if sample.t < fault.end_s:
+            return
+        after = sample.t - fault.end_s
+        if not seen.unfresh_s and flag is not None and flag.silence:
+            seen.unfresh_s = after  # the first estimate of another life
+        if not _is_fresh(sample):
+            seen.unfresh_s = after
+        right = self.truth is None or self.error_mm(sample.map) < self.scenario.expect.error_mm
+        if seen.found_again_s is None and sample.status == Status.CONVERGED and right:
+            seen.found_again_s = after
+
+    def _close(self, seen: Seen) -> None:
+        """Whether it recovered: fresh at the end of its time, and its taxels not named."""
+        seen.before = None
+        if self.last is None or not _is_fresh(self.last):
+            return
+        if not seen.overlapped or seen.unfresh_s < self._window_s:
+            seen.recovered_s = max(seen.unfresh_s, seen.listed_s)
+
+    def _count_silent(self, sample: Sample) -> None:
+        silent = False
+        if sample.valid and sample.status == Status.CONVERGED and self.truth is not None:
+            error = self.error_mm(sample.map)
+            silent = error > SILENT_MM
+            if silent:
+                self.tally.silent += 1
+                self.tally.silent_episodes += not self._was_silent
+                self.tally.worst_silent_mm = max(self.tally.worst_silent_mm, error)
+        self._was_silent = silent
+
+
+def _is_fresh(sample: Sample) -> bool:
+    return sample.status in FRESH and (sample.valid or sample.contacts == 0)
+
+
+def percentile(counts: Counter[int], share: float) -> float:
+    """The value below which so much of the counts lies, in their unit; 0 of none."""
+    total, seen = sum(counts.values()), 0
+    for value in sorted(counts):
+        seen += counts[value]
+        if seen >= share * total:
+            return float(value)
+    return 0.0
