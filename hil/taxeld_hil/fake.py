@@ -205,7 +205,7 @@ class FakeRun:
             return
         self.daemon.tick(t)
         e = self.daemon.estimate(t)
-        self.judge.on_estimate(Sample(t, e.status, is_valid(e), e.contacts, e.map, e.t))
+        self.judge.on_estimate(Sample(t, e.status, is_valid(e), e.contacts, e.map, e.t, t - e.t))
         if t >= self._next_health_s:
             self._next_health_s = t + HEALTH_S
             self.judge.on_health(t, self.daemon.health(t))

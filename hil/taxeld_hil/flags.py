@@ -1,6 +1,6 @@
 """By what a daemon says that something is wrong, for each kind of fault, and how soon.
 
-What a wire and a robot without clocks of their own cannot show has no flag: a whole bus that is late,
+What a wire and a robot without clocks of their own cannot show has no flag: a bus that is late,
 or a robot that tells the wrong place at the right time.
 """
 
@@ -37,6 +37,16 @@ class Flag:
         return ", ".join([*names, *self.counters, *([self.taxels] if self.taxels else [])])
 
 
+STOPPING = (
+    "reboot",
+    "unplugged",
+    "daemon_killed",
+    "pose_silent",
+    "pose_late",
+    "pose_frozen",
+    "pose_jumping",
+    "baseline_jump",
+)  # while these are on, and shortly after, estimates may stop
 BROKEN = ("source.crc_errors", "source.length_errors", "source.dropped.orphan")
 
 

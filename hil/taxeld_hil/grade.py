@@ -132,7 +132,7 @@ def _fault(seen: Seen, expect: Expect) -> Iterator[Check]:
         asked = f"within {expect.recovery_s:g} s is asked"
         yield Check(name, good, f"{seen.recovered_s:.2f} s after its end, {asked}")
     elif seen.overlapped:
-        yield Check(name, None, "not graded: another fault began before")
+        yield Check(name, None, "not graded: another fault was on, or began before")
     else:
         yield Check(name, False, "not before the end of its time")
 

@@ -32,7 +32,8 @@ class Sample(NamedTuple):
     valid: bool
     contacts: int
     map: Poses  # (3,)
-    scan_t: float  # of the scan it is of, by the same clock; 0: none yet
+    scan_t: float  # that it is of, by whatever clock; 0: none yet
+    age_s: float  # of that scan
     total_us: float = 0.0  # of the tick
 
 
@@ -46,11 +47,13 @@ class Seen:
     detected_s: float | None = None  # after its beginning
     recovered_s: float | None = None  # after its end, to estimates that are and stay fresh
     found_again_s: float | None = None  # after its end, to a converged and right one
-    overlapped: bool = False  # another began before it could recover
+    close_s: float = 0.0  # until when it may recover
+    overlapped: bool = False  # by another that is not over, or began before it could recover
     taxels: tuple[int, ...] = ()
     before: Health | None = None  # the last health without it
     unfresh_s: float = 0.0  # the last unfresh estimate, after its end
-    listed_s: float = 0.0  # the last health that named its taxels, after its end
+    listed_s: float = 0.0  # the last health that named its taxels, or the first word of what was
+    # silenced, after its end
 
 
 @dataclass(slots=True)
@@ -84,7 +87,6 @@ class Judge:
         self.last: Sample | None = None
         self.health: Health | None = None
         self.seen: list[Seen] = []
-        self._window_s = scenario.expect.recovery_s + SETTLE_S
         self._scene = scene
         self._live: list[Seen] = []
         self._todo = [
@@ -92,6 +94,8 @@ class Judge:
                 fault,
                 flags.flag_of(fault, scenario.transport),
                 fault.kind not in not_injected,
+                close_s=_close_s(fault, scenario),
+                overlapped=_is_overlapped(fault, scenario),
                 taxels=tuple(taxels_of(fault)),
             )
             for fault in sorted(scenario.fault, key=lambda fault: fault.at_s)
@@ -117,7 +121,7 @@ class Judge:
         tally.estimates += 1
         tally.valid += sample.valid
         if sample.scan_t and (last is None or sample.scan_t != last.scan_t):
-            tally.ages[round((sample.t - sample.scan_t) / AGE_UNIT_S)] += 1
+            tally.ages[round(sample.age_s / AGE_UNIT_S)] += 1
             tally.ticks_us[round(sample.total_us)] += 1
         self._count_silent(sample)
         if self._todo or self._live:
@@ -139,6 +143,12 @@ class Judge:
                 seen.listed_s = t - fault.end_s
         self.health = health
 
+    def spoke(self, kind: str, t: float) -> None:
+        """What a fault of this kind has silenced is heard again."""
+        for seen in self._live:
+            if seen.fault.kind == kind and t > seen.fault.end_s and not seen.listed_s:
+                seen.listed_s = t - seen.fault.end_s
+
     def end(self, t: float) -> None:
         """Nothing more is seen."""
         self._advance(t)
@@ -151,12 +161,9 @@ class Judge:
         while self._todo and self._todo[0].fault.at_s <= t:
             seen = self._todo.pop(0)
             seen.before = self.health
-            for other in self._live:
-                if other.fault.end_s + self._window_s > seen.fault.at_s:
-                    other.overlapped = True
             self._live.append(seen)
             self.seen.append(seen)
-        for seen in [s for s in self._live if s.fault.end_s + self._window_s < t]:
+        for seen in [s for s in self._live if s.close_s <= t]:
             self._live.remove(seen)
             self._close(seen)
 
@@ -182,8 +189,11 @@ class Judge:
         """Whether it recovered: fresh at the end of its time, and its taxels not named."""
         seen.before = None
         if self.last is None or not _is_fresh(self.last):
+            seen.overlapped |= seen.close_s < seen.fault.end_s + _window_s(self.scenario)
             return
-        if not seen.overlapped or seen.unfresh_s < self._window_s:
+        if seen.fault.kind == "subscriber_dead" and not seen.listed_s:
+            return
+        if not seen.overlapped:
             seen.recovered_s = max(seen.unfresh_s, seen.listed_s)
 
     def _count_silent(self, sample: Sample) -> None:
@@ -196,6 +206,27 @@ class Judge:
                 self.tally.silent_episodes += not self._was_silent
                 self.tally.worst_silent_mm = max(self.tally.worst_silent_mm, error)
         self._was_silent = silent
+
+
+def _window_s(scenario: Scenario) -> float:
+    """After a fault's end, in which it must recover."""
+    return scenario.expect.recovery_s + SETTLE_S
+
+
+def _close_s(fault: Fault, scenario: Scenario) -> float:
+    """When that window ends: at the latest when another fault stops the estimates."""
+    stopping = (other.at_s for other in scenario.fault if other.kind in flags.STOPPING)
+    later = [at_s for at_s in stopping if at_s >= fault.end_s]
+    return min([fault.end_s + _window_s(scenario), *later])
+
+
+def _is_overlapped(fault: Fault, scenario: Scenario) -> bool:
+    """Whether another that stops the estimates is on when this one ends."""
+    return any(
+        other.at_s < fault.end_s < other.end_s
+        for other in scenario.fault
+        if other.kind in flags.STOPPING
+    )
 
 
 def _is_fresh(sample: Sample) -> bool:

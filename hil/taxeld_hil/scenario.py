@@ -69,8 +69,14 @@ class Scenario:
     expect: Expect = Expect()  # what the run is graded by
     fault: tuple[Fault, ...] = key((), doc="what fails, and when")
 
-    def over(self, transport: str | None) -> "Scenario":
-        """The same over another transport, if one is named."""
+    def over(self, transport: str) -> "Scenario":
+        """The same over another transport, if one is named.
+
+        Raises:
+            SetupError: there is none of that name.
+        """
+        if transport and transport not in TRANSPORTS:
+            raise SetupError(f"no transport '{transport}'; there are {', '.join(TRANSPORTS)}")
         return replace(self, transport=transport) if transport else self
 
 
