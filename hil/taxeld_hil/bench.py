@@ -59,7 +59,7 @@ class Bench:
             self._send(rig.answer(packet, self.t), wall)
         if self.start_s is None and rig.hub.auto_sync:
             self.start_s = time.monotonic()
-        self._send(rig.scan(self.t), wall)
+        self._send(rig.scan(self.t, time.monotonic()), wall)
         port.flush()
         for row in rig.poses(self.t, wall):
             self._publish(row)
@@ -91,7 +91,7 @@ class Bench:
             if not self.port.is_open:
                 continue
             if self.port.send(unit):
-                ledger.deliver(unit, self.t)
+                ledger.deliver(unit, time.monotonic())
             else:
                 ledger.refused += 1
 

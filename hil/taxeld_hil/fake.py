@@ -39,7 +39,8 @@ class MemoryLine:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.t = 0.0
+        self.t = 0.0  # scenario time,
+        self.now = 0.0  # and the daemon's clock, which goes on over laps
         self._waiting: list[Frame] = []
         self._bytes = b""
 
@@ -49,30 +50,31 @@ class MemoryLine:
 
     def carry(self) -> None:
         """What the hub sends of itself at this time."""
-        self._deliver(self.rig.scan(self.t))
+        self._deliver(self.rig.scan(self.t, self.now))
 
     def rest(self) -> None:
         """And what was held back, at the end."""
         self._deliver(self.rig.rest())
 
     def ask(self, command: int, payload: bytes) -> None:
-        self._deliver(self.rig.answer(Packet(self.t, BROADCAST, command, payload), self.t))
+        self._deliver(self.rig.answer(Packet(self.now, BROADCAST, command, payload), self.t))
 
     def take(self) -> list[Frame] | list[Chunk]:
         """What waits for the host."""
         frames, data = self._waiting, self._bytes
         self._waiting, self._bytes = [], b""
         if self.rig.line:
-            return [Chunk(self.t, data)] if data else []
+            return [Chunk(self.now, data)] if data else []
         return frames
 
     def _deliver(self, units: list[Any]) -> None:
-        self.rig.ledger.deliver_all(units, self.t)
+        self.rig.ledger.deliver_all(units, self.now)
         for unit in units:
-            if isinstance(unit.item, bytes):
-                self._bytes += unit.item
-            else:
-                self._waiting.append(unit.item._replace(t=self.t))
+            item = unit.item
+            if isinstance(item, bytes):
+                self._bytes += item
+            else:  # what was late arrives now
+                self._waiting.append(item if item.t == self.now else item._replace(t=self.now))
 
 
 class MemoryDevice:
@@ -114,7 +116,7 @@ class FakeDaemon:
         self.pipeline = Pipeline(config, skin, scene)
         self.source = LiveSource(config.source, dialects.live(config.source, skin), device, None)
         self.scans = 0
-        self._last_scan_s = self._start_s = line.t
+        self._last_scan_s = self._start_s = line.now
         if kept is not None:
             self.pipeline.skin.restore(kept)
 
@@ -147,33 +149,38 @@ class FakeDaemon:
 
 
 class FakeRun:
-    """A scenario on the fake clock, tick by tick."""
+    """A scenario on the fake clock, tick by tick; or several, lap by lap, in one life."""
 
-    def __init__(self, scenario: Scenario, seed: int, world: Worlds = World) -> None:
-        self.seed = seed
+    def __init__(
+        self, scenario: Scenario, seed: int, world: Worlds = World, rate_hz: float = 100.0
+    ) -> None:
+        """`rate_hz`: of the daemon's loop, and of all that steps with it."""
         self.rig = Rig(scenario, seed, world)
         self.line = MemoryLine(self.rig)
-        self.config = settings.on_a_fake_clock(scenario, seed)
+        self.config = settings.on_a_fake_clock(scenario, seed, rate_hz)
         self.skin = layout.load(scenario.layout)
         self.scene = bundle.load(scenario.bundle, self.skin, self.config.skin.full_scale_depth_m)
         self.daemon: FakeDaemon | None = self._born(None)
-        self.judge = Judge(
-            scenario,
-            self.rig.model.scene,
-            self.rig.world.truth,
-            NOT_INJECTED,
-            self.rig.taxels_of,
-        )
+        self.judge = self._judging()
+        self._seed = seed
         self._kept: SkinState | None = None
-        self._next_health_s = 0.0
+        self._began_s = self._next_health_s = 0.0
+
+    def lap(self, scenario: Scenario, seed: int) -> None:
+        """Begin another lap, and have the daemon forget the object."""
+        self._began_s = self.line.now + 1.0 / self.config.loop.rate_hz
+        self._seed = seed
+        self.rig.lap(scenario, seed)
+        self.judge = self._judging()
+        if self.daemon is not None:
+            self.daemon.pipeline.reset()
 
     def graded(self, name: str) -> Grade:
-        """The whole run of the scenario of this name."""
+        """The scenario of this name to its end, and its grade."""
         self.run()
-        rig, health = self.rig, self.judge.health or {}
-        held = laws(rig.ledger, health, line=rig.line, exact_times=True)
-        run = Run(name, self.seed, "sim", "fake", rig.scenario.transport)
-        return grade(run, self.judge, held, rig.ledger)
+        held = laws(self.rig.ledger, self.judge.health or {}, line=self.rig.line, exact_times=True)
+        run = Run(name, self._seed, "sim", "fake", self.rig.scenario.transport)
+        return grade(run, self.judge, held, self.rig.ledger)
 
     def run(self) -> None:
         """To the end."""
@@ -182,33 +189,42 @@ class FakeRun:
         for k in range(ticks):
             self.step(k * period)
         self.line.rest()
-        if self.daemon is not None:  # two ticks more: a scan may wait for its pose
-            for k in range(ticks, ticks + 5):
-                self.line.t = k * period
-                self.daemon.tick(self.line.t)
-            self.judge.on_health(self.line.t, self.daemon.health(self.line.t))
+        for k in range(ticks, ticks + 5):  # a scan may wait for its pose
+            self._set(k * period)
+            if self.daemon is not None:
+                self.daemon.tick(self.line.now)
+        if self.daemon is not None:
+            self.judge.on_health(self.line.t, self.daemon.health(self.line.now))
         self.judge.end(self.line.t)
 
     def step(self, t: float) -> None:
-        """One tick of everything."""
-        self.line.t = t
-        rig, ledger = self.rig, self.rig.ledger
+        """One tick of everything, at scenario time t."""
+        self._set(t)
+        now, rig = self.line.now, self.rig
         self._kill_or_start(t)
         self.line.carry()
         if self.daemon is None:
             self.line.take()
-        for row in rig.poses(t, t):
+        for row in rig.poses(t, now):
             if self.daemon is not None:
-                ledger.poses_heard += 1
+                rig.ledger.poses_heard += 1
                 self.daemon.pose(*row)
         if self.daemon is None:
             return
-        self.daemon.tick(t)
-        e = self.daemon.estimate(t)
-        self.judge.on_estimate(Sample(t, e.status, is_valid(e), e.contacts, e.map, e.t, t - e.t))
-        if t >= self._next_health_s:
-            self._next_health_s = t + HEALTH_S
-            self.judge.on_health(t, self.daemon.health(t))
+        self.daemon.tick(now)
+        e = self.daemon.estimate(now)
+        self.judge.on_estimate(Sample(t, e.status, is_valid(e), e.contacts, e.map, e.t, now - e.t))
+        if now >= self._next_health_s:
+            self._next_health_s = now + HEALTH_S
+            self.judge.on_health(t, self.daemon.health(now))
+
+    def _set(self, t: float) -> None:
+        self.line.t, self.line.now = t, self._began_s + t
+
+    def _judging(self) -> Judge:
+        rig = self.rig
+        scene, truth = rig.model.scene, rig.world.truth
+        return Judge(rig.scenario, scene, truth, NOT_INJECTED, rig.taxels_of)
 
     def _kill_or_start(self, t: float) -> None:
         killed = self.rig.fails("daemon_killed", t)

@@ -51,7 +51,14 @@ BROKEN = ("source.crc_errors", "source.length_errors", "source.dropped.orphan")
 
 
 def flag_of(fault: Fault, transport: str) -> Flag | None:
-    """What a daemon on this transport must show of a fault; None: it cannot know."""
+    """What a daemon on this transport must show of a fault; None: it cannot know, or the fault is
+    over before it must."""
+    flag = _flag(fault, transport)
+    lasting = flag is not None and (flag.taxels or fault.kind == "baseline_jump")
+    return None if lasting and flag is not None and fault.for_s < flag.within_s else flag
+
+
+def _flag(fault: Fault, transport: str) -> Flag | None:
     line = transport == "native"
     match fault.kind:
         case "dropped":

@@ -70,6 +70,7 @@ def grade(run: Run, judge: Judge, laws: list[Law], ledger: Ledger | None) -> Gra
             "estimates": judge.tally.silent,
             "episodes": judge.tally.silent_episodes,
             "worst_mm": judge.tally.worst_silent_mm,
+            "at_s": judge.tally.silent_at_s,
         },
         "age_ms": _percentiles(judge.tally.ages, 1e3 * AGE_UNIT_S),
         "tick_ms": _percentiles(judge.tally.ticks_us, 1e-3),
@@ -134,7 +135,8 @@ def _fault(seen: Seen, expect: Expect) -> Iterator[Check]:
     elif seen.overlapped:
         yield Check(name, None, "not graded: another fault was on, or began before")
     else:
-        yield Check(name, False, "not before the end of its time")
+        why = ": no pose explains what was felt" if seen.doubted else ""
+        yield Check(name, False, f"not before the end of its time{why}")
 
 
 def _fault_row(seen: Seen) -> dict[str, Any]:
@@ -149,6 +151,7 @@ def _fault_row(seen: Seen) -> dict[str, Any]:
         "detected_s": seen.detected_s,
         "recovered_s": seen.recovered_s,
         "found_again_s": seen.found_again_s,
+        "doubted": seen.doubted,
         "overlapped": seen.overlapped,
     }
 

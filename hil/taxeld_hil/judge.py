@@ -20,8 +20,10 @@ from taxeld_hil.scenario import Fault, Scenario
 
 SILENT_MM = 20.0  # converged and farther off: a silent failure (docs/results.md)
 SILENCE_S = 0.1  # without an estimate for so long, the stream is silent
-FRESH = (Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED)
+USABLE = (Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED)
+STOPPED = (Status.STARTING, Status.BLIND, Status.STALE)
 AGE_UNIT_S = 1e-4
+EPISODES_KEPT = 100
 
 
 class Sample(NamedTuple):
@@ -45,13 +47,14 @@ class Seen:
     flag: Flag | None
     injected: bool = True
     detected_s: float | None = None  # after its beginning
-    recovered_s: float | None = None  # after its end, to estimates that are and stay fresh
+    recovered_s: float | None = None  # after its end, to a usable estimate that no stop follows
     found_again_s: float | None = None  # after its end, to a converged and right one
     close_s: float = 0.0  # until when it may recover
+    doubted: bool = False  # at the end of its time no pose explained what had been felt meanwhile
     overlapped: bool = False  # by another that is not over, or began before it could recover
     taxels: tuple[int, ...] = ()
     before: Health | None = None  # the last health without it
-    unfresh_s: float = 0.0  # the last unfresh estimate, after its end
+    usable_s: float | None = None  # the first usable estimate after its end and the last stop
     listed_s: float = 0.0  # the last health that named its taxels, or the first word of what was
     # silenced, after its end
 
@@ -64,6 +67,7 @@ class Tally:
     valid: int = 0
     silent: int = 0  # estimates that are silent failures,
     silent_episodes: int = 0  # in so many pieces
+    silent_at_s: list[float] = field(default_factory=list)  # the first of them
     worst_silent_mm: float = 0.0
     ages: Counter[int] = field(default_factory=Counter)  # of each scan's first estimate
     ticks_us: Counter[int] = field(default_factory=Counter)
@@ -177,24 +181,25 @@ class Judge:
         if sample.t < fault.end_s:
             return
         after = sample.t - fault.end_s
-        if not seen.unfresh_s and flag is not None and flag.silence:
-            seen.unfresh_s = after  # the first estimate of another life
-        if not _is_fresh(sample):
-            seen.unfresh_s = after
+        if sample.status in STOPPED:
+            seen.usable_s = None
+        elif seen.usable_s is None and _is_usable(sample):
+            seen.usable_s = after
         right = self.truth is None or self.error_mm(sample.map) < self.scenario.expect.error_mm
         if seen.found_again_s is None and sample.status == Status.CONVERGED and right:
             seen.found_again_s = after
 
     def _close(self, seen: Seen) -> None:
-        """Whether it recovered: fresh at the end of its time, and its taxels not named."""
+        """Whether it recovered."""
         seen.before = None
-        if self.last is None or not _is_fresh(self.last):
+        if seen.usable_s is None:
+            seen.doubted = self.last is not None and self.last.status == Status.INCONSISTENT
             seen.overlapped |= seen.close_s < seen.fault.end_s + _window_s(self.scenario)
             return
         if seen.fault.kind == "subscriber_dead" and not seen.listed_s:
             return
         if not seen.overlapped:
-            seen.recovered_s = max(seen.unfresh_s, seen.listed_s)
+            seen.recovered_s = max(seen.usable_s, seen.listed_s)
 
     def _count_silent(self, sample: Sample) -> None:
         silent = False
@@ -203,7 +208,10 @@ class Judge:
             silent = error > SILENT_MM
             if silent:
                 self.tally.silent += 1
-                self.tally.silent_episodes += not self._was_silent
+                if not self._was_silent:
+                    self.tally.silent_episodes += 1
+                    self.tally.silent_at_s.append(sample.t)
+                    del self.tally.silent_at_s[EPISODES_KEPT:]
                 self.tally.worst_silent_mm = max(self.tally.worst_silent_mm, error)
         self._was_silent = silent
 
@@ -229,8 +237,8 @@ def _is_overlapped(fault: Fault, scenario: Scenario) -> bool:
     )
 
 
-def _is_fresh(sample: Sample) -> bool:
-    return sample.status in FRESH and (sample.valid or sample.contacts == 0)
+def _is_usable(sample: Sample) -> bool:
+    return sample.status in USABLE and (sample.valid or sample.contacts == 0)
 
 
 def percentile(counts: Counter[int], share: float) -> float:

@@ -6,6 +6,7 @@ never there. The daemon's counters are held against it (`reconcile`), to the las
 
 from collections import Counter
 from dataclasses import asdict, dataclass, field
+from itertools import accumulate
 from typing import Any, NamedTuple
 
 from taxeld_protocol.cyskin import MAX_FRAGMENTS, Command, crc8
@@ -43,7 +44,9 @@ class Fates:
     length_errors: int = 0
     crc_errors: int = 0
     line_errors: int = 0  # lines of the native link, with either error
-    undetected: int = 0  # damaged packets whose checksum is right all the same
+    undetected: int = 0  # damaged packets whose checksum is right all the same;
+    unclear: int = 0  # of them, those whose fate is not told here: no SENSOR_DATA
+    index_errors: int = 0  # of them, those that are of no place in the tree
     undeclared: int = 0  # SENSOR_DATA before the modules were declared
     scans: int = 0
     incomplete: int = 0
@@ -54,7 +57,7 @@ class Fates:
 class Ledger:
     """Of one run; `fates` begins anew with each host."""
 
-    channels: int
+    modules: tuple[int, ...]  # channels of each
     period_s: float
     fates: Fates = field(default_factory=Fates)
     done: Counter[str] = field(default_factory=Counter)  # what the injector did, by kind
@@ -65,11 +68,17 @@ class Ledger:
     refused: int = 0  # units that the host did not make room for
     hosts: int = 1
     _open: list[Unit] = field(default_factory=list)
+    _first: list[int] = field(default_factory=list)
+    _channels: int = 0
     _declared: bool = False
     _reached: int = 0
     _filled: int = 0
     _t: float | None = None  # of the last scan's first packet
     _last_t: float = 0.0  # of the last packet
+
+    def __post_init__(self) -> None:
+        self._first = [0, *accumulate(self.modules)]
+        self._channels = self._first[-1]
 
     def begin(self) -> None:
         """Another host listens now, that knows nothing of before."""
@@ -140,6 +149,24 @@ class Ledger:
         else:
             fates.undetected += 1
             fates.packets += 1
+            self._passed(data[: data[1] + 2], t)
+
+    def _passed(self, packet: bytes, t: float) -> None:
+        """A damaged packet that looks like a good one."""
+        if packet[0] != Command.SENSOR_DATA:
+            self.fates.unclear += 1
+        elif len(packet) < 4 or not self._declared:
+            self.fates.undeclared += len(packet) >= 3
+        else:
+            module, channel, values = packet[2], packet[3], len(packet) // 2 - 2
+            is_place = module < len(self.modules) and channel < self.modules[module]
+            if len(packet) % 2 or not is_place:
+                self.fates.index_errors += 1
+                return
+            start = self._first[module] + channel
+            fitting = min(values, self._channels - start)
+            self.fates.index_errors += fitting < values
+            self._scan(Sent(packet, packet[0], 1, start, fitting), t)
 
     def _arrived(self, sent: Sent, t: float) -> None:
         self.fates.packets += 1
@@ -163,11 +190,11 @@ class Ledger:
             self._t = t
         self._reached = sent.start + sent.values
         self._filled += sent.values
-        if self._reached == self.channels:
+        if self._reached == self._channels:
             self._end()
 
     def _end(self) -> None:
         if self._filled:
             self.fates.scans += 1
-            self.fates.incomplete += self._filled < self.channels
+            self.fates.incomplete += self._filled < self._channels
         self._reached = self._filled = 0

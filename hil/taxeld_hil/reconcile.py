@@ -35,18 +35,19 @@ def laws(ledger: Ledger, health: dict[str, Any], *, line: bool, exact_times: boo
         Law("packets whole", fates.packets, counted("source.packets")),
         Law(
             "packets out of the tree, malformed or unknown",
-            0 if line else fates.foreign,  # a foreign frame is of no known command
+            # a foreign frame is of no known command
+            fates.index_errors + (0 if line else fates.foreign),
             counted("source.index_errors") + counted("source.malformed")
             + counted("source.unknown"),
-            fates.undetected,
+            fates.unclear,
         ),
         Law("packets before the modules", fates.undeclared, counted("source.undeclared")),
-        Law("scans", fates.scans, counted("source.scans"), fates.undetected),
-        Law("scans incomplete", fates.incomplete, counted("source.incomplete"), fates.undetected),
+        Law("scans", fates.scans, counted("source.scans"), fates.unclear),
+        Law("scans incomplete", fates.incomplete, counted("source.incomplete"), fates.unclear),
     ]  # fmt: skip
     if exact_times:
-        slack = 2 * fates.undetected
-        found.append(Law("scans missed", fates.missed, counted("source.missed"), slack))
+        missed = counted("source.missed")
+        found.append(Law("scans missed", fates.missed, missed, 20 * fates.unclear))
     return found + _onwards(ledger, health)
 
 

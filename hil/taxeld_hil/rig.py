@@ -8,6 +8,8 @@ from collections.abc import Callable
 from itertools import accumulate
 from typing import Protocol
 
+import numpy as np
+
 from taxeld import bundle, layout
 from taxeld.config import SkinConfig
 from taxeld.observation import ObservationModel
@@ -24,7 +26,6 @@ from taxeld_protocol.virtual_ihb import VirtualIhb
 
 POSE_PERIOD_S = 0.01
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
-REST_S = 0.5  # at the end, so that the last touch is estimated
 SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
 BEFORE_S = -1.0  # scenario time while no host has started the skin
 
@@ -47,19 +48,32 @@ class Rig:
 
     def __init__(self, scenario: Scenario, seed: int, world: Worlds = World) -> None:
         skin = layout.load(scenario.layout)
-        self.scenario = scenario
         self.model = bundle.load(scenario.bundle, skin, SkinConfig().full_scale_depth_m).model
         self.modules = wired(skin.uid.tolist())
         self.world = world(scenario, self.model, self.modules, seed)
-        self.path = robot.plan(scenario, self.model, self.world.truth, seed)
         self.hub = VirtualIhb(self.modules)
-        self.ledger = Ledger(sum(m.channels for m in self.modules), self.hub.period_ms / 1000.0)
+        channels = tuple(module.channels for module in self.modules)
+        self.ledger = Ledger(channels, self.hub.period_ms / 1000.0)
         self.line = scenario.transport == "native"
-        self._first = [0, *accumulate(module.channels for module in self.modules)]
+        self._first = [0, *accumulate(channels)]
         self._taxel_uids: list[int] = skin.uid.tolist()
-        self._injector = self._injecting(scenario, seed)
         self._was_on = True
         self._next_pose_s = -1e9
+        self._now = 0.0  # that frames are stamped with
+        self._begin(scenario, seed)
+
+    def lap(self, scenario: Scenario, seed: int) -> None:
+        """Go on with another scenario on the same skin: the object stands elsewhere, and scenario
+        time begins anew."""
+        place = scenario.place_m
+        most = np.array([place, place, np.pi])
+        self.world.truth = np.random.default_rng([seed, 2]).uniform(-most, most)
+        self._begin(scenario, seed)
+
+    def _begin(self, scenario: Scenario, seed: int) -> None:
+        self.scenario = scenario
+        self.path = robot.plan(scenario, self.model, self.world.truth, seed)
+        self._injector = self._injecting(scenario, seed)
 
     def _injecting(self, scenario: Scenario, seed: int) -> Injector:
         uids = [uid for module in self.modules for uid in module.uids]
@@ -75,7 +89,7 @@ class Rig:
         """To the end of the path, and of the last fault's recovery."""
         ends = [fault.end_s for fault in self.scenario.fault]
         last = max(ends, default=0.0) + self.scenario.expect.recovery_s + SETTLE_S
-        return max(IDLE_S + self.path.duration_s + REST_S, last if ends else 0.0)
+        return max(IDLE_S + self.path.duration_s + self.scenario.rest_s, last if ends else 0.0)
 
     def taxels_of(self, fault: Fault) -> list[int]:
         """The taxels that a fault is about, as the layout numbers them."""
@@ -100,12 +114,13 @@ class Rig:
         answers = self.hub.answer(packet)
         return [unit for answer in answers for unit in self._send(*answer, t)]
 
-    def scan(self, t: float) -> list[Unit]:
-        """What the hub sends at this time."""
+    def scan(self, t: float, now: float) -> list[Unit]:
+        """What the hub sends at scenario time t; `now` is any clock that goes on over laps."""
+        self._now = now
         if not self._power(t):
             return []
         out = self._injector.due(t, line=self.line)
-        if t >= 0.0 and self.hub.due(t):
+        if t >= 0.0 and self.hub.due(now):
             counts = self._injector.counts(self.world.counts(self.pose(t), t), t)
             self.ledger.scans_sent += 1
             for answer in self.hub.sensor_data(counts):
@@ -145,7 +160,7 @@ class Rig:
             units = [Unit(line, self._sent(line, command, payload, 1))]
         else:
             data = cyskin.encode(command, payload)
-            frames = cyskin.fragment(data, self.hub.short_id, t)
+            frames = cyskin.fragment(data, self.hub.short_id, self._now)
             sent = self._sent(data, command, payload, len(frames))
             units = [Unit(frame, sent, i) for i, frame in enumerate(frames)]
         if self._injector.is_quiet(t):

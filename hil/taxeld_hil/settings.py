@@ -1,5 +1,6 @@
 """The configuration of the daemon that a scenario is run with."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from taxeld import config
@@ -45,7 +46,8 @@ def text(scenario: Scenario, seed: int, channel: str, poses: str, place: Path) -
     )
 
 
-def on_a_fake_clock(scenario: Scenario, seed: int) -> Config:
+def on_a_fake_clock(scenario: Scenario, seed: int, rate_hz: float) -> Config:
     """The same for a daemon that has no sockets, files and devices."""
     nowhere = Path("/nowhere")
-    return config.parse(text(scenario, seed, "memory", f"ipc://{nowhere}/poses", nowhere))
+    parsed = config.parse(text(scenario, seed, "memory", f"ipc://{nowhere}/poses", nowhere))
+    return replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))

@@ -38,7 +38,7 @@ class World:
     def counts(self, sensor: Poses, t: float) -> list[int]:  # noqa: ARG002  (nothing moves)
         """One scan, channel by channel, with the sensor at a pose (3,) in the world at time t."""
         seen = se2.compose(se2.inverse(sensor), self.truth)
-        press = self._full_scale * self._model.activation(seen[None])[0]
+        press = self._full_scale * self._felt(seen)
         noise = self._scenario.noise_counts
         taxels = self._baseline + press + noise * self._rng.standard_normal(len(press))
         at = self._channel_taxel
@@ -46,6 +46,14 @@ class World:
         leak = np.bincount(self._channel_module, felt)[self._channel_module] * T0_LEAK
         values = np.where(at >= 0, taxels[at], T0_COUNTS + leak)
         return [int(v) for v in np.clip(np.round(values), 1, COUNT_MAX - 1)]
+
+    def _felt(self, seen: Poses) -> NDArray[np.float64]:
+        """Activations; quickly none, where the object at this pose is out of reach."""
+        model = self._model
+        centre = se2.apply(seen, np.asarray(model.scene.centre)[None])[0]
+        if np.hypot(centre[0], centre[1]) > model.scene.size + model.layout.radius_m:
+            return np.zeros(len(model.layout))
+        return np.asarray(model.activation(seen[None])[0])
 
 
 def _normal(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
