@@ -184,6 +184,7 @@ class Skin:
             "begun_again": self._idle.begun_again,
             "max_counts": float(np.abs(drift.followed).max()),
             "lowered": drift.lowered,
+            "raised": drift.raised,
             "t0_modules": int(np.count_nonzero(temperature.coefficient)),
             "t0_coefficient_max": float(np.abs(temperature.coefficient).max()),
             "t0_steps": temperature.steps,
