@@ -42,6 +42,17 @@ def _run(args: argparse.Namespace) -> int:
     return 0 if grade.passed else 1
 
 
+def _soak(args: argparse.Namespace) -> int:
+    from taxeld_hil.soak import resumed, soak_fake
+
+    base = scenarios.load(args.scenario)
+    soak = resumed(args.out, args.seed, "fake", args.hours)
+    soak = soak_fake(base, soak, args.out, _say)
+    _say(soak.line())
+    _say("passed" if soak.passed else "failed; see failures in " + str(args.out))
+    return 0 if soak.passed else 1
+
+
 def _emulate(args: argparse.Namespace) -> int:
     from taxeld_hil.emulate import emulate
 
@@ -105,6 +116,13 @@ def _parser() -> argparse.ArgumentParser:
         "--transport", default="", help="over the scenario's: slcan, native or can:INTERFACE"
     )
     run.set_defaults(command=_run)
+
+    soak = commands.add_parser("soak", help="random faults, for hours on the fake clock")
+    soak.add_argument("scenario", nargs="?", default="demo", metavar="SCENARIO")
+    soak.add_argument("--seed", type=int, default=0)
+    soak.add_argument("--hours", type=float, default=1.0, help="of scans, on the fake clock")
+    soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
+    soak.set_defaults(command=_soak)
 
     emulate = commands.add_parser("emulate", help="the virtual skin and robot alone")
     emulate.add_argument("scenario", metavar="SCENARIO")

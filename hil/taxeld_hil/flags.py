@@ -15,7 +15,7 @@ HEALTH_S = 1.5  # /taxeld/health comes once a second
 STALE_S = LoopConfig().stale_s + 0.15  # with a scan's period, and a tick
 POSE_STALE_S = SensorPoseConfig().max_age_s + SensorPoseConfig().wait_s + 0.15
 STUCK_S = 12.5  # 200 scans without a count of change, a slice of a second, and a health
-JUMP_FELT_S = 3.0  # a skin that reads what is not there is found as it moves, or as it stands low
+JUMP_FELT_S = 4.0  # a skin that reads what is not there is found as it moves, or as it stands low
 
 Health = dict[str, Any]
 
