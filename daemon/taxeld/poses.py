@@ -10,6 +10,7 @@ from taxeld import se2
 from taxeld.se2 import Poses
 
 KEPT = 512  # poses: five seconds at 100 Hz
+JUMP_M = 1.0  # a sensor that moved farther between two poses, or two scans, did not
 BACK_MAX = 10  # poses in a row from before the last, in order: the robot's clock was set back
 
 
@@ -79,6 +80,8 @@ class PoseTrack:
         if span > self.max_age_s:
             return before if t - t_before <= self.max_age_s else None
         share = (t - t_before) / span
+        if np.hypot(*(after - before)[:2]) > JUMP_M:  # one of them is wrong, as is all between
+            return before if share < 0.5 else after
         pose = before + share * (after - before)
         pose[2] = se2.wrap(before[2] + share * se2.wrap(after[2] - before[2]))
         return pose

@@ -21,7 +21,7 @@ from taxeld_hil.scenario import Fault, Scenario
 SILENT_MM = 20.0  # converged and farther off: a silent failure (docs/results.md)
 SILENCE_S = 0.1  # without an estimate for so long, the stream is silent
 USABLE = (Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED)
-STOPPED = (Status.STARTING, Status.BLIND, Status.STALE)
+STOPPED = (Status.STARTING, Status.STALE)
 AGE_UNIT_S = 1e-4
 EPISODES_KEPT = 100
 

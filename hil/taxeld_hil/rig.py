@@ -25,6 +25,7 @@ from taxeld_protocol.modules import Module, wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
 
 POSE_PERIOD_S = 0.01
+POSE_AGE_S = 0.004  # from its measurement to its message: scans fall between poses
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
 SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
 BEFORE_S = -1.0  # scenario time while no host has started the skin
@@ -140,8 +141,8 @@ class Rig:
         if wall < self._next_pose_s:
             return []
         self._next_pose_s = max(self._next_pose_s + POSE_PERIOD_S, wall)
-        x, y, theta = self.pose(t).tolist()
-        rows = self._injector.poses((wall, x, y, theta), t)
+        x, y, theta = self.pose(t - POSE_AGE_S).tolist()
+        rows = self._injector.poses((wall - POSE_AGE_S, x, y, theta), t)
         self.ledger.poses_sent += len(rows)
         return rows
 
