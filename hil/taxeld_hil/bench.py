@@ -11,6 +11,7 @@ from taxeld import messages, session
 from taxeld_hil.ledger import Unit
 from taxeld_hil.ports import CanPort, NativePort, Port, SlcanPort
 from taxeld_hil.rig import BEFORE_S, Rig
+from taxeld_hil.scenario import Scenario
 from taxeld_protocol.frames import Frame
 
 
@@ -40,6 +41,12 @@ class Bench:
     def t(self) -> float:
         """Scenario time."""
         return BEFORE_S if self.start_s is None else time.monotonic() - self.start_s
+
+    def lap(self, scenario: Scenario, seed: int) -> None:
+        """Go on with another scenario; the first lap begins when a host starts the skin."""
+        self.rig.lap(scenario, seed)
+        if self.start_s is not None:
+            self.start_s = time.monotonic()
 
     @property
     def was_stopped(self) -> bool:

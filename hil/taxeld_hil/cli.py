@@ -43,11 +43,12 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _soak(args: argparse.Namespace) -> int:
-    from taxeld_hil.soak import resumed, soak_fake
+    from taxeld_hil.soak import resumed, soak_fake, soak_live
 
-    base = scenarios.load(args.scenario)
-    soak = resumed(args.out, args.seed, "fake", args.hours)
-    soak = soak_fake(base, soak, args.out, _say)
+    base, real = scenarios.load(args.scenario), args.real_minutes is not None
+    hours = args.real_minutes / 60.0 if real else args.hours
+    soak = resumed(args.out, args.seed, "real" if real else "fake", hours)
+    soak = (soak_live if real else soak_fake)(base, soak, args.out, _say)
     _say(soak.line())
     _say("passed" if soak.passed else "failed; see failures in " + str(args.out))
     return 0 if soak.passed else 1
@@ -117,10 +118,12 @@ def _parser() -> argparse.ArgumentParser:
     )
     run.set_defaults(command=_run)
 
-    soak = commands.add_parser("soak", help="random faults, for hours on the fake clock")
+    soak = commands.add_parser("soak", help="random faults, for hours")
     soak.add_argument("scenario", nargs="?", default="demo", metavar="SCENARIO")
     soak.add_argument("--seed", type=int, default=0)
-    soak.add_argument("--hours", type=float, default=1.0, help="of scans, on the fake clock")
+    long = soak.add_mutually_exclusive_group()
+    long.add_argument("--hours", type=float, default=1.0, help="of scans, on the fake clock")
+    long.add_argument("--real-minutes", type=float, help="over the transport, in real time")
     soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
     soak.set_defaults(command=_soak)
 

@@ -26,6 +26,12 @@ class Process:
         """Whether it was started, and neither killed nor stopped."""
         return self._process is not None
 
+    @property
+    def pid(self) -> int:
+        """Of the running process."""
+        assert self._process is not None  # noqa: S101  (asked while it runs)
+        return self._process.pid
+
     def start(self) -> None:
         out = subprocess.PIPE if self._quiet else None
         self._process = subprocess.Popen(self._command, stdout=out)  # noqa: S603

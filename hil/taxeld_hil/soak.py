@@ -6,6 +6,7 @@ on at its next lap, with another daemon.
 """
 
 import json
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from typing import Any
 from taxeld_hil import laps
 from taxeld_hil.fake import FakeRun
 from taxeld_hil.grade import Grade
+from taxeld_hil.live import LiveRun
 from taxeld_hil.scenario import Scenario
 
 REPORT_EVERY = 20  # laps
@@ -174,11 +176,47 @@ def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
     return soak
 
 
+def soak_live(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
+    """In real time, over the scenario's transport.
+
+    Raises:
+        SetupError: a process failed.
+    """
+    kinds = (*laps.KINDS, "subscriber_dead")
+    with tempfile.TemporaryDirectory(prefix="taxeld-") as temporary:
+        place = Path(temporary)
+        first = laps.lap(base, soak.seed, soak.laps, kinds)
+        run = LiveRun("soak", first, soak.seed + soak.laps, place / "session", "", _silence)
+        with run.opened(place) as bench:
+            soak.daemons += 1
+            ledger = bench.rig.ledger
+            while soak.hours_done < soak.hours:
+                number, sent, units = soak.laps, ledger.scans_sent, ledger.fates.units
+                scenario = laps.lap(base, soak.seed, number, kinds)
+                ledger.done.clear()
+                lap = run.lap(bench, f"lap {number}", scenario, soak.seed + number)
+                soak.add(number, lap, bench.rig.duration_s)
+                soak.injected.update(ledger.done)
+                soak.scans_sent += ledger.scans_sent - sent
+                soak.units += ledger.fates.units - units
+                soak.rss_mb.append((round(soak.hours_done, 3), resident_mb(run.daemon.pid)))
+                soak.write(path)
+                say(soak.line())
+            gaps = (abs(law.expected - law.counted) - law.slack for law in run.settled(bench))
+            soak.unexplained = soak.unexplained_before + sum(max(gap, 0) for gap in gaps)
+    soak.write(path)
+    return soak
+
+
 def resident_mb(pid: int | str) -> float:
     """Resident memory of a process."""
     status = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
     (line,) = (line for line in status.splitlines() if line.startswith("VmRSS:"))
     return int(line.split()[1]) / 1024.0
+
+
+def _silence(_: str) -> None:
+    """Laps are not told contact by contact."""
 
 
 def _worst(worst: dict[str, float], kind: str, seconds: float | None) -> None:
