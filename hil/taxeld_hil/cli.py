@@ -30,15 +30,21 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from taxeld_hil.run import simulate
+    from taxeld_hil.hardware import Site
+    from taxeld_hil.run import on_hardware, simulate
 
     transport, _, channel = args.transport.partition(":")
     scenario = scenarios.load(args.scenario).over(transport)
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
-    fake = args.clock == "fake"
-    grade = simulate(name, scenario, args.seed, out, _say, channel or VCAN, fake=fake)
+    if args.target == "sim":
+        fake = args.clock == "fake"
+        grade = simulate(name, scenario, args.seed, out, _say, channel or VCAN, fake=fake)
+    else:
+        truth = None if args.truth is None else np.array(args.truth)
+        site = Site(args.target, args.poses, truth, args.limit_s)
+        grade = on_hardware(name, scenario, site, out, _say)
     return 0 if grade.passed else 1
 
 
@@ -112,6 +118,15 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped name (demo) or a TOML file")
     run.add_argument("--seed", type=int, default=0)
     run.add_argument("--out", type=Path, help="directory for the session and its grade")
+    run.add_argument(
+        "--target", default="sim", help="sim, can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0"
+    )
+    run.add_argument("--poses", default="", help="on hardware: the robot's endpoint")
+    run.add_argument(
+        "--truth", type=float, nargs=3, metavar=("X", "Y", "THETA"),
+        help="on hardware: where the object is in the robot's world [m, m, rad]",
+    )  # fmt: skip
+    run.add_argument("--limit-s", type=float, default=600.0, help="on hardware: the longest run")
     run.add_argument("--clock", choices=("real", "fake"), default="real")
     run.add_argument(
         "--transport", default="", help="over the scenario's: slcan, native or can:INTERFACE"

@@ -2,24 +2,21 @@
 what it publishes graded as it comes."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-import msgpack
-import numpy as np
 import zmq
 
-from taxeld import client, messages, session
+from taxeld import client, session
 from taxeld.errors import SetupError
-from taxeld.estimate import Status
-from taxeld_hil import processes, settings
+from taxeld_hil import settings
 from taxeld_hil.bench import Bench, write_truth
-from taxeld_hil.flags import Health
 from taxeld_hil.grade import Grade, Run, grade
-from taxeld_hil.judge import Judge, Sample
+from taxeld_hil.judge import Judge
+from taxeld_hil.listener import Listener, Say, socket
+from taxeld_hil.processes import Cast
 from taxeld_hil.reconcile import Law, laws
 from taxeld_hil.rig import Rig, Worlds
 from taxeld_hil.scenario import Scenario
@@ -28,11 +25,9 @@ from taxeld_hil.world import World
 
 START_S = 20.0  # until the first estimate
 STEP_MS = 2
-SETTLED_S = 0.25  # a health so long after the last frame has all of it
 LAST_HEALTH_S = 5.0
 HEAR_OUT_S = 0.2
 NOT_ON_CAN = ("unplugged",)  # something else brings the interface up and down
-Say = Callable[[str], None]
 
 
 class LiveRun:
@@ -48,8 +43,6 @@ class LiveRun:
         self._directory = directory
         self._channel = channel
         self._say = say
-        self._final: Health | None = None
-        self._finished_wall = np.inf
 
     def graded(self, place: Path, world: Worlds = World) -> Grade:
         """To the end; sockets and links are made in `place`.
@@ -61,11 +54,12 @@ class LiveRun:
             self._say(HEADER)
             self._serve(bench)
             held = self.settled(bench)
-        self._judge.end(bench.rig.duration_s)
-        for line in self._watch.latencies():
+        judge, watch = self._listener.judge, self._listener.watch
+        judge.end(bench.rig.duration_s)
+        for line in watch.latencies():
             self._say(line)
-        self._say(f"final symmetry-aware ADD {self._watch.error_mm():.1f} mm")
-        return grade(self.run, self._judge, held, bench.rig.ledger)
+        self._say(f"final symmetry-aware ADD {watch.error_mm():.1f} mm")
+        return grade(self.run, judge, held, bench.rig.ledger)
 
     def lap(self, bench: Bench, name: str, scenario: Scenario, seed: int) -> Grade:
         """Another scenario on the same daemon, which forgets the object; nothing is said of it, and
@@ -77,10 +71,11 @@ class LiveRun:
         if bench.start_s is not None:
             self._reset(bench)
         bench.lap(scenario, seed)
-        self._begin(bench.rig)
+        judge = self._listener.judge = self._judging(bench.rig)
+        self._listener.watch = self._watching(bench.rig)
         self._serve(bench)
-        self._judge.end(bench.rig.duration_s)
-        return grade(replace(self.run, scenario=name), self._judge, [], bench.rig.ledger)
+        judge.end(bench.rig.duration_s)
+        return grade(replace(self.run, scenario=name), judge, [], bench.rig.ledger)
 
     @contextmanager
     def opened(self, place: Path, world: Worlds = World) -> Iterator[Bench]:
@@ -92,42 +87,35 @@ class LiveRun:
         (self._directory / session.CONFIG).write_text(config, encoding="utf-8")
         write_truth(self._directory, rig)
         self._place = place
-        self._begin(rig)
         with ExitStack() as stack:
             context = stack.enter_context(zmq.Context())
-            poses = _socket(stack, context, zmq.XPUB)
+            poses = socket(stack, context, zmq.XPUB)
             poses.bind(f"ipc://{place}/poses")
             recorder = stack.enter_context(session.Recorder(self._directory, moves=True))
             bench = Bench(rig, where, poses, recorder)
             stack.callback(bench.close)
-            self._stream = _socket(stack, context, zmq.SUB)
-            self._stream.connect(f"ipc://{place}/stream")
-            for topic in (messages.ESTIMATE, messages.TAXELS, messages.HEALTH):
-                self._stream.setsockopt(zmq.SUBSCRIBE, topic)
-            self._poller = zmq.Poller()
-            self._poller.register(self._stream, zmq.POLLIN)
-            self.daemon = processes.daemon(self._directory / session.CONFIG)
-            self._subscriber = processes.subscriber(
-                f"ipc://{place}/stream", scenario.bundle, scenario.layout
+            stream = f"ipc://{place}/stream"
+            self._listener = Listener(
+                stack, context, stream, self._judging(rig), self._watching(rig), self._say
             )
-            for process in (self.daemon, self._subscriber):
-                stack.callback(process.kill)
-                process.start()
+            self.cast = Cast(self._directory / session.CONFIG, stream, scenario)
+            stack.callback(self.cast.kill)
+            self.cast.start()
             yield bench
-            self._subscriber.stop()
-            self.daemon.stop()
+            self.cast.stop()
 
     def settled(self, bench: Bench) -> list[Law]:
         """The accounts, once the daemon has told of all that it was sent."""
+        listener = self._listener
         bench.finish()
-        self._finished_wall = time.time()
+        listener.finish()
         deadline = time.monotonic() + LAST_HEALTH_S
-        while self._final is None and time.monotonic() < deadline:
-            self._poller.poll(STEP_MS)
+        while listener.final is None and time.monotonic() < deadline:
+            listener.wait(STEP_MS)
             bench.step()
-            self._hear(bench)
+            listener.hear(bench.t)
         rig = bench.rig
-        return laws(rig.ledger, self._final or {}, line=rig.line, exact_times=False)
+        return laws(rig.ledger, listener.final or {}, line=rig.line, exact_times=False)
 
     def _reset(self, bench: Bench) -> None:
         """Have the daemon forget the object, and hear out what it has said of it."""
@@ -135,81 +123,36 @@ class LiveRun:
             raise SetupError("the daemon did not answer within 2 s")
         heard_out = time.monotonic() + HEAR_OUT_S
         while time.monotonic() < heard_out:
-            self._poller.poll(STEP_MS)
+            self._listener.wait(STEP_MS)
             bench.step()
-            while self._stream.poll(0):
-                self._stream.recv_multipart()
+            self._listener.drop()
 
-    def _begin(self, rig: Rig) -> None:
-        scene, truth = rig.model.scene, rig.world.truth
+    def _judging(self, rig: Rig) -> Judge:
         not_injected = NOT_ON_CAN if rig.scenario.transport == "can" else ()
-        self._judge = Judge(rig.scenario, scene, truth, not_injected, rig.taxels_of)
-        self._watch = Watch(scene, truth)
+        scene, truth = rig.model.scene, rig.world.truth
+        return Judge(rig.scenario, scene, truth, not_injected, rig.taxels_of)
+
+    @staticmethod
+    def _watching(rig: Rig) -> Watch:
+        return Watch(rig.model.scene, rig.world.truth)
 
     def _serve(self, bench: Bench) -> None:
         began = time.monotonic()
         while bench.t < bench.rig.duration_s:
-            self._poller.poll(STEP_MS)
+            self._listener.wait(STEP_MS)
             bench.step()
-            self._hear(bench)
+            self._listener.hear(bench.t)
             self._supervise(bench)
             if bench.start_s is None and time.monotonic() - began > START_S:
                 raise SetupError(f"the daemon did not start the skin within {START_S:g} s")
 
     def _supervise(self, bench: Bench) -> None:
         """Kill and start what the scenario says."""
-        rig, t = bench.rig, bench.t
-        for kind, process in (
-            ("daemon_killed", self.daemon), ("subscriber_dead", self._subscriber),
-        ):  # fmt: skip
-            process.check()
-            if rig.fails(kind, t) and process.is_running:
-                process.kill()
-                if process is self.daemon:
-                    bench.host_died()
-            elif not rig.fails(kind, t) and not process.is_running:
-                if process is self.daemon:
-                    bench.host_begins()
-                process.start()
-        if self._subscriber.has_spoken():
-            self._judge.spoke("subscriber_dead", t)
-
-    def _hear(self, bench: Bench) -> None:
-        while self._stream.poll(0):
-            topic, body, _ = self._stream.recv_multipart()
-            message = msgpack.unpackb(body)
-            if topic == messages.TAXELS:
-                self._watch.on_taxels(message)
-            elif topic == messages.HEALTH:
-                self._on_health(bench, message)
-            elif time.time() < self._finished_wall:
-                line = self._watch.on_estimate(message)
-                if line:
-                    self._say(line)
-                self._judge.on_estimate(sample(message, bench.t))
-
-    def _on_health(self, bench: Bench, message: dict[str, Any]) -> None:
-        self._judge.on_health(bench.t, message)
-        if message["t"] > self._finished_wall + SETTLED_S:
-            self._final = message
-
-
-def sample(message: dict[str, Any], t: float) -> Sample:
-    """An estimate's message, received at scenario time t."""
-    pose = message["map"]
-    return Sample(
-        t,
-        Status(message["status"]),
-        message["valid"],
-        message["contacts"],
-        np.array([pose["x"], pose["y"], pose["theta"]]),
-        message["t"],
-        1e-6 * message["age_us"],
-        message["lat_us"]["total"],
-    )
-
-
-def _socket(stack: ExitStack, context: "zmq.Context[Any]", kind: int) -> "zmq.Socket[Any]":
-    socket: zmq.Socket[Any] = stack.enter_context(context.socket(kind))
-    socket.setsockopt(zmq.LINGER, 0)
-    return socket
+        t = bench.t
+        for event in self.cast.act(lambda kind: bench.rig.fails(kind, t)):
+            if event == "daemon killed":
+                bench.host_died()
+            elif event == "daemon started":
+                bench.host_begins()
+            elif event == "subscriber heard":
+                self._listener.judge.spoke("subscriber_dead", t)

@@ -4,9 +4,11 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from taxeld.errors import SetupError
+from taxeld_hil.scenario import Scenario
 
 GRACE_S = 5.0
 
@@ -81,11 +83,48 @@ class Process:
         return status
 
 
-def daemon(config: Path) -> Process:
-    return Process("the daemon", "taxeld.cli", "run", str(config))
+class Cast:
+    """The daemon, and a subscriber that prints and is never asked what; either may be killed."""
 
+    def __init__(self, config: Path, endpoint: str, scenario: Scenario) -> None:
+        """`config`: the daemon's file; `endpoint`: where it publishes."""
+        where = (
+            "--endpoint", endpoint, "--bundle", scenario.bundle, "--layout", scenario.layout,
+        )  # fmt: skip
+        self.daemon = Process("the daemon", "taxeld.cli", "run", str(config))
+        self._subscriber = Process("the subscriber", "taxeld_hil.cli", "watch", *where, quiet=True)
 
-def subscriber(endpoint: str, bundle: str, layout: str) -> Process:
-    """One that prints, and is never asked what."""
-    where = ("--endpoint", endpoint, "--bundle", bundle, "--layout", layout)
-    return Process("the subscriber", "taxeld_hil.cli", "watch", *where, quiet=True)
+    def act(self, fails: Callable[[str], bool]) -> list[str]:
+        """Kill and start what `fails` says of each kind of fault; → what has happened.
+
+        Raises:
+            SetupError: one has ended by itself.
+        """
+        events = []
+        for kind, name, process in (
+            ("daemon_killed", "daemon", self.daemon),
+            ("subscriber_dead", "subscriber", self._subscriber),
+        ):
+            process.check()
+            if fails(kind) and process.is_running:
+                process.kill()
+                events.append(f"{name} killed")
+            elif not fails(kind) and not process.is_running:
+                process.start()
+                events.append(f"{name} started")
+        if self._subscriber.has_spoken():
+            events.append("subscriber heard")
+        return events
+
+    def start(self) -> None:
+        self.daemon.start()
+        self._subscriber.start()
+
+    def stop(self) -> None:
+        """Raises SetupError where one does not stop as asked."""
+        self._subscriber.stop()
+        self.daemon.stop()
+
+    def kill(self) -> None:
+        self._subscriber.kill()
+        self.daemon.kill()

@@ -4,9 +4,10 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from taxeld_hil import report
+from taxeld_hil import hardware, report
 from taxeld_hil.fake import FakeRun
 from taxeld_hil.grade import Grade
+from taxeld_hil.hardware import Site
 from taxeld_hil.live import LiveRun
 from taxeld_hil.scenario import Scenario
 
@@ -28,6 +29,17 @@ def simulate(
         with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
             run = LiveRun(name, scenario, seed, directory, channel, say)
             grade = run.graded(Path(place))
+    return told(grade, directory, say)
+
+
+def on_hardware(name: str, scenario: Scenario, site: Site, directory: Path, say: Say) -> Grade:
+    """On a real skin and robot.
+
+    Raises:
+        SetupError: the target is none, a process failed, or no scan came.
+    """
+    with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
+        grade = hardware.graded(name, scenario, site, directory, Path(place), say)
     return told(grade, directory, say)
 
 

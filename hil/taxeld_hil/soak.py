@@ -199,7 +199,7 @@ def soak_live(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
                 soak.injected.update(ledger.done)
                 soak.scans_sent += ledger.scans_sent - sent
                 soak.units += ledger.fates.units - units
-                soak.rss_mb.append((round(soak.hours_done, 3), resident_mb(run.daemon.pid)))
+                soak.rss_mb.append((round(soak.hours_done, 3), resident_mb(run.cast.daemon.pid)))
                 soak.write(path)
                 say(soak.line())
             gaps = (abs(law.expected - law.counted) - law.slack for law in run.settled(bench))
