@@ -222,9 +222,8 @@ def _window_s(scenario: Scenario) -> float:
 
 
 def _close_s(fault: Fault, scenario: Scenario) -> float:
-    """When that window ends: at the latest when another fault stops the estimates."""
-    stopping = (other.at_s for other in scenario.fault if other.kind in flags.STOPPING)
-    later = [at_s for at_s in stopping if at_s >= fault.end_s]
+    """When that window ends: at the latest when another fault begins."""
+    later = [other.at_s for other in scenario.fault if other.at_s >= fault.end_s]
     return min([fault.end_s + _window_s(scenario), *later])
 
 
