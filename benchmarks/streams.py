@@ -201,7 +201,7 @@ def record(place: Path) -> list[session.PoseRow]:
             recorder.pose(t, *map(float, pose))
             if tick % 5:
                 continue
-            for command, payload in ihb.sensor_data(world.counts(pose)):
+            for command, payload in ihb.sensor_data(world.counts(pose, t)):
                 for frame in cyskin.to_frames(command, payload, ihb=ihb.short_id, t=t):
                     recorder.take(frame)
     return session.read_poses(place / session.POSES)

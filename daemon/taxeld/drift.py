@@ -19,6 +19,8 @@ NEAR_M = 0.025  # a press moves its neighbours, though they may not feel it
 HOLD_OFF_S = 3.0  # after a release the skin recovers
 RATE_MAX = 0.005 / 60.0  # of full scale a second: 100 of 20 000 counts a minute
 BELOW_SLICES = 2  # as pressure cannot be negative, so long below its threshold is a wrong baseline
+BACK_SLICES = 3  # and so long back where all that were lowered together had been, it was right
+BACK_SHARE = 0.25  # of the threshold: no press brings every taxel so near to that
 
 
 class Slice:
@@ -85,6 +87,7 @@ class Drift:
         self.baseline: Floats = np.zeros(taxels)
         self.temperature = Temperature(len(wiring.suis), full_scale)
         self.lowered = 0  # taxels whose baseline was found too high
+        self.raised = 0  # of them, those that had only dipped
         self._module = wiring.module
         self._members = np.bincount(wiring.module)
         self._drift_s = drift_s
@@ -92,6 +95,9 @@ class Drift:
         self._zero = np.zeros(taxels)  # the baseline that drift is counted from
         self._busy_until = np.full(taxels, -np.inf)
         self._below = np.zeros(taxels, dtype=np.int64)
+        self._lowered_by = np.zeros(taxels)
+        self._dip = np.zeros(taxels, dtype=np.int64)  # which were lowered together
+        self._back: dict[int, int] = {}  # of those, for how many slices they have been back
         x, y, z = (axis[:, None] - axis for axis in layout.position_m.T.astype(np.float32))
         self._near: Bools = x * x + y * y + z * z <= NEAR_M**2
 
@@ -104,6 +110,7 @@ class Drift:
         """New baselines of some taxels."""
         self.baseline[taxels] = self._zero[taxels] = counts
         self._below[taxels] = 0
+        self._lowered_by[taxels] = 0.0
         self.temperature.forget_drift()
 
     def touched(self, t: float, felt: Bools) -> None:
@@ -137,6 +144,8 @@ class Drift:
         share, most = -np.expm1(-seconds / self._drift_s), self._rate_max * seconds
         self.baseline[free] += np.clip(share * over[free], -most, most)
         self._lower(part.mean, free & (over < -threshold))
+        if self._lowered_by.any():
+            self._raise(part.mean, usable, BACK_SHARE * threshold)
         return free & (np.abs(over) <= threshold)
 
     def _learn(self, mean: Floats, free: Bools, usable: Bools) -> None:
@@ -150,9 +159,27 @@ class Drift:
         wrong = self._below >= BELOW_SLICES
         if wrong.any():
             self._zero[wrong] += mean[wrong] - self.baseline[wrong]
+            self._lowered_by[wrong] += self.baseline[wrong] - mean[wrong]
+            self._dip[wrong] = self.lowered + 1  # a number that no other has
             self.baseline[wrong] = mean[wrong]
             self._below[wrong] = 0
             self.lowered += int(wrong.sum())
+
+    def _raise(self, mean: Floats, usable: Bools, near: Floats) -> None:
+        """A skin that read too low for a while would feel a touch for ever: its baselines come back
+        with its readings."""
+        lowered = self._lowered_by > 0.0
+        away = np.abs(mean - self.baseline - self._lowered_by) > near
+        for dip in np.unique(self._dip[lowered]).tolist():
+            those = lowered & (self._dip == dip)
+            is_back = usable[those].all() and not away[those].any()
+            self._back[dip] = self._back.get(dip, 0) + 1 if is_back else 0
+            if self._back[dip] >= BACK_SLICES:
+                self.baseline[those] += self._lowered_by[those]
+                self._zero[those] += self._lowered_by[those]
+                self._lowered_by[those] = 0.0
+                self.raised += int(those.sum())
+                del self._back[dip]
 
     def _by_module(self, values: NDArray[np.generic]) -> Floats:
         """Sums over each module's taxels (K,)."""

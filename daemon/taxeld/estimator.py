@@ -15,6 +15,7 @@ from taxeld.filter import Belief
 from taxeld.memory import Felt
 from taxeld.news import News, moved_m
 from taxeld.observation import ObservationModel
+from taxeld.poses import JUMP_M
 from taxeld.proposals import Proposal
 from taxeld.rule import Rule, RuleCounters
 from taxeld.rules import RULES
@@ -24,7 +25,6 @@ from taxeld.stuck import Stuck
 from taxeld.symmetry import PoseMetric
 
 CONFIRMED_M = 0.02  # a heaviest mode within this of the touch before is the same
-JUMP_M = 1.0  # a sensor that moved farther between two scans did not
 
 
 @dataclass(slots=True)

@@ -211,9 +211,12 @@ class Daemon:
     def _estimate(self, now_s: float) -> Estimate:
         """What the pipeline believes, stale where no scan has come."""
         estimate = self.pipeline.estimate
-        if now_s - self._last_scan_s > self.config.loop.stale_s:
+        if self._scans_are_stale(now_s):
             estimate = replace(estimate, status=Status.STALE)
         return estimate
+
+    def _scans_are_stale(self, now_s: float) -> bool:
+        return now_s - self._last_scan_s > self.config.loop.stale_s
 
     def _status_line(self, now_s: float) -> str:
         estimate = self._estimate(now_s)
@@ -231,22 +234,17 @@ class Daemon:
             "degraded": pipeline.ladder.counters,
             "realtime": self._realtime,
             "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
-            "skin": pipeline.skin.counters,
             "skin_state": self.kept.counters,
-            "estimator": pipeline.estimator.counters,
             "inputs": {
-                **asdict(pipeline.inputs),
-                "poses_rejected": pipeline.poses.rejected,
-                "poses_begun_again": pipeline.poses.begun_again,
+                **pipeline.input_counts(),
                 "poses_malformed": self.pose_input.malformed if self.pose_input else 0,
-                "scans_stale": now_s - self._last_scan_s > self.config.loop.stale_s,
+                "scans_stale": self._scans_are_stale(now_s),
                 "poses_stale": t - pipeline.poses.latest_t > pipeline.poses.max_age_s,
             },
             "control": self.control.counters if self.control else ControlCounters(),
             "keys_refused": self.guard.refused,
             "lat_us": self.latencies.percentiles(),
-            "drift": pipeline.skin.figures(),
-            **pipeline.skin.faults(),
+            **pipeline.health(),
         }
         return messages.health(seq, t, parts)
 

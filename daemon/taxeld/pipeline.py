@@ -7,7 +7,8 @@ arrives is handed in with the time of its arrival, so the same arrivals lead to 
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -175,6 +176,25 @@ class Pipeline:
                 subject.on_scan(Activation(k + late_s, felt, live), se2.inverse(pose))
                 self.ladder.used()
         self.ladder.settle()
+
+    def input_counts(self) -> dict[str, int]:
+        """What became of scans and poses before they were used; what waits has no count yet."""
+        return {
+            **asdict(self.inputs),
+            "scans_waiting": len(self._waiting),
+            "poses": self.poses.taken,
+            "poses_rejected": self.poses.rejected,
+            "poses_begun_again": self.poses.begun_again,
+        }
+
+    def health(self) -> dict[str, Any]:
+        """Counters of the stages since start, and the taxels that cannot be believed."""
+        return {
+            "skin": asdict(self.skin.counters),
+            "estimator": asdict(self.estimator.counters),
+            "drift": self.skin.figures(),
+            **self.skin.faults(),
+        }
 
     def tare(self) -> None:
         """Learn the idle baseline anew; the skin must not be touched. The status is STARTING until

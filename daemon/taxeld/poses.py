@@ -11,6 +11,7 @@ from taxeld import se2
 from taxeld.se2 import Poses
 
 KEPT = 512  # poses: five seconds at 100 Hz
+JUMP_M = 1.0  # a sensor that moved farther between two poses, or two scans, did not
 BACK_MAX = 10  # poses in a row from before the last, in order: the robot's clock was set back
 
 
@@ -25,6 +26,7 @@ class PoseTrack:
         """`on_pose` hears every pose (t, x, y, θ) that is taken."""
         self.max_age_s = max_age_s
         self._on_pose = on_pose
+        self.taken = 0
         self.rejected = 0  # not finite, or not later than the one before
         self.begun_again = 0  # times that the robot's clock was seen to be set back
         self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last of them
@@ -44,6 +46,7 @@ class PoseTrack:
             self.rejected += 1
             return
         self._back = 0
+        self.taken += 1
         self._t.append(t)
         self._pose.append((x, y, theta))
         if self._on_pose is not None:
@@ -79,6 +82,8 @@ class PoseTrack:
         if span > self.max_age_s:
             return before if t - t_before <= self.max_age_s else None
         share = (t - t_before) / span
+        if np.hypot(*(after - before)[:2]) > JUMP_M:  # one of them is wrong, as is all between
+            return before if share < 0.5 else after
         pose: Poses = before + share * (after - before)
         pose[2] = se2.wrap(before[2] + share * se2.wrap(after[2] - before[2]))
         return pose
@@ -88,7 +93,7 @@ class StandingStill:
     """A sensor without a robot: always at the origin."""
 
     max_age_s = np.inf
-    rejected = begun_again = 0
+    taken = rejected = begun_again = 0
     latest_t = np.inf
 
     def clear(self) -> None:

@@ -43,6 +43,7 @@ class SkinCounters:
     scans: int = 0
     invalid_counts: int = 0
     unmapped: int = 0  # scans of a module table that names no taxel of the layout
+    learning: int = 0  # scans before any taxel had a baseline
     hubs_silent: int = 0  # times a hub fell silent while others spoke
     states_believed: int = 0  # stored baselines that the first scans bore out
     states_refused: int = 0  # and such that they did not
@@ -130,6 +131,7 @@ class Skin:
         was_ready = self.is_ready
         self._capture(taxels[valid], counts[valid])
         if not was_ready:
+            self.counters.learning += 1
             return None
         activation = self._activation()
         if full:
@@ -182,6 +184,7 @@ class Skin:
             "begun_again": self._idle.begun_again,
             "max_counts": float(np.abs(drift.followed).max()),
             "lowered": drift.lowered,
+            "raised": drift.raised,
             "t0_modules": int(np.count_nonzero(temperature.coefficient)),
             "t0_coefficient_max": float(np.abs(temperature.coefficient).max()),
             "t0_steps": temperature.steps,

@@ -23,7 +23,7 @@ from taxeld.wire import Heard, Wire
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame
 
-REOPEN_S = (0.2, 5.0)  # the first pause before a lost device is opened again, and the longest
+REOPEN_S = (0.2, 1.0)  # the first pause before a lost device is opened again, and the longest
 
 
 @dataclass(slots=True)

@@ -74,6 +74,13 @@ def _table(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> obj
 
 
 def _value(kind: Any, spec: Field[Any], value: Any, path: str, faults: list[str]) -> Any:
+    inner = get_args(kind)[0] if get_origin(kind) is tuple else kind
+    if inner is not kind and hasattr(inner, "__dataclass_fields__"):
+        if isinstance(value, list) and all(isinstance(item, dict) for item in value):
+            items = enumerate(value)
+            return tuple(_table(inner, item, f"{path}[{i}].", faults) for i, item in items)
+        faults.append(f"{path}: must be tables [[{path}]]")
+        return None
     if hasattr(kind, "__dataclass_fields__"):
         if isinstance(value, dict):
             return _table(kind, value, path + ".", faults)

@@ -34,7 +34,7 @@ class Wire:
     def take(self, item: Frame | Chunk, t: float) -> list[Heard]:
         """Take either, stamped with `t`."""
         if isinstance(item, Frame):
-            return [self.frame(item._replace(t=t))]
+            return [self.frame(item if item.t == t else item._replace(t=t))]
         return self.data(item.data, t)
 
     def data(self, data: bytes, t: float) -> list[Heard]:

@@ -14,6 +14,8 @@ from taxeld_protocol.modules import Module, ModuleTable
 MISSING = -1  # a channel of a scan that no packet filled
 DEFAULT_PERIOD_S = 0.05  # between scans
 GAP_SHARE = 0.8  # of the period: two packets farther apart are of two scans
+MISSED_SHARE = 1.5  # of the period: between two scans farther apart, one is missing
+PAUSE_MAX_S = 1.0  # after a longer one the hub, or the clock, has begun anew
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,7 @@ class Counters:
     undeclared: int = 0  # SENSOR_DATA before the module table was known
     scans: int = 0
     incomplete: int = 0  # of the scans
+    missed: int = 0  # that a short pause between two scans of a hub had room for
 
 
 @dataclass(slots=True)
@@ -76,7 +79,7 @@ class _Hub:
     first: list[int] = field(default_factory=list)  # channel of the scan that each module begins at
     channels: int = 0
     counts: list[int] | None = None  # None: no scan is under way
-    t: float = 0.0
+    t: float | None = None
     last_t: float = 0.0  # of its last packet
     reached: int = 0  # one past the last channel filled: a scan only ever walks forward
 
@@ -110,6 +113,7 @@ class Decoder:
         self.counters = Counters()
         self.hubs: dict[int, _Hub] = {}
         self._assumed = assumed
+        self._period_s = period_s
         self._gap_s = GAP_SHARE * period_s
 
     def table(self, ihb: int) -> ModuleTable:
@@ -194,6 +198,7 @@ class Decoder:
             self._end(packet.ihb, hub, scans)
         hub.last_t = packet.t
         if hub.counts is None:
+            self._count_missed(hub, packet.t)
             hub.counts = [MISSING] * hub.channels
             hub.t = packet.t
         values = struct.unpack(f">{len(payload) // 2 - 1}H", payload[2:])
@@ -206,9 +211,17 @@ class Decoder:
             self._end(packet.ihb, hub, scans)
         return scans
 
+    def _count_missed(self, hub: _Hub, t: float) -> None:
+        """A scan begins at t: a loss of whole packets shows by nothing but the time without one."""
+        if hub.t is None:
+            return
+        pause = t - hub.t
+        if MISSED_SHARE * self._period_s < pause <= PAUSE_MAX_S:
+            self.counters.missed += round(pause / self._period_s) - 1
+
     def _end(self, ihb: int, hub: _Hub, scans: list[Scan]) -> None:
         """Move the scan under way, if there is one, to `scans`."""
-        if hub.counts is None:
+        if hub.counts is None or hub.t is None:
             return
         scan = Scan(hub.t, ihb, tuple(hub.counts), hub.walk, hub.walk_version)
         hub.counts, hub.reached = None, 0

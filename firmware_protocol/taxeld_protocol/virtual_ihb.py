@@ -57,13 +57,13 @@ class VirtualIhb:
         self._next_s += period * (1 + (now_s - self._next_s) // period)
         return True
 
-    def sensor_data(self, counts: Sequence[int]) -> Iterator[Answer]:
-        """The packets of one scan: `counts` channel by channel, all modules, 0..65535."""
+    def sensor_data(self, counts: Sequence[int | None]) -> Iterator[Answer]:
+        """The packets of one scan: `counts` channel by channel, all modules, 0..65535; where they
+        are None, as of a module that has died, the hub has nothing to send."""
         places = [(m, c) for m, module in enumerate(self.modules) for c in range(module.channels)]
         if len(counts) != len(places):
             raise ValueError(f"{len(counts)} counts for {len(places)} channels")
-        for at in range(0, len(places), MAX_VALUES):
-            values = counts[at : at + MAX_VALUES]
+        for at, values in _runs(counts):
             yield Command.SENSOR_DATA, struct.pack(f">BB{len(values)}H", *places[at], *values)
 
     def answer(self, packet: Packet) -> list[Answer]:
@@ -151,6 +151,17 @@ class VirtualIhb:
                     if wanted in (i, ALL_MODULES)
                 ]
         return []
+
+
+def _runs(counts: Sequence[int | None]) -> Iterator[tuple[int, list[int]]]:
+    """Where counts stand without a gap, and those, no more than a packet holds."""
+    run: list[int] = []
+    for at, value in enumerate([*counts, None]):
+        if run and (value is None or len(run) == MAX_VALUES):
+            yield at - len(run), run
+            run = []
+        if value is not None:
+            run.append(value)
 
 
 def _error(command: int, code: ErrorCode) -> Answer:

@@ -7,6 +7,7 @@ import tempfile
 import time
 from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 import zmq
@@ -16,7 +17,8 @@ from taxeld.config import SkinConfig
 from taxeld.errors import SetupError
 from taxeld_hil import scenario as scenarios
 
-GOOD_MM = 10.0  # the error that a scenario may end with
+VCAN = "vcan0"
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -32,23 +34,41 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from taxeld_hil.run import run
+    from taxeld_hil.hardware import Site
+    from taxeld_hil.run import on_hardware, simulate
 
-    scenario = scenarios.load(args.scenario)
-    out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{Path(args.scenario).stem}-"))
-    print(f"scenario {args.scenario}, seed {args.seed}: session in {out}", flush=True)
-    result = run(args.scenario, scenario, args.seed, out)
-    good = result.error_mm < GOOD_MM
-    verdict = "found" if good else f"not found: the error is not under {GOOD_MM:g} mm"
-    print(f"object {verdict}", flush=True)
-    return 0 if good else 1
+    transport, _, channel = args.transport.partition(":")
+    scenario = scenarios.load(args.scenario).over(transport)
+    name = Path(args.scenario).stem
+    out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
+    _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
+    if args.target == "sim":
+        fake = args.clock == "fake"
+        grade = simulate(name, scenario, args.seed, out, _say, channel or VCAN, fake=fake)
+    else:
+        truth = None if args.truth is None else np.array(args.truth)
+        site = Site(args.target, args.poses, truth, args.limit_s)
+        grade = on_hardware(name, scenario, site, out, _say)
+    return 0 if grade.passed else 1
+
+
+def _soak(args: argparse.Namespace) -> int:
+    from taxeld_hil.soak import resumed, soak_fake, soak_live
+
+    base, real = scenarios.load(args.scenario), args.real_minutes is not None
+    hours = args.real_minutes / 60.0 if real else args.hours
+    soak = resumed(args.out, args.seed, "real" if real else "fake", hours)
+    soak = (soak_live if real else soak_fake)(base, soak, args.out, _say)
+    _say(soak.line())
+    _say("passed" if soak.passed else "failed; see failures in " + str(args.out))
+    return 0 if soak.passed else 1
 
 
 def _emulate(args: argparse.Namespace) -> int:
-    from taxeld_hil.emulate import Emulation
+    from taxeld_hil.emulate import emulate
 
-    emulation = Emulation(scenarios.load(args.scenario), args.seed)
-    if emulation.run(args.poses, args.can or args.link, args.out):
+    scenario = scenarios.load(args.scenario).over("can" if args.can else "")
+    if emulate(scenario, args.seed, args.poses, args.can or args.link, args.out):
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
     return 1
@@ -93,16 +113,17 @@ def _watch(args: argparse.Namespace) -> int:
         socket.connect(args.endpoint)
         for topic in (messages.ESTIMATE, messages.TAXELS):
             socket.setsockopt(zmq.SUBSCRIBE, topic)
-        print(HEADER, flush=True)
+        heard = False
         while not stopping:
             if socket.poll(50):
+                if not heard:
+                    _say(HEADER)
+                heard = True
                 line = receive(socket, watch)
                 if line:
-                    print(line, flush=True)
+                    _say(line)
     print("\n".join(watch.latencies()))
-    print(f"final symmetry-aware ADD {watch.error_mm():.1f} mm", flush=True)
-    if args.error_to:
-        args.error_to.write_text(f"{watch.error_mm()}\n", encoding="ascii")
+    _say(f"final symmetry-aware ADD {watch.error_mm():.1f} mm")
     return 0
 
 
@@ -131,33 +152,47 @@ def _physics(args: argparse.Namespace) -> int:
     return 0
 
 
+def _say(line: str) -> None:
+    print(line, flush=True)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="taxeld-hil", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    _add_grades(commands)
+    _add_parts(commands)
+    return parser
 
+
+def _add_grades(commands: Commands) -> None:
+    """What is judged."""
     run = commands.add_parser("run", help="a scenario with all its processes")
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped name (demo) or a TOML file")
     run.add_argument("--seed", type=int, default=0)
-    run.add_argument("--out", type=Path, help="directory for the session")
+    run.add_argument("--out", type=Path, help="directory for the session and its grade")
+    run.add_argument(
+        "--target", default="sim", help="sim, can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0"
+    )
+    run.add_argument("--poses", default="", help="on hardware: the robot's endpoint")
+    run.add_argument(
+        "--truth", type=float, nargs=3, metavar=("X", "Y", "THETA"),
+        help="on hardware: where the object is in the robot's world [m, m, rad]",
+    )  # fmt: skip
+    run.add_argument("--limit-s", type=float, default=600.0, help="on hardware: the longest run")
+    run.add_argument("--clock", choices=("real", "fake"), default="real")
+    run.add_argument(
+        "--transport", default="", help="over the scenario's: slcan, native or can:INTERFACE"
+    )
     run.set_defaults(command=_run)
 
-    emulate = commands.add_parser("emulate", help="the virtual skin and robot alone")
-    emulate.add_argument("scenario", metavar="SCENARIO")
-    emulate.add_argument("--seed", type=int, default=0)
-    where = emulate.add_mutually_exclusive_group(required=True)
-    where.add_argument("--link", type=Path, help="that will name an SLCAN adapter")
-    where.add_argument("--can", metavar="INTERFACE", help="of this machine's kernel, as vcan0")
-    emulate.add_argument("--poses", required=True, help="endpoint for the robot's poses")
-    emulate.add_argument("--out", type=Path, required=True, help="directory for the session")
-    emulate.set_defaults(command=_emulate)
-
-    watch = commands.add_parser("watch", help="a subscriber's table of contacts")
-    watch.add_argument("--endpoint", required=True)
-    watch.add_argument("--bundle", required=True)
-    watch.add_argument("--layout", default=SkinConfig().layout)
-    watch.add_argument("--truth", type=Path, help="t,x,y,theta of the object, for errors")
-    watch.add_argument("--error-to", type=Path, help="file for the final error in mm")
-    watch.set_defaults(command=_watch)
+    soak = commands.add_parser("soak", help="random faults, for hours")
+    soak.add_argument("scenario", nargs="?", default="demo", metavar="SCENARIO")
+    soak.add_argument("--seed", type=int, default=0)
+    long = soak.add_mutually_exclusive_group()
+    long.add_argument("--hours", type=float, default=1.0, help="of scans, on the fake clock")
+    long.add_argument("--real-minutes", type=float, help="over the transport, in real time")
+    soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
+    soak.set_defaults(command=_soak)
 
     accept = commands.add_parser("accept", help="whether a skin that is there is fit for use")
     accept.add_argument(
@@ -174,11 +209,6 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     accept.set_defaults(command=_accept)
 
-    draw = commands.add_parser("draw", help="a session's contacts as a picture")
-    draw.add_argument("session", type=Path)
-    draw.add_argument("--out", type=Path, required=True)
-    draw.set_defaults(command=_draw)
-
     physics = commands.add_parser("physics", help="the estimator's model beside a soft skin's")
     physics.add_argument("--object", action="append", metavar="BUNDLE", help="default: box and mug")
     physics.add_argument("--contacts", type=int, metavar="N", help="an object, to compare readings")
@@ -188,7 +218,31 @@ def _parser() -> argparse.ArgumentParser:
     physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")
     physics.add_argument("--out", type=Path, required=True, help="directory for JSON and PNG")
     physics.set_defaults(command=_physics)
-    return parser
+
+
+def _add_parts(commands: Commands) -> None:
+    """The parts of it, alone."""
+    emulate = commands.add_parser("emulate", help="the virtual skin and robot alone")
+    emulate.add_argument("scenario", metavar="SCENARIO")
+    emulate.add_argument("--seed", type=int, default=0)
+    where = emulate.add_mutually_exclusive_group(required=True)
+    where.add_argument("--link", type=Path, help="that will name an SLCAN adapter")
+    where.add_argument("--can", metavar="INTERFACE", help="of this machine's kernel, as vcan0")
+    emulate.add_argument("--poses", required=True, help="endpoint for the robot's poses")
+    emulate.add_argument("--out", type=Path, required=True, help="directory for the session")
+    emulate.set_defaults(command=_emulate)
+
+    watch = commands.add_parser("watch", help="a subscriber's table of contacts")
+    watch.add_argument("--endpoint", required=True)
+    watch.add_argument("--bundle", required=True)
+    watch.add_argument("--layout", default=SkinConfig().layout)
+    watch.add_argument("--truth", type=Path, help="t,x,y,theta of the object, for errors")
+    watch.set_defaults(command=_watch)
+
+    draw = commands.add_parser("draw", help="a session's contacts as a picture")
+    draw.add_argument("session", type=Path)
+    draw.add_argument("--out", type=Path, required=True)
+    draw.set_defaults(command=_draw)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,6 @@ from taxeld_hil.scenario import Scenario
 TRAVEL_M_S = 0.25
 APPROACH_M_S = 0.1
 PRESS_M_S = 0.02
-HOLD_S = 0.3
 STANDOFF_M = 0.03  # between the skin and the object's farthest reach, while travelling
 SLOW_FROM_M = 0.01  # before the touch
 YAW_SPREAD_RAD = 0.5
@@ -31,10 +30,17 @@ class Path:
     pose: Poses  # (W, 3)
 
     @property
+    def end(self) -> Poses:
+        x, y, theta = self.pose[-1]
+        return np.array([x, y, se2.wrap(theta)])
+
+    @property
     def duration_s(self) -> float:
         return float(self.t[-1])
 
     def at(self, t: float) -> Poses:
+        if t >= self.duration_s:
+            return self.end
         x, y, theta = (np.interp(t, self.t, column) for column in self.pose.T)
         return np.array([x, y, se2.wrap(np.float64(theta))])
 
@@ -62,12 +68,12 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
         around = centre + circle * np.column_stack([np.cos(arc), np.sin(arc)])
         legs = [(p, TRAVEL_M_S) for p in around] + [
             (line[0], TRAVEL_M_S), (line[1], APPROACH_M_S), (line[2], PRESS_M_S),
-            (line[2], HOLD_S), (line[1], PRESS_M_S), (line[0], APPROACH_M_S),
+            (line[2], 0.0), (line[1], PRESS_M_S), (line[0], APPROACH_M_S),
             (around[-1], TRAVEL_M_S),
         ]  # fmt: skip
         for i, (point, speed) in enumerate(legs):
             gap = float(np.linalg.norm(point - poses[-1][:2])) if poses else 0.0
-            now += HOLD_S if point is legs[i - 1][0] and speed == HOLD_S else gap / speed
+            now += gap / speed if speed else scenario.hold_s
             turned = yaw + (yaw_to - yaw) * min(1.0, i / len(arc))
             poses.append([*point, turned])
             times.append(now)

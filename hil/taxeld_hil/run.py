@@ -1,129 +1,51 @@
-"""`taxeld-hil run`: virtual skin and robot, daemon and subscriber, each a process of its own."""
+"""`taxeld-hil run`: a scenario in simulation, on either clock, or on hardware; and its report."""
 
-import signal
-import subprocess
-import sys
 import tempfile
-import time
-from dataclasses import dataclass
+from collections.abc import Callable
 from pathlib import Path
 
-from taxeld import session
-from taxeld.errors import SetupError
+from taxeld_hil import hardware, report
+from taxeld_hil.fake import FakeRun
+from taxeld_hil.grade import Grade
+from taxeld_hil.hardware import Site
+from taxeld_hil.live import LiveRun
 from taxeld_hil.scenario import Scenario
 
-GRACE_S = 5.0
-START_S = 15.0
-
-CONFIG = """\
-[skin]
-layout = "{layout}"
-full_scale_counts = {full_scale_counts}
-[source]
-kind = "can"
-interface = "slcan"
-channel = "{channel}"
-[scene]
-bundle = "{bundle}"
-[sensor_pose]
-endpoint = "{poses}"
-[filter]
-seed = {seed}
-[publish]
-endpoints = ["{stream}"]
-[control]
-endpoint = "{control}"
-"""
+Say = Callable[[str], None]
 
 
-@dataclass(frozen=True, slots=True)
-class Result:
-    """How a scenario ended."""
-
-    error_mm: float
-    session: Path
-
-
-def run(name: str, scenario: Scenario, seed: int, directory: Path) -> Result:
-    """Run a scenario in real time; the session it leaves is in `directory`.
+def simulate(
+    name: str, scenario: Scenario, seed: int, directory: Path, say: Say, channel: str, *, fake: bool
+) -> Grade:
+    """In simulation; `channel`: the CAN interface, where that is the transport.
 
     Raises:
-        SetupError: a process failed; its own message says why.
+        SetupError: a process failed, or there is no such interface.
     """
     directory.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(prefix="taxeld-") as temporary:
-        place = Path(temporary)
-        stream, poses = f"ipc://{place}/stream", f"ipc://{place}/poses"
-        device = place / "skin"
-        config = directory / session.CONFIG
-        config.write_text(
-            CONFIG.format(
-                layout=scenario.layout,
-                full_scale_counts=scenario.full_scale_counts,
-                channel=device,
-                bundle=scenario.bundle,
-                poses=poses,
-                seed=seed,
-                stream=stream,
-                control=f"ipc://{place}/control",
-            ),
-            encoding="utf-8",
-        )
-        daemon: subprocess.Popen[bytes] | None = None
-        watch: subprocess.Popen[bytes] | None = None
-        skin = _start("taxeld_hil.cli", "emulate", name, "--seed", str(seed), "--link", str(device),
-                      "--poses", poses, "--out", str(directory))  # fmt: skip
-        try:
-            _wait_for(device, skin)
-            daemon = _start("taxeld.cli", "run", str(config))
-            watch = _start(
-                "taxeld_hil.cli",
-                "watch",
-                "--endpoint",
-                stream,
-                "--bundle",
-                scenario.bundle,
-                "--layout",
-                scenario.layout,
-                "--truth",
-                str(directory / session.TRUTH),
-                "--error-to",
-                str(place / "error"),
-            )
-            while skin.poll() is None:
-                for process, what in ((daemon, "the daemon"), (watch, "the subscriber")):
-                    if process.poll() is not None:
-                        raise SetupError(f"{what} ended early, with status {process.returncode}")
-                time.sleep(0.05)
-            if skin.returncode:
-                raise SetupError(f"the virtual skin ended with status {skin.returncode}")
-            _stop(watch, "the subscriber")
-            _stop(daemon, "the daemon")
-            return Result(float((place / "error").read_text(encoding="ascii")), directory)
-        finally:
-            for started in (skin, daemon, watch):
-                if started is not None and started.poll() is None:
-                    started.kill()
-                    started.wait()
+    if fake:
+        grade = FakeRun(scenario, seed).graded(name)
+    else:
+        with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
+            run = LiveRun(name, scenario, seed, directory, channel, say)
+            grade = run.graded(Path(place))
+    return told(grade, directory, say)
 
 
-def _start(module: str, *args: str) -> subprocess.Popen[bytes]:
-    return subprocess.Popen([sys.executable, "-m", module, *args])  # noqa: S603
+def on_hardware(name: str, scenario: Scenario, site: Site, directory: Path, say: Say) -> Grade:
+    """On a real skin and robot.
+
+    Raises:
+        SetupError: the target is none, a process failed, or no scan came.
+    """
+    with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
+        grade = hardware.graded(name, scenario, site, directory, Path(place), say)
+    return told(grade, directory, say)
 
 
-def _wait_for(device: Path, skin: subprocess.Popen[bytes]) -> None:
-    deadline = time.monotonic() + START_S
-    while not device.exists():
-        if skin.poll() is not None or time.monotonic() > deadline:
-            raise SetupError("the virtual skin did not start")
-        time.sleep(0.02)
-
-
-def _stop(process: subprocess.Popen[bytes], what: str) -> None:
-    process.send_signal(signal.SIGTERM)
-    try:
-        status = process.wait(GRACE_S)
-    except subprocess.TimeoutExpired:
-        raise SetupError(f"{what} did not stop within {GRACE_S:g} s") from None
-    if status:
-        raise SetupError(f"{what} ended with status {status}")
+def told(grade: Grade, directory: Path, say: Say) -> Grade:
+    """The grade, once it has been written and said."""
+    report.write(grade, directory)
+    for line in report.lines(grade):
+        say(line)
+    return grade

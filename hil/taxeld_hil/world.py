@@ -54,8 +54,13 @@ class World:
         return [int(v) for v in np.clip(np.round(values), 1, COUNT_MAX - 1)]
 
     def _press(self, seen: Poses, _t: float) -> Floats:
-        """(M,) counts over the baseline, the object at `seen` (3,) in the sensor frame."""
-        return np.asarray(self._full_scale * self._model.activation(seen[None])[0])
+        """(M,) counts over the baseline, the object at `seen` (3,) in the sensor frame; quickly
+        none where it is out of reach."""
+        model = self._model
+        centre = se2.apply(seen, np.asarray(model.scene.centre)[None])[0]
+        if np.hypot(centre[0], centre[1]) > model.scene.size + model.layout.radius_m:
+            return np.zeros(len(model.layout))
+        return np.asarray(self._full_scale * model.activation(seen[None])[0])
 
     def _drift(self, _t: float) -> tuple[Floats | float, float]:
         """What has come upon the baselines (M,) and upon T0 since the start."""

@@ -273,6 +273,15 @@ def test_whatever_arrives_whenever_is_counted_and_never_raises(
     assert pipeline.skin.counters.scans == sent - refused
 
 
+def test_a_pose_that_jumped_is_not_mixed_with_its_neighbours() -> None:
+    """Between a right pose and a wrong one lie places that look right and are not."""
+    track = PoseTrack(max_age_s=0.2)
+    for t, x in ((1.00, 0.3), (1.01, 2.3), (1.02, 0.3)):
+        track.add(t, x, 0.0, 0.0)
+    placed = [track.at(t) for t in (1.004, 1.006, 1.014, 1.016)]
+    assert [pose[0] for pose in placed if pose is not None] == [0.3, 2.3, 2.3, 0.3]
+
+
 def test_a_robot_whose_clock_is_set_back_is_followed() -> None:
     track = PoseTrack(max_age_s=0.2)
     for k in range(20):

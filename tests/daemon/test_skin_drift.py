@@ -169,3 +169,26 @@ def test_a_pause_of_the_skin_is_no_slice(skin: Layout) -> None:
     before = subject.baseline.copy()
     simulated.run(subject, 2.0)
     assert np.abs(subject.baseline - before).max() < 2.0
+
+
+def test_a_skin_that_reads_too_low_for_a_while_feels_nothing_afterwards(skin: Layout) -> None:
+    simulated, subject = begun(skin)
+    dipped = list(range(8))
+    simulated.press[dipped] = -3_000.0
+    simulated.run(subject, 6.0)
+    assert subject.figures()["lowered"] == len(dipped)
+    simulated.press[:] = 0.0
+    assert not simulated.run(subject, 6.0).z.any()
+    assert subject.figures()["raised"] == len(dipped)
+
+
+def test_a_touch_where_the_baseline_was_lowered_does_not_fade(skin: Layout) -> None:
+    """Though one of the taxels reads just what it read before."""
+    simulated, subject = begun(skin)
+    simulated.press[HELD] = -3_000.0
+    simulated.run(subject, 6.0)
+    simulated.press[HELD] = 0.0, 500.0, -1_000.0
+    for activation in simulated.lead(subject, MINUTE_S):
+        assert activation is not None
+        assert (activation.z[HELD] > 0.0).all()
+    assert subject.figures()["raised"] == 0

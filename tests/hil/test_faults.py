@@ -1,0 +1,223 @@
+"""The injector does what it says and no more, and the ledger and the judge notice what is wrong."""
+
+from collections import Counter
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld.estimate import Status
+from taxeld_hil import flags, laps, scenario, soak
+from taxeld_hil.fake import FakeRun
+from taxeld_hil.faults import Injector
+from taxeld_hil.grade import Run, grade
+from taxeld_hil.judge import Judge, Sample, percentile
+from taxeld_hil.ledger import Ledger, Sent, Unit
+from taxeld_hil.reconcile import laws
+from taxeld_hil.scenario import Fault
+from taxeld_protocol import cyskin
+from taxeld_protocol.cyskin import Command
+from taxeld_protocol.frames import Frame
+
+DEMO = scenario.load("demo")
+MODULES = (3, 3)
+CHANNELS = [range(1, 3), range(4, 6)]
+TAXELS = {0: 1, 1: 2, 2: 4, 3: 5}
+
+
+def injector(*faults: Fault, seed: int = 0) -> tuple[Injector, Ledger]:
+    ledger = Ledger(MODULES, 0.05)
+    return Injector(faults, seed, ledger, CHANNELS, TAXELS), ledger
+
+
+def units(number: int) -> list[Unit]:
+    data = cyskin.encode(Command.SENSOR_DATA, bytes(14))
+    sent = Sent(data, Command.SENSOR_DATA, 3, 0, 6)
+    return [
+        Unit(frame, sent, part)
+        for _ in range(number)
+        for part, frame in enumerate(cyskin.fragment(data, 1))
+    ]
+
+
+@pytest.mark.parametrize("kind", ["dropped", "duplicated", "reordered", "corrupted", "late"])
+def test_frames_suffer_within_the_fault_s_time_alone_and_all_is_written_down(kind: str) -> None:
+    subject, ledger = injector(Fault(kind, at_s=1.0, for_s=1.0, share=0.3, delay_s=0.0))
+    before, sent = ledger.done[kind], units(100)
+    assert [out for unit in sent for out in subject.unit(unit, 0.5)] == sent
+    assert ledger.done[kind] == before == 0
+    out = [out for unit in sent for out in subject.unit(unit, 1.5)] + subject.flush()
+    done = ledger.done[kind]
+    assert 50 < done < 130
+    change = {"dropped": -done, "duplicated": done}.get(kind, 0)
+    assert len(out) == len(sent) + change
+    damaged = sum(unit not in sent for unit in out)
+    assert damaged == (done if kind == "corrupted" else 0)
+    assert [out for unit in sent for out in subject.unit(unit, 2.0)] == sent
+
+
+def test_the_same_seed_hits_the_same_frames() -> None:
+    fault = Fault("dropped", at_s=0.0, for_s=9.0, share=0.5)
+    hit = []
+    for seed in (1, 1, 2):
+        subject, _ = injector(fault, seed=seed)
+        hit.append([bool(subject.unit(unit, 1.0)) for unit in units(30)])
+    assert hit[0] == hit[1] != hit[2]
+
+
+def test_counts_of_the_named_taxels_change_and_no_others() -> None:
+    counts = [10, 20, 30, 40, 50, 60]
+    for fault, expected in (
+        (Fault("saturated", 0.0, taxels=(2,)), [10, 20, 30, 40, 0xFFFF, 60]),
+        (Fault("module_dead", 0.0, module=1), [10, 20, 30, None, None, None]),
+        (Fault("baseline_jump", 0.0, module=0, counts=5.0), [10, 25, 35, 40, 50, 60]),
+    ):
+        subject, _ = injector(fault)
+        assert subject.counts(list(counts), 0.5) == expected
+        assert subject.counts(list(counts), 2.0) == counts
+
+
+def test_a_stuck_taxel_reads_what_it_read_when_it_stuck() -> None:
+    subject, _ = injector(Fault("taxel_stuck", 1.0, 1.0, taxels=(0,)))
+    read = [subject.counts([0, 100 + k, 0, 0, 0, 0], 0.5 * k)[1] for k in range(6)]
+    assert read == [100, 101, 102, 102, 104, 105]
+
+
+def test_a_flooded_bus_carries_so_many_foreign_frames_a_second() -> None:
+    subject, ledger = injector(Fault("flooded", 1.0, 2.0, per_s=300.0))
+    flood = [unit for k in range(500) for unit in subject.due(0.01 * k, line=False)]
+    assert len(flood) == ledger.done["flooded"] == pytest.approx(600, abs=4)
+    for unit in flood:
+        ledger.deliver(unit, 0.0)
+    assert ledger.fates.foreign == len(flood)
+
+
+def test_poses_freeze_jump_and_are_late_or_missing() -> None:
+    def told(fault: Fault) -> list[tuple[float, ...]]:
+        subject, _ = injector(fault)
+        rows = [(0.1 * k, float(k), 0.0, 0.0) for k in range(30)]
+        return [out for row in rows for out in subject.poses(row, row[0])]
+
+    frozen = told(Fault("pose_frozen", 1.0, 1.0))
+    assert [row[1] for row in frozen[10:20]] == [10.0] * 10
+    assert [row[0] for row in frozen] == [0.1 * k for k in range(30)]
+    assert len(told(Fault("pose_silent", 1.0, 1.0))) == 20
+    jumped = told(Fault("pose_jumping", 1.0, 1.0, share=1.0, offset_m=2.0))
+    assert [row[1] for row in jumped[10:20]] == [k + 2.0 for k in range(10, 20)]
+    late = told(Fault("pose_late", 1.0, 1.0, delay_s=0.5))
+    assert sorted(late) == [(0.1 * k, float(k), 0.0, 0.0) for k in range(30)]
+    assert late != sorted(late)
+
+
+def test_a_frame_that_is_lost_behind_the_ledger_s_back_breaks_a_law() -> None:
+    run = FakeRun(replace(DEMO, contacts=2), seed=0)
+    stolen: list[Frame] = []
+    take = run.line.take
+
+    def thief() -> list[Frame]:
+        items = take()
+        if len(items) > 5 and not stolen and run.line.t > 2.0:
+            stolen.append(items.pop(3))  # type: ignore[arg-type]
+        return items  # type: ignore[return-value]
+
+    run.line.take = thief  # type: ignore[method-assign]
+    result = run.graded("demo")
+    broken = {c.name.removeprefix("accounts: ") for c in result.checks if c.passed is False}
+    assert {"frames", "packets whole", "packets of wrong length", "scans"} <= broken
+    assert not result.passed
+
+
+def test_a_counter_that_the_daemon_does_not_keep_breaks_a_law() -> None:
+    run = FakeRun(scenario.load("everything"), seed=0)
+    run.run()
+    health = run.judge.health
+    assert health is not None
+    for part, name in (("source", "crc_errors"), ("skin", "learning"), ("inputs", "poses")):
+        worse = {**health, part: {**health[part], name: health[part][name] + 1}}
+        held = laws(run.rig.ledger, worse, line=False, exact_times=True)
+        assert any(not law.holds for law in held), name
+
+
+def judged(fault: Fault, estimates: list[tuple[float, Status, float]]) -> Judge:
+    """A judge that has seen estimates (t, status, error in m) of a run with one fault."""
+    subject = scenario.Scenario(bundle="box", fault=(fault,))
+    run = FakeRun(subject, 0)
+    truth = run.rig.world.truth
+    judge = Judge(subject, run.rig.model.scene, truth, (), lambda _: [])
+    for t, status, off_m in estimates:
+        at = truth + np.array([off_m, 0.0, 0.0])
+        judge.on_estimate(Sample(t, status, status != Status.STALE, 1, at, t, 0.0))
+    judge.end(estimates[-1][0])
+    return judge
+
+
+def test_a_silent_failure_a_late_flag_and_a_slow_recovery_are_found() -> None:
+    fault = Fault("unplugged", at_s=1.0, for_s=1.0)
+    good, stale = (Status.CONVERGED, 0.0), (Status.STALE, 0.0)
+    times = np.arange(0.0, 6.0, 0.01).tolist()
+    fine = [(t, *(stale if 1.5 < t < 2.4 else good)) for t in times]
+    worse = [
+        (t, *((Status.CONVERGED, 0.05) if t > 5.5 else stale if 1.9 < t < 4.5 else good))
+        for t in times
+    ]
+    names = []
+    for estimates in (fine, worse):
+        judge = judged(fault, estimates)
+        checks = grade(Run("x", 0, "sim", "fake", "slcan"), judge, [], None).checks
+        names.append([check.name for check in checks if check.passed is False])
+    assert names[0] == []
+    assert names[1] == [
+        "accuracy", "no silent failure",
+        "unplugged at 1 s: flag", "unplugged at 1 s: recovery",
+    ]  # fmt: skip
+    assert judge.tally.silent_episodes == 1
+
+
+def test_a_counter_that_grows_raises_the_flag_and_one_of_another_life_does_not() -> None:
+    flag = flags.flag_of(Fault("corrupted", 1.0), "slcan")
+    assert flag is not None
+    before = {"uptime_s": 9.0, "source": {"crc_errors": 4, "length_errors": 0}}
+    assert not flags.grew(flag, before, before | {"uptime_s": 10.0})
+    assert flags.grew(flag, before, {"uptime_s": 10.0, "source": {"crc_errors": 5}})
+    assert not flags.grew(flag, before, {"uptime_s": 1.0, "source": {"crc_errors": 0}})
+    assert flags.grew(flag, before, {"uptime_s": 1.0, "source": {"crc_errors": 1}})
+
+
+def test_percentiles_are_of_the_counts() -> None:
+    counts = Counter({10: 98, 20: 1, 30: 1})
+    assert [percentile(counts, share) for share in (0.5, 0.98, 0.99, 1.0)] == [10, 10, 20, 30]
+
+
+def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
+    path, quiet = tmp_path / "soak.json", lambda _: None
+    part = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", 0.01), path, quiet)
+    assert (part.laps, part.unexplained, part.daemons) == (1, 0, 1)
+    whole = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", 0.03), path, quiet)
+    assert (whole.laps, whole.unexplained, whole.daemons) == (2, 0, 2)
+    assert soak.resumed(path, 6, "fake", 1.0).laps == 0, "of another seed it is another soak"
+
+
+def test_laps_differ_and_are_the_same_each_time() -> None:
+    made = [laps.lap(DEMO, 1, number) for number in range(30)]
+    assert made == [laps.lap(DEMO, 1, number) for number in range(30)]
+    assert len({repr(lap.fault) for lap in made}) > 20
+    assert {fault.kind for lap in made for fault in lap.fault} > {"reboot", "dropped"}
+    ends = [[(f.at_s, f.end_s) for f in lap.fault] for lap in made]
+    for windows in ends:
+        assert all(end < at for (_, end), (at, _) in pairwise(windows))
+
+
+def test_faults_of_a_scenario_are_named_by_their_place(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('bundle = "box"\n[[fault]]\nkind = "flood"\nat_s = 1\nshare = 2.0\n')
+    with pytest.raises(scenario.SetupError) as caught:
+        scenario.load(str(path))
+    assert str(caught.value).splitlines() == [
+        f"fault[0].kind: must be one of {', '.join(scenario.KINDS)}, not 'flood'",
+        "fault[0].share: must be 0..1, not 2",
+    ]
+    path.write_text('bundle = "box"\nfault = 3\n')
+    with pytest.raises(scenario.SetupError, match=r"fault: must be tables \[\[fault\]\]"):
+        scenario.load(str(path))

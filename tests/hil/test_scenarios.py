@@ -1,0 +1,166 @@
+"""Every shipped scenario passes: on the fake clock all of them, over real transports a rough one.
+
+With TAXELD_TARGET (`can:can0`, `serial:/dev/ttyACM0`, `slcan:/dev/ttyACM0`) the same files run on
+hardware as well, with the robot's poses from TAXELD_POSES and the object at TAXELD_TRUTH ("x y θ"),
+where these are set.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import pytest
+
+from taxeld_hil import scenario
+from taxeld_hil.fake import FakeRun
+from taxeld_hil.grade import Grade
+
+TARGET = os.environ.get("TAXELD_TARGET", "")
+
+ROUGH = """\
+bundle = "box"
+contacts = 4
+[[fault]]
+kind = "corrupted"
+at_s = 2.0
+for_s = 2.0
+[[fault]]
+kind = "unplugged"
+at_s = 4.0
+for_s = 1.0
+[[fault]]
+kind = "daemon_killed"
+at_s = 8.0
+for_s = 0.5
+[expect]
+found = false
+recovery_s = 15.0
+"""
+
+
+def failed(grade: Grade) -> list[str]:
+    return [f"{c.name}: {c.detail}" for c in grade.checks if c.passed is False]
+
+
+@pytest.mark.parametrize("name", scenario.shipped())
+def test_a_shipped_scenario_passes_on_the_fake_clock(name: str) -> None:
+    grade = FakeRun(scenario.load(name), seed=0).graded(name)
+    assert failed(grade) == []
+    assert grade.figures["ledger"]["fates"]["scans"] > 100
+
+
+@pytest.mark.parametrize("name", ["everything", "damaged_line"])
+@pytest.mark.parametrize("transport", scenario.TRANSPORTS)
+def test_a_scenario_passes_over_any_transport(name: str, transport: str) -> None:
+    grade = FakeRun(scenario.load(name).over(transport), seed=1).graded(name)
+    assert failed(grade) == []
+
+
+def test_a_run_is_the_same_for_a_seed_and_another_for_another() -> None:
+    first, again, other = (
+        FakeRun(scenario.load("everything"), seed).graded("everything").as_json()
+        for seed in (3, 3, 4)
+    )
+    assert first == again
+    assert first["ledger"] != other["ledger"]
+
+
+def cli(*args: str, limit_s: float = 300.0) -> "subprocess.CompletedProcess[str]":
+    command = [sys.executable, "-m", "taxeld_hil.cli", *args]
+    return subprocess.run(command, capture_output=True, text=True, timeout=limit_s, check=False)
+
+
+@pytest.fixture(scope="module")
+def rough(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A rough scenario in real time over both kinds of pseudo-terminal, at the same time."""
+    place = tmp_path_factory.mktemp("rough")
+    (place / "rough.toml").write_text(ROUGH, encoding="utf-8")
+    runs = []
+    for transport in ("slcan", "native"):
+        out = place / transport
+        command = [
+            sys.executable, "-m", "taxeld_hil.cli", "run", str(place / "rough.toml"),
+            "--transport", transport, "--out", str(out),
+        ]  # fmt: skip
+        runs.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
+    for run in runs:
+        said, _ = run.communicate(timeout=300)
+        assert run.returncode in (0, 1), said
+    return place
+
+
+@pytest.mark.parametrize("transport", ["slcan", "native"])
+def test_nothing_is_lost_uncounted_in_real_time(rough: Path, transport: str) -> None:
+    """Through an unplugged device and a daemon that was killed."""
+    grade = json.loads((rough / transport / "grade.json").read_text(encoding="utf-8"))
+    assert [law for law in grade["laws"] if not law["holds"]] == []
+    assert grade["ledger"]["hosts"] == 2
+    assert grade["ledger"]["fates"]["scans"] > 100
+    for row in grade["faults"]:
+        assert row["detected_s"] is not None, row
+        assert row["recovered_s"] is not None or row["overlapped"], row
+
+
+def test_a_grade_is_junit_as_well(rough: Path) -> None:
+    grade = json.loads((rough / "slcan" / "grade.json").read_text(encoding="utf-8"))
+    suite = ET.parse(rough / "slcan" / "junit.xml").getroot()[0]  # noqa: S314  (our own)
+    assert suite.get("tests") == str(len(grade["checks"])) == str(len(suite))
+    names = {case.get("name"): case for case in suite}
+    for check in grade["checks"]:
+        children = [child.tag for child in names[check["name"]]]
+        assert children == [
+            {True: "system-out", False: "failure", None: "skipped"}[check["passed"]]
+        ]
+
+
+def test_a_target_that_is_none_is_named() -> None:
+    done = cli("run", "demo", "--target", "usb0")
+    assert done.returncode == 2
+    assert done.stderr.startswith("--target: 'usb0' is none of sim, can:DEVICE")
+
+
+def test_the_hardware_way_grades_a_skin_that_it_knows_nothing_of(tmp_path: Path) -> None:
+    """The emulator in the place of the hardware: what cannot be injected is said to be so."""
+    (tmp_path / "s.toml").write_text(
+        'bundle = "box"\ncontacts = 2\nexpect.found = false\n'
+        '[[fault]]\nkind = "reboot"\nat_s = 1.0\n'
+        '[[fault]]\nkind = "subscriber_dead"\nat_s = 2.0\nfor_s = 0.5\n',
+        encoding="utf-8",
+    )
+    (tmp_path / "skin.toml").write_text('bundle = "box"\ncontacts = 4\n', encoding="utf-8")
+    link, poses = tmp_path / "skin", f"ipc://{tmp_path}/poses"
+    command = [
+        sys.executable, "-m", "taxeld_hil.cli", "emulate", str(tmp_path / "skin.toml"),
+        "--link", str(link), "--poses", poses, "--out", str(tmp_path / "session"),
+    ]  # fmt: skip
+    with subprocess.Popen(command) as skin:
+        try:
+            while not link.exists():
+                assert skin.poll() is None
+            done = cli(
+                "run", str(tmp_path / "s.toml"), "--target", f"slcan:{link}",
+                "--poses", poses, "--out", str(tmp_path / "out"),
+            )  # fmt: skip
+        finally:
+            skin.kill()
+    grade = json.loads((tmp_path / "out" / "grade.json").read_text(encoding="utf-8"))
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert grade["contacts"] >= 2
+    told = {check["name"]: check for check in grade["checks"]}
+    assert told["accounts"]["passed"] is None
+    assert told["no silent failure"]["passed"] is None
+    assert told["reboot at 1 s: flag"]["detail"].startswith("not injected")
+    assert told["subscriber_dead at 2 s: recovery"]["passed"] is not None
+
+
+@pytest.mark.skipif(not TARGET, reason="TAXELD_TARGET names no hardware")
+@pytest.mark.parametrize("name", scenario.shipped())
+def test_a_shipped_scenario_passes_on_hardware(name: str, tmp_path: Path) -> None:
+    more = ["--poses", os.environ.get("TAXELD_POSES", "")]
+    if "TAXELD_TRUTH" in os.environ:
+        more += ["--truth", *os.environ["TAXELD_TRUTH"].split()]
+    done = cli("run", name, "--target", TARGET, "--out", str(tmp_path), *more, limit_s=900.0)
+    assert done.returncode == 0, done.stdout + done.stderr
