@@ -113,7 +113,9 @@ class Bench:
 
 
 def write_truth(directory: Path, rig: Rig) -> None:
-    """truth.csv of a session."""
+    """truth.csv of a session, whole from its first moment on."""
     row = ",".join(f"{v:.6f}" for v in (time.time(), *rig.world.truth))
     header = ",".join(session.POSE_COLUMNS)
-    (directory / session.TRUTH).write_text(f"{header}\n{row}\n", encoding="ascii")
+    partial = directory / f"{session.TRUTH}.partial"
+    partial.write_text(f"{header}\n{row}\n", encoding="ascii")
+    partial.rename(directory / session.TRUTH)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import zmq
 
-from taxeld import session
+from taxeld import session, sockets
 from taxeld_hil.bench import Bench, write_truth
 from taxeld_hil.rig import Rig
 from taxeld_hil.scenario import Scenario
@@ -22,7 +22,8 @@ def emulate(
     `where`: a link that will point to a pseudo-terminal, or a CAN interface's name.
 
     Raises:
-        SetupError: there is no such interface, or the directory holds a session.
+        SetupError: there is no such interface, the endpoint is taken, or the directory holds a
+            session.
     """
     rig = Rig(scenario, seed)
     with (
@@ -31,7 +32,7 @@ def emulate(
         session.Recorder(directory, moves=True) as recorder,
     ):
         poses.setsockopt(zmq.LINGER, 0)
-        poses.bind(endpoint)
+        sockets.bind(poses, endpoint, "--poses")
         write_truth(directory, rig)
         bench = Bench(rig, where, poses, recorder)
         try:

@@ -104,9 +104,13 @@ class Touch:
             [sys.executable, "-m", "taxeld_hil.cli", "emulate", "demo", "--seed", str(seed),
              "--poses", POSES, "--out", str(directory), *where],
         )  # fmt: skip
-        truth = directory / session.TRUTH
-        until("the virtual skin", truth.exists)
-        self.truth = np.array(session.read_poses(truth)[-1][1:])
+        try:
+            truth = directory / session.TRUTH
+            until("the virtual skin", truth.exists)
+            self.truth = np.array(session.read_poses(truth)[-1][1:])
+        except BaseException:
+            self._skin.kill()
+            raise
         skin = layout.load(SkinConfig().layout)
         self._scene = bundle.load("box", skin, SkinConfig().full_scale_depth_m).model.scene
         self._context = zmq.Context()
