@@ -60,6 +60,14 @@ def _soak(args: argparse.Namespace) -> int:
     return 0 if soak.passed else 1
 
 
+def _table(args: argparse.Namespace) -> int:
+    from taxeld_hil.table import rows
+
+    for row in rows(range(args.seeds)):
+        _say(row)
+    return 0
+
+
 def _emulate(args: argparse.Namespace) -> int:
     from taxeld_hil.emulate import emulate
 
@@ -141,6 +149,10 @@ def _parser() -> argparse.ArgumentParser:
     long.add_argument("--real-minutes", type=float, help="over the transport, in real time")
     soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
     soak.set_defaults(command=_soak)
+
+    table = commands.add_parser("table", help="what each fault shows in, and how soon, as Markdown")
+    table.add_argument("--seeds", type=int, default=5)
+    table.set_defaults(command=_table)
 
     emulate = commands.add_parser("emulate", help="the virtual skin and robot alone")
     emulate.add_argument("scenario", metavar="SCENARIO")
