@@ -64,6 +64,14 @@ def _soak(args: argparse.Namespace) -> int:
     return 0 if soak.passed else 1
 
 
+def _table(args: argparse.Namespace) -> int:
+    from taxeld_hil.table import rows
+
+    for row in rows(range(args.seeds)):
+        _say(row)
+    return 0
+
+
 def _emulate(args: argparse.Namespace) -> int:
     from taxeld_hil.emulate import emulate
 
@@ -193,6 +201,10 @@ def _add_grades(commands: Commands) -> None:
     long.add_argument("--real-minutes", type=float, help="over the transport, in real time")
     soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
     soak.set_defaults(command=_soak)
+
+    table = commands.add_parser("table", help="what each fault shows in, and how soon, as Markdown")
+    table.add_argument("--seeds", type=int, default=5)
+    table.set_defaults(command=_table)
 
     accept = commands.add_parser("accept", help="whether a skin that is there is fit for use")
     accept.add_argument(

@@ -162,3 +162,25 @@ def test_module_tables_are_bounded(payload: bytes) -> None:
     table.on_details(payload[:11])
     assert len(table.modules) <= 248
     assert all(module.channels <= 12 for module in table.modules)
+
+
+def test_scans_that_never_came_are_missed_and_long_pauses_are_none() -> None:
+    """A scan of a single packet that is lost leaves no trace but the time without it."""
+    decoder = declared()
+    missed = []
+    for t in (0.0, 0.05, 0.1, 0.152, 0.3, 0.35, 1.3, 3.0, 3.05):
+        for frames in scan_frames([7] * CHANNELS, t=t):
+            for frame in frames:
+                decoder.feed(frame)
+        missed.append(decoder.counters.missed)
+    assert missed == [0, 0, 0, 0, 2, 2, 20, 20, 20]
+
+
+def test_a_module_that_says_nothing_leaves_its_channels_missing_and_no_others() -> None:
+    decoder, dead = declared(), MODULES[0].channels
+    counts: list[int | None] = list(range(CHANNELS))
+    counts[dead : 2 * dead] = [None] * dead
+    hub = VirtualIhb(MODULES)
+    scans = [scan for answer in hub.sensor_data(counts) for scan in feed(decoder, *answer)]
+    assert [value if value is not None else MISSING for value in counts] == list(scans[0].counts)
+    assert (decoder.counters.scans, decoder.counters.incomplete) == (1, 1)
