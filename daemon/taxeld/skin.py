@@ -18,6 +18,7 @@ from taxeld.frozen import Frozen
 from taxeld.idle import Bools, Floats, Idle, Index
 from taxeld.layout import Layout
 from taxeld.noise import Noise
+from taxeld.recovery import Recovery
 from taxeld.skin_state import SkinState
 from taxeld.wiring import Wired, Wiring
 from taxeld_protocol.decoder import Scan
@@ -77,6 +78,7 @@ class Skin:
         self._drift = Drift(layout, self._wiring, config.full_scale_counts, config.drift_s)
         self._frozen = Frozen(taxels)
         self._noise = Noise(taxels)
+        self._recovery = Recovery(taxels)
         self.tare()
 
     def tare(self) -> None:
@@ -144,6 +146,7 @@ class Skin:
         self._heard = {hub: (t + by, taxels) for hub, (t, taxels) in self._heard.items()}
         self._slice.clock_stepped(by)
         self._drift.clock_stepped(by)
+        self._recovery.clock_stepped(by)
 
     def restore(self, state: SkinState) -> None:
         """Take what was learned before a restart, where the first scans bear it out."""
@@ -248,7 +251,8 @@ class Skin:
     def _activation(self) -> Activation:
         live = (self._counts > 0) & self._usable
         over = self._counts - self.baseline
-        felt = live & (over > self.threshold)
+        residue = self._recovery.residue(np.where(live, over, 0.0), self._t)
+        felt = live & (over > np.maximum(self.threshold, residue))
         z = np.where(felt, np.minimum(over / self.config.full_scale_counts, 1.0), 0.0)
         self.live, self.felt = live, bool(felt.any())
         if self.felt:

@@ -70,7 +70,7 @@ class Scenario:
     gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
     full_scale_counts: float = key(20_000.0, between(100, 60_000), "counts of a 5 mm press")
     physics: str = key(
-        "scene", one_of("scene", "mesh"), "what is felt: the estimator's own model, or [mesh]"
+        "mesh", one_of("scene", "mesh"), "what is felt: the estimator's own model, or [mesh]"
     )
     mesh: MeshConfig = field(default_factory=MeshConfig)
     expect: Expect = Expect()  # what the run is graded by
