@@ -26,7 +26,7 @@ from taxeld_hil.judge import Judge, Sample
 from taxeld_hil.reconcile import laws
 from taxeld_hil.rig import Rig, Worlds
 from taxeld_hil.scenario import Scenario
-from taxeld_hil.world import World
+from taxeld_hil.world import world as world_of
 from taxeld_protocol.cyskin import BROADCAST, Packet
 from taxeld_protocol.frames import Frame
 
@@ -152,7 +152,7 @@ class FakeRun:
     """A scenario on the fake clock, tick by tick; or several, lap by lap, in one life."""
 
     def __init__(
-        self, scenario: Scenario, seed: int, world: Worlds = World, rate_hz: float = 100.0
+        self, scenario: Scenario, seed: int, world: Worlds = world_of, rate_hz: float = 100.0
     ) -> None:
         """`rate_hz`: of the daemon's loop, and of all that steps with it."""
         self.rig = Rig(scenario, seed, world)

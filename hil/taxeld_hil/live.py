@@ -21,7 +21,7 @@ from taxeld_hil.reconcile import Law, laws
 from taxeld_hil.rig import Rig, Worlds
 from taxeld_hil.scenario import Scenario
 from taxeld_hil.watch import HEADER, Watch
-from taxeld_hil.world import World
+from taxeld_hil.world import world as world_of
 
 START_S = 20.0  # until the first estimate
 STEP_MS = 2
@@ -44,7 +44,7 @@ class LiveRun:
         self._channel = channel
         self._say = say
 
-    def graded(self, place: Path, world: Worlds = World) -> Grade:
+    def graded(self, place: Path, world: Worlds = world_of) -> Grade:
         """To the end; sockets and links are made in `place`.
 
         Raises:
@@ -78,7 +78,7 @@ class LiveRun:
         return grade(replace(self.run, scenario=name), judge, [], bench.rig.ledger)
 
     @contextmanager
-    def opened(self, place: Path, world: Worlds = World) -> Iterator[Bench]:
+    def opened(self, place: Path, world: Worlds = world_of) -> Iterator[Bench]:
         """With everything running; whatever happens, it is stopped in the end."""
         scenario, rig = self.scenario, Rig(self.scenario, self.run.seed, world)
         self._directory.mkdir(parents=True, exist_ok=True)

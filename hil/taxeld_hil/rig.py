@@ -18,7 +18,7 @@ from taxeld_hil import robot
 from taxeld_hil.faults import Injector, PoseRow
 from taxeld_hil.ledger import Ledger, Sent, Unit
 from taxeld_hil.scenario import Fault, Scenario
-from taxeld_hil.world import World
+from taxeld_hil.world import world as world_of
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.modules import Module, wired
@@ -47,7 +47,7 @@ Worlds = Callable[[Scenario, ObservationModel, list[Module], int], Skinned]
 class Rig:
     """A scenario with a seed: hub, world, robot, injector and ledger."""
 
-    def __init__(self, scenario: Scenario, seed: int, world: Worlds = World) -> None:
+    def __init__(self, scenario: Scenario, seed: int, world: Worlds = world_of) -> None:
         skin = layout.load(scenario.layout)
         self.model = bundle.load(scenario.bundle, skin, SkinConfig().full_scale_depth_m).model
         self.modules = wired(skin.uid.tolist())
@@ -122,7 +122,7 @@ class Rig:
             return []
         out = self._injector.due(t, line=self.line)
         if t >= 0.0 and self.hub.due(now):
-            counts = self._injector.counts(self.world.counts(self.pose(t), t), t)
+            counts = self._injector.counts(self.world.counts(self.pose(t), now), t)
             self.ledger.scans_sent += 1
             for answer in self.hub.sensor_data(counts):
                 out += self._send(*answer, t)

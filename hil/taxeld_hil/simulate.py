@@ -18,7 +18,7 @@ from taxeld.se2 import Poses
 from taxeld.symmetry import add_m
 from taxeld_hil import robot
 from taxeld_hil.scenario import Scenario
-from taxeld_hil.world import World
+from taxeld_hil.world import world as world_of
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import wired
@@ -50,7 +50,7 @@ class Simulation:
         skin = layout.load(scenario.layout)
         loaded = bundle.load(scenario.bundle, skin, self.config.skin.full_scale_depth_m)
         modules = wired(skin.uid.tolist())
-        world = World(scenario, loaded.model, modules, self.seed)
+        world = world_of(scenario, loaded.model, modules, self.seed)
         path = robot.plan(scenario, loaded.model, world.truth, self.seed)
         ihb = VirtualIhb(modules)
         decoder = Decoder(lambda _: modules)
