@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from taxeld.errors import SetupError
 from taxeld_hil import laps
 from taxeld_hil.fake import FakeRun
 from taxeld_hil.grade import Grade
@@ -133,9 +134,17 @@ COUNTERS = ("injected", "faults", "flags_missed", "doubted", "not_recovered", "s
 
 
 def resumed(path: Path, seed: int, clock: str, hours: float) -> Soak:
-    """The soak that a report holds, if it is one of this seed and clock that is not over."""
+    """The soak that a report holds, if it is one of this seed and clock that is not over.
+
+    Raises:
+        SetupError: there is a file that is no report.
+    """
     if path.is_file():
-        data = json.loads(path.read_text(encoding="utf-8"))
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+            data["seed"], data["clock"], data["hours_done"]
+        except (ValueError, KeyError, TypeError):
+            raise SetupError(f"{path}: is no report of a soak; name another file") from None
         if (data.pop("seed"), data.pop("clock")) == (seed, clock) and data["hours_done"] < hours:
             del data["growth_mb"], data["passed"], data["hours"]
             data["unexplained_before"] = data["unexplained"]
