@@ -49,7 +49,7 @@ class Rig:
     """A scenario with a seed: hub, world, robot, injector and ledger."""
 
     def __init__(self, scenario: Scenario, seed: int, world: Worlds = world_of) -> None:
-        """Raises SetupError where the skin or the object cannot be had, or a fault is of neither."""
+        """Raises SetupError where the skin or the object cannot be had, or does not fit a fault."""
         skin = layout.load(scenario.layout)
         self.model = bundle.load(scenario.bundle, skin, SkinConfig().full_scale_depth_m).model
         self.modules = wired(skin.uid.tolist())
