@@ -148,11 +148,12 @@ class Rig:
         """Where the sensor truly is."""
         return self.path.at(t - IDLE_S)
 
-    def poses(self, t: float, wall: float) -> list[PoseRow]:
-        """What the robot publishes now; `wall` stamps it, and does not stand still."""
-        if wall < self._next_pose_s:
+    def poses(self, t: float, now: float, wall: float) -> list[PoseRow]:
+        """What the robot publishes, stamped with Unix time `wall`, which may be set; `now` is as for
+        `scan`."""
+        if now < self._next_pose_s:
             return []
-        self._next_pose_s = max(self._next_pose_s + POSE_PERIOD_S, wall)
+        self._next_pose_s = max(self._next_pose_s + POSE_PERIOD_S, now)
         x, y, theta = self.pose(t - POSE_AGE_S).tolist()
         rows = self._injector.poses((wall - POSE_AGE_S, x, y, theta), t)
         self.ledger.poses_sent += len(rows)

@@ -16,6 +16,7 @@ from taxeld_hil.grade import Run, grade
 from taxeld_hil.judge import Judge, Sample, percentile
 from taxeld_hil.ledger import Ledger, Sent, Unit
 from taxeld_hil.reconcile import laws
+from taxeld_hil.rig import Rig
 from taxeld_hil.scenario import Fault
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
@@ -228,3 +229,14 @@ def test_faults_of_a_scenario_are_named_by_their_place(tmp_path: Path) -> None:
     path.write_text('bundle = "box"\nfault = 3\n')
     with pytest.raises(scenario.SetupError, match=r"fault: must be tables \[\[fault\]\]"):
         scenario.load(str(path))
+
+
+def test_a_robot_goes_on_when_the_clock_is_set_back() -> None:
+    rig = Rig(DEMO, 0)
+    stamps = [
+        row[0]
+        for k in range(100)
+        for row in rig.poses(0.01 * k, 50.0 + 0.01 * k, 1e9 + 0.01 * k - 3600.0 * (k >= 50))
+    ]
+    assert len(stamps) >= 98
+    assert stamps[-1] < 1e9 - 3500.0
