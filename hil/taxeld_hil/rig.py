@@ -149,7 +149,7 @@ class Rig:
         return self.path.at(t - IDLE_S)
 
     def poses(self, t: float, now: float, wall: float) -> list[PoseRow]:
-        """What the robot publishes, stamped with Unix time `wall`, which may be set; `now` is as for
+        """What the robot publishes, stamped with Unix time `wall`, which may be set; `now` as for
         `scan`."""
         if now < self._next_pose_s:
             return []
