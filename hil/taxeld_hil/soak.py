@@ -46,6 +46,7 @@ class Soak:
     found: int = 0  # laps that ended converged and right
     silent_episodes: int = 0
     silent_worst_mm: float = 0.0
+    silent_laps: list[int] = field(default_factory=list)
     silent_after: Counter[str] = field(default_factory=Counter)  # the fault that began last
     unexplained_before: int = 0  # of lives before this one
     unexplained: int = 0  # frames, packets, scans and poses that the daemon has not accounted for
@@ -84,6 +85,8 @@ class Soak:
         silent = figures["silent_failures"]
         self.silent_episodes += silent["episodes"]
         self.silent_worst_mm = max(self.silent_worst_mm, silent["worst_mm"])
+        if silent["episodes"]:
+            self.silent_laps.append(number)
         for at_s in silent["at_s"]:
             begun = [row for row in figures["faults"] if row["at_s"] <= at_s]
             self.silent_after[begun[-1]["kind"] if begun else "none"] += 1
