@@ -1,15 +1,11 @@
-"""A virtual hub where a host can reach it: behind an SLCAN adapter, or on a CAN interface."""
+"""A virtual hub behind an SLCAN adapter, alone: no robot, no faults, no ledger (see `ports`)."""
 
-import contextlib
 import errno
 import os
 import tty
 from collections.abc import Callable
 from typing import Self
 
-import can
-
-from taxeld.errors import SetupError
 from taxeld_protocol import cyskin, slcan
 from taxeld_protocol.cyskin import Reassembler
 from taxeld_protocol.frames import Frame
@@ -77,54 +73,3 @@ class SlcanAdapter:
         except BlockingIOError:
             sent = 0
         self.unsent += sent < len(data)
-
-
-class CanAdapter:
-    """A hub on a CAN interface of this machine's kernel."""
-
-    def __init__(self, ihb: VirtualIhb, on_frame: Callable[[Frame], None], interface: str) -> None:
-        """As `SlcanAdapter`.
-
-        Raises:
-            SetupError: there is no such interface.
-        """
-        self.ihb = ihb
-        self.unsent = 0  # frames the bus did not take
-        self._on_frame = on_frame
-        self._requests = Reassembler()
-        try:
-            self._bus = can.Bus(interface="socketcan", channel=interface)
-        except (can.CanError, OSError) as error:
-            raise SetupError(f"--can: cannot open {interface} ({error})") from None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bus.shutdown()
-
-    def fileno(self) -> int:
-        return int(self._bus.fileno())
-
-    def serve(self, t: float) -> None:
-        """Take what the host has sent and let the hub answer; `t` stamps the frames."""
-        with contextlib.suppress(can.CanError, OSError):  # a bus that is down says nothing
-            # not `recv`, whose time-out is taken from a wall clock that may be set back
-            while message := self._bus._recv_internal(0.0)[0]:
-                frame = Frame(t, message.arbitration_id, bytes(message.data))
-                self._on_frame(frame)
-                packet = self._requests.feed(frame)
-                for command, payload in self.ihb.answer(packet) if packet else []:
-                    self.send(command, payload, t)
-
-    def send(self, command: int, payload: bytes, t: float) -> None:
-        """The hub's packet as frames on the bus."""
-        for frame in cyskin.to_frames(command, payload, ihb=self.ihb.short_id, t=t):
-            self._on_frame(frame)
-            message = can.Message(
-                arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
-            )
-            try:
-                self._bus.send(message, timeout=0.0)
-            except (can.CanError, OSError):
-                self.unsent += 1

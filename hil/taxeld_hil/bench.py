@@ -68,7 +68,7 @@ class Bench:
             self.start_s = time.monotonic()
         self._send(rig.scan(self.t, time.monotonic()), wall)
         port.flush()
-        for row in rig.poses(self.t, wall):
+        for row in rig.poses(self.t, time.monotonic(), wall):
             self._publish(row)
 
     def finish(self) -> None:

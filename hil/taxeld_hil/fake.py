@@ -205,7 +205,7 @@ class FakeRun:
         self.line.carry()
         if self.daemon is None:
             self.line.take()
-        for row in rig.poses(t, now):
+        for row in rig.poses(t, now, now):
             if self.daemon is not None:
                 rig.ledger.poses_heard += 1
                 self.daemon.pose(*row)

@@ -135,7 +135,7 @@ def _fault(seen: Seen, expect: Expect) -> Iterator[Check]:
     elif seen.overlapped:
         yield Check(name, None, "not graded: another fault was on, or began before")
     else:
-        why = ": no pose explains what was felt" if seen.doubted else ""
+        why = ": inconsistent or blind" if seen.doubted else ""
         yield Check(name, False, f"not before the end of its time{why}")
 
 

@@ -21,6 +21,7 @@ from taxeld_hil.scenario import Fault, Scenario
 SILENT_MM = 20.0  # converged and farther off: a silent failure (docs/results.md)
 SILENCE_S = 0.1  # without an estimate for so long, the stream is silent
 USABLE = (Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED)
+DOUBTS = (Status.INCONSISTENT, Status.BLIND)
 STOPPED = (Status.STARTING, Status.STALE)
 AGE_UNIT_S = 1e-4
 EPISODES_KEPT = 100
@@ -50,7 +51,7 @@ class Seen:
     recovered_s: float | None = None  # after its end, to a usable estimate that no stop follows
     found_again_s: float | None = None  # after its end, to a converged and right one
     close_s: float = 0.0  # until when it may recover
-    doubted: bool = False  # at the end of its time no pose explained what had been felt meanwhile
+    doubted: bool = False  # at the end of its time the daemon said that it cannot tell a pose
     overlapped: bool = False  # by another that is not over, or began before it could recover
     taxels: tuple[int, ...] = ()
     before: Health | None = None  # the last health without it
@@ -193,7 +194,7 @@ class Judge:
         """Whether it recovered."""
         seen.before = None
         if seen.usable_s is None:
-            seen.doubted = self.last is not None and self.last.status == Status.INCONSISTENT
+            seen.doubted = self.last is not None and self.last.status in DOUBTS
             seen.overlapped |= seen.close_s < seen.fault.end_s + _window_s(self.scenario)
             return
         if seen.fault.kind == "subscriber_dead" and not seen.listed_s:

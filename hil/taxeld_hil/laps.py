@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taxeld_hil.scenario import Expect, Fault, Scenario
+from taxeld_hil.scenario import SKIN_KINDS, Expect, Fault, Scenario
 
 CONTACTS = 5
 HOLDS_S = (0.3, 0.3, 0.3, 2.0, 6.0)  # one of these for each lap's presses
@@ -15,10 +15,9 @@ STUCK_S = (12.5, 15.0)  # it is found by then
 LAP_S = 60.0  # about
 
 FRAMES = ("dropped", "duplicated", "reordered", "corrupted", "late", "flooded")
-SKIN = ("module_dead", "taxel_stuck", "saturated", "baseline_jump")
 DEVICE = ("reboot", "unplugged")
 ROBOT = ("pose_silent", "pose_late", "pose_jumping")
-KINDS = FRAMES + SKIN + DEVICE + ROBOT
+KINDS = FRAMES + SKIN_KINDS + DEVICE + ROBOT
 
 
 LYING = ("baseline_jump", "pose_late", "pose_jumping")  # what they tell may be a touch elsewhere
@@ -49,7 +48,7 @@ def lap(base: Scenario, seed: int, number: int, kinds: tuple[str, ...] = KINDS) 
 
 def _fault(rng: np.random.Generator, kind: str, at_s: float) -> Fault:
     shortest, longest = STUCK_S if kind == "taxel_stuck" else FOR_S
-    if kind in (*FRAMES, *SKIN) and kind != "taxel_stuck":
+    if kind in (*FRAMES, *SKIN_KINDS) and kind != "taxel_stuck":
         shortest = 3.0  # so that it hits, and shows
     return Fault(
         kind=kind,

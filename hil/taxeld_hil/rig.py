@@ -12,12 +12,13 @@ import numpy as np
 
 from taxeld import bundle, layout
 from taxeld.config import SkinConfig
+from taxeld.errors import SetupError
 from taxeld.observation import ObservationModel
 from taxeld.se2 import Poses
 from taxeld_hil import robot
 from taxeld_hil.faults import Injector, PoseRow
 from taxeld_hil.ledger import Ledger, Sent, Unit
-from taxeld_hil.scenario import Fault, Scenario
+from taxeld_hil.scenario import SKIN_KINDS, Fault, Scenario
 from taxeld_hil.world import world as world_of
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.cyskin import Command, Packet
@@ -48,6 +49,7 @@ class Rig:
     """A scenario with a seed: hub, world, robot, injector and ledger."""
 
     def __init__(self, scenario: Scenario, seed: int, world: Worlds = world_of) -> None:
+        """Raises SetupError where the skin or the object cannot be had, or does not fit a fault."""
         skin = layout.load(scenario.layout)
         self.model = bundle.load(scenario.bundle, skin, SkinConfig().full_scale_depth_m).model
         self.modules = wired(skin.uid.tolist())
@@ -76,7 +78,17 @@ class Rig:
         self.path = robot.plan(scenario, self.model, self.world.truth, seed)
         self._injector = self._injecting(scenario, seed)
 
+    def _check(self, fault: Fault, number: int) -> None:
+        """Raises SetupError where a fault is of what the skin does not have."""
+        modules, taxels = len(self.modules), len(self._taxel_uids)
+        if fault.kind in SKIN_KINDS and fault.module >= modules:
+            raise SetupError(f"fault[{number}].module: the skin has 0..{modules - 1}")
+        if not all(0 <= taxel < taxels for taxel in fault.taxels):
+            raise SetupError(f"fault[{number}].taxels: the skin has 0..{taxels - 1}")
+
     def _injecting(self, scenario: Scenario, seed: int) -> Injector:
+        for number, fault in enumerate(scenario.fault):
+            self._check(fault, number)
         uids = [uid for module in self.modules for uid in module.uids]
         channel = {uid: c for c, uid in enumerate(uids)}
         taxels = {i: channel[uid] for i, uid in enumerate(self._taxel_uids)}
@@ -122,7 +134,7 @@ class Rig:
             return []
         out = self._injector.due(t, line=self.line)
         if t >= 0.0 and self.hub.due(now):
-            counts = self._injector.counts(self.world.counts(self.pose(t), t), t)
+            counts = self._injector.counts(self.world.counts(self.pose(t), now), t)
             self.ledger.scans_sent += 1
             for answer in self.hub.sensor_data(counts):
                 out += self._send(*answer, t)
@@ -136,11 +148,12 @@ class Rig:
         """Where the sensor truly is."""
         return self.path.at(t - IDLE_S)
 
-    def poses(self, t: float, wall: float) -> list[PoseRow]:
-        """What the robot publishes now; `wall` stamps it, and does not stand still."""
-        if wall < self._next_pose_s:
+    def poses(self, t: float, now: float, wall: float) -> list[PoseRow]:
+        """What the robot publishes, stamped with Unix time `wall`, which may be set; `now` as for
+        `scan`."""
+        if now < self._next_pose_s:
             return []
-        self._next_pose_s = max(self._next_pose_s + POSE_PERIOD_S, wall)
+        self._next_pose_s = max(self._next_pose_s + POSE_PERIOD_S, now)
         x, y, theta = self.pose(t - POSE_AGE_S).tolist()
         rows = self._injector.poses((wall - POSE_AGE_S, x, y, theta), t)
         self.ledger.poses_sent += len(rows)

@@ -15,9 +15,10 @@ from taxeld_hil.physics import MeshConfig
 
 TRANSPORTS = ("slcan", "native", "can")
 
+SKIN_KINDS = ("module_dead", "taxel_stuck", "saturated", "baseline_jump")
 KINDS = (
     "dropped", "duplicated", "reordered", "corrupted", "late", "flooded",
-    "module_dead", "taxel_stuck", "saturated", "baseline_jump",
+    *SKIN_KINDS,
     "reboot", "unplugged",
     "pose_silent", "pose_frozen", "pose_late", "pose_jumping",
     "subscriber_dead", "daemon_killed",

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from taxeld.errors import SetupError
 from taxeld_hil import laps
 from taxeld_hil.fake import FakeRun
 from taxeld_hil.grade import Grade
@@ -45,6 +46,7 @@ class Soak:
     found: int = 0  # laps that ended converged and right
     silent_episodes: int = 0
     silent_worst_mm: float = 0.0
+    silent_laps: list[int] = field(default_factory=list)
     silent_after: Counter[str] = field(default_factory=Counter)  # the fault that began last
     unexplained_before: int = 0  # of lives before this one
     unexplained: int = 0  # frames, packets, scans and poses that the daemon has not accounted for
@@ -83,6 +85,8 @@ class Soak:
         silent = figures["silent_failures"]
         self.silent_episodes += silent["episodes"]
         self.silent_worst_mm = max(self.silent_worst_mm, silent["worst_mm"])
+        if silent["episodes"]:
+            self.silent_laps.append(number)
         for at_s in silent["at_s"]:
             begun = [row for row in figures["faults"] if row["at_s"] <= at_s]
             self.silent_after[begun[-1]["kind"] if begun else "none"] += 1
@@ -133,9 +137,17 @@ COUNTERS = ("injected", "faults", "flags_missed", "doubted", "not_recovered", "s
 
 
 def resumed(path: Path, seed: int, clock: str, hours: float) -> Soak:
-    """The soak that a report holds, if it is one of this seed and clock that is not over."""
+    """The soak that a report holds, if it is one of this seed and clock that is not over.
+
+    Raises:
+        SetupError: there is a file that is no report.
+    """
     if path.is_file():
-        data = json.loads(path.read_text(encoding="utf-8"))
+        try:
+            data = json.loads(path.read_text(encoding="utf-8"))
+            data["seed"], data["clock"], data["hours_done"]
+        except (ValueError, KeyError, TypeError):
+            raise SetupError(f"{path}: is no report of a soak; name another file") from None
         if (data.pop("seed"), data.pop("clock")) == (seed, clock) and data["hours_done"] < hours:
             del data["growth_mb"], data["passed"], data["hours"]
             data["unexplained_before"] = data["unexplained"]

@@ -16,6 +16,7 @@ from taxeld_hil.grade import Run, grade
 from taxeld_hil.judge import Judge, Sample, percentile
 from taxeld_hil.ledger import Ledger, Sent, Unit
 from taxeld_hil.reconcile import laws
+from taxeld_hil.rig import Rig
 from taxeld_hil.scenario import Fault
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
@@ -196,6 +197,9 @@ def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     assert (part.laps, part.unexplained, part.daemons) == (1, 0, 1)
     whole = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", 0.03), path, quiet)
     assert (whole.laps, whole.unexplained, whole.daemons) == (2, 0, 2)
+    path.with_name("other").write_text("x")
+    with pytest.raises(scenario.SetupError, match="is no report of a soak"):
+        soak.resumed(path.with_name("other"), 5, "fake", 1.0)
     assert soak.resumed(path, 6, "fake", 1.0).laps == 0, "of another seed it is another soak"
 
 
@@ -218,6 +222,21 @@ def test_faults_of_a_scenario_are_named_by_their_place(tmp_path: Path) -> None:
         f"fault[0].kind: must be one of {', '.join(scenario.KINDS)}, not 'flood'",
         "fault[0].share: must be 0..1, not 2",
     ]
+    for wrong, said in (("module = 8", "module: the skin has 0..7"), ("taxels = [80]", "0..79")):
+        path.write_text(f'bundle = "box"\n[[fault]]\nkind = "saturated"\nat_s = 1\n{wrong}\n')
+        with pytest.raises(scenario.SetupError, match=said):
+            FakeRun(scenario.load(str(path)), 0)
     path.write_text('bundle = "box"\nfault = 3\n')
     with pytest.raises(scenario.SetupError, match=r"fault: must be tables \[\[fault\]\]"):
         scenario.load(str(path))
+
+
+def test_a_robot_goes_on_when_the_clock_is_set_back() -> None:
+    rig = Rig(DEMO, 0)
+    stamps = [
+        row[0]
+        for k in range(100)
+        for row in rig.poses(0.01 * k, 50.0 + 0.01 * k, 1e9 + 0.01 * k - 3600.0 * (k >= 50))
+    ]
+    assert len(stamps) >= 98
+    assert stamps[-1] < 1e9 - 3500.0

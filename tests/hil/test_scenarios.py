@@ -52,8 +52,10 @@ def test_a_shipped_scenario_passes_on_the_fake_clock(name: str) -> None:
     assert grade.figures["ledger"]["fates"]["scans"] > 100
 
 
-@pytest.mark.parametrize("name", ["everything", "damaged_line"])
-@pytest.mark.parametrize("transport", scenario.TRANSPORTS)
+@pytest.mark.parametrize(
+    ("name", "transport"),
+    [("everything", "native"), ("damaged_line", "slcan"), ("damaged_line", "can")],
+)
 def test_a_scenario_passes_over_any_transport(name: str, transport: str) -> None:
     grade = FakeRun(scenario.load(name).over(transport), seed=1).graded(name)
     assert failed(grade) == []
@@ -61,7 +63,7 @@ def test_a_scenario_passes_over_any_transport(name: str, transport: str) -> None
 
 def test_a_run_is_the_same_for_a_seed_and_another_for_another() -> None:
     first, again, other = (
-        FakeRun(scenario.load("everything"), seed).graded("everything").as_json()
+        FakeRun(scenario.load("corrupted"), seed).graded("corrupted").as_json()
         for seed in (3, 3, 4)
     )
     assert first == again
