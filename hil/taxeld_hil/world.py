@@ -81,11 +81,6 @@ def world(scenario: Scenario, model: ObservationModel, modules: list[Module], se
     return MeshWorld(scenario, model, modules, seed)
 
 
-def world(scenario: Scenario, model: ObservationModel, modules: list[Module], seed: int) -> World:
-    """The world of a scenario."""
-    return World(scenario, model, modules, seed)
-
-
 def _normal(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
     """Standard normals within ±3: a baseline must stay a reading."""
     return np.clip(rng.standard_normal(n), -3.0, 3.0)
