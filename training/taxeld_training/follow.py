@@ -29,7 +29,7 @@ OWN_SEEDS = 2**31  # a filter must not draw what its trial drew
 DECIDES = {  # modules that decide what a filter says in a trial
     "daemon": "contacts estimate memory news observation prior scene se2 symmetry",
     "particles": "config consistency endpoints estimator filter injection mixture_rule paper_rule "
-    "proposals push rule rules sampler stuck",
+    "poses proposals push rule rules sampler stuck",
     "training": "conditions follow trials",
 }
 
