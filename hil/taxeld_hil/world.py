@@ -35,6 +35,9 @@ class World:
         self._baseline = scenario.baseline_counts + scenario.baseline_spread * _normal(rng, taxels)
         gain = np.maximum(1.0 + scenario.gain_cv * rng.standard_normal(taxels), 0.1)
         self._full_scale = scenario.full_scale_counts * gain
+        # the farthest that a taxel touches; a mug's handle is no part of its outline
+        corner = np.abs(model.scene.extent).max(axis=0)
+        self._reach_m = float(np.hypot(*corner)) + model.layout.radius_m
         index = {int(uid): i for i, uid in enumerate(model.layout.uid)}
         uids = [uid for module in modules for uid in module.uids]
         self._channel_taxel = np.array([index.get(uid, -1) for uid in uids])
@@ -57,8 +60,7 @@ class World:
         """(M,) counts over the baseline, the object at `seen` (3,) in the sensor frame; quickly
         none where it is out of reach."""
         model = self._model
-        centre = se2.apply(seen, np.asarray(model.scene.centre)[None])[0]
-        if np.hypot(centre[0], centre[1]) > model.scene.size + model.layout.radius_m:
+        if np.hypot(seen[0], seen[1]) > self._reach_m:
             return np.zeros(len(model.layout))
         return np.asarray(self._full_scale * model.activation(seen[None])[0])
 

@@ -1,5 +1,7 @@
 """The demo on the fake clock, and the simulated parts it is made of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -66,3 +68,16 @@ def test_counts_rise_with_pressure_over_a_baseline_of_their_own() -> None:
 def test_a_scenario_that_is_not_there_names_those_that_are() -> None:
     with pytest.raises(SetupError, match=r"no scenario 'party'; shipped are .*demo, "):
         scenario.load("party")
+
+
+@pytest.mark.parametrize("name", ["box", "mug"])
+def test_what_is_out_of_reach_feels_nothing_and_all_else_is_felt(name: str) -> None:
+    """The shortcut for the one is no loss to the other: a mug's handle stands off its outline."""
+    skin = layout.load(DEMO.layout)
+    model = bundle.load(name, skin, 0.005).model
+    world = World(replace(DEMO, bundle=name, noise_counts=0.0), model, [], 0)
+    rng = np.random.default_rng(0)
+    touches = contacts.synthesise(model.scene, skin.radius_m, 0.005, 300, rng).pose
+    for seen in touches:
+        felt = model.activation(seen[None])[0]
+        assert (world._press(seen, 0.0) > 0.0).tolist() == (felt > 0.0).tolist()
