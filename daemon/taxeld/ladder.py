@@ -17,6 +17,7 @@ from taxeld.proposals import Bools, Floats, Proposal
 from taxeld.se2 import Poses
 
 MARGIN = 1.25  # of the expected cost that must be left
+DEVIATIONS = 2.0  # mean absolute ones that the expected cost is over the mean
 GAIN = 0.25  # of a new cost against what was expected
 SURPRISE = 3.0  # times what was expected: more is believed to be someone else's work
 PATIENCE = 5  # calls in a row that may bring no sample
@@ -36,18 +37,26 @@ class Step(IntEnum):
 
 @dataclass(slots=True)
 class Cost:
-    """What something is expected to take [ns]."""
+    """What something takes [ns]: a running mean and mean deviation, as TCP times its answers."""
 
     ns: float = 0.0
+    deviation_ns: float = 0.0
     at_start_ns: float = 0.0
+
+    @property
+    def expected_ns(self) -> float:
+        return self.ns + DEVIATIONS * self.deviation_ns
 
     def took(self, ns: float) -> None:
         if not self.ns:
             self.ns = ns
-        self.ns += GAIN * (min(ns, SURPRISE * self.ns) - self.ns)
+        off = min(ns, SURPRISE * self.ns) - self.ns
+        self.ns += GAIN * off
+        self.deviation_ns += GAIN * (abs(off) - self.deviation_ns)
 
     def kept_away(self) -> None:
         self.ns += FORGET * (self.at_start_ns - self.ns)
+        self.deviation_ns *= 1.0 - FORGET
 
 
 @dataclass(slots=True)
@@ -137,8 +146,8 @@ class Ladder:
         """Whether the time left carries a rung: the last one always."""
         if rung.proposal is None or left_ns == float("inf"):
             return True
-        after_ns = self._each.ns * (OVERHEAD + rung.share * n)
-        fits = MARGIN * (rung.cost.ns + after_ns) <= left_ns
+        after_ns = self._each.expected_ns * (OVERHEAD + rung.share * n)
+        fits = MARGIN * (rung.cost.expected_ns + after_ns) <= left_ns
         if rung.step is Step.CHOSEN and len(self.rungs) > 1:
             fits = fits and rung.cost.ns <= self.budget_ns
         if not fits:

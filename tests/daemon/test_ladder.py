@@ -131,8 +131,20 @@ def test_one_long_pause_by_others_does_not_condemn_a_proposal() -> None:
     bench.slower = 1000.0
     bench.call(20.0)
     bench.slower = 1.0
-    bench.call(20.0)
+    bench.call(30.0)
     assert bench.ladder.step is Step.CHOSEN
+
+
+def test_what_takes_now_more_now_less_is_given_more_than_its_mean() -> None:
+    steady, unsteady = Bench(), Bench()
+    for call in range(40):
+        steady.call(100.0)
+        unsteady.slower = 0.5 if call % 2 else 1.5
+        unsteady.call(100.0)
+    for bench in (steady, unsteady):
+        bench.call(12.0)
+    assert steady.ladder.step is Step.CHOSEN
+    assert unsteady.ladder.step is Step.CHEAPER
 
 
 def test_where_nothing_ever_fits_the_fewest_samples_still_come_now_and_then() -> None:
