@@ -6,6 +6,7 @@ import sys
 import time
 from array import array
 from email.utils import formatdate
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ QUANTILES = (0.5, 0.99)
 
 
 class Histogram:
-    """Durations; adding one neither searches nor allocates."""
+    """Durations; neither adding one nor asking for a quantile searches or allocates."""
 
     def __init__(self) -> None:
         self.cycles = 0
@@ -26,6 +27,7 @@ class Histogram:
         self._min_us = float("inf")
         self._sum_us = 0.0
         self._counts = array("Q", bytes(8 * BOUND_US))
+        self._ranks = [_Rank(quantile, self._counts) for quantile in QUANTILES]
 
     def add(self, us: float) -> None:
         self.cycles += 1
@@ -37,6 +39,8 @@ class Histogram:
             self._counts[bucket] += 1
         else:
             self.overflow += 1
+        for rank in self._ranks:
+            rank.added(bucket, self.cycles)
 
     @property
     def min_us(self) -> float:
@@ -48,20 +52,35 @@ class Histogram:
 
     def quantiles_us(self) -> list[float]:
         """The QUANTILES, to a microsecond from above; in the overflow, the maximum."""
-        below = np.cumsum(self._filled())
-        ranks = [np.searchsorted(below, np.ceil(q * self.cycles)) for q in QUANTILES]
-        # past the last bucket is the overflow
         return [
-            min(rank + 1.0, self.max_us) if rank < len(below) else self.max_us for rank in ranks
+            min(rank.bucket + 1.0, self.max_us) if rank.bucket < BOUND_US else self.max_us
+            for rank in self._ranks
         ]
 
     def counts(self) -> dict[str, int]:
         """Whole microseconds → how often; those that occurred."""
-        filled = self._filled()
+        filled = np.frombuffer(self._counts, dtype=np.uint64)[: int(self.max_us) + 1]
         return {str(us): int(filled[us]) for us in np.flatnonzero(filled)}
 
-    def _filled(self) -> np.ndarray[Any, np.dtype[np.uint64]]:
-        return np.frombuffer(self._counts, dtype=np.uint64)[: int(self.max_us) + 1]
+
+class _Rank:
+    """The bucket of a quantile, which moves on as durations are added; BOUND_US is the overflow."""
+
+    def __init__(self, quantile: float, counts: "array[int]") -> None:
+        self.bucket = 0
+        self._quantile = quantile
+        self._counts = counts
+        self._below = 0  # durations in lower buckets
+
+    def added(self, bucket: int, cycles: int) -> None:
+        rank = ceil(self._quantile * cycles)
+        self._below += bucket < self.bucket
+        while self._below >= rank:
+            self.bucket -= 1
+            self._below -= self._counts[self.bucket]
+        while self.bucket < BOUND_US and self._below + self._counts[self.bucket] < rank:
+            self._below += self._counts[self.bucket]
+            self.bucket += 1
 
 
 class Latencies:

@@ -4,7 +4,7 @@ PlotJuggler's ZMQ subscriber plots the estimate stream as it is: string keys, an
 booleans, lists and maps.
 """
 
-from dataclasses import asdict
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 from taxeld import __version__
@@ -74,9 +74,7 @@ def taxels(activation: Activation, seq: int) -> dict[str, Any]:
 
 def health(seq: int, t: float, parts: dict[str, Any]) -> dict[str, Any]:
     """`/taxeld/health`: counters and dataclasses of counters, by part."""
-    plain = {
-        k: v if isinstance(v, (dict, list, float, int)) else asdict(v) for k, v in parts.items()
-    }
+    plain = {k: _plain(v) for k, v in parts.items()}
     return {"v": VERSION, "seq": seq, "t": t, **plain}
 
 
@@ -101,6 +99,13 @@ def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str)
         "outline": scene.outline.tolist(),
         "config_hash": config_hash,
     }
+
+
+def _plain(part: Any) -> Any:
+    """A dataclass as a map; as `dataclasses.asdict`, without copying what is plain already."""
+    if not is_dataclass(part):
+        return part
+    return {f.name: _plain(getattr(part, f.name)) for f in fields(part)}
 
 
 def _pose(pose: Poses) -> dict[str, float]:

@@ -190,8 +190,8 @@ class Pipeline:
     def health(self) -> dict[str, Any]:
         """Counters of the stages since start, and the taxels that cannot be believed."""
         return {
-            "skin": asdict(self.skin.counters),
-            "estimator": asdict(self.estimator.counters),
+            "skin": self.skin.counters,
+            "estimator": self.estimator.counters,
             "drift": self.skin.figures(),
             **self.skin.faults(),
         }

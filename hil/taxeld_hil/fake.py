@@ -7,7 +7,7 @@ and the host's kernel: those are for a run in real time.
 from dataclasses import asdict, replace
 from typing import Any
 
-from taxeld import bundle, dialects, layout
+from taxeld import bundle, dialects, layout, messages
 from taxeld.bundle import Bundle
 from taxeld.config import Config, SourceConfig
 from taxeld.devices import LostError
@@ -139,13 +139,14 @@ class FakeDaemon:
 
     def health(self, t: float) -> dict[str, Any]:
         """What the harness reads of /taxeld/health."""
-        return {
+        parts = {
             "uptime_s": t - self._start_s,
             "loop": {"scans": self.scans},
             "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
             "inputs": {**self.pipeline.input_counts(), "poses_malformed": 0},
             **self.pipeline.health(),
         }
+        return messages.health(0, t, parts)
 
 
 class FakeRun:
