@@ -2,14 +2,12 @@
 
 import resource
 import tempfile
-import time
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import streams
-from taxeld import loop, realtime, session
-from taxeld.clock import WallClock
+from fake_time import EPOCH_S, FakeTime
+from taxeld import realtime, session
 from taxeld.loop import Daemon
 from taxeld.poses import PoseTrack
 from taxeld.sources import SourceCounters
@@ -17,23 +15,6 @@ from taxeld.wire import Wire
 from taxeld_protocol.decoder import Scan
 
 TICK_S = 0.01
-EPOCH_S = 1e9
-
-
-class FakeTime:
-    """The clocks of a daemon, set by hand."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def as_module(self) -> SimpleNamespace:
-        return SimpleNamespace(
-            time=lambda: EPOCH_S + self.now_s,
-            monotonic=lambda: self.now_s,
-            monotonic_ns=lambda: round(self.now_s * 1e9),
-            perf_counter_ns=time.perf_counter_ns,
-            thread_time_ns=time.thread_time_ns,
-        )
 
 
 class Again:
@@ -74,11 +55,10 @@ class Again:
 def grown_mb(ticks: int) -> float:
     """Growth of this process between a tenth of the ticks and all of them [MB]."""
     clock = FakeTime()
-    loop.time = clock.as_module()
-    with tempfile.TemporaryDirectory() as place:
+    with tempfile.TemporaryDirectory() as place, clock.installed():
         streams.record(Path(place))
         daemon = Daemon(streams.setting(place)[0])
-        daemon.clock = WallClock(loop.time.time, loop.time.monotonic)
+        clock.give(daemon)
         assert isinstance(daemon.pipeline.poses, PoseTrack)
         daemon.source = Again(Path(place), daemon.source.wire, daemon.pipeline.poses, clock)
         before = 0

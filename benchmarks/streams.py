@@ -15,6 +15,7 @@ from pathlib import Path
 
 import zmq
 
+from fake_time import EPOCH_S, FakeTime
 from taxeld import bundle, config, layout, messages, session
 from taxeld.config import Config, CurveConfig
 from taxeld.curve import Guard
@@ -22,7 +23,6 @@ from taxeld.estimate import Estimate
 from taxeld.loop import Daemon
 from taxeld.pipeline import Pipeline
 from taxeld.poses import PoseTrack
-from taxeld.sources import ReplaySource
 from taxeld.streams import Publisher
 from taxeld_hil import robot, scenario
 from taxeld_hil.world import World
@@ -209,19 +209,19 @@ def record(place: Path) -> list[session.PoseRow]:
 
 def _run(place: str, poses: list[session.PoseRow], client: tuple[str, ...]) -> float:
     """Mean CPU seconds of a tick over the session."""
+    clock = FakeTime()
     daemon = Daemon(setting(place)[0])
-    assert isinstance(daemon.source, ReplaySource)
+    clock.give(daemon)
     assert isinstance(daemon.pipeline.poses, PoseTrack)
     spent, ticks = 0.0, 0
     try:
-        with connected(client, place):
+        with connected(client, place), clock.installed():
             _settle(daemon.publisher, bool(client) and client[0] in (READS, STALLS))
-            for t, x, y, theta in poses:
-                now_s = t - poses[0][0]
-                shift_s = daemon.source.shift_s or time.time() - t
-                daemon.pipeline.poses.add(t + shift_s, x, y, theta)
+            for t, *pose in poses:
+                clock.now_s = t - poses[0][0]
+                daemon.pipeline.poses.add(EPOCH_S + clock.now_s, *pose)
                 start = time.thread_time()
-                daemon.tick(now_s)
+                daemon.tick(clock.now_s)
                 spent += time.thread_time() - start
                 ticks += 1
                 time.sleep(REST_S)
