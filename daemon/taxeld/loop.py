@@ -157,7 +157,7 @@ class Daemon:
         lat_us["total"] = (time.perf_counter_ns() - start) / 1000.0 + self._publish_us
         published = time.perf_counter_ns()
         self._publish(outcome, lat_us, now_s)
-        if scans:
+        if outcome is not None:  # in this tick, though its scan may have waited since another
             self.latencies.add(lat_us)
         self.guard.poll()
         if self.control is not None:
