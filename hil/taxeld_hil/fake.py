@@ -24,9 +24,8 @@ from taxeld_hil import settings
 from taxeld_hil.grade import Grade, Run, grade
 from taxeld_hil.judge import Judge, Sample
 from taxeld_hil.reconcile import laws
-from taxeld_hil.rig import Rig, Worlds
+from taxeld_hil.rig import Rig
 from taxeld_hil.scenario import Scenario
-from taxeld_hil.world import world as world_of
 from taxeld_protocol.cyskin import BROADCAST, Packet
 from taxeld_protocol.frames import Frame
 
@@ -152,11 +151,9 @@ class FakeDaemon:
 class FakeRun:
     """A scenario on the fake clock, tick by tick; or several, lap by lap, in one life."""
 
-    def __init__(
-        self, scenario: Scenario, seed: int, world: Worlds = world_of, rate_hz: float = 100.0
-    ) -> None:
+    def __init__(self, scenario: Scenario, seed: int, rate_hz: float = 100.0) -> None:
         """`rate_hz`: of the daemon's loop, and of all that steps with it."""
-        self.rig = Rig(scenario, seed, world)
+        self.rig = Rig(scenario, seed)
         self.line = MemoryLine(self.rig)
         self.config = settings.on_a_fake_clock(scenario, seed, rate_hz)
         self.skin = layout.load(scenario.layout)

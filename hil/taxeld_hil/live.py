@@ -18,10 +18,9 @@ from taxeld_hil.judge import Judge
 from taxeld_hil.listener import Listener, Say, socket
 from taxeld_hil.processes import Cast
 from taxeld_hil.reconcile import Law, laws
-from taxeld_hil.rig import Rig, Worlds
+from taxeld_hil.rig import Rig
 from taxeld_hil.scenario import Scenario
 from taxeld_hil.watch import HEADER, Watch
-from taxeld_hil.world import world as world_of
 
 START_S = 20.0  # until the first estimate
 STEP_MS = 2
@@ -44,13 +43,13 @@ class LiveRun:
         self._channel = channel
         self._say = say
 
-    def graded(self, place: Path, world: Worlds = world_of) -> Grade:
+    def graded(self, place: Path) -> Grade:
         """To the end; sockets and links are made in `place`.
 
         Raises:
             SetupError: a process failed, or the interface is not there.
         """
-        with self.opened(place, world) as bench:
+        with self.opened(place) as bench:
             self._say(HEADER)
             self._serve(bench)
             held = self.settled(bench)
@@ -78,9 +77,9 @@ class LiveRun:
         return grade(replace(self.run, scenario=name), judge, [], bench.rig.ledger)
 
     @contextmanager
-    def opened(self, place: Path, world: Worlds = world_of) -> Iterator[Bench]:
+    def opened(self, place: Path) -> Iterator[Bench]:
         """With everything running; whatever happens, it is stopped in the end."""
-        scenario, rig = self.scenario, Rig(self.scenario, self.run.seed, world)
+        scenario, rig = self.scenario, Rig(self.scenario, self.run.seed)
         self._directory.mkdir(parents=True, exist_ok=True)
         where: Path | str = self._channel if scenario.transport == "can" else place / "skin"
         config = settings.text(scenario, self.run.seed, str(where), f"ipc://{place}/poses", place)

@@ -4,16 +4,13 @@ Its owner steps it through scenario time and carries what it sends. Before the f
 stands still a little before zero.
 """
 
-from collections.abc import Callable
 from itertools import accumulate
-from typing import Protocol
 
 import numpy as np
 
 from taxeld import bundle, layout
 from taxeld.config import SkinConfig
 from taxeld.errors import SetupError
-from taxeld.observation import ObservationModel
 from taxeld.se2 import Poses
 from taxeld_hil import robot
 from taxeld_hil.faults import Injector, PoseRow
@@ -22,7 +19,7 @@ from taxeld_hil.scenario import SKIN_KINDS, Fault, Scenario
 from taxeld_hil.world import world as world_of
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.cyskin import Command, Packet
-from taxeld_protocol.modules import Module, wired
+from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
 
 POSE_PERIOD_S = 0.01
@@ -32,28 +29,15 @@ SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
 BEFORE_S = -1.0  # scenario time while no host has started the skin
 
 
-class Skinned(Protocol):
-    """What the rig asks of a simulated world."""
-
-    truth: Poses  # (3,) of the object
-
-    def counts(self, sensor: Poses, t: float) -> list[int]:
-        """One scan, channel by channel, with the sensor at a pose (3,) in the world."""
-        ...
-
-
-Worlds = Callable[[Scenario, ObservationModel, list[Module], int], Skinned]
-
-
 class Rig:
     """A scenario with a seed: hub, world, robot, injector and ledger."""
 
-    def __init__(self, scenario: Scenario, seed: int, world: Worlds = world_of) -> None:
+    def __init__(self, scenario: Scenario, seed: int) -> None:
         """Raises SetupError where the skin or the object cannot be had, or does not fit a fault."""
         skin = layout.load(scenario.layout)
         self.model = bundle.load(scenario.bundle, skin, SkinConfig().full_scale_depth_m).model
         self.modules = wired(skin.uid.tolist())
-        self.world = world(scenario, self.model, self.modules, seed)
+        self.world = world_of(scenario, self.model, self.modules, seed)
         self.hub = VirtualIhb(self.modules)
         channels = tuple(module.channels for module in self.modules)
         self.ledger = Ledger(channels, self.hub.period_ms / 1000.0)
