@@ -5,7 +5,7 @@ SEED ?= 0
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
-.PHONY: demo test lint bench bench-peers picture install uninstall vm-test clean
+.PHONY: demo test lint bench bench-peers picture install rollback uninstall deb lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
@@ -21,6 +21,7 @@ lint: .venv/.all
 
 bench: .venv/.all
 	$(BIN)/python benchmarks/run.py
+	$(BIN)/python benchmarks/hostile.py
 
 # One update beside other filters, in an environment of their own: `particles` needs an older numpy
 bench-peers: .venv/.peers
@@ -33,40 +34,31 @@ picture: .venv/.all
 	$(BIN)/taxeld-hil draw .venv/picture --out docs/demo.png
 
 # The service (docs/service.md). WHEEL is what pip installs: this tree, or a wheel of it
-install:
-	$(PYTHON) -m venv --clear $(DESTDIR)$(LIB)
-	$(DESTDIR)$(LIB)/bin/python -m pip --disable-pip-version-check install --quiet \
-		-c constraints.txt $(WHEEL)
-	sed -i '1s|^#!$(DESTDIR)/|#!/|' $(DESTDIR)$(LIB)/bin/taxeld*
-	install -d $(DESTDIR)$(PREFIX)/bin $(DESTDIR)/etc/taxeld
-	ln -sf $(LIB)/bin/taxeld $(DESTDIR)$(COMMAND)
-	$(PUT) systemd/taxeld@.service $(DESTDIR)$(UNIT)
-	sed -i 's|/usr/local|$(PREFIX)|' $(DESTDIR)$(UNIT)
-	$(PUT) systemd/taxeld.sysusers $(DESTDIR)$(SYSUSERS)
-	$(PUT) systemd/60-taxeld.rules $(DESTDIR)$(UDEV)
-	$(PUT) systemd/60-can0.network $(DESTDIR)$(NETWORK)
-	$(PUT) -t $(DESTDIR)$(DOC) docs/service.md examples/can0.toml
-	$(if $(DESTDIR),,systemd-sysusers $(SYSUSERS))
-	$(RELOAD)
-
-# Configurations, saved states and the user stay
-uninstall:
-	rm -rf $(addprefix $(DESTDIR),$(LIB) $(DOC) $(UNIT) $(SYSUSERS) $(UDEV) $(NETWORK) $(COMMAND))
-	-rmdir --ignore-fail-on-non-empty $(DESTDIR)/etc/taxeld
-	$(RELOAD)
+install rollback uninstall:
+	PREFIX='$(PREFIX)' DESTDIR='$(abspath $(DESTDIR))' CONFIGS='$(CONFIGS)' PYTHON='$(PYTHON)' \
+		WHEEL='$(WHEEL)' LOCK='$(LOCK)' STAMP='$(STAMP)' deploy/service $@
 
 PREFIX ?= /usr/local
+CONFIGS ?= /etc/taxeld
 WHEEL ?= .
-LIB := $(PREFIX)/lib/taxeld
-DOC := $(PREFIX)/share/doc/taxeld
-UNIT := $(PREFIX)/lib/systemd/system/taxeld@.service
-SYSUSERS := $(PREFIX)/lib/sysusers.d/taxeld.conf
-UDEV := $(PREFIX)/lib/udev/rules.d/60-taxeld.rules
-NETWORK := $(PREFIX)/lib/systemd/network/60-can0.network
-COMMAND := $(PREFIX)/bin/taxeld
-PUT := install -D -m 644
-RELOAD = $(if $(DESTDIR),,test ! -d /run/systemd/system || \
-	{ systemctl daemon-reload && udevadm control --reload; })
+LOCK ?= requirements.lock
+STAMP ?= $(shell date -u +%Y%m%dT%H%M%SZ)
+
+# A Debian package for the Debian and the Python that it is built with
+deb:
+	WHEEL='$(WHEEL)' PYTHON='$(PYTHON)' deploy/deb
+
+# The runtime's versions (constraints.txt) with the hashes of their wheels
+lock: .venv/bin/python
+	$(BIN)/python deploy/lock.py >.venv/requirements.lock
+	mv .venv/requirements.lock requirements.lock
+
+# What the service is made of, as CycloneDX
+sbom: .venv/.sbom
+	mkdir -p dist
+	.venv/sbom/bin/python -W ignore::UserWarning -m cyclonedx_py requirements requirements.lock \
+		--pyproject pyproject.toml --mc-type application --output-reproducible --validate \
+		--output-file dist/taxeld.cdx.json
 
 # In a virtual machine with a Debian and a kernel of its own: needs root and Debian packages
 vm-test: .venv/bin/python
@@ -81,6 +73,11 @@ clean:
 .venv/.peers: .venv/bin/python
 	$(PYTHON) -m venv .venv/peers
 	.venv/peers/bin/python -m pip --disable-pip-version-check install --quiet particles==0.4 pfilter==0.2.5
+	touch $@
+
+.venv/.sbom: .venv/bin/python
+	$(PYTHON) -m venv .venv/sbom
+	.venv/sbom/bin/python -m pip --disable-pip-version-check install --quiet cyclonedx-bom==7.5.0
 	touch $@
 
 .venv/.runtime: .venv/bin/python pyproject.toml constraints.txt

@@ -11,8 +11,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # one thread a worker
 
 import numpy as np
 
-from taxeld_hil.scenario import Scenario
-from taxeld_hil.simulate import Simulation, configured, error_by_contact
+from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.scenario.scenario import Scenario
 
 CONTACTS = 10
 GOOD_MM = 10.0
@@ -33,8 +33,7 @@ def errors(job: tuple[str, str, int]) -> list[float]:
     """The error [mm] after each contact; a touch too slight to begin one repeats the last."""
     bundle, keys, seed = job
     scenario = Scenario(bundle=bundle, contacts=CONTACTS)
-    config = configured(scenario, seed, f"[filter]\n{keys}\n")
-    found = error_by_contact(Simulation(scenario, seed, config).steps())
+    found = [end.error_mm for end in FakeRun(scenario, seed, filter_keys=keys).run()]
     return (found + found[-1:] * CONTACTS)[:CONTACTS]
 
 

@@ -5,9 +5,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import SimpleNamespace
 
-from taxeld import loop, sources
-from taxeld.clock import WallClock
-from taxeld.loop import Daemon
+from taxeld.service import loop
+from taxeld.service.clock import WallClock
+from taxeld.service.loop import Daemon
+from taxeld.source import sources
 
 EPOCH_S = 1e9
 

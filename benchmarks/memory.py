@@ -1,5 +1,6 @@
 """A whole daemon on a fake clock, touched over and over: how much its memory grows."""
 
+import math
 import resource
 import tempfile
 from dataclasses import replace
@@ -7,11 +8,12 @@ from pathlib import Path
 
 import streams
 from fake_time import EPOCH_S, FakeTime
-from taxeld import realtime, session
-from taxeld.loop import Daemon
-from taxeld.poses import PoseTrack
-from taxeld.sources import SourceCounters
-from taxeld.wire import Wire
+from taxeld.service import realtime
+from taxeld.service.loop import Daemon
+from taxeld.source import session
+from taxeld.source.sources import SourceCounters
+from taxeld.source.wire import Wire
+from taxeld.stream.pose_input import OnPose
 from taxeld_protocol.decoder import Scan
 
 TICK_S = 0.01
@@ -20,11 +22,12 @@ TICK_S = 0.01
 class Again:
     """A session without end: its scans and poses anew, one lap after another."""
 
-    def __init__(self, place: Path, wire: Wire, poses: PoseTrack, clock: FakeTime) -> None:
+    finished = False
+
+    def __init__(self, place: Path, wire: Wire, on_pose: OnPose, clock: FakeTime) -> None:
         self.wire, self.counters = wire, SourceCounters()
-        self._clock, self._track = clock, poses
-        items = session.read_input(place)
-        self._poses = session.read_poses(place / session.POSES)
+        self._clock, self._on_pose = clock, on_pose
+        items, self._poses = (recorded := session.read(place)).items, recorded.poses
         self._t0 = self._poses[0][0]
         self._scans = [
             scan for item in items for heard in wire.take(item, item.t) for scan in heard.scans
@@ -39,7 +42,7 @@ class Again:
         by = EPOCH_S + lap * lap_s - self._t0
         while self._pose < len(self._poses) and self._poses[self._pose][0] - self._t0 <= into_s:
             t, *pose = self._poses[self._pose]
-            self._track.add(t + by, *pose)
+            self._on_pose(t + by, *pose, math.inf)
             self._pose += 1
         found = []
         while self._scan < len(self._scans) and self._scans[self._scan].t - self._t0 <= into_s:
@@ -47,6 +50,9 @@ class Again:
             found.append(replace(scan, t=scan.t + by))
             self._scan += 1
         return found
+
+    def clock_stepped(self, by: float) -> None:
+        """The fake clock is never set."""
 
     def close(self) -> None:
         """Nothing is held open."""
@@ -59,8 +65,7 @@ def grown_mb(ticks: int) -> float:
         streams.record(Path(place))
         daemon = Daemon(streams.setting(place)[0])
         clock.give(daemon)
-        assert isinstance(daemon.pipeline.poses, PoseTrack)
-        daemon.source = Again(Path(place), daemon.source.wire, daemon.pipeline.poses, clock)
+        daemon.source = Again(Path(place), daemon.source.wire, daemon.pipeline.poses.add, clock)
         before = 0
         with realtime.thread(0):
             for tick in range(ticks):

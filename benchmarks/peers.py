@@ -20,13 +20,15 @@ from particles.core import SMC
 from particles.state_space_models import Bootstrap, StateSpaceModel
 from pfilter import ParticleFilter
 
-from taxeld import contacts, layout, scene, se2
-from taxeld import filter as pf
-from taxeld.config import FilterConfig, SkinConfig
-from taxeld.memory import Felt, Memory
-from taxeld.mixture_rule import Mixture
-from taxeld.observation import Noise, ObservationModel
-from taxeld.paper_rule import Paper
+from taxeld.config.tables import FilterConfig, SkinConfig
+from taxeld.estimator import particles as pf
+from taxeld.estimator.memory import Memory
+from taxeld.estimator.mixture import Mixture
+from taxeld.estimator.paper import Paper
+from taxeld.layout import read as layouts
+from taxeld.model import contacts, se2
+from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.proposals import scene_file
 
 SIZES = {  # particles: rounds, steps of each, budget [ms]
     100: (20, 20, 0.3),
@@ -46,15 +48,15 @@ class Scans:
         made = contacts.synthesise(model.scene, 0.04, 0.005, 4 * count, rng).pose
         made = made[model.activation(made).max(axis=1) > 0.1][:count]
         live = np.ones(len(model.layout), dtype=np.bool_)
-        self.felt = [
-            Felt(se2.inverse(p), self.noise.draw(model.activation(p[None])[0], rng), live)
+        self.observations = [
+            Observation(se2.inverse(p), self.noise.draw(model.activation(p[None])[0], rng), live)
             for p in made
         ]
 
     def log_likelihood(self, k: int, poses: np.ndarray) -> np.ndarray:
         """Of a scan that has just come in, as ours has to take it."""
         memory = Memory(self.model, self.noise)
-        memory.add(self.felt[k % len(self.felt)])
+        memory.add(self.observations[k % len(self.observations)])
         return memory.explain(poses)[:, 0]
 
 
@@ -67,15 +69,15 @@ def ours(scans: Scans, n: int, kind: type[Paper] | type[Mixture]) -> Callable[[]
         rule = kind(scans.model, config, np.random.default_rng(2))
         rule.belief = pf.equal(start.copy(), np.empty((n, 0)))
         if isinstance(rule, Mixture):
-            for felt in scans.felt[:8]:
-                rule.memory.add(felt)
+            for observation in scans.observations[:8]:
+                rule.memory.add(observation)
             rule.belief.remembered = rule.memory.explain(start)
         return rule
 
     return made
 
 
-class Model(StateSpaceModel):
+class PeerModel(StateSpaceModel):
     """The same for `particles`."""
 
     scans: Scans
@@ -106,8 +108,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--json", type=Path, help="write the figures there as well")
     args = parser.parse_args()
-    skin = layout.load(SkinConfig().layout)
-    box = scene.load(SCENE / "bundles" / "box" / "scene.npz")
+    skin = layouts.load(SkinConfig().layout)
+    box = scene_file.load(SCENE / "bundles" / "box" / "scene.npz")
     scans = Scans(ObservationModel(box, skin, SkinConfig().full_scale_depth_m), 40)
     rows = [row for n in SIZES for row in measure(scans, n)]
     print(f"{'filter':34s} {'N':>7s} {'ms':>9s} {'budget':>8s} {'ours is':>10s}")
@@ -125,9 +127,9 @@ def main() -> int:
 def measure(scans: Scans, n: int) -> list[dict[str, object]]:
     """One row a filter. The clock is slow to read, so small steps are timed several at once."""
     rounds, steps, budget = SIZES[n]
-    Model.scans = scans
+    PeerModel.scans = scans
     smc = SMC(
-        fk=Bootstrap(ssm=Model(), data=[None] * (rounds * steps + 1)), N=n,
+        fk=Bootstrap(ssm=PeerModel(), data=[None] * (rounds * steps + 1)), N=n,
         resampling="systematic", store_history=False,
     )  # fmt: skip
     at, rng = [0], np.random.default_rng(2)
@@ -144,11 +146,11 @@ def measure(scans: Scans, n: int) -> list[dict[str, object]]:
     spent: dict[str, list[float]] = {name: [] for name in (*rules, "particles", "pfilter")}
     for k in range(rounds):
         at[0] = k
-        felt = scans.felt[k % len(scans.felt)]
+        observation = scans.observations[k % len(scans.observations)]
         for name, kind in rules.items():
             make = ours(scans, n, kind)
-            fresh = [(make(), felt) for _ in range(steps)]
-            spent[name].append(_ms(fresh, lambda item: item[0].learn(item[1], nothing)))
+            fresh = [(make(), observation) for _ in range(steps)]
+            spent[name].append(_ms(fresh, lambda item: item[0].update(item[1], nothing)))
         spent["particles"].append(_ms(range(steps), lambda _: next(smc)))
         spent["pfilter"].append(_ms(range(steps), lambda _: peer.update(np.zeros(3))))
     ms = {name: float(np.median(each[1:])) for name, each in spent.items()}

@@ -17,9 +17,9 @@ from pathlib import Path
 import can
 import cantools
 
-from taxeld import layout
-from taxeld.config import SourceConfig
-from taxeld.sources import open_source
+from taxeld.config.tables import SourceConfig
+from taxeld.layout import read as layouts
+from taxeld.source.sources import open_source
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.frames import Frame
@@ -127,7 +127,7 @@ def plain_decoder(frames: list[Frame]) -> list[list[int]]:
 
 def saturated() -> list[tuple[str, float, float | None]]:
     """Ten seconds of a saturated bus through python-can, in one process."""
-    skin = layout.load("cylinder:rows=30,columns=20,radius_m=0.1,pitch_m=0.01")
+    skin = layouts.load("cylinder:rows=30,columns=20,radius_m=0.1,pitch_m=0.01")
     config = SourceConfig(kind="can", interface="virtual", channel="bench", listen_only=True)
     source = open_source(config, skin)
     frames = scan_frames(10 * SATURATED_FRAMES_S // 174)

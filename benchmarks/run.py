@@ -20,10 +20,14 @@ from packaging.requirements import Requirement
 import protocol
 import service
 import streams
-from taxeld import bundle, config, contacts, layout, se2
-from taxeld.estimator import Estimator
-from taxeld.loop import Daemon
-from taxeld.skin import Activation
+from taxeld.config import file as config_file
+from taxeld.config.tables import FilterConfig, SkinConfig
+from taxeld.estimator.estimator import Estimator
+from taxeld.layout import read as layouts
+from taxeld.model import contacts, se2
+from taxeld.model.activation import Activation
+from taxeld.proposals import bundle
+from taxeld.service.loop import Daemon
 
 ROUNDS = 7
 TOUCHES = 20
@@ -91,15 +95,15 @@ def installed() -> list[dict[str, object]]:
 
 def touches() -> list[dict[str, object]]:
     """One touch through the estimator with S = 100, N = 100: the baseline and each sampler."""
-    skin = layout.load(config.SkinConfig().layout)
+    skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("box", skin, 0.005)
     model = loaded.model
     rng = np.random.default_rng(0)
-    settings = config.FilterConfig(particles=100, particles_max=100, injected=100)
+    settings = FilterConfig(particles=100, particles_max=100, injected=100)
     poses = contacts.synthesise(model.scene, skin.radius_m, 0.005, 2000, rng).pose
-    felt = poses[model.activation(poses).max(axis=1) > 0.3][:TOUCHES]
-    readings = model.activation(felt)
-    sensors = se2.inverse(felt)  # the object stands at the origin
+    pressed = poses[model.activation(poses).max(axis=1) > 0.3][:TOUCHES]
+    readings = model.activation(pressed)
+    sensors = se2.inverse(pressed)  # the object stands at the origin
     live = np.ones(len(skin), dtype=bool)
     rows = []
     names = ["projection", *(s["name"] for s in loaded.info["samplers"])]
@@ -130,7 +134,7 @@ def idle_tick() -> dict[str, object]:
     """A tick of a whole daemon to which nothing comes."""
     with tempfile.TemporaryDirectory() as place:
         endpoint = f"ipc://{place}/"
-        settings = config.parse(
+        settings = config_file.parse(
             f'[source]\nkind = "can"\ninterface = "virtual"\nchannel = "bench"\n'
             f'[scene]\nbundle = "box"\n[publish]\nendpoints = ["{endpoint}stream"]\n'
             f'[control]\nendpoint = "{endpoint}control"\n'

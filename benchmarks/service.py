@@ -20,8 +20,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -31,10 +31,15 @@ import zmq
 
 import memory
 import streams
-from taxeld import bundle, client, contacts, layout, messages, se2
-from taxeld_hil.adapter import SlcanAdapter
+from taxeld.layout import read as layouts
+from taxeld.model import contacts, se2
+from taxeld.proposals import bundle
+from taxeld.stream import client, messages
+from taxeld_hil.rig.ledger import Unit
+from taxeld_hil.rig.ports import SlcanPort
+from taxeld_protocol import cyskin
 from taxeld_protocol.modules import wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
 
 SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 LARGE = "cylinder:rows=5,columns=128,radius_m=0.04,pitch_m=0.015"  # 640 taxels
@@ -71,11 +76,13 @@ def rows(seconds: float = 20.0) -> list[Row]:
         large = _large_bundle(place / "large")
         touched = measure(Case(SKIN, "box", touched=True), seconds, place)
         idle = measure(Case(SKIN, "box", touched=False), seconds, place)
+        recording = measure(Case(SKIN, "box", touched=False, record=True), seconds, place)
         wide = measure(Case(LARGE, str(large), touched=True), seconds, place)
     return [
         ("a core's share, 80 taxels, touched all the time: %", touched.cpu_percent, 8.0),
-        ("  … touches that told something new, a second", touched.updates_hz, None),
+        ("  … scans with contact that were learned from, a second", touched.updates_hz, None),
         ("a core's share, untouched: %", idle.cpu_percent, 2.0),
+        ("  … and recorded: %", recording.cpu_percent, None),
         ("a core's share, 640 taxels, touched all the time: %", wide.cpu_percent, 15.0),
         ("a scan's way through the loop, median: ms", touched.p50_ms, 2.0),
         ("a scan's way through the loop, 99 %: ms", touched.p99_ms, 5.0),
@@ -120,6 +127,7 @@ class Case:
     touched: bool
     rate_hz: float = 100.0
     particles_max: int = 100  # of N = 100; while the belief is wide, the default is more
+    record: bool = False
 
 
 @dataclass(frozen=True)
@@ -139,20 +147,20 @@ class Measured:
 
 def measure(case: Case, seconds: float, place: Path) -> Measured:
     """Run the daemon on the case; what it took between settling and the end."""
-    skin = layout.load(case.layout)
+    skin = layouts.load(case.layout)
     loaded = bundle.load(case.bundle, skin, 0.005)
-    ihb = VirtualIhb(wired(skin.uid.tolist()))
+    hub = VirtualIhb(wired(skin.uid.tolist()))
     with (
         tempfile.TemporaryDirectory(dir=place) as name,
-        SlcanAdapter(ihb, lambda _: None) as adapter,
+        closing(SlcanPort(Path(name) / "skin", lambda _: None)) as port,
         zmq.Context() as context,
         context.socket(zmq.PUB) as poses,
     ):
         here = Path(name)
         poses.linger = 0
         poses.bind(f"ipc://{here}/poses")
-        with _daemon(case, adapter.device, here) as (pid, ready):
-            robot = Robot(loaded, case.touched, adapter, poses)
+        with _daemon(case, here) as (pid, ready):
+            robot = Robot(loaded, case.touched, hub, port, poses)
             robot.serve_until(ready)
             start_cpu_s = _cpu_s(pid)
             with streams.connected(streams.CLIENTS["one subscriber of all"], str(here)):
@@ -185,10 +193,15 @@ class Robot:
     """A box that rolls along the skin, or stays away from it, and the hub that feels it."""
 
     def __init__(
-        self, loaded: bundle.Bundle, touched: bool, adapter: SlcanAdapter, poses: zmq.Socket[bytes]
+        self,
+        loaded: bundle.Bundle,
+        touched: bool,
+        hub: VirtualIhb,
+        port: SlcanPort,
+        poses: zmq.Socket[bytes],
     ) -> None:
         self._model, self._touched = loaded.model, touched
-        self._adapter, self._poses = adapter, poses
+        self._hub, self._port, self._poses = hub, port, poses
         self._rng = np.random.default_rng(0)
         made = contacts.synthesise(
             self._model.scene, self._model.layout.radius_m, 0.005, 500, self._rng
@@ -196,7 +209,7 @@ class Robot:
         self._seen = made[np.argmax(self._model.activation(made).max(axis=1))]
         self._towards = self._seen[:2] / np.linalg.norm(self._seen[:2])
         index = {int(uid): i for i, uid in enumerate(self._model.layout.uid)}
-        uids = [uid for module in adapter.ihb.modules for uid in module.uids]
+        uids = [uid for module in hub.modules for uid in module.uids]
         self._taxel = np.array([index.get(uid, -1) for uid in uids])
         self._next_pose_s = self._began = time.monotonic()
 
@@ -212,19 +225,26 @@ class Robot:
             self._step()
 
     def _step(self) -> None:
-        select.select([self._adapter], [], [], 0.002)
+        select.select([self._port], [], [], 0.002)
         now, wall = time.monotonic(), time.time()
-        self._adapter.serve(wall)
+        for packet in self._port.take(wall):
+            self._send(self._hub.answer(packet))
         yaw, deeper_m = self._at(now - self._began)
         if now >= self._next_pose_s:
             self._next_pose_s = max(self._next_pose_s + POSE_S, now)
             x, y = self._towards * deeper_m
             body = msgpack.packb({"t": wall, "x": float(x), "y": float(y), "theta": yaw})
             self._poses.send_multipart((messages.SENSOR_POSE, body, b"%.6f" % wall), zmq.NOBLOCK)
-        if self._adapter.ihb.due(now):
+        if self._hub.due(now):
             counts = self._counts(np.array([*(self._towards * deeper_m), yaw]))
-            for command, payload in self._adapter.ihb.sensor_data(counts):
-                self._adapter.send(command, payload, wall)
+            self._send(self._hub.sensor_data(counts))
+        self._port.flush()
+
+    def _send(self, answers: Iterable[Answer]) -> None:
+        for command, payload in answers:
+            for frame in cyskin.to_frames(command, payload, ihb=self._hub.short_id, t=0.0):
+                if self._port.is_open:
+                    self._port.send(Unit(frame, None))
 
     def _at(self, t: float) -> tuple[float, float]:
         """Yaw of the sensor and how much nearer to the object it is than at the start."""
@@ -242,14 +262,15 @@ class Robot:
 
 
 @contextmanager
-def _daemon(case: Case, device: str, place: Path) -> Iterator[tuple[int, socket.socket]]:
+def _daemon(case: Case, place: Path) -> Iterator[tuple[int, socket.socket]]:
     """`taxeld run`: its process and the socket on which it says that it is ready."""
     settings = place / "config.toml"
     settings.write_text(
         f'[skin]\nlayout = "{case.layout}"\nfull_scale_counts = {FULL_SCALE}\n'
-        f'[source]\nkind = "serial"\nframing = "slcan"\nchannel = "{device}"\n'
+        f'[source]\nkind = "serial"\nframing = "slcan"\nchannel = "{place}/skin"\n'
         f'[scene]\nbundle = "{case.bundle}"\n[sensor_pose]\nendpoint = "ipc://{place}/poses"\n'
         f"[loop]\nrate_hz = {case.rate_hz}\n[filter]\nparticles_max = {case.particles_max}\n"
+        f"[budget]\nfilter_ms = {min(5.0, 500.0 / case.rate_hz)}\n"
         f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
         f'[control]\nendpoint = "ipc://{place}/control"\n',
         encoding="utf-8",
@@ -257,7 +278,8 @@ def _daemon(case: Case, device: str, place: Path) -> Iterator[tuple[int, socket.
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ready:
         ready.bind(str(place / "notify"))
         environ = {**os.environ, "NOTIFY_SOCKET": str(place / "notify")}
-        command = [sys.executable, "-m", "taxeld.cli", "run", str(settings)]
+        recorded = ["--record", str(place / "session")] if case.record else []
+        command = [sys.executable, "-m", "taxeld.cli", "run", *recorded, str(settings)]
         process = subprocess.Popen(command, env=environ)
         try:
             yield process.pid, ready
@@ -291,7 +313,7 @@ def _large_bundle(path: Path) -> Path:
     samplers are of their own skin."""
     shutil.copytree(bundle.find("box"), path)
     info = json.loads((path / "bundle.json").read_text(encoding="utf-8"))
-    large = layout.load(LARGE)
+    large = layouts.load(LARGE)
     info["layout"] = {**info["layout"], "name": large.name, "digest": large.digest}
     info["samplers"], info["auto"] = [], ["table"]
     (path / "bundle.json").write_text(json.dumps(info), encoding="utf-8")

@@ -15,17 +15,22 @@ from pathlib import Path
 
 import zmq
 
-from fake_time import EPOCH_S, FakeTime
-from taxeld import bundle, config, layout, messages, session
-from taxeld.config import Config, CurveConfig
-from taxeld.curve import Guard
-from taxeld.estimate import Estimate
-from taxeld.loop import Daemon
-from taxeld.pipeline import Pipeline
-from taxeld.poses import PoseTrack
-from taxeld.streams import Publisher
-from taxeld_hil import robot, scenario
-from taxeld_hil.world import World
+from fake_time import FakeTime
+from taxeld.config import file as config_file
+from taxeld.config.tables import Config
+from taxeld.estimator.estimate import Estimate
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld.proposals import bundle
+from taxeld.service.loop import Daemon
+from taxeld.source import session
+from taxeld.source.recorder import Recorder
+from taxeld.stream import messages
+from taxeld.stream.publisher import Publisher
+from taxeld_hil.scenario import scenario
+from taxeld_hil.world import robot
+from taxeld_hil.world.world import make_world
 from taxeld_protocol import cyskin
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
@@ -106,10 +111,11 @@ def sending() -> list[Row]:
         if client and client[0] not in (READS, STALLS):
             continue
         with tempfile.TemporaryDirectory() as place, zmq.Context() as context:
-            guard = Guard(context, None, CurveConfig())
-            publisher = Publisher(context, 100, {}, guard)
-            publisher.bind((f"ipc://{place}/stream",))
-            estimate = Pipeline(*setting(place)).estimate
+            publisher = Publisher(context, 100, {})
+            publisher.bind((f"ipc://{place}/stream",), "publish.endpoints")
+            settings, _, loaded = setting(place)
+            ladder = loaded.untimed(settings.filter)
+            estimate = Pipeline(settings, loaded.model, ladder).estimate
             with connected(client, place):
                 _settle(publisher, bool(client))
                 spent = _send_many(publisher, estimate)
@@ -175,15 +181,15 @@ def connected(client: tuple[str, ...], place: str) -> Iterator[None]:
         process.wait()
 
 
-def setting(place: str) -> tuple[Config, layout.Layout, bundle.Bundle]:
-    settings = config.parse(
+def setting(place: str) -> tuple[Config, Layout, bundle.Bundle]:
+    settings = config_file.parse(
         f'[source]\nkind = "replay"\npath = "{place}"\n[scene]\nbundle = "{SCENARIO.bundle}"\n'
         f'[skin]\nlayout = "{SCENARIO.layout}"\nfull_scale_counts = {SCENARIO.full_scale_counts}\n'
         f'[sensor_pose]\nendpoint = "ipc://{place}/poses"\n'
         f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
         f'[control]\nendpoint = "ipc://{place}/control"\n'
     )
-    skin = layout.load(settings.skin.layout)
+    skin = layouts.load(settings.skin.layout)
     return settings, skin, bundle.load(SCENARIO.bundle, skin, settings.skin.full_scale_depth_m)
 
 
@@ -191,10 +197,10 @@ def record(place: Path) -> list[session.PoseRow]:
     """The scenario as a session; → the sensor's poses."""
     _, skin, loaded = setting(str(place))
     modules = wired(skin.uid.tolist())
-    world = World(SCENARIO, loaded.model, modules, 0)
+    world = make_world(SCENARIO, loaded.model, modules, 0)
     path = robot.plan(SCENARIO, loaded.model, world.truth, 0)
     ihb = VirtualIhb(modules)
-    with session.Recorder(place, moves=True) as recorder:
+    with Recorder(place, moves=True) as recorder:
         for tick in range(int((path.duration_s + 2.0) / TICK_S)):
             t = 1e9 + tick * TICK_S
             pose = path.at(tick * TICK_S - 1.5)
@@ -212,14 +218,12 @@ def _run(place: str, poses: list[session.PoseRow], client: tuple[str, ...]) -> f
     clock = FakeTime()
     daemon = Daemon(setting(place)[0])
     clock.give(daemon)
-    assert isinstance(daemon.pipeline.poses, PoseTrack)
     spent, ticks = 0.0, 0
     try:
         with connected(client, place), clock.installed():
             _settle(daemon.publisher, bool(client) and client[0] in (READS, STALLS))
-            for t, *pose in poses:
+            for t, *_ in poses:  # which the replay takes by itself
                 clock.now_s = t - poses[0][0]
-                daemon.pipeline.poses.add(EPOCH_S + clock.now_s, *pose)
                 start = time.thread_time()
                 daemon.tick(clock.now_s)
                 spent += time.thread_time() - start

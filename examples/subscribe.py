@@ -5,7 +5,7 @@ import sys
 import msgpack
 import zmq
 
-endpoint = sys.argv[1] if len(sys.argv) > 1 else "tcp://127.0.0.1:9872"
+endpoint = sys.argv[1] if len(sys.argv) > 1 else "ipc:///run/taxeld/stream"
 socket = zmq.Context().socket(zmq.SUB)
 socket.connect(endpoint)
 socket.setsockopt(zmq.SUBSCRIBE, b"/taxeld/estimate")

@@ -5,18 +5,23 @@ import json
 import os
 import signal
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
-from taxeld import __version__, layout, session
-from taxeld.config import ControlConfig, load
+from taxeld import __version__
+from taxeld.config.endpoints import for_this_user
+from taxeld.config.file import load
+from taxeld.config.tables import ControlConfig
+from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
-from taxeld.toml_tables import ConfigError
+from taxeld.layout import read as layouts
+from taxeld.source import session
 from taxeld_protocol.modules import wired
 
 USAGE_ERROR, FAILED = 2, 1
 DONE = {
     "tare": "the idle baseline is being learned anew; leave the skin untouched until it is",
-    "reset": "forgotten what was felt",
+    "reset": "all touches are forgotten",
 }
 
 
@@ -39,23 +44,30 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from taxeld.loop import Daemon  # the other commands need neither zmq nor a device
+    # the other commands need neither zmq nor a device
+    from taxeld.commands.record import recorder_of
+    from taxeld.service import descriptors, log, signals
+    from taxeld.service.loop import Daemon
 
-    daemon = Daemon(load(args.config))
-
-    def stop(*_: object) -> None:
-        daemon.stopping = True
-
-    signal.signal(signal.SIGTERM, stop)
-    signal.signal(signal.SIGINT, stop)
-    daemon.run()
+    with log.written(), signals.Signals() as received:
+        descriptors.ensure()
+        config = load(args.config)
+        log.set_level(config.log.level)
+        recorder = recorder_of(config, args.config, args.record) if args.record else None
+        daemon = Daemon(config, recorder)
+        received.stop_by(daemon.stop)
+        actions: dict[int, Callable[[], None]] = {
+            signal.SIGHUP: lambda: signals.reload(args.config, config),
+            signal.SIGUSR1: lambda: signals.dump(daemon.state()),
+        }
+        daemon.run(lambda: received.serve(actions))
     if args.histogram:
         _write(args.histogram, json.dumps(daemon.latencies.as_cyclictest(), indent=1) + "\n")
     return 0
 
 
 def _record(args: argparse.Namespace) -> int:
-    from taxeld.record import Recording
+    from taxeld.commands.record import Recording
 
     recording = Recording(load(args.config), args.config, args.out)
 
@@ -65,11 +77,32 @@ def _record(args: argparse.Namespace) -> int:
     signal.signal(signal.SIGTERM, stop)
     signal.signal(signal.SIGINT, stop)
     print(recording.run())
+    return FAILED if recording.failed else 0
+
+
+def _relay(args: argparse.Namespace) -> int:
+    from taxeld.commands.relay import Relay
+    from taxeld.service import descriptors, log, signals
+
+    with log.written(), signals.Signals() as received:
+        descriptors.ensure()
+        config = load(args.config)
+        log.set_level(config.log.level)
+        relay = Relay(config)
+        received.stop_by(relay.stop)
+        reload: dict[int, Callable[[], None]] = {
+            signal.SIGHUP: lambda: signals.reload(args.config, config)
+        }
+        try:
+            relay.run(lambda: received.serve(reload))
+        except SetupError as error:  # at work, where another start may help
+            print(error, file=sys.stderr)
+            return FAILED
     return 0
 
 
 def _check(args: argparse.Namespace) -> int:
-    from taxeld import check
+    from taxeld.commands import check
 
     faults = check.faults(load(args.config))
     if faults:
@@ -79,18 +112,18 @@ def _check(args: argparse.Namespace) -> int:
 
 
 def _decode(args: argparse.Namespace) -> int:
-    from taxeld.decode import decode
+    from taxeld.commands.decode import decode
 
     modules = None
     if args.config:
-        modules = wired(layout.read(load(args.config).skin.layout).uid.tolist())
+        modules = wired(layouts.read(load(args.config).skin.layout).uid.tolist())
     for line in decode(args.log, modules, args.dialect):
         print(line)
     return 0
 
 
 def _replay(args: argparse.Namespace) -> int:
-    from taxeld.replay import replay
+    from taxeld.commands.replay import replay
 
     config = load(args.config or args.directory / session.CONFIG)
     for line in replay(args.directory, config, args.seed):
@@ -99,13 +132,13 @@ def _replay(args: argparse.Namespace) -> int:
 
 
 def _layout(args: argparse.Namespace) -> int:
-    from taxeld.layout_summary import summary
+    from taxeld.layout.summary import summary
 
-    skin = layout.read(args.layout)
+    skin = layouts.read(args.layout)
     print("\n".join(summary(skin)))
     if args.png:
         try:
-            from taxeld.layout_draw import draw
+            from taxeld.layout.draw import draw
         except ImportError as error:
             raise SetupError(f"--png: {error}; pip install 'taxeld[view]'") from None
         try:
@@ -116,18 +149,15 @@ def _layout(args: argparse.Namespace) -> int:
 
 
 def _ask(args: argparse.Namespace) -> int:
-    from taxeld import client, curve
-    from taxeld.status_text import lines
+    from taxeld.commands.status import lines
+    from taxeld.stream import client
 
-    endpoint, keys = args.endpoint, args.keys
+    endpoint = args.endpoint or for_this_user(ControlConfig().endpoint)
     if args.config:
-        config = load(args.config)
-        endpoint = config.control.endpoint
-        if curve.takes_keys(endpoint, config.curve):
-            keys = keys or Path(config.curve.directory)
+        endpoint = load(args.config).control.endpoint
         if not endpoint:
             raise SetupError("control.endpoint: is empty, so this daemon cannot be asked")
-    answer = client.ask(endpoint, args.name, keys)
+    answer = client.ask(endpoint, args.name, args.keys)
     if answer is None:
         print(f"no daemon answers at {endpoint}; is 'taxeld run' there?", file=sys.stderr)
         return FAILED
@@ -156,12 +186,17 @@ def _parser() -> argparse.ArgumentParser:
     run = commands.add_parser("run", help="the daemon")
     run.add_argument("config", type=Path, metavar="CONFIG")
     run.add_argument("--histogram", type=Path, metavar="FILE", help="latencies, when it ends")
+    run.add_argument("--record", type=Path, metavar="DIR", help="a session, beside estimates")
     run.set_defaults(command=_run)
 
     record = commands.add_parser("record", help="what skin and robot send → a session")
     record.add_argument("config", type=Path, metavar="CONFIG")
     record.add_argument("--out", type=Path, required=True, metavar="DIR")
     record.set_defaults(command=_record)
+
+    relay = commands.add_parser("relay", help="a daemon's streams over TCP")
+    relay.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's")
+    relay.set_defaults(command=_relay)
 
     check = commands.add_parser("check", help="validate all that a run needs")
     check.add_argument("config", type=Path, metavar="CONFIG")
@@ -187,12 +222,12 @@ def _parser() -> argparse.ArgumentParser:
     for name, text in (
         ("status", "what a running daemon believes and counts"),
         ("tare", "learn the idle baseline of an untouched skin anew"),
-        ("reset", "forget what was felt"),
+        ("reset", "forget all touches"),
     ):
         ask = commands.add_parser(name, help=text)
         where = ask.add_mutually_exclusive_group()
         where.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="the daemon's")
-        where.add_argument("--endpoint", default=ControlConfig().endpoint)
+        where.add_argument("--endpoint", help="the daemon's, or its relay's")
         ask.add_argument("--keys", type=Path, metavar="DIR", help="server.key, client.key_secret")
         if name == "status":
             ask.add_argument("--json", action="store_true", help="all of it, as it came")

@@ -32,7 +32,7 @@ class Triangle(Module):
 
 
 @dataclass(slots=True)
-class Counters:
+class IcubCounters:
     """Since start."""
 
     scans: int = 0
@@ -89,7 +89,7 @@ class IcubDecoder:
     def __init__(self, boards: Sequence[int] = icub.BOARDS) -> None:
         """`boards`: those of the part, in the order of its positions file: the triangles of board
         `boards[i]` get the SUIs 16·i … 16·i + 15. Frames of other boards are foreign."""
-        self.counters = Counters()
+        self.counters = IcubCounters()
         self.frames = 0
         self.dropped = dict.fromkeys(Drop, 0)
         self._first_sui = {board: TRIANGLES * i for i, board in enumerate(boards)}

@@ -12,10 +12,13 @@ from typing import TypeAlias
 import numpy as np
 import zmq
 
-from taxeld import bundle, layout, messages, session
-from taxeld.config import SkinConfig
+from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_hil import scenario as scenarios
+from taxeld.layout import read as layouts
+from taxeld.proposals import bundle
+from taxeld.source import session
+from taxeld.stream import messages
+from taxeld_hil.scenario import scenario as scenarios
 
 VCAN = "vcan0"
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
@@ -34,8 +37,8 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from taxeld_hil.hardware import Site
-    from taxeld_hil.run import on_hardware, simulate
+    from taxeld_hil.run.hardware import Site
+    from taxeld_hil.run.run import on_hardware, simulate
 
     transport, _, channel = args.transport.partition(":")
     scenario = scenarios.load(args.scenario).over(transport)
@@ -53,7 +56,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _soak(args: argparse.Namespace) -> int:
-    from taxeld_hil.soak import resumed, soak_fake, soak_live
+    from taxeld_hil.run.soak import resumed, soak_fake, soak_live
 
     base, real = scenarios.load(args.scenario), args.real_minutes is not None
     hours = args.real_minutes / 60.0 if real else args.hours
@@ -65,7 +68,7 @@ def _soak(args: argparse.Namespace) -> int:
 
 
 def _table(args: argparse.Namespace) -> int:
-    from taxeld_hil.table import rows
+    from taxeld_hil.run.table import rows
 
     for row in rows(range(args.seeds)):
         _say(row)
@@ -73,7 +76,7 @@ def _table(args: argparse.Namespace) -> int:
 
 
 def _emulate(args: argparse.Namespace) -> int:
-    from taxeld_hil.emulate import emulate
+    from taxeld_hil.run.emulate import emulate
 
     scenario = scenarios.load(args.scenario).over("can" if args.can else "")
     if emulate(scenario, args.seed, args.poses, args.can or args.link, args.out):
@@ -83,7 +86,7 @@ def _emulate(args: argparse.Namespace) -> int:
 
 
 def _accept(args: argparse.Namespace) -> int:
-    from taxeld_hil.accept import SECONDS_MAX, SECONDS_MIN, run
+    from taxeld_hil.acceptance.accept import SECONDS_MAX, SECONDS_MIN, run
 
     for option, value, least, most in (
         ("--seconds", args.seconds, SECONDS_MIN, SECONDS_MAX),
@@ -108,12 +111,12 @@ def _accept(args: argparse.Namespace) -> int:
 
 
 def _watch(args: argparse.Namespace) -> int:
-    from taxeld_hil.watch import HEADER, Watch, receive
+    from taxeld_hil.run.watch import HEADER, ContactTable, receive
 
-    skin = layout.load(args.layout)
+    skin = layouts.load(args.layout)
     scene = bundle.load(args.bundle, skin, SkinConfig().full_scale_depth_m).model.scene
     truth = np.array(session.read_poses(args.truth)[-1][1:]) if args.truth else None
-    watch = Watch(scene, truth)
+    table = ContactTable(scene, truth)
     stopping: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda got, _: stopping.append(got))
@@ -121,22 +124,22 @@ def _watch(args: argparse.Namespace) -> int:
         socket.connect(args.endpoint)
         for topic in (messages.ESTIMATE, messages.TAXELS):
             socket.setsockopt(zmq.SUBSCRIBE, topic)
-        heard = False
+        begun = False
         while not stopping:
             if socket.poll(50):
-                if not heard:
+                if not begun:
                     _say(HEADER)
-                heard = True
-                line = receive(socket, watch)
+                begun = True
+                line = receive(socket, table)
                 if line:
                     _say(line)
-    print("\n".join(watch.latencies()))
-    _say(f"final symmetry-aware ADD {watch.error_mm():.1f} mm")
+    print("\n".join(table.latencies()))
+    _say(f"final symmetry-aware ADD {table.error_mm():.1f} mm")
     return 0
 
 
 def _draw(args: argparse.Namespace) -> int:
-    from taxeld_hil.draw import draw
+    from taxeld_hil.run.draw import draw
 
     draw(args.session, args.out)
     print(args.out)
@@ -144,7 +147,7 @@ def _draw(args: argparse.Namespace) -> int:
 
 
 def _physics(args: argparse.Namespace) -> int:
-    from taxeld_hil.physics_experiment import Plan, experiment
+    from taxeld_hil.experiment.physics_experiment import Plan, experiment
 
     plan = Plan.quick if args.quick else Plan
     given = {
@@ -167,13 +170,14 @@ def _say(line: str) -> None:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="taxeld-hil", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    _add_grades(commands)
+    _add_run(commands)
+    _add_soak_and_table(commands)
+    _add_measurements(commands)
     _add_parts(commands)
     return parser
 
 
-def _add_grades(commands: Commands) -> None:
-    """What is judged."""
+def _add_run(commands: Commands) -> None:
     run = commands.add_parser("run", help="a scenario with all its processes")
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped name (demo) or a TOML file")
     run.add_argument("--seed", type=int, default=0)
@@ -193,6 +197,8 @@ def _add_grades(commands: Commands) -> None:
     )
     run.set_defaults(command=_run)
 
+
+def _add_soak_and_table(commands: Commands) -> None:
     soak = commands.add_parser("soak", help="random faults, for hours")
     soak.add_argument("scenario", nargs="?", default="demo", metavar="SCENARIO")
     soak.add_argument("--seed", type=int, default=0)
@@ -206,7 +212,10 @@ def _add_grades(commands: Commands) -> None:
     table.add_argument("--seeds", type=int, default=5)
     table.set_defaults(command=_table)
 
-    accept = commands.add_parser("accept", help="whether a skin that is there is fit for use")
+
+def _add_measurements(commands: Commands) -> None:
+    """Of a real skin, and of the simulated one."""
+    accept = commands.add_parser("accept", help="check a real skin, before it is used")
     accept.add_argument(
         "target", metavar="TARGET", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …"
     )
@@ -233,7 +242,7 @@ def _add_grades(commands: Commands) -> None:
 
 
 def _add_parts(commands: Commands) -> None:
-    """The parts of it, alone."""
+    """The commands for the harness's parts."""
     emulate = commands.add_parser("emulate", help="the virtual skin and robot alone")
     emulate.add_argument("scenario", metavar="SCENARIO")
     emulate.add_argument("--seed", type=int, default=0)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import zmq
 
-from taxeld import layout as layouts
-from taxeld.layout import Layout
-from taxeld.observation import ObservationModel
-from taxeld.scene import Scene
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.model.observation import ObservationModel
+from taxeld.model.scene import Scene
 
 DEPTH_MAX_M = 0.005
 CELL = 0.002

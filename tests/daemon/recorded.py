@@ -4,8 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from taxeld import layout
-from taxeld.config import SkinConfig
+from taxeld.config.tables import SkinConfig
+from taxeld.layout import read as layouts
 from taxeld_protocol import cyskin
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
@@ -19,7 +19,7 @@ DEAD = 5  # a channel that never reads anything
 
 def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S) -> None:
     """`frames.log` in `place`: idle, then `touches` times ten scans of touch and ten of none."""
-    modules = wired(layout.load(SkinConfig().layout).uid.tolist())
+    modules = wired(layouts.load(SkinConfig().layout).uid.tolist())
     channels = sum(module.channels for module in modules)
     rng = np.random.default_rng(0)
     ihb = VirtualIhb(modules)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from taxeld.bring_up import BringUp, Request
+from taxeld.source.bring_up import SHORT_IDS, BringUp, Request
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import BROADCAST, Command
 from taxeld_protocol.decoder import Decoder
@@ -139,6 +139,20 @@ def test_a_hub_that_rebooted_is_started_again() -> None:
     bus.run(2.0, 5.0)
     assert hub.auto_sync
     assert (hub.short_id, hub.period_ms) == (1, 20)
+
+
+def test_a_bus_that_makes_up_hubs_without_end_fills_no_table() -> None:
+    bus = Bus(VirtualIhb(wired(UIDS)))
+    bus.run(0.0, 2.0)
+    for uid in range(1000, 4000):
+        answer = uid.to_bytes(4, "big")
+        for ihb in (uid % 254 + 1, 9):
+            bus.bring_up.on_packet(cyskin.Packet(0.0, ihb, Command.DISCOVERY_PING, answer))
+    tables = [value for value in vars(bus.bring_up).values() if isinstance(value, dict | set)]
+    assert max(map(len, tables)) <= SHORT_IDS
+    scans = bus.scans
+    bus.run(4.0, 9.0)
+    assert bus.scans - scans > 100, "the hub that is there is still heard"
 
 
 def test_silence_is_asked_at_a_steady_low_rate() -> None:

@@ -8,17 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld import bundle, contacts, layout, messages
-from taxeld.bundle import Bundle
-from taxeld.config import load, parse
-from taxeld.estimate import Status
-from taxeld.ladder import Step
-from taxeld.loop import STAGES, Daemon
-from taxeld.pipeline import WAITING_MAX, Pipeline
+from taxeld.config.file import load, parse
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.estimate import Status
+from taxeld.layout import read as layouts
+from taxeld.model import contacts
+from taxeld.pipeline.pipeline import WAITING_MAX, Pipeline
+from taxeld.pipeline.warm_up import warm_up
+from taxeld.proposals import bundle, choice
+from taxeld.proposals.bundle import Bundle
+from taxeld.proposals.ladder import Step
+from taxeld.service.loop import STAGES, Daemon
+from taxeld.stream import messages
 from tests.daemon.recorded import configuration, write_session
 from tests.daemon.simulated_skin import SimulatedSkin
 
-SKIN = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 CONFIG = (
     '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n[skin]\nbaseline_scans = 5\n'
 )
@@ -36,10 +41,15 @@ def box() -> Bundle:
     return bundle.load("box", SKIN, 0.005)
 
 
+def pipeline_of(box: Bundle) -> Pipeline:
+    config = parse(CONFIG)
+    return Pipeline(config, box.model, choice.ladder(box, config, Clock()))
+
+
 @pytest.fixture
 def begun(box: Bundle) -> tuple[Pipeline, SimulatedSkin]:
     """A pipeline on a clock that stands still, with a baseline, and the skin that it is of."""
-    pipeline, skin = Pipeline(parse(CONFIG), SKIN, box, Clock()), SimulatedSkin(SKIN, noise=5.0)
+    pipeline, skin = pipeline_of(box), SimulatedSkin(SKIN, noise=5.0)
     for _ in range(8):
         scan = skin.scan()
         list(pipeline.advance([scan], scan.t))
@@ -112,25 +122,26 @@ def test_a_touch_without_time_brings_no_sample_and_the_next_with_time_all_of_the
 
 
 def test_to_warm_up_leaves_no_trace_in_the_belief(box: Bundle) -> None:
-    told = []
+    found = []
     for warm in (False, True):
-        pipeline, skin = Pipeline(parse(CONFIG), SKIN, box, Clock()), SimulatedSkin(SKIN, noise=5.0)
+        pipeline, skin = pipeline_of(box), SimulatedSkin(SKIN, noise=5.0)
         if warm:
-            pipeline.warm_up()
+            warm_up(box.model, pipeline.ladder, pipeline.config.filter)
         scans = [skin.scan() for _ in range(8)]
         skin.press = _pressed(box)
         scans += [skin.scan() for _ in range(3)]
         for scan in scans:
             list(pipeline.advance([scan], scan.t))
         estimate = messages.estimate(pipeline.estimate, seq=0, valid=True)
-        told.append((json.dumps(estimate), pipeline.ladder.counters.chosen))
-    assert told[0] == told[1]
+        found.append((json.dumps(estimate), pipeline.ladder.counters.chosen))
+    assert found[0] == found[1]
 
 
 def test_the_ladder_has_cheaper_rungs_below_the_chosen_one_and_ends_without_samples(
     box: Bundle,
 ) -> None:
-    rungs = box.ladder(box.proposal("", "ddpm-100"), 50)
+    opened = choice.open_all(box, FilterConfig(sampler="ddpm-100"))
+    rungs = choice.rungs(box, opened, "ddpm-100", 50)
     steps = [rung.step for rung in rungs]
     assert steps == sorted(steps)
     assert steps[0] is Step.CHOSEN

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from taxeld import bundle
 from taxeld.cli import main
+from taxeld.proposals import bundle
 from taxeld_protocol import cyskin
 
 from ..firmware_protocol.test_cyskin import GOLDEN_REQUESTS, GOLDEN_SCAN
@@ -116,11 +116,12 @@ FAULTS = [
     ("skin", "layout", '"ball"', "skin.layout: 'ball' is no known layout"),
     ("skin", "full_scale_depth_m", "0.004", "skin.full_scale_depth_m: is 0.004, but box"),
     ("filter", "sampler", '"ddpm-7"', "filter.sampler: box has no 'ddpm-7'; it has "),
-    ("publish", "endpoints", '["tcp://0.0.0.0:1"]', "publish.endpoints: 'tcp://0.0.0.0:1' is not"),
-    ("control", "endpoint", '"tcp://*:1"', "control.endpoint: 'tcp://*:1' is not local"),
+    ("publish", "endpoints", '["tcp://0.0.0.0:1"]', "publish.endpoints: 'tcp://0.0.0.0:1' is for"),
+    ("control", "endpoint", '"tcp://*:1"', "control.endpoint: 'tcp://*:1' is for the relay"),
+    ("relay", "publish", '["tcp://0.0.0.0:1"]', "relay.publish: 'tcp://0.0.0.0:1' is not local"),
     ("sensor_pose", "endpoint", '"tcp://robot:1"', "sensor_pose.endpoint: 'tcp://robot:1' is not"),
     ("curve", "directory", '"/nowhere"', "curve.directory: /nowhere/server.key_secret is not"),
-    ("source", "path", '"/nowhere"', "/nowhere/frames.log: unreadable log"),
+    ("source", "path", '"/nowhere"', "/nowhere/frames.log: unreadable"),
 ]
 
 
@@ -141,9 +142,9 @@ def test_a_faulty_configuration_is_one_line_and_status_2(
 @pytest.mark.parametrize("command", ["check", "run", "replay"])
 @pytest.mark.parametrize(
     ("content", "fault"),
-    [("", "holds no frames"), ("(1.0) can0 101#43\n(1.0) can", "line 2 is no candump line")],
+    [("", "holds no frames"), ("(1.0) can0 101#43\n(1.0) can\n", "line 2 is no candump line")],
 )
-def test_a_truncated_log_is_one_line_and_status_2(
+def test_a_damaged_log_is_one_line_and_status_2(
     place: Path, capsys: pytest.CaptureFixture[str], command: str, content: str, fault: str
 ) -> None:
     path = configuration(place)
@@ -154,7 +155,7 @@ def test_a_truncated_log_is_one_line_and_status_2(
     assert err.count("\n") == 1
 
 
-@pytest.mark.parametrize("command", ["check", "run"])
+@pytest.mark.parametrize("command", ["check", "record"])
 @pytest.mark.parametrize(
     ("interface", "channel", "fault"),
     [
@@ -162,7 +163,7 @@ def test_a_truncated_log_is_one_line_and_status_2(
         ("socketcan", "can77", "source.channel: "),
     ],
 )
-def test_a_missing_device_is_one_line_and_status_2(
+def test_a_missing_device_is_one_line_and_status_2_but_for_the_daemon_which_waits(
     place: Path, capsys: pytest.CaptureFixture[str], command: str, interface: str, channel: str,
     fault: str,
 ) -> None:  # fmt: skip
@@ -170,7 +171,8 @@ def test_a_missing_device_is_one_line_and_status_2(
     text = path.read_text(encoding="utf-8").replace('kind = "replay"', 'kind = "can"')
     text = text.replace("path =", f'interface = "{interface}"\nchannel = "{channel}"\npath =')
     path.write_text(text, encoding="utf-8")
-    assert main([command, str(path)]) == 2
+    out = ["--out", str(place / "session")] if command == "record" else []
+    assert main([command, *out, str(path)]) == 2
     err = capsys.readouterr().err
     assert err.startswith(fault)
     assert err.count("\n") == 1

@@ -6,8 +6,9 @@ from typing import get_type_hints
 
 import pytest
 
-from taxeld.config import Config, parse
-from taxeld.toml_tables import ConfigError
+from taxeld.config.file import parse
+from taxeld.config.tables import Config
+from taxeld.config.toml_tables import ConfigError
 
 MINIMAL = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
 DOCUMENTED = Path(__file__).parents[2] / "docs" / "configuration.md"
@@ -17,7 +18,7 @@ def test_a_minimal_configuration_has_every_default() -> None:
     config = parse(MINIMAL)
     assert config.source.interface == "socketcan"
     assert config.filter.particles == 100
-    assert config.publish.endpoints == ("ipc:///run/taxeld/stream", "tcp://127.0.0.1:9872")
+    assert config.publish.endpoints == ("ipc:///run/taxeld/stream",)
 
 
 @pytest.mark.parametrize(
@@ -31,12 +32,15 @@ def test_a_minimal_configuration_has_every_default() -> None:
         ("[source]\nkind = 'replay'", "source.path: is required for kind 'replay'"),
         ("[loop]\nrate_hz = 0", "loop.rate_hz: must be 1..1000, not 0"),
         ("[loop]\nrate_hz = nan", "loop.rate_hz: must be a number, not nan"),
+        ("[loop]\nrate_hz = 1000", "loop.rate_hz: 1000 leaves 1.0 ms a tick, and budget has 7.5"),
+        ("[metrics]\nfile = '/run/skin'", "metrics.file: /run/skin must be an absolute path that"),
+        ("[log]\nlevel = 'loud'", "log.level: must be one of debug, info, warning, error"),
         ("[loop]\nrate_hz = true", "loop.rate_hz: must be a number, not True"),
         ("[filter]\nparticles = 1.5", "filter.particles: must be an integer, not 1.5"),
         ("[filter]\ncentre_m = [1]", "filter.centre_m: must be a list of 2 (float), not [1]"),
         ("loop = 3", "loop: must be a table [loop]"),
-        ("[publish]\nendpoints = ['tcp://0.0.0.0:1']", "publish.endpoints: 'tcp://0.0.0.0:1' is"),
-        ("[control]\nendpoint = 'tcp://*:1'", "control.endpoint: 'tcp://*:1' is not local"),
+        ("[relay]\npublish = ['tcp://0.0.0.0:1']", "relay.publish: 'tcp://0.0.0.0:1' is not local"),
+        ("[relay]\ncontrol = 'tcp://*:1'", "relay.control: 'tcp://*:1' is not local"),
         ("[scene]", "scene.bundle: is required"),
         ("", "source: is required"),
     ],

@@ -1,6 +1,7 @@
 """Control: whatever a client sends, it gets an answer, and the loop gets its tick."""
 
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,8 @@ import msgpack
 import pytest
 import zmq
 
-from taxeld.config import CurveConfig
-from taxeld.control import FRAMES_PER_POLL, POLL_S, Control
-from taxeld.curve import Guard
+from taxeld.stream import client
+from taxeld.stream.control import DOOR_S, POLL_S, REQUESTS_PER_POLL, Control
 
 from .conftest import Sockets
 
@@ -22,11 +22,9 @@ class Desk:
         self.endpoint = f"ipc://{place}/control"
         self.done, self.now = 0, 0.0
         self._sockets = sockets
-        guard = Guard(sockets.context, None, CurveConfig())
         handlers = {"work": self._work, "break": self._break, "mangle": lambda: {"x": object()}}
-        self.control = Control(sockets.context, handlers, guard)
+        self.control = Control(sockets.context, self.endpoint, "control.endpoint", handlers)
         sockets.callback(self.control.close)
-        self.control.bind(self.endpoint)
 
     def client(self, kind: int = zmq.REQ) -> zmq.Socket[Any]:
         socket = self._sockets.open(kind)
@@ -82,7 +80,7 @@ def test_a_command_that_fails_is_an_answer(desk: Desk, command: str) -> None:
     assert desk.ask(cmd="work")["ok"]
 
 
-@pytest.mark.parametrize("parts", [[b""], [b"", b""], [b"x"] * 2, [b"x"] * 3, [b"x"] * 5000])
+@pytest.mark.parametrize("parts", [[b""], [b"", b""], [b"x"] * 2, [b"x"] * 3, [b"x"] * 7])
 def test_messages_of_any_shape_do_no_harm(desk: Desk, parts: list[bytes]) -> None:
     odd = desk.client(zmq.DEALER)
     odd.send_multipart(parts)
@@ -103,5 +101,38 @@ def test_a_flood_waits_and_others_take_turns_with_it(desk: Desk) -> None:
         assert time.monotonic() < deadline
         before = desk.control.counters.requests
         desk.poll()
-        assert desk.control.counters.requests - before <= FRAMES_PER_POLL / 3
+        assert desk.control.counters.requests - before <= REQUESTS_PER_POLL
     assert desk.done < 200, "the honest one did not wait for the end of the flood"
+
+
+def test_a_message_of_very_many_frames_is_not_read_to_its_end(desk: Desk) -> None:
+    flooder = desk.client(zmq.DEALER)
+    flooder.send_multipart([b"x"] * 200_000)
+    deadline = time.monotonic() + 20.0
+    while not desk.control.counters.oversized:
+        assert time.monotonic() < deadline
+        desk.poll()
+        time.sleep(0.001)
+    assert desk.control.counters.requests == 0, "of the long one nothing is taken for a request"
+    assert desk.ask(cmd="work")["ok"]
+    assert desk.control.counters.requests == 1
+
+
+def test_who_asks_meanwhile_asks_again_by_itself(desk: Desk) -> None:
+    """`taxeld status` beside a client whose message costs everybody the connection."""
+    flooder = desk.client(zmq.DEALER)
+    flooder.send_multipart([b"x"] * 200_000)
+    with ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(client.ask, desk.endpoint, "work", timeout_s=20.0)
+        while not answer.done():
+            desk.poll()
+            time.sleep(0.002)
+    assert answer.result() == {"ok": True, "done": desk.done}
+
+
+def test_a_socket_file_that_vanished_is_bound_again(desk: Desk, tmp_path: Path) -> None:
+    assert desk.ask(cmd="work")["ok"]
+    (tmp_path / "control").unlink()
+    desk.now += DOOR_S
+    assert desk.ask(cmd="work")["ok"]
+    assert desk.control.counters.bound_again == 1

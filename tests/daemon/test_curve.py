@@ -14,13 +14,17 @@ import pytest
 import zmq
 from zmq.auth import create_certificates, load_certificate
 
-from taxeld import client, curve, messages
-from taxeld.config import Config, parse
+from taxeld.commands.record import Recording
+from taxeld.commands.relay import Relay
+from taxeld.config.file import parse
+from taxeld.config.tables import Config
 from taxeld.errors import SetupError
-from taxeld.loop import Daemon
-from taxeld.record import Recording
+from taxeld.service.loop import Daemon
+from taxeld.stream import client, curve, messages
 
 from .conftest import Sockets
+
+LOADS = (curve.relay_keys, curve.robot_keys)
 
 
 def pair(directory: Path, name: str) -> tuple[bytes, bytes]:
@@ -57,8 +61,10 @@ def configuration(place: Path, stream: int, control: int = 0, poses: int = 0) ->
     text = (
         f'[source]\nkind = "can"\ninterface = "virtual"\nchannel = "{place.name}"\n'
         f'[scene]\nbundle = "box"\n[curve]\ndirectory = "{place}/keys"\nloopback = true\n'
-        f'[publish]\nendpoints = ["ipc://{place}/stream", "tcp://127.0.0.1:{stream}"]\n'
-        f'[control]\nendpoint = "{f"tcp://127.0.0.1:{control}" if control else ""}"\n'
+        f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
+        f'[control]\nendpoint = "ipc://{place}/control"\n'
+        f'[relay]\npublish = ["tcp://127.0.0.1:{stream}"]\n'
+        f'control = "{f"tcp://127.0.0.1:{control}" if control else ""}"\n'
         f'[sensor_pose]\nendpoint = "{f"tcp://127.0.0.1:{poses}" if poses else ""}"\n'
     )
     return parse(text)
@@ -75,10 +81,24 @@ def subscriber(
     return socket
 
 
-def hears(daemon: Daemon, socket: zmq.Socket[Any], seconds: float = 10.0) -> bool:
+class Both:
+    """A daemon and its relay, in turns."""
+
+    def __init__(self, sockets: Sockets, config: Config) -> None:
+        self.daemon = Daemon(config)
+        sockets.callback(self.daemon.close)
+        self.relay = Relay(config)
+        sockets.callback(self.relay.close)
+
+    def tick(self) -> None:
+        self.daemon.tick(time.monotonic())
+        self.relay.step()
+
+
+def hears(both: Both, socket: zmq.Socket[Any], seconds: float = 10.0) -> bool:
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
-        daemon.tick(time.monotonic())
+        both.tick()
         if socket.poll(2):
             return True
     return False
@@ -90,47 +110,47 @@ def test_only_the_holder_of_an_authorised_key_hears_anything(
     port = free_port()
     endpoint = f"tcp://127.0.0.1:{port}"
     server = curve.public_key(keys / "server.key")
-    daemon = Daemon(configuration(tmp_path, port))
-    sockets.callback(daemon.close)
+    both = Both(sockets, configuration(tmp_path, port))
+    guard = both.relay._guard
     known = subscriber(
         sockets, endpoint, server, curve.secret_key(tmp_path / "client/client.key_secret")
     )
-    assert hears(daemon, known)
+    assert hears(both, known)
     while known.recv_multipart()[0] != messages.INFO:
-        assert hears(daemon, known), "nobody is greeted"
-    assert daemon.guard.refused == 0
+        assert hears(both, known), "nobody is greeted"
+    assert guard.refused == 0
     stranger = subscriber(sockets, endpoint, server, pair(tmp_path / "stranger", "stranger"))
     plain = subscriber(sockets, endpoint)
     misled = subscriber(
         sockets, endpoint, pair(tmp_path / "fake", "fake")[0], pair(tmp_path / "fake", "own")
     )
-    assert not hears(daemon, stranger, 1.0)
+    assert not hears(both, stranger, 1.0)
     assert not plain.poll(0)
     assert not misled.poll(0)
-    assert daemon.guard.refused > 0
-    assert hears(daemon, subscriber(sockets, f"ipc://{tmp_path}/stream")), "ipc stays plain"
-    assert hears(daemon, known)
+    assert guard.refused > 0
+    assert hears(both, subscriber(sockets, f"ipc://{tmp_path}/stream")), "ipc stays plain"
+    assert hears(both, known)
 
 
-def ask(daemon: Daemon, *args: Any, **more: Any) -> dict[str, Any] | None:
+def ask(both: Both, *args: Any, **more: Any) -> dict[str, Any] | None:
     with ThreadPoolExecutor(1) as pool:
         answer = pool.submit(client.ask, *args, **more)
         while not answer.done():
-            daemon.tick(time.monotonic())
-            time.sleep(0.002)
+            both.tick()
         return answer.result()
 
 
 @pytest.mark.usefixtures("keys")
-def test_commands_take_keys_too(sockets: Sockets, tmp_path: Path) -> None:
+def test_questions_take_keys_too(sockets: Sockets, tmp_path: Path) -> None:
     port = free_port()
     endpoint = f"tcp://127.0.0.1:{port}"
-    daemon = Daemon(configuration(tmp_path, free_port(), control=port))
-    sockets.callback(daemon.close)
-    answer = ask(daemon, endpoint, "info", tmp_path / "client", timeout_s=10.0)
+    both = Both(sockets, configuration(tmp_path, free_port(), control=port))
+    for _ in range(20):
+        both.tick()
+    answer = ask(both, endpoint, "info", tmp_path / "client", timeout_s=10.0)
     assert answer is not None
     assert answer["ok"]
-    assert ask(daemon, endpoint, "tare", timeout_s=0.5) is None
+    assert ask(both, endpoint, "info", timeout_s=0.5) is None
 
 
 @pytest.mark.usefixtures("keys")
@@ -187,7 +207,7 @@ def test_keys_that_cannot_be_used_are_one_line(
 ) -> None:
     damage(keys)
     with pytest.raises(SetupError) as error:
-        curve.load(configuration(tmp_path, 9, poses=8))
+        _ = [load(configuration(tmp_path, 9, poses=8)) for load in LOADS]
     assert str(error.value).startswith("curve.directory: ")
     assert fault in str(error.value)
     assert "\n" not in str(error.value)
@@ -195,7 +215,7 @@ def test_keys_that_cannot_be_used_are_one_line(
 
 def test_a_secret_that_the_group_may_read_is_fine(keys: Path, tmp_path: Path) -> None:
     (keys / "server.key_secret").chmod(0o640)
-    loaded = curve.load(configuration(tmp_path, 9))
+    loaded = curve.relay_keys(configuration(tmp_path, 9))
     assert loaded is not None
     assert len(loaded.clients) == 1
 

@@ -1,11 +1,16 @@
 """Endpoints: this machine alone, unless there are keys."""
 
+import stat
+from pathlib import Path
+
 import pytest
 
-from taxeld import endpoints
-from taxeld.config import CurveConfig, parse
-from taxeld.curve import takes_keys
-from taxeld.toml_tables import ConfigError
+from taxeld.config import endpoints
+from taxeld.config.file import parse
+from taxeld.config.tables import CurveConfig
+from taxeld.config.toml_tables import ConfigError
+from taxeld.stream.curve import takes_keys
+from taxeld.stream.door import Door
 
 MINIMAL = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
 LOCAL = [
@@ -64,7 +69,7 @@ def test_on_request_tcp_takes_keys_on_this_machine_too() -> None:
 
 @pytest.mark.parametrize(
     "table",
-    ["[publish]\nendpoints = ['tcp://127.0.0.1:1', '{}']", "[control]\nendpoint = '{}'",
+    ["[relay]\npublish = ['tcp://127.0.0.1:1', '{}']", "[relay]\ncontrol = '{}'",
      "[sensor_pose]\nendpoint = '{}'"],
 )  # fmt: skip
 def test_each_fault_is_one_line_that_names_its_key(table: str) -> None:
@@ -74,3 +79,45 @@ def test_each_fault_is_one_line_that_names_its_key(table: str) -> None:
     key = table.replace("[", "").replace("]\n", ".").split(" =", maxsplit=1)[0]
     assert line.startswith(f"{key}: 'tcp://0.0.0.0:1' is not local")
     parse(MINIMAL + table.format("tcp://0.0.0.0:1") + "\n[curve]\ndirectory = '/keys'")
+
+
+@pytest.mark.parametrize(
+    ("table", "key", "relay_key"),
+    [
+        ("[publish]\nendpoints = ['ipc:///a', '{}']", "publish.endpoints", "relay.publish"),
+        ("[control]\nendpoint = '{}'", "control.endpoint", "relay.control"),
+    ],
+)
+@pytest.mark.parametrize("endpoint", LOCAL[1:] + BEYOND)
+@pytest.mark.parametrize("curve", ["", "\n[curve]\ndirectory = '/keys'"])
+def test_the_daemon_itself_serves_no_network_with_keys_or_without(
+    table: str, key: str, relay_key: str, endpoint: str, curve: str
+) -> None:
+    with pytest.raises(ConfigError) as error:
+        parse(MINIMAL + table.format(endpoint) + curve)
+    assert error.value.faults == [
+        f"{key}: '{endpoint}' is for the relay: name it in {relay_key} and start "
+        "'taxeld relay CONFIG'; the daemon serves ipc:///path alone"
+    ]
+
+
+def test_a_users_own_daemon_has_its_sockets_in_the_users_runtime_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    services, users = tmp_path / "run" / "taxeld", tmp_path / "user"
+    monkeypatch.setattr(endpoints, "RUNTIME", services)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(users))
+    stream = f"ipc://{services}/stream"
+    own = f"ipc://{users}/taxeld/stream"
+    assert endpoints.for_this_user(stream) == own
+    assert endpoints.no_directory(own) is None
+    users.mkdir()
+    Door(own, "publish.endpoints").close()
+    assert stat.S_IMODE((users / "taxeld").stat().st_mode) == 0o700
+    for other in ("ipc:///tmp/x", f"ipc://{services}/a/b", "tcp://127.0.0.1:1", ""):
+        assert endpoints.for_this_user(other) == other
+    services.mkdir(parents=True)
+    assert endpoints.for_this_user(stream) == stream, "the service is open to this user"
+    services.rmdir()
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert endpoints.for_this_user(stream) == stream

@@ -6,16 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taxeld import contacts, messages, se2
-from taxeld.config import FilterConfig
-from taxeld.estimate import Estimate, Status
-from taxeld.estimator import Estimator
-from taxeld.mixture_rule import SILENT_MAX, THOUGHTS, Mixture
-from taxeld.observation import ObservationModel
-from taxeld.poses import PoseTrack
-from taxeld.proposals import Projection
-from taxeld.se2 import Poses
-from taxeld.skin import Activation
+from taxeld.arrays import Poses
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.estimate import Estimate, Status
+from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.mixture import REVISITS, SILENT_MAX, Mixture
+from taxeld.model import contacts, se2
+from taxeld.model.activation import Activation
+from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.poses import PoseTrack
+from taxeld.proposals.analytic import Projection
+from taxeld.stream import messages
 
 TRUTH = np.array([0.1, 0.05, 0.3])
 
@@ -57,7 +58,7 @@ def test_without_samples_there_is_nothing_to_think_with(box_model: ObservationMo
         reading = Activation(1.0 + 0.05 * k, odd.copy(), np.ones(len(odd), dtype=bool))
         subject.on_scan(reading, press(0.1))
     assert subject.counters.thoughts == 0
-    assert np.isclose(subject.belief.weight.sum(), 1.0)
+    assert np.isclose(subject.rule.belief.weight.sum(), 1.0)
 
 
 def test_a_held_contact_counts_once(box_model: ObservationModel) -> None:
@@ -108,12 +109,12 @@ def test_a_flicker_does_not_begin_a_contact(box_model: ObservationModel) -> None
 def test_touching_nothing_is_evidence(box_model: ObservationModel) -> None:
     """Silence where particles expect touch removes their weight."""
     subject = estimator(box_model)
-    subject.belief.pose[:] = [0.0, 0.0, 0.0]
-    subject.belief.pose[:50] = [0.5, 0.5, 0.0]
+    subject.rule.belief.pose[:] = [0.0, 0.0, 0.0]
+    subject.rule.belief.pose[:50] = [0.5, 0.5, 0.0]
     sensor = np.array([0.068, 0.0, 0.0])  # pressed 2 mm by the half that stands at the origin
     subject.on_scan(Activation(0.0, np.zeros(32), np.ones(32, dtype=bool)), sensor)
-    weight = subject.belief.weight
-    near = np.hypot(*subject.belief.pose[:, :2].T) < 0.2
+    weight = subject.rule.belief.weight
+    near = np.hypot(*subject.rule.belief.pose[:, :2].T) < 0.2
     assert weight[near].sum() < 0.01
 
 
@@ -149,7 +150,7 @@ def test_values_that_are_not_finite_are_counted(box_model: ObservationModel, bad
     subject.on_scan(Activation(0.0, z, live), np.zeros(3))
     subject.on_scan(Activation(0.0, np.zeros(32), live), np.array([0.0, bad, 0.0]))
     assert subject.counters.bad_input == 2
-    assert np.isfinite(subject.belief.pose).all()
+    assert np.isfinite(subject.rule.belief.pose).all()
 
 
 def test_poses_are_interpolated_through_the_turn() -> None:
@@ -183,7 +184,7 @@ def test_by_the_papers_rule_nothing_is_remembered(box_model: ObservationModel) -
     subject = estimator(box_model, injection="paper")
     approach(subject, box_model)
     assert subject.counters.injections == 1
-    assert len(subject.belief) == 100
+    assert len(subject.rule.belief) == 100
     assert not hasattr(subject.rule, "memory")
 
 
@@ -193,7 +194,7 @@ def test_the_memory_is_bounded(box_model: ObservationModel) -> None:
         approach(subject, box_model, t=10.0 * k)
     rule = subject.rule
     assert isinstance(rule, Mixture)
-    assert np.count_nonzero(rule.memory.touch) == 3
+    assert np.count_nonzero(rule.memory.contact) == 3
     assert len(rule.memory) <= 3 + SILENT_MAX
     assert np.allclose(rule.memory.explain(rule.belief.pose), rule.belief.remembered)
 
@@ -250,7 +251,7 @@ def settled(model: ObservationModel) -> tuple[World, Estimator]:
     for angle in (0.2, 1.3, 2.9, 4.5):
         estimate = world.press(subject, angle)
     assert estimate.status is Status.CONVERGED
-    assert subject.metric.distance(estimate.map, TRUTH) < 0.003
+    assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.003
     return world, subject
 
 
@@ -274,7 +275,7 @@ def test_an_object_that_was_moved_is_inconsistent_and_then_found(
         estimate = world.press(subject, angle)
     assert subject.counters.rule.forgotten == 1
     assert estimate.status is Status.CONVERGED
-    assert subject.metric.distance(estimate.map, world.truth) < 0.003
+    assert subject.rule.confidence.metric.distance(estimate.map, world.truth) < 0.003
 
 
 def test_one_touch_of_something_else_does_not_move_the_object(box_model: ObservationModel) -> None:
@@ -284,7 +285,7 @@ def test_one_touch_of_something_else_does_not_move_the_object(box_model: Observa
     world.truth = TRUTH
     estimate = world.press(subject, 3.6)
     assert subject.counters.rule.forgotten == 0
-    assert subject.metric.distance(estimate.map, TRUTH) < 0.003
+    assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.003
     assert estimate.status is not Status.INCONSISTENT
 
 
@@ -350,23 +351,23 @@ def test_where_only_dead_taxels_would_feel_it_is_blind(box_model: ObservationMod
 
 def test_a_belief_that_becomes_impossible_begins_anew(box_model: ObservationModel) -> None:
     _, subject = settled(box_model)
-    subject.belief.log_weight[:] = -np.inf
+    subject.rule.belief.log_weight[:] = -np.inf
     subject.on_scan(feel(box_model, press(0.2), 100.0), press(0.2))
     assert subject.counters.rule.impossible == 1
-    assert np.isclose(subject.belief.weight.sum(), 1.0)
+    assert np.isclose(subject.rule.belief.weight.sum(), 1.0)
 
 
 def test_a_belief_that_a_touch_makes_impossible_begins_with_its_samples(
     box_model: ObservationModel,
 ) -> None:
     world, subject = settled(box_model)
-    subject.belief.log_weight[:] = -np.inf
+    subject.rule.belief.log_weight[:] = -np.inf
     world.feel(subject, box_side(box_model, 1.3, -0.02))  # the belief is uniform now
-    subject.belief.log_weight[:] = -np.inf
+    subject.rule.belief.log_weight[:] = -np.inf
     world.press(subject, 1.3)
     assert subject.counters.rule.impossible == 2
-    assert np.isclose(subject.belief.weight.sum(), 1.0)
-    near = subject.metric.distance(subject.belief.pose, TRUTH) < 0.02
+    assert np.isclose(subject.rule.belief.weight.sum(), 1.0)
+    near = subject.rule.confidence.metric.distance(subject.rule.belief.pose, TRUTH) < 0.02
     assert near.mean() > 0.9
 
 
@@ -385,7 +386,7 @@ def test_a_stuck_taxel_does_not_keep_the_object_from_being_found(
     for angle in (0.2, 1.3, 2.9, 4.5, 5.5, 0.7):
         estimate = world.press(subject, angle)
     assert subject.counters.stuck > 0
-    assert subject.metric.distance(estimate.map, TRUTH) < 0.005
+    assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.005
 
 
 def test_it_thinks_until_enough_samples_have_left_a_narrow_belief_where_it_was(
@@ -405,9 +406,9 @@ def test_it_thinks_until_enough_samples_have_left_a_narrow_belief_where_it_was(
     for touches, angle in enumerate((1.3, 2.9, 4.5), 1):
         world.press(subject, angle)
         estimate = held(angle, 20)
-        assert 0 < subject.counters.thoughts <= 2 * touches * THOUGHTS
+        assert 0 < subject.counters.thoughts <= 2 * touches * REVISITS
     assert estimate.status is Status.CONVERGED
     thoughts = subject.counters.thoughts
     held(4.5, 20)
     assert subject.counters.thoughts == thoughts
-    assert subject.metric.distance(estimate.map, TRUTH) < 0.003
+    assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.003

@@ -6,13 +6,13 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from taxeld import se2
-from taxeld.config import FilterConfig
-from taxeld.estimate import Status
-from taxeld.estimator import Estimator
-from taxeld.observation import ObservationModel
-from taxeld.proposals import Manifold
-from taxeld.skin import Activation
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimator import Estimator
+from taxeld.model import se2
+from taxeld.model.activation import Activation
+from taxeld.model.observation import ObservationModel
+from taxeld.proposals.analytic import Manifold
 
 TAXELS = 32
 near = st.tuples(st.floats(-0.12, 0.12), st.floats(-0.12, 0.12), st.floats(-4, 4))
@@ -108,7 +108,7 @@ class AnyInput(RuleBasedStateMachine):
     def the_state_is_finite(self) -> None:
         if not hasattr(self, "subject"):
             return
-        belief, estimate = self.subject.belief, self.subject.estimate
+        belief, estimate = self.subject.rule.belief, self.subject.estimate
         assert np.isfinite(belief.pose).all()
         assert np.isfinite(belief.remembered).all()
         assert np.isclose(belief.weight.sum(), 1.0)

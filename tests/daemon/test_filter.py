@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxeld import filter as pf
-from taxeld.filter import Belief
+from taxeld.estimator import particles as pf
+from taxeld.estimator.particles import Belief
 
 
 def belief(log_weight: list[float]) -> Belief:

@@ -5,11 +5,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxeld import contacts, layout, scene, se2
 from taxeld.errors import SetupError
-from taxeld.layout import Layout
-from taxeld.memory import Felt, Memory
-from taxeld.observation import Noise, ObservationModel
+from taxeld.estimator.memory import Memory
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.model import contacts, se2
+from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.proposals import scene_file
 
 from .conftest import DEPTH_MAX_M
 
@@ -31,7 +33,7 @@ def test_rotation_about_a_point_leaves_it(a: np.ndarray, angle: float) -> None:
 
 
 def test_a_generated_cylinder_is_numbered_from_below_and_counter_clockwise() -> None:
-    skin = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+    skin = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
     assert len(skin) == 80
     assert np.allclose(skin.position_m[0], [0.04, 0.0, -0.03])
     assert np.allclose(skin.position_m[4], [0.0, 0.04, -0.03])
@@ -72,7 +74,7 @@ def test_the_strongest_taxels_sector_turns_to_angle_zero(skin: Layout) -> None:
 )
 def test_a_faulty_layout_is_refused_by_name(spec: str, fault: str) -> None:
     with pytest.raises(SetupError, match=f"skin.layout: .*{fault}"):
-        layout.load(spec)
+        layouts.load(spec)
 
 
 @given(st.floats(0.0, 6.28), st.floats(0.0, 0.005))
@@ -101,10 +103,10 @@ def test_touches_are_explained_as_the_dense_model_says(box_model: ObservationMod
         seen = se2.compose(se2.inverse(np.array(sensor)), poses)
         h = box_model.activation(seen)
         z, live = noise.draw(h[3], rng), rng.random(h.shape[1]) < 0.8
-        memory.add(Felt(np.array(sensor), z, live))
+        memory.add(Observation(np.array(sensor), z, live))
         dense.append(noise.log_likelihood(z, live, h))
     assert np.allclose(memory.explain(poses), np.array(dense).T)
-    assert np.allclose(memory.explain(poses, since=2), np.array(dense).T[:, 2:])
+    assert np.allclose(memory.explain_newest(poses), np.array(dense).T[:, -1])
     memory = memory.only(np.array([False, True, True]))
     assert np.allclose(memory.explain(poses), np.array(dense).T[:, 1:])
     assert memory.explain(poses[:0]).shape == (0, 2)
@@ -116,7 +118,7 @@ def test_no_pose_explains_a_scan_better_than_its_ceiling(box_model: ObservationM
     memory = Memory(box_model, Noise())
     for pose in poses[:20]:
         z = Noise().draw(box_model.activation(pose[None])[0], rng)
-        memory.add(Felt(np.zeros(3), z, rng.random(len(z)) < 0.9))
+        memory.add(Observation(np.zeros(3), z, rng.random(len(z)) < 0.9))
     assert (memory.explain(poses).max(axis=0) <= memory.ceiling + 0.01).all()
 
 
@@ -126,7 +128,7 @@ def test_nothing_to_explain_has_no_columns(box_model: ObservationModel) -> None:
 
 def test_a_dead_taxel_says_nothing(box_model: ObservationModel) -> None:
     memory = Memory(box_model, Noise())
-    memory.add(Felt(np.zeros(3), np.zeros(32), np.zeros(32, dtype=bool)))
+    memory.add(Observation(np.zeros(3), np.zeros(32), np.zeros(32, dtype=bool)))
     poses = np.array([[0.072, 0.0, 0.0], [0.09, 0.0, 0.0]])
     assert np.array_equal(memory.explain(poses), np.zeros((2, 1)))
 
@@ -155,13 +157,13 @@ def test_projected_contacts_press_as_deep_as_asked(disc_model: ObservationModel)
 
 def test_a_damaged_scene_file_is_one_line(tmp_path, box_model: ObservationModel) -> None:  # type: ignore[no-untyped-def]
     path = tmp_path / "scene.npz"
-    box_model.scene.save(path)
-    assert np.array_equal(scene.load(path).slices, box_model.scene.slices)
+    scene_file.save(box_model.scene, path)
+    assert np.array_equal(scene_file.load(path).slices, box_model.scene.slices)
     whole = path.read_bytes()
     for damaged in (b"", b"junk", whole[: len(whole) // 2]):
         path.write_bytes(damaged)
         with pytest.raises(SetupError, match="unreadable scene"):
-            scene.load(path)
+            scene_file.load(path)
     np.savez(path, slices=np.zeros(3))
     with pytest.raises(SetupError, match="lacks cell, centre"):
-        scene.load(path)
+        scene_file.load(path)

@@ -9,15 +9,16 @@ import can
 import numpy as np
 import pytest
 
-from taxeld import layout
 from taxeld.cli import main
-from taxeld.config import SkinConfig, SourceConfig, parse
+from taxeld.config.file import parse
+from taxeld.config.tables import SkinConfig, SourceConfig
+from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
-from taxeld.icub_bring_up import IcubBringUp
-from taxeld.layout import Layout
-from taxeld.skin import Skin
-from taxeld.sources import open_source
-from taxeld.toml_tables import ConfigError
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.skin.skin import Skin
+from taxeld.source.icub_bring_up import IcubBringUp
+from taxeld.source.sources import open_source
 from taxeld_protocol import icub
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.icub import CHANNELS
@@ -38,7 +39,7 @@ scene.bundle = "box"
 
 def skin_layout() -> Layout:
     """Thirty taxels with the UIDs that the positions file of the two boards gives them."""
-    generated = layout.load("cylinder:rows=3,columns=10,radius_m=0.04,pitch_m=0.015")
+    generated = layouts.load("cylinder:rows=3,columns=10,radius_m=0.04,pitch_m=0.015")
     uid = np.array([sui << 4 | slot for sui in SUIS for slot in TAXELS])
     return replace(generated, uid=uid)
 

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from taxeld import contacts, injection
-from taxeld import filter as pf
-from taxeld.filter import Belief
-from taxeld.observation import ObservationModel
+from taxeld.estimator import injection
+from taxeld.estimator import particles as pf
+from taxeld.estimator.particles import Belief
+from taxeld.model import contacts
+from taxeld.model.observation import ObservationModel
 
 SD = np.array([0.001, 0.001, 0.02])
 

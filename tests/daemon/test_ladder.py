@@ -6,9 +6,8 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 import pytest
 
-from taxeld.ladder import OVERHEAD, PATIENCE, Cost, Ladder, Rung, Step
-from taxeld.proposals import Bools, Floats
-from taxeld.se2 import Poses
+from taxeld.arrays import Bools, Floats, Poses
+from taxeld.proposals.ladder import OVERHEAD, PATIENCE, Cost, Ladder, Rung, Step
 
 MS = 1_000_000
 S = 40

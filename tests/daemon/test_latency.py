@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from taxeld.latency import BOUND_US, Histogram, Latencies
+from taxeld.service.latency import BOUND_US, Histogram, Latencies
 
 
 def filled(values: list[float]) -> Histogram:

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld import cylinder_fit, layout
 from taxeld.cli import main
 from taxeld.errors import SetupError
-from taxeld.layout_summary import arc_rad, pitch_m, tilted
+from taxeld.layout import cylinder_fit
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.layout.summary import arc_rad, pitch_m, tilted
 from taxeld_protocol.modules import wired
 
 DEFAULT = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
@@ -33,10 +35,10 @@ def arc(degrees: float, radius_m: float = 0.07, rows: int = 8, columns: int = 20
 
 class TestCylinder:
     def test_digest_of_the_default_is_the_one_bundles_refer_to(self):
-        assert layout.load(DEFAULT).digest == "cc915a300678428f"
+        assert layouts.load(DEFAULT).digest == "cc915a300678428f"
 
     def test_taxels_are_numbered_row_by_row_from_below_and_counter_clockwise(self):
-        skin = layout.load(DEFAULT)
+        skin = layouts.load(DEFAULT)
         for i, (x, y, z) in enumerate(skin.position_m):
             row, column = divmod(i, 16)
             angle = 2 * math.pi * column / 16
@@ -46,19 +48,19 @@ class TestCylinder:
                                    skin.position_m, atol=1e-15)  # fmt: skip
 
     def test_uid_is_module_and_name_ten_taxels_a_module(self):
-        skin = layout.load("cylinder:rows=1,columns=23,radius_m=0.04,pitch_m=0.015")
+        skin = layouts.load("cylinder:rows=1,columns=23,radius_m=0.04,pitch_m=0.015")
         assert skin.uid.tolist() == [((i // 10 + 1) << 4) | (i % 10 + 1) for i in range(23)]
         modules = wired(skin.uid.tolist())
         assert [(m.sui, m.mask) for m in modules] == [(1, 0x7FF), (2, 0x7FF), (3, 0xF)]
 
     def test_frame_is_the_identity(self):
-        np.testing.assert_array_equal(layout.load(DEFAULT).frame, np.eye(4))
+        np.testing.assert_array_equal(layouts.load(DEFAULT).frame, np.eye(4))
 
 
 class TestTurns:
     @pytest.mark.parametrize(("spec", "order"), [(DEFAULT, 16), (WRAP, 6)])
     def test_turned_reading_is_the_reading_of_the_turned_touch(self, spec, order):
-        skin = layout.load(spec)
+        skin = layouts.load(spec)
         assert skin.turns.shape == (order, len(skin))
         for k, turn in enumerate(skin.turns):
             there = turned(skin.position_m, 2 * math.pi * k / order)
@@ -66,36 +68,36 @@ class TestTurns:
 
     @pytest.mark.parametrize("spec", [DEFAULT, WRAP])
     def test_sector_is_the_turn_that_brings_a_taxel_to_angle_0(self, spec):
-        skin = layout.load(spec)
+        skin = layouts.load(spec)
         order = len(skin.turns)
         for p, k in zip(skin.position_m, skin.sector, strict=True):
             x, y, _ = turned(p, -2 * math.pi * k / order)
             assert abs(math.atan2(y, x)) <= math.pi / order + 1e-9
 
     def test_are_found_fast_on_a_full_hub(self):
-        skin = layout.load("cylinder:rows=31,columns=80,radius_m=0.1,pitch_m=0.01")
+        skin = layouts.load("cylinder:rows=31,columns=80,radius_m=0.1,pitch_m=0.01")
         began = time.process_time()
         assert len(skin.turns) == 80
         assert time.process_time() - began < 2.0
 
     def test_a_taxel_out_of_place_breaks_the_symmetry(self):
-        skin = layout.load(DEFAULT)
+        skin = layouts.load(DEFAULT)
         moved = skin.position_m.copy()
         moved[7, 2] += 0.001
-        bent = layout.Layout("bent", skin.uid, moved, skin.normal, skin.radius_m)
+        bent = Layout("bent", skin.uid, moved, skin.normal, skin.radius_m)
         assert len(bent.turns) == 1
         assert not bent.sector.any()
 
     def test_taxels_at_one_place_have_no_symmetry(self):
-        skin = layout.load(DEFAULT)
+        skin = layouts.load(DEFAULT)
         twice = np.repeat([0], 80)
-        same = layout.Layout("same", skin.uid, skin.position_m[twice], skin.normal[twice], 0.04)
+        same = Layout("same", skin.uid, skin.position_m[twice], skin.normal[twice], 0.04)
         assert len(same.turns) == 1
 
 
 class TestWrap:
     def test_triangle_is_the_measured_one(self):
-        skin = layout.load(WRAP)
+        skin = layouts.load(WRAP)
         x = np.arctan2(skin.position_m[:10, 1], skin.position_m[:10, 0]) * 40.0
         z = skin.position_m[:10, 2] * 1e3
         relative = np.column_stack([x, z]) - [x[9], z[9]]
@@ -104,25 +106,25 @@ class TestWrap:
         np.testing.assert_allclose(relative, t, atol=1e-9)
 
     def test_next_module_stands_on_its_head(self):
-        z = layout.load(WRAP).position_m[:, 2].reshape(2, 12, 10)
+        z = layouts.load(WRAP).position_m[:, 2].reshape(2, 12, 10)
         below = z[0] - z[0].mean()
         np.testing.assert_allclose(below[0], below[2], atol=1e-15)
         np.testing.assert_allclose(z[0, 1] - z[0, 1, 9], z[0, 0, 9] - z[0, 0], atol=1e-15)
         np.testing.assert_allclose(z[1, 0] - z[1, 0, 9], z[0, 0, 9] - z[0, 0], atol=1e-15)
 
     def test_uid_is_module_and_name(self):
-        uid = layout.load(WRAP).uid
+        uid = layouts.load(WRAP).uid
         assert uid.tolist() == [sui << 4 | name for sui in range(1, 25) for name in range(1, 11)]
 
     def test_taxels_of_all_modules_keep_their_distance(self):
-        skin = layout.load("wrap:modules=22,radius_m=0.0701,rows=4")
+        skin = layouts.load("wrap:modules=22,radius_m=0.0701,rows=4")
         assert pitch_m(skin) == pytest.approx(0.006928, abs=5e-5)
         gap = np.linalg.norm(skin.position_m[:, None] - skin.position_m, axis=-1)
         assert (gap + np.eye(len(skin))).min() > 0.0065
 
     def test_rows_are_centred_and_default_to_one(self):
         for spec in (WRAP, "wrap:modules=12,radius_m=0.04"):
-            z = layout.load(spec).position_m[:, 2]
+            z = layouts.load(spec).position_m[:, 2]
             assert z.min() == pytest.approx(-z.max())
 
 
@@ -153,7 +155,7 @@ class TestWrap:
 )
 def test_text_that_is_no_layout_is_one_line_with_the_cure(spec, words):
     with pytest.raises(SetupError) as caught:
-        layout.load(spec)
+        layouts.load(spec)
     message = str(caught.value)
     assert message.startswith("skin.layout: ")
     assert words in message
@@ -227,14 +229,14 @@ class TestSummary:
     def test_arc_is_what_the_taxels_cover(self):
         for degrees in (90.0, 178.0, 270.0):
             position, normal = arc(degrees)
-            skin = layout.Layout("arc", np.arange(len(normal)), position, normal, 0.07)
+            skin = Layout("arc", np.arange(len(normal)), position, normal, 0.07)
             assert math.degrees(arc_rad(skin)) == pytest.approx(degrees)
-        assert arc_rad(layout.load(DEFAULT)) == 2.0 * math.pi
+        assert arc_rad(layouts.load(DEFAULT)) == 2.0 * math.pi
 
     def test_pitch_leaves_out_taxels_at_the_same_place(self):
         position, normal = arc(180.0)
         twice = np.repeat(np.arange(len(normal)), 2)
-        skin = layout.Layout("pairs", twice, position[twice], normal[twice], 0.07)
+        skin = Layout("pairs", twice, position[twice], normal[twice], 0.07)
         assert pitch_m(skin) == pytest.approx(0.008)
 
     def test_tilted_normals_are_counted(self):
@@ -242,7 +244,7 @@ class TestSummary:
         normal[0] = turned(normal[0], math.radians(35.0))
         normal[1] = turned(normal[1], math.radians(25.0))
         normal[2] = 0.0, 0.0, 1.0
-        skin = layout.Layout("tilted", np.arange(len(normal)), position, normal, 0.07)
+        skin = Layout("tilted", np.arange(len(normal)), position, normal, 0.07)
         assert tilted(skin) == 2
 
 
@@ -261,7 +263,7 @@ class TestCommand:
         assert capsys.readouterr().err.count("\n") == 1
 
     def test_without_matplotlib_the_cure_is_the_view_extra(self, monkeypatch, capsys):
-        monkeypatch.setitem(sys.modules, "taxeld.layout_draw", None)
+        monkeypatch.setitem(sys.modules, "taxeld.layout.draw", None)
         assert main(["layout", WRAP, "--png", "skin.png"]) == 2
         error = capsys.readouterr().err
         assert "taxeld[view]" in error

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxeld import layout
 from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
 from taxeld_protocol.modules import NAMES
 
 RADIUS_M = 0.05
@@ -45,10 +46,10 @@ class Folder:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    def load(self, content: Any) -> layout.Layout:
+    def load(self, content: Any) -> Layout:
         file = self.path / "skin.json"
         file.write_text(json.dumps(content), encoding="utf-8")
-        return layout.load(str(file))
+        return layouts.load(str(file))
 
     def fault(self, content: Any) -> str:
         """What is said of a document, without the path."""
@@ -249,12 +250,12 @@ class TestRobotskinlib:
         file = tmp_path / "skin.json"
         file.write_bytes(content)
         with pytest.raises(SetupError, match=words):
-            layout.load(str(file))
+            layouts.load(str(file))
 
     def test_a_directory_is_no_layout(self, tmp_path):
         (tmp_path / "skin.json").mkdir()
         with pytest.raises(SetupError, match="no such file"):
-            layout.load(str(tmp_path / "skin.json"))
+            layouts.load(str(tmp_path / "skin.json"))
 
     def test_a_flat_patch_can_be_read_but_not_run(self, tmp_path):
         file = document()
@@ -262,13 +263,13 @@ class TestRobotskinlib:
             t.update(x=[t["x"][0], t["x"][1], 0.02], n=[0, 0, -1])
         path = tmp_path / "patch.json"
         path.write_text(json.dumps(file), encoding="utf-8")
-        flat = layout.read(str(path))
+        flat = layouts.read(str(path))
         assert math.isinf(flat.radius_m)
         assert math.isnan(flat.rms_m)
         np.testing.assert_allclose(flat.normal, [[0, 0, 1]] * 40)
         np.testing.assert_allclose(flat.position_m[:, 2], 0.0, atol=1e-12)
         with pytest.raises(SetupError, match=r"skin\.layout: patch: its 40 taxels lie on no cyl"):
-            layout.load(str(path))
+            layouts.load(str(path))
 
 
 anything = st.recursive(
@@ -298,7 +299,7 @@ def check_reading(content: bytes) -> None:
         file = Path(directory) / "skin.json"
         file.write_bytes(content)
         try:
-            skin = layout.read(str(file))
+            skin = layouts.read(str(file))
         except SetupError as error:
             message = str(error)
     assert "\n" not in message

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxeld import layout
 from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
 
 RADIUS_M = 0.05
 
@@ -32,10 +33,10 @@ def icub_text(rows: list[str], representative: list[int] | None = None) -> str:
     return header + "[calibration]\n" + "\n".join(rows) + "\n\n"
 
 
-def read(folder: Path, text: str | bytes) -> layout.Layout:
+def read(folder: Path, text: str | bytes) -> Layout:
     file = folder / "skin.txt"
     file.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8", "replace"))
-    return layout.load(str(file))
+    return layouts.load(str(file))
 
 
 def fault(folder: Path, text: str | bytes) -> str:

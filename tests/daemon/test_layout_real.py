@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld import layout
-from taxeld.layout_summary import arc_rad, pitch_m, tilted
+from taxeld.layout import read as layouts
+from taxeld.layout.summary import arc_rad, pitch_m, tilted
 
 ROOT = Path(__file__).parents[2]
 REAL = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared")) / "data" / "layouts"
@@ -26,7 +26,7 @@ class TestReal:
     def test_arm_links_are_half_cylinders(
         self, name, taxels, modules, radius_mm, arc_deg, height_mm
     ):
-        skin = layout.load(str(REAL / f"{name}.json"))
+        skin = layouts.load(str(REAL / f"{name}.json"))
         assert len(skin) == taxels
         assert len(np.unique(skin.uid >> 4)) == modules
         assert skin.radius_m * 1e3 == pytest.approx(radius_mm, abs=2.0)
@@ -43,7 +43,7 @@ class TestReal:
 
     @pytest.mark.parametrize(("name", "missing"), [("cyskin_full", 0), ("tpu_1_full", 2)])
     def test_hexagons_are_flat(self, name, missing):
-        skin = layout.read(str(REAL / f"hexagon_{name}_isomap.json"))
+        skin = layouts.read(str(REAL / f"hexagon_{name}_isomap.json"))
         assert len(skin) + missing == 61
         assert skin.source.missing == missing
         assert math.isinf(skin.radius_m)

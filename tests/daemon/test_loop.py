@@ -9,10 +9,10 @@ import msgpack
 import pytest
 import zmq
 
-from taxeld import messages
-from taxeld.config import parse
+from taxeld.config.file import parse
 from taxeld.errors import SetupError
-from taxeld.loop import Daemon
+from taxeld.service.loop import Daemon
+from taxeld.stream import messages
 
 EVERY_KEY = [
     *("v", "seq", "t", "mono_ns", "valid", "status", "contact", "contacts", "map", "mean", "cov"),
@@ -77,7 +77,7 @@ def plain(value: object) -> bool:
     return isinstance(value, (bool, int, float))
 
 
-def test_every_new_subscriber_is_told_who_speaks(daemon: Daemon, tmp_path: Path) -> None:
+def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Path) -> None:
     with zmq.Context() as context:
         for _ in range(2):
             with subscribe(context, tmp_path, b"/taxeld/") as socket:
@@ -96,8 +96,9 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
         health = msgpack.unpackb(receive(daemon, socket)[1])
     assert set(health) == {
         "v", "seq", "t", "uptime_s", "loop", "over_budget", "degraded", "realtime", "source",
-        "skin", "skin_state", "estimator", "inputs", "control", "keys_refused", "lat_us", "drift",
-        "dead_taxels", "stuck_taxels", "saturated_taxels", "untared_taxels",
+        "skin", "skin_state", "estimator", "inputs", "control", "recording", "subscribers",
+        "hoarders", "keys_refused", "lat_us", "drift", "dead_taxels", "stuck_taxels",
+        "saturated_taxels", "untared_taxels",
     }  # fmt: skip
     assert health["source"]["frames"] == 0
 
@@ -153,7 +154,7 @@ def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
             msgpack.packb({"t": "x", "x": 0, "y": 0, "theta": 0}),
         ]
         while time.monotonic() < deadline and not (
-            track.latest_t == 1.0 and daemon.pose_input.malformed >= 4
+            track.latest_t == 1.0 and daemon.pose_input.counters.malformed >= 4
         ):
             for body in bad:
                 robot.send_multipart([messages.SENSOR_POSE, body, b"1.0"])
@@ -162,7 +163,7 @@ def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
             daemon.tick(time.monotonic())
             time.sleep(0.005)
     assert track.latest_t == 1.0
-    assert daemon.pose_input.malformed >= 4
+    assert daemon.pose_input.counters.malformed >= 4
     daemon.close()
 
 

@@ -2,15 +2,15 @@
 
 import numpy as np
 
-from taxeld.memory import Felt
-from taxeld.news import News
+from taxeld.estimator.news import News
+from taxeld.model.observation import Observation
 
 LIVE = np.ones(4, dtype=bool)
 
 
-def feel(strongest: float, x: float = 0.0) -> Felt:
+def feel(strongest: float, x: float = 0.0) -> Observation:
     z = np.array([strongest, 0.0, 0.0, 0.0])
-    return Felt(np.array([x, 0.0, 0.0]), z, LIVE)
+    return Observation(np.array([x, 0.0, 0.0]), z, LIVE)
 
 
 def told(readings: list[float], x: list[float] | None = None) -> list[list[float]]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from taxeld.notify import Notifier
+from taxeld.service.notify import Notifier
 
 from .test_cli import configuration
 from .test_ticker import FakeClock
@@ -148,3 +148,24 @@ def test_a_daemon_that_is_halted_falls_silent(manager: socket.socket, config: Pa
         with pytest.raises(TimeoutError):
             manager.recv(4096)
         process.kill()
+
+
+def test_a_daemon_whose_device_is_away_is_ready_and_says_what_it_waits_for(
+    manager: socket.socket, tmp_path: Path
+) -> None:
+    path = configuration(tmp_path, "source", "kind", '"serial"')
+    text = path.read_text(encoding="utf-8")
+    device = tmp_path / "skin"
+    path.write_text(
+        text.replace("[source]\n", f'[source]\nchannel = "{device}"\n'), encoding="utf-8"
+    )
+    command = [sys.executable, "-m", "taxeld.cli", "run", str(path)]
+    with subprocess.Popen(
+        command, env={**os.environ, **environ(manager)}, stderr=subprocess.PIPE, text=True
+    ) as process:
+        said = [manager.recv(4096).decode() for _ in range(3)]
+        reason = f"source.channel: cannot open {device} (it is not there; is it plugged in?)"
+        assert said == ["READY=1", *[f"STATUS=waiting, {reason}"] * 2]
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=DEADLINE_S)[1] == f"{reason}; waiting for it\n"
+        assert process.returncode == 0

@@ -1,8 +1,10 @@
 """Inputs age, wait for one another, and are stamped by a clock that somebody may set."""
 
 import json
+import time
 from collections import deque
 from collections.abc import Iterable
+from itertools import accumulate, count
 from pathlib import Path
 
 import numpy as np
@@ -10,22 +12,27 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxeld import bundle, layout, messages, se2, session
-from taxeld.bundle import Bundle
-from taxeld.clock import WallClock
-from taxeld.config import Config, parse
-from taxeld.estimate import Status
-from taxeld.pipeline import Outcome, Pipeline, is_valid
-from taxeld.poses import BACK_MAX, PoseTrack
-from taxeld.replay import outcomes
-from taxeld.session import Recorder
+from taxeld.commands.replay import outcomes, replay
+from taxeld.config.file import load, parse
+from taxeld.config.tables import Config
+from taxeld.estimator.estimate import Status
+from taxeld.layout import read as layouts
+from taxeld.model import se2
+from taxeld.pipeline.freshness import Freshness
+from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.proposals import bundle
+from taxeld.proposals.bundle import Bundle
+from taxeld.source import session
+from taxeld.source.recorder import Recorder
+from taxeld.stream import messages
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.daemon.recorded import configuration, write_session
 from tests.daemon.simulated_skin import SimulatedSkin
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-SKIN = layout.load(SPEC)
+SKIN = layouts.load(SPEC)
 CONFIG = (
     '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n[filter]\n'
     'proposal = "manifold"\n[skin]\nbaseline_scans = 5\n'
@@ -45,13 +52,17 @@ def config_of(text: str = "") -> Config:
     return parse(CONFIG + text)
 
 
+def pipeline_of(box: Bundle, text: str = "") -> Pipeline:
+    config = config_of(text)
+    return Pipeline(config, box.model, box.untimed(config.filter))
+
+
 def begun(box: Bundle, text: str = ROBOT) -> tuple[Pipeline, SimulatedSkin]:
     """A pipeline with a baseline, and the skin that it is of; the sensor at rest."""
-    pipeline, skin = Pipeline(config_of(text), SKIN, box), SimulatedSkin(SKIN, noise=5.0)
+    pipeline, skin = pipeline_of(box, text), SimulatedSkin(SKIN, noise=5.0)
     for _ in range(8):
         scan = skin.scan()
-        if isinstance(pipeline.poses, PoseTrack):
-            pipeline.poses.add(scan.t, 0.3, 0.0, 0.0)
+        pipeline.poses.add(scan.t, 0.3, 0.0, 0.0)
         assert len(list(pipeline.advance([scan], scan.t))) == 1
     assert pipeline.estimate.status is Status.SEARCHING
     return pipeline, skin
@@ -69,7 +80,7 @@ def test_a_scan_of_another_time_makes_the_estimate_stale_until_the_next(
     scan = skin.scan()
     (refused,) = pipeline.advance([scan], scan.t + late_s)
     assert refused.estimate.status is Status.STALE
-    assert not is_valid(refused.estimate)
+    assert not pipeline.freshness.is_valid(refused.estimate)
     assert getattr(pipeline.inputs, counter) == 1
     assert pipeline.skin.counters.scans == 8
     scan = skin.scan()
@@ -80,7 +91,6 @@ def test_a_scan_of_another_time_makes_the_estimate_stale_until_the_next(
 def test_a_scan_waits_for_the_pose_at_its_time(box: Bundle) -> None:
     pipeline, skin = begun(box)
     scan = skin.scan()
-    assert isinstance(pipeline.poses, PoseTrack)
     pipeline.poses.add(scan.t - 0.01, 0.30, 0.0, 0.0)
     assert list(pipeline.advance([scan], scan.t + 0.001)) == []
     assert list(pipeline.advance([], scan.t + 0.01)) == []
@@ -91,12 +101,14 @@ def test_a_scan_waits_for_the_pose_at_its_time(box: Bundle) -> None:
 
 
 @pytest.mark.parametrize(("pose_age_s", "status"), [(0.15, Status.SEARCHING), (0.25, Status.STALE)])
-def test_it_does_not_wait_for_ever(box: Bundle, pose_age_s: float, status: Status) -> None:
+def test_a_scan_does_not_wait_for_its_pose_for_ever(
+    box: Bundle, pose_age_s: float, status: Status
+) -> None:
     """Then the newest pose is used if it is young enough."""
     pipeline, skin = begun(box)
     skin.t += 1.0
     scan = skin.scan()
-    pipeline.poses.add(scan.t - pose_age_s, 0.4, 0.0, 0.0)  # type: ignore[union-attr]
+    pipeline.poses.add(scan.t - pose_age_s, 0.4, 0.0, 0.0)
     assert list(pipeline.advance([scan], scan.t)) == []
     assert list(pipeline.advance([], scan.t + 0.019)) == []
     (outcome,) = pipeline.advance([], scan.t + 0.021)
@@ -143,19 +155,24 @@ def story(box: Bundle, seconds: float = 4.0) -> list[Event]:
     return events
 
 
-def told(pipeline: Pipeline, events: list[Event]) -> list[dict[str, object]]:
-    """The estimates of these arrivals, as they are published."""
+def taken(pipeline: Pipeline, events: list[Event]) -> list[Outcome]:
+    """What these arrivals led to, but for the scans that still wait."""
     found: list[Outcome] = []
     for arrival, event in events:
         scans = [event] if isinstance(event, Scan) else []
-        if not isinstance(event, Scan) and isinstance(pipeline.poses, PoseTrack):
+        if not isinstance(event, Scan):
             pipeline.poses.add(*event)
         found += pipeline.advance(scans, arrival)
-    found += pipeline.flush()
-    return published(found)
+    return found
+
+
+def estimates(pipeline: Pipeline, events: list[Event]) -> list[dict[str, object]]:
+    """The estimates of these arrivals, as they are published."""
+    return published([*taken(pipeline, events), *pipeline.flush()])
 
 
 def published(found: Iterable[Outcome]) -> list[dict[str, object]]:
+    is_valid = Freshness(1.0).is_valid
     return [
         messages.estimate(o.estimate, seq=k, valid=is_valid(o.estimate))
         for k, o in enumerate(found)
@@ -180,9 +197,9 @@ def test_poses_that_come_a_little_late_change_nothing(
             last = max(last, arrival + late_ms / 1000.0 + jitter[k % 20])
             late.append((last, event))
     late.sort(key=lambda pair: pair[0])
-    first = told(Pipeline(config_of(ROBOT), SKIN, box), prompt)
+    first = estimates(pipeline_of(box, ROBOT), prompt)
     assert first[-1]["contacts"] == 1
-    again = told(Pipeline(config_of(ROBOT), SKIN, box), late)
+    again = estimates(pipeline_of(box, ROBOT), late)
     # the first poses are not there yet when the first scans come
     assert json.dumps(again[8:]) == json.dumps(first[8:])
 
@@ -194,21 +211,29 @@ def test_a_clock_that_is_set_costs_nothing_but_the_poses_before(
 ) -> None:
     events = story(box)
     at = START_S + at_s - 0.005
-    pipeline = Pipeline(config_of(ROBOT), SKIN, box)
-    before = [event for event in events if event[0] < at]
-    after = [event for event in events if event[0] >= at]
-    said = told(pipeline, before)
+    pipeline = pipeline_of(box, ROBOT)
+    found = taken(pipeline, [event for event in events if event[0] < at])
     pipeline.clock_stepped(by)
-    said += told(pipeline, [(t + by, _later(event, by)) for t, event in after])
+    found += taken(pipeline, [(t + by, _later(event, by)) for t, event in events if t >= at])
+    found += pipeline.flush()
     assert pipeline.inputs.clock_steps == 1
     assert pipeline.estimator.counters.back_in_time == 0
-    assert pipeline.skin.counters.scans == len(said) == 80
-    same = told(Pipeline(config_of(ROBOT), SKIN, box), events)
-    for one, other in zip(said, same, strict=True):
-        assert one["status"] == other["status"]
-        assert one["contacts"] == other["contacts"]
-    assert said[-1]["map"] == pytest.approx(same[-1]["map"], abs=1e-3)
-    assert said[-1]["t"] == pytest.approx(same[-1]["t"] + by)  # type: ignore[operator]
+    assert pipeline.skin.counters.scans == len(found) == 80
+    whole = pipeline_of(box, ROBOT)
+    same = [*taken(whole, events), *whole.flush()]
+    for one, other in zip(found, same, strict=True):
+        assert one.estimate.status == other.estimate.status
+        assert one.estimate.contacts == other.estimate.contacts
+        later = by if other.estimate.t > at else 0.0
+        assert one.estimate.t == pytest.approx(other.estimate.t + later, abs=1e-6)
+        if one.activation is not None and other.activation is not None:
+            assert one.activation.t == one.estimate.t
+            assert np.array_equal(one.activation.live, other.activation.live)
+            assert one.activation.z == pytest.approx(other.activation.z, abs=1e-9)
+    assert found[-1].estimate.map == pytest.approx(same[-1].estimate.map, abs=1e-3)
+    state = pipeline.skin_state()
+    assert state is not None
+    assert state.t == pytest.approx(same[-1].estimate.t + by, abs=1e-6)
 
 
 def _later(event: Scan | tuple[float, float, float, float], by: float):  # type: ignore[no-untyped-def]
@@ -244,7 +269,7 @@ strange = st.sampled_from([0.0, 0.0, 0.0, 0.03, -0.03, 0.6, -0.6, 1e4, -1e4, np.
 def test_whatever_arrives_whenever_is_counted_and_never_raises(
     box: Bundle, arrivals: list[tuple[str, float]]
 ) -> None:
-    pipeline, skin = Pipeline(config_of(ROBOT), SKIN, box), SimulatedSkin(SKIN)
+    pipeline, skin = pipeline_of(box, ROBOT), SimulatedSkin(SKIN)
     sent, found = 0, list[Outcome]()
     for kind, by in arrivals:
         if kind == "scan":
@@ -252,7 +277,7 @@ def test_whatever_arrives_whenever_is_counted_and_never_raises(
             sent += 1
             found += pipeline.advance([_later(scan, by)], scan.t)
         elif kind == "pose":
-            pipeline.poses.add(skin.t + by, 0.3, 0.0, by)  # type: ignore[union-attr]
+            pipeline.poses.add(skin.t + by, 0.3, 0.0, by)
         elif kind == "step" and np.isfinite(by):
             pipeline.clock_stepped(by)
             skin.t += by
@@ -271,92 +296,6 @@ def test_whatever_arrives_whenever_is_counted_and_never_raises(
     inputs = pipeline.inputs
     refused = inputs.scans_old + inputs.scans_from_the_future
     assert pipeline.skin.counters.scans == sent - refused
-
-
-def test_a_pose_that_jumped_is_not_mixed_with_its_neighbours() -> None:
-    """Between a right pose and a wrong one lie places that look right and are not."""
-    track = PoseTrack(max_age_s=0.2)
-    for t, x in ((1.00, 0.3), (1.01, 2.3), (1.02, 0.3)):
-        track.add(t, x, 0.0, 0.0)
-    placed = [track.at(t) for t in (1.004, 1.006, 1.014, 1.016)]
-    assert [pose[0] for pose in placed if pose is not None] == [0.3, 2.3, 2.3, 0.3]
-
-
-def test_a_robot_whose_clock_is_set_back_is_followed() -> None:
-    track = PoseTrack(max_age_s=0.2)
-    for k in range(20):
-        track.add(1e4 + 0.01 * k, 0.0, 0.0, 0.0)
-    for k in range(BACK_MAX):
-        assert track.at(500.0 + 0.01 * k) is None
-        track.add(500.0 + 0.01 * k, 1.0, 0.0, 0.0)
-    assert track.latest_t == pytest.approx(500.0 + 0.01 * (BACK_MAX - 1))
-    assert (track.rejected, track.begun_again) == (BACK_MAX - 1, 1)
-
-
-def test_a_pose_from_far_ahead_does_not_silence_the_robot() -> None:
-    track = PoseTrack(max_age_s=0.2)
-    track.add(1e9, 0.0, 0.0, 0.0)
-    for k in range(BACK_MAX):
-        track.add(500.0 + 0.01 * k, 1.0, 0.0, 0.0)
-    assert track.at(500.1) is not None
-
-
-def test_stray_poses_from_the_past_do_not_clear_the_track() -> None:
-    track = PoseTrack(max_age_s=0.2)
-    for k in range(1000):
-        track.add(1000.0 + 0.01 * k, 0.0, 0.0, 0.0)
-        track.add(900.0 + 0.01 * k, 1.0, 0.0, 0.0)
-    assert track.begun_again == 0
-    assert track.rejected == 1000
-
-
-class Clocks:
-    def __init__(self) -> None:
-        self.wall, self.monotonic, self.each = 1e9, 50.0, 0.0
-
-    def pass_s(self, seconds: float) -> None:
-        self.wall += seconds
-        self.monotonic += seconds
-
-    def read_monotonic(self) -> float:
-        self.pass_s(self.each)
-        return self.monotonic
-
-
-@pytest.mark.parametrize("by", [HOUR_S, -HOUR_S, 0.3, -0.3])
-def test_a_step_of_the_clock_is_seen_once(by: float) -> None:
-    clocks = Clocks()
-    clock = WallClock(lambda: clocks.wall, clocks.read_monotonic)
-    clocks.pass_s(0.01)
-    assert clock.read() == (clocks.wall, 0.0)
-    clocks.pass_s(0.01)
-    clocks.wall += by
-    now, seen = clock.read()
-    assert now == clocks.wall
-    assert seen == pytest.approx(by, abs=1e-5)
-    clocks.pass_s(30.0)  # a tick that took long is no step
-    assert clock.read()[1] == 0.0
-    assert clock.steps == 1
-
-
-def test_a_clock_that_is_slewed_is_followed_in_silence() -> None:
-    clocks = Clocks()
-    clock = WallClock(lambda: clocks.wall, clocks.read_monotonic)
-    for _ in range(10_000):
-        clocks.pass_s(0.01)
-        clocks.wall += 0.01 * 500e-6
-        assert clock.read()[1] == 0.0
-    assert clock.steps == 0
-
-
-def test_a_reading_in_which_the_process_was_put_aside_tells_nothing() -> None:
-    clocks = Clocks()
-    clock = WallClock(lambda: clocks.wall, clocks.read_monotonic)
-    clocks.each = 1.0  # passes before each reading of the monotonic clock
-    assert clock.read()[1] == 0.0
-    clocks.each = 0.0
-    clocks.wall += HOUR_S
-    assert clock.read()[1] == pytest.approx(HOUR_S, abs=1e-5)
 
 
 def recorded(box: Bundle, place: Path, by: float = 0.0) -> None:
@@ -378,24 +317,41 @@ def test_a_replay_gives_the_bytes_of_the_daemon_that_took_the_same_in_ticks(
     box: Bundle, tmp_path: Path, tick_s: float
 ) -> None:
     recorded(box, tmp_path)
-    poses = deque(session.read_poses(tmp_path / session.POSES))
-    frames = deque(session.read_frames(tmp_path / session.FRAMES))
+    recorded_input = session.read(tmp_path)
+    poses, frames = deque(recorded_input.poses), deque(recorded_input.items)
     modules = SimulatedSkin(SKIN).modules
-    pipeline, decoder = Pipeline(config_of(ROBOT), SKIN, box), Decoder(lambda _: modules)
+    pipeline, decoder = pipeline_of(box, ROBOT), Decoder(lambda _: modules)
     live: list[Outcome] = []
     now = START_S
     while frames:
         now += tick_s
         while poses and poses[0][0] <= now:
-            pipeline.poses.add(*poses.popleft())  # type: ignore[union-attr]
+            pipeline.poses.add(*poses.popleft())
         scans: list[Scan] = []
         while frames and frames[0].t <= now:
             scans += decoder.feed(frames.popleft())[1]
         live += pipeline.advance(scans, now)
     live += pipeline.flush()
     assert live[-1].estimate.contacts == 1
-    again = outcomes(tmp_path, Pipeline(config_of(ROBOT), SKIN, box))
+    again = outcomes(tmp_path, pipeline_of(box, ROBOT))
     assert json.dumps(published(live)) == json.dumps(published(again))
+
+
+def test_a_replay_gives_the_same_bytes_on_a_machine_of_any_speed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_session(tmp_path, touches=2)
+    config = load(configuration(tmp_path))
+    assert config.filter.proposal == "auto"
+    prompt = list(replay(tmp_path, config))
+    assert json.loads(prompt[-1])["contacts"] == 2
+    hours = accumulate(HOUR_S / k for k in count(1))  # each call an hour, and then less
+    for name in ("time", "monotonic", "perf_counter", "process_time", "thread_time"):
+        monkeypatch.setattr(time, name, lambda: next(hours))
+        monkeypatch.setattr(time, f"{name}_ns", lambda: round(1e9 * next(hours)))
+    slow = list(replay(tmp_path, config))
+    monkeypatch.undo()
+    assert slow == prompt
 
 
 @pytest.mark.parametrize("by", [-HOUR_S, -0.5])
@@ -403,7 +359,7 @@ def test_a_session_across_a_clock_that_was_set_back_replays(
     box: Bundle, tmp_path: Path, by: float
 ) -> None:
     recorded(box, tmp_path, by)
-    pipeline = Pipeline(config_of(ROBOT), SKIN, box)
+    pipeline = pipeline_of(box, ROBOT)
     found = list(outcomes(tmp_path, pipeline))
     assert len(found) == 80
     assert pipeline.inputs.clock_steps == 1

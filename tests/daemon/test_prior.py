@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from taxeld.observation import ObservationModel
-from taxeld.prior import FLOOR, Prior
-from taxeld.symmetry import PoseMetric
+from taxeld.estimator.prior import FLOOR, Prior
+from taxeld.model.observation import ObservationModel
+from taxeld.model.symmetry import PoseMetric
 
 SD = np.array([0.003, 0.001, 0.05])
 

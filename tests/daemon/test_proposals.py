@@ -5,11 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taxeld import bundle, contacts, layout, se2
-from taxeld.config import SkinConfig
+from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
-from taxeld.observation import ObservationModel
-from taxeld.proposals import Manifold, Projection, Proposal, Table
+from taxeld.layout import read as layouts
+from taxeld.model import contacts, se2
+from taxeld.model.observation import ObservationModel
+from taxeld.model.proposal import Proposal
+from taxeld.proposals import bundle, choice
+from taxeld.proposals.analytic import Manifold, Projection, Table
 
 from .conftest import DEPTH_MAX_M
 
@@ -90,7 +93,7 @@ def test_dead_taxels_are_not_asked(box_model: ObservationModel, make: type) -> N
 
 @pytest.mark.parametrize("name", ["density", "ddpm", "table", "manifold", "projection"])
 def test_a_bundle_serves_every_proposal(name: str) -> None:
-    skin = layout.load(SkinConfig().layout)
+    skin = layouts.load(SkinConfig().layout)
     proposal = bundle.load("mug", skin, DEPTH_MAX_M).proposal(name)
     z = np.zeros(80)
     z[[3, 19]] = 0.6
@@ -103,30 +106,32 @@ def test_a_bundle_serves_every_proposal(name: str) -> None:
 def test_auto_is_the_bundles_first_choice_that_fits_the_budget(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    skin = layout.load(SkinConfig().layout)
+    skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("mug", skin, DEPTH_MAX_M)
     order = ["ddpm-100", "density-64", "table", "projection"]
     loaded = replace(loaded, info=loaded.info | {"auto": order})
     cost = {"ddpm": 12.0, "density": 0.3, "table": 0.6, "projection": 0.2}
-    monkeypatch.setattr(bundle, "cpu_ms", lambda proposal, _model, _samples: cost[proposal.name])
-    assert loaded.proposal("auto", budget_ms=20.0).name == "ddpm"
-    assert loaded.proposal("auto", budget_ms=5.0).name == "density"
-    assert loaded.proposal("auto", budget_ms=0.25).name == "projection"
-    assert loaded.proposal("auto", budget_ms=0.1).name == "projection"  # the cheapest, if none fits
+    monkeypatch.setattr(choice, "cpu_ms", lambda proposal, _model, _samples: cost[proposal.name])
+    auto, named = FilterConfig(), FilterConfig(sampler="ddpm-100")
+    opened = choice.open_all(loaded, auto)
+    chosen = [choice.choose(loaded, opened, auto, ms) for ms in (20.0, 5.0, 0.25, 0.1)]
+    assert chosen == ["ddpm-100", "density-64", "projection", "projection"]  # the cheapest at last
+    assert choice.choose(loaded, opened, named, 0.1) == "ddpm-100"
 
 
 def test_what_a_proposal_costs_grows_with_what_it_does() -> None:
-    skin = layout.load(SkinConfig().layout)
+    skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("mug", skin, DEPTH_MAX_M)
-    cheap = bundle.cpu_ms(loaded.proposal("density"), loaded.model, 50)
-    dear = bundle.cpu_ms(loaded.proposal("", "ddpm-100"), loaded.model, 50)
+    cheap = choice.cpu_ms(loaded.proposal("density"), loaded.model, 50)
+    dear = choice.cpu_ms(loaded.proposal("", "ddpm-100"), loaded.model, 50)
     assert 0.0 < cheap < dear
 
 
 def test_a_bundle_without_a_kind_of_sampler_says_so() -> None:
-    skin = layout.load(SkinConfig().layout)
+    skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("mug", skin, DEPTH_MAX_M)
     bare = replace(loaded, info=loaded.info | {"samplers": [], "auto": []})
     with pytest.raises(SetupError, match="holds no ddpm sampler; use auto"):
         bare.proposal("ddpm")
     assert bare.proposal("auto").name == "table"
+    assert list(choice.open_all(bare, FilterConfig())) == ["table"]

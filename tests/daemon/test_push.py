@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from taxeld import contacts, se2
-from taxeld.observation import ObservationModel
-from taxeld.push import push
-from taxeld.se2 import Poses
-from taxeld.symmetry import PoseMetric
+from taxeld.arrays import Poses
+from taxeld.estimator.push import push
+from taxeld.model import contacts, se2
+from taxeld.model.observation import ObservationModel
+from taxeld.model.symmetry import PoseMetric
 
 DEPTH_M = 0.003
 N = 4000

@@ -1,14 +1,19 @@
 """What a real-time loop is granted, and that it leaves the interpreter as it was."""
 
+import errno
 import gc
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import can
 import pytest
 
-from taxeld import realtime
+from taxeld.config.tables import SourceConfig
+from taxeld.layout import read as layouts
+from taxeld.service import realtime
+from taxeld.source.sources import open_source
 
 
 def test_everything_is_as_before_once_the_loop_has_ended() -> None:
@@ -43,7 +48,7 @@ def test_what_is_refused_is_reported_and_stops_nothing() -> None:
     """As another user, with no right to either."""
     code = (
         "import os, resource\n"
-        "from taxeld import realtime\n"
+        "from taxeld.service import realtime\n"
         "resource.setrlimit(resource.RLIMIT_RTPRIO, (0, 0))\n"
         "resource.setrlimit(resource.RLIMIT_MEMLOCK, (65536, 65536))\n"
         "os.getuid() or os.setuid(65534)\n"
@@ -51,3 +56,35 @@ def test_what_is_refused_is_reported_and_stops_nothing() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "0 False\n"
+
+
+class Unplugged(can.BusABC):
+    """A driver that leaves objects which refer to each other, as python-can's own do."""
+
+    def __init__(self, **_: object) -> None:
+        self.me = [self]
+        raise OSError(errno.ENODEV, "No such device")
+
+
+def test_a_device_that_is_away_for_long_costs_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("can.interface._get_class_for_interface", lambda _: Unplugged)
+    skin = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
+    config = SourceConfig(kind="can", interface="virtual", channel="away")
+    with realtime.thread(0):
+        source = open_source(config, skin, wait=True)
+        collector = realtime.Collector()
+        sizes = []
+        for second in range(200):
+            source.poll(float(second))
+            opened = source.counters.unopened + source.counters.reopened
+            collector.tick(float(second), opened, pressed=True)
+            sizes.append(len(gc.get_objects()))
+        assert source.counters.unopened >= 200
+        assert max(sizes[100:]) - sizes[10] < 20
+        source.close()
+
+
+def test_the_collector_runs_once_a_minute_while_nothing_is_pressed() -> None:
+    collector = realtime.Collector()
+    ran = [k for k in range(400) if collector.tick(float(k), 0, pressed=100 <= k < 200)]
+    assert ran == [0, 60, 200, 260, 320, 380]

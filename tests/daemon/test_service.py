@@ -1,6 +1,5 @@
 """A daemon on a serial skin that is restarted under a touch, and whose clock somebody sets."""
 
-import os
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -8,41 +7,29 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld import layout
-from taxeld.clock import WallClock
-from taxeld.config import parse
-from taxeld.estimate import Status
-from taxeld.loop import Daemon
-from taxeld_protocol import serial_link
+from taxeld.config.file import parse
+from taxeld.estimator.estimate import Status
+from taxeld.layout import read as layouts
+from taxeld.service.clock import WallClock
+from taxeld.service.loop import Daemon
 from tests.daemon.simulated_skin import SimulatedSkin
-from tests.daemon.test_reconnect import NativeHub
+from tests.virtual_hub import VirtualHub
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 DEADLINE_S = 30.0
 
 
-class Hub(NativeHub):
+class Hub(VirtualHub):
     """A hub that sends what a simulated skin reads."""
 
     def __init__(self, link: Path, skin: SimulatedSkin) -> None:
-        super().__init__(link, skin.layout)
+        super().__init__(link, skin.modules, native=True)
         self.skin = skin
-
-    def serve(self) -> None:
-        try:
-            data = os.read(self.master, 4096)
-        except BlockingIOError:
-            data = b""
-        answers = [a for p in self.requests.feed(data, 0.0) for a in self.hub.answer(p)]
-        if self.hub.due(time.monotonic()):
-            answers += self.hub.sensor_data(list(self.skin.scan().counts))
-        for command, payload in answers:
-            os.write(self.master, serial_link.encode(command, payload, ihb=self.hub.short_id))
 
 
 @pytest.fixture
 def hub(tmp_path: Path) -> Iterator[Hub]:
-    made = Hub(tmp_path / "skin", SimulatedSkin(layout.load(SPEC)))
+    made = Hub(tmp_path / "skin", SimulatedSkin(layouts.load(SPEC)))
     yield made
     made.unplug()
 
@@ -62,7 +49,7 @@ def tick(daemon: Daemon, hub: Hub, until: Callable[[], bool]) -> None:
     deadline = time.monotonic() + DEADLINE_S
     while not until():
         assert time.monotonic() < deadline
-        hub.serve()
+        hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
         daemon.tick(time.monotonic())
         time.sleep(0.002)
 
@@ -80,7 +67,7 @@ def test_a_restarted_daemon_feels_what_is_held_from_the_first_scan(
     tick(again, hub, lambda: again.pipeline.skin.live is not None)
     skin = again.pipeline.skin
     assert skin.counters.states_believed == 1
-    assert skin.felt
+    assert skin.touched
     assert skin.figures()["begun_again"] == 0
     assert np.abs(skin.baseline - hub.skin.base).max() < 100.0
     again.close()

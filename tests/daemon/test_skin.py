@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from taxeld.config import SkinConfig
-from taxeld.layout import Layout
-from taxeld.skin import Skin
+from taxeld.config.tables import SkinConfig
+from taxeld.layout.layout import Layout
+from taxeld.skin.skin import Skin
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module, wired
 
@@ -42,7 +42,7 @@ def test_activation_is_counts_over_baseline_by_full_scale(skin: Layout) -> None:
     assert np.count_nonzero(activation.z) == 2
 
 
-def test_idle_noise_is_not_felt_and_each_taxel_has_its_own_threshold(skin: Layout) -> None:
+def test_idle_noise_is_no_touch_and_each_taxel_has_its_own_threshold(skin: Layout) -> None:
     quiet, loud = tared(skin), tared(skin, noise=130)
     press = scan(skin, {5: 500})
     felt = quiet.on_scan(press)

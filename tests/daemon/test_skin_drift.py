@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from taxeld.config import SkinConfig
-from taxeld.drift import HOLD_OFF_S
-from taxeld.layout import Layout
-from taxeld.skin import Skin
+from taxeld.config.tables import SkinConfig
+from taxeld.layout.layout import Layout
+from taxeld.skin.drift import HOLD_OFF_S
+from taxeld.skin.skin import Skin
 from tests.daemon.simulated_skin import NOISE, SimulatedSkin
 
 MINUTE_S = 60.0
@@ -25,7 +25,7 @@ def ramp(counts_a_minute: float) -> Callable[[float], float]:
     return lambda t: counts_a_minute * t / MINUTE_S
 
 
-def test_drift_is_followed_and_never_felt(skin: Layout) -> None:
+def test_drift_is_followed_and_never_a_touch(skin: Layout) -> None:
     simulated, subject = begun(skin)
     simulated.own_drift = ramp(50.0)
     for activation in simulated.lead(subject, 10 * MINUTE_S):

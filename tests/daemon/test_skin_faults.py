@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxeld.config import SkinConfig
-from taxeld.layout import Layout
-from taxeld.skin import Skin
+from taxeld.config.tables import SkinConfig
+from taxeld.layout.layout import Layout
+from taxeld.skin.skin import Skin
 from taxeld_protocol.decoder import MISSING, Scan
 from tests.daemon.simulated_skin import SimulatedSkin
 
@@ -97,7 +97,7 @@ def counts_of(kind: str, simulated: SimulatedSkin, taxel: int) -> tuple[int, ...
 happenings = st.tuples(
     st.sampled_from(
         ["idle", "press", "release", "lost", "any", "all zero", "all full", "t0", "other table",
-         "step", "tare", "restart"]
+         "pause", "tare", "restart"]
     ),
     st.integers(0, 31),
     st.integers(1, 60),
@@ -118,9 +118,8 @@ def test_whatever_comes_the_state_is_finite_and_the_masks_agree(
             simulated.press[:] = 0.0
         elif kind == "other table":
             version += 1
-        elif kind == "step":
-            simulated.t += 60.0 * (times - 30)
-            subject.clock_stepped(60.0 * (times - 30))
+        elif kind == "pause":
+            simulated.t += 60.0 * times
         elif kind == "tare":
             subject.tare()
         elif kind == "restart":

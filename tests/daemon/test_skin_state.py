@@ -14,13 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxeld import layout as layouts
-from taxeld import skin_state, state_file
-from taxeld.config import SkinConfig, parse
-from taxeld.layout import Layout
-from taxeld.skin import Skin
-from taxeld.skin_state import SkinState
-from taxeld.state_file import NAME, StateFile
+from taxeld.config.file import parse
+from taxeld.config.tables import SkinConfig
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.service import state_file, state_format
+from taxeld.service.state_file import NAME, StateFile
+from taxeld.skin.skin import Skin
+from taxeld.skin.state import SkinState
 from tests.daemon.simulated_skin import SimulatedSkin
 
 HELD = [3, 4]
@@ -118,7 +119,7 @@ def test_tare_forgets_what_was_stored(skin: Layout) -> None:
 
 
 def text_of(skin: Layout, at: float, /, **changes: object) -> bytes:
-    data = json.loads(skin_state.dump(replace(state_of(begun(skin)[1]), t=at)))
+    data = json.loads(state_format.dump(replace(state_of(begun(skin)[1]), t=at)))
     return json.dumps({**data, **changes}).encode()
 
 
@@ -127,10 +128,11 @@ FAULTS: list[tuple[str, Callable[[Layout, float], bytes], str]] = [
     ("garbage", lambda _s, _t: bytes(range(256)), "it is damaged"),
     ("torn", lambda s, t: text_of(s, t)[:200], "it is damaged"),
     ("deep", lambda _s, _t: b"[" * 100_000, "it is damaged"),
-    ("a list", lambda _s, _t: b"[1, 2]", "it is not of version 1"),
-    ("version", lambda s, t: text_of(s, t, version=2), "it is not of version 1"),
+    ("a list", lambda _s, _t: b"[1, 2]", "it is damaged"),
+    ("version", lambda s, t: text_of(s, t, version=2), "it is of version 2, not 1"),
     ("skin", lambda s, t: text_of(s, t, digest="0" * 16), "it is of another skin"),
     ("time", lambda s, t: text_of(s, t, t=float("nan")), "its time is damaged"),
+    ("far", lambda s, t: text_of(s, t, t=10**400), "its time is damaged"),
     ("nan", lambda s, t: text_of(s, t, baseline=[float("nan")] * 32), "its baseline is damaged"),
     ("text", lambda s, t: text_of(s, t, noise=["1"] * 32), "its noise is damaged"),
     ("short", lambda s, t: text_of(s, t, noise=[1.0] * 31), "its noise is damaged"),
@@ -153,7 +155,7 @@ def test_a_file_that_cannot_be_used_is_one_warning_and_a_fresh_capture(
     now = 1e9
     (tmp_path / NAME).write_bytes(make(skin, now))
     simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
-    kept = StateFile(tmp_path, subject, 43_200.0)
+    kept = StateFile(tmp_path, subject, subject.state, 43_200.0)
     with caplog.at_level(logging.WARNING):
         kept.restore(now)
     (line,) = caplog.messages
@@ -165,7 +167,8 @@ def test_a_file_that_cannot_be_used_is_one_warning_and_a_fresh_capture(
 
 def test_a_directory_in_its_place_is_no_state_file(skin: Layout, tmp_path: Path) -> None:
     (tmp_path / NAME).mkdir()
-    kept = StateFile(tmp_path, begun(skin)[1], 43_200.0)
+    subject = begun(skin)[1]
+    kept = StateFile(tmp_path, subject, subject.state, 43_200.0)
     kept.restore(1e9)
     kept.close()
     assert (kept.counters.refused, kept.counters.failed) == (1, 1)
@@ -173,13 +176,13 @@ def test_a_directory_in_its_place_is_no_state_file(skin: Layout, tmp_path: Path)
 
 def test_what_is_kept_is_what_is_restored(skin: Layout, tmp_path: Path) -> None:
     simulated, before = begun(skin)
-    kept = StateFile(tmp_path / "made", before, 43_200.0)
+    kept = StateFile(tmp_path / "made", before, before.state, 43_200.0)
     kept.restore(simulated.t)
     kept.close()
     assert (kept.counters.loaded, kept.counters.refused, kept.counters.saved) == (0, 0, 1)
     assert [path.name for path in (tmp_path / "made").iterdir()] == [NAME]
     after = Skin(skin, SkinConfig())
-    again = StateFile(tmp_path / "made", after, 43_200.0)
+    again = StateFile(tmp_path / "made", after, after.state, 43_200.0)
     again.restore(simulated.t + 3_600.0)
     activation = after.on_scan(simulated.scan())
     assert activation is not None
@@ -189,7 +192,7 @@ def test_what_is_kept_is_what_is_restored(skin: Layout, tmp_path: Path) -> None:
 @given(st.binary(max_size=300))
 def test_any_bytes_are_a_state_or_a_reason(text: bytes) -> None:
     with pytest.raises(ValueError, match=r"^it"):
-        skin_state.parse(text, "0" * 16, 3, 1)
+        state_format.parse(text, "0" * 16, 3, 1)
 
 
 def test_the_file_of_a_very_large_skin_is_small() -> None:
@@ -197,12 +200,12 @@ def test_the_file_of_a_very_large_skin_is_small() -> None:
     simulated, subject = SimulatedSkin(large), Skin(large, SkinConfig())
     simulated.run(subject, 2.0)
     assert len(large) == 2480
-    assert len(skin_state.dump(state_of(subject))) < 50_000
+    assert len(state_format.dump(state_of(subject))) < 50_000
 
 
 def test_writing_is_seldom_and_waits_for_the_end_of_a_touch(skin: Layout, tmp_path: Path) -> None:
     simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
-    kept = StateFile(tmp_path, subject, 43_200.0)
+    kept = StateFile(tmp_path, subject, subject.state, 43_200.0)
     offered: list[float] = []
     kept._offer = lambda state: offered.append(-1.0 if state is None else state.t)  # type: ignore[method-assign]
     for k in range(20 * 700):
@@ -227,7 +230,7 @@ def test_a_slow_disk_holds_nothing_up_and_gets_the_newest(
 
     monkeypatch.setattr(os, "fsync", slow)
     simulated, subject = begun(skin)
-    kept = StateFile(tmp_path, subject, 43_200.0)
+    kept = StateFile(tmp_path, subject, subject.state, 43_200.0)
     kept.keep(0.0)
     assert syncing.wait(30.0)
     for k in range(1, 50):
@@ -246,7 +249,8 @@ def test_a_disk_that_hangs_does_not_keep_the_daemon_from_ending(
     monkeypatch.setattr(state_file, "CLOSE_S", 0.05)
     free = threading.Event()
     monkeypatch.setattr(os, "fsync", lambda _: free.wait(30.0))
-    kept = StateFile(tmp_path, begun(skin)[1], 43_200.0)
+    subject = begun(skin)[1]
+    kept = StateFile(tmp_path, subject, subject.state, 43_200.0)
     kept.close()
     assert kept.counters.saved == 0
     free.set()
@@ -262,7 +266,8 @@ def test_a_disk_that_takes_nothing_is_one_warning(
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", full)
-    kept = StateFile(tmp_path, begun(skin)[1], 43_200.0)
+    subject = begun(skin)[1]
+    kept = StateFile(tmp_path, subject, subject.state, 43_200.0)
     with caplog.at_level(logging.WARNING):
         for failed in (1, 2):
             kept.keep(failed * state_file.EVERY_S)

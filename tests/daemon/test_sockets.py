@@ -1,7 +1,6 @@
 """Binding beside the dead and the living, and frames without end."""
 
 import os
-import signal
 import socket as unix
 import stat
 import subprocess
@@ -16,7 +15,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.errors import SetupError
-from taxeld.sockets import Inbox, bind, open_socket, unpack
+from taxeld.stream.door import Door
+from taxeld.stream.sockets import FRAMES_MAX, hang_up, messages, open_socket, unpack
 
 from .conftest import Sockets
 
@@ -25,10 +25,16 @@ def publisher(sockets: Sockets) -> zmq.Socket[Any]:
     return sockets.keep(open_socket(sockets.context, zmq.XPUB, send=10, receive=4, largest=1024))
 
 
+def bind(sockets: Sockets, socket: zmq.Socket[Any], endpoint: str, key: str) -> None:
+    door = Door(endpoint, key)
+    sockets.callback(door.close)
+    door.let_in(socket)
+
+
 def test_an_ipc_socket_is_open_to_owner_and_group_alone(sockets: Sockets, tmp_path: Path) -> None:
     before = os.umask(0)
     try:
-        bind(publisher(sockets), f"ipc://{tmp_path}/stream", "publish.endpoints")
+        bind(sockets, publisher(sockets), f"ipc://{tmp_path}/stream", "publish.endpoints")
         assert os.umask(0) == 0, "the umask of the process is left as it was"
     finally:
         os.umask(before)
@@ -49,11 +55,11 @@ def test_the_socket_of_a_killed_daemon_is_taken_over(sockets: Sockets, tmp_path:
         other.stdout.readline()
         try:
             with pytest.raises(SetupError, match=r"publish\.endpoints: another daemon serves /"):
-                bind(publisher(sockets), endpoint, "publish.endpoints")
+                bind(sockets, publisher(sockets), endpoint, "publish.endpoints")
         finally:
             other.kill()
     assert (tmp_path / "stream").is_socket()
-    bind(publisher(sockets), endpoint, "publish.endpoints")
+    bind(sockets, publisher(sockets), endpoint, "publish.endpoints")
     with unix.socket(unix.AF_UNIX) as probe:
         probe.connect(str(tmp_path / "stream"))
 
@@ -62,7 +68,7 @@ def test_a_file_that_is_no_socket_is_left_alone(sockets: Sockets, tmp_path: Path
     precious = tmp_path / "stream"
     precious.write_text("precious", encoding="ascii")
     with pytest.raises(SetupError, match="is no socket; remove it or name another endpoint"):
-        bind(publisher(sockets), f"ipc://{precious}", "publish.endpoints")
+        bind(sockets, publisher(sockets), f"ipc://{precious}", "publish.endpoints")
     assert precious.read_text(encoding="ascii") == "precious"
 
 
@@ -70,25 +76,21 @@ def test_a_port_in_use_is_one_line(sockets: Sockets) -> None:
     with unix.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with pytest.raises(SetupError) as error:
-            bind(publisher(sockets), f"tcp://127.0.0.1:{port}", "publish.endpoints")
+            bind(sockets, publisher(sockets), f"tcp://127.0.0.1:{port}", "publish.endpoints")
     line = str(error.value)
     assert line.startswith(f"publish.endpoints: cannot bind tcp://127.0.0.1:{port} (Address alr")
     assert "\n" not in line
 
 
-def test_a_message_of_very_many_frames_takes_many_ticks(sockets: Sockets) -> None:
+def test_a_message_of_very_many_frames_is_not_read_to_its_end(sockets: Sockets) -> None:
     inside, outside = sockets.open(zmq.PAIR), sockets.open(zmq.PAIR)
     inside.bind("inproc://many")
     outside.connect("inproc://many")
-    outside.send_multipart([b"x"] * 1000)
-    outside.send_multipart([b"a", b"b"])
-    inbox = Inbox(inside, 3)
-    heard, ticks = [], 0
-    while len(heard) < 2:
-        heard += inbox.take(50)
-        ticks += 1
-    assert heard == [[b"x"] * 4, [b"a", b"b"]], "the long one is cut, the next one whole"
-    assert ticks == 21
+    most = [b"a"] * FRAMES_MAX
+    for parts in (most, [b"a", b"b"], [b"x"] * 1000, [b"c"]):
+        outside.send_multipart(parts)
+    assert list(messages(inside, 1)) == [most]
+    assert list(messages(inside, 10)) == [[b"a", b"b"], None]
 
 
 @pytest.mark.parametrize("kind", [zmq.XPUB, zmq.ROUTER])
@@ -96,7 +98,7 @@ def test_who_sends_too_large_a_frame_is_hung_up_on(
     sockets: Sockets, tmp_path: Path, kind: int
 ) -> None:
     server = sockets.keep(open_socket(sockets.context, kind, send=10, receive=10, largest=1024))
-    bind(server, f"ipc://{tmp_path}/x", "x")
+    bind(sockets, server, f"ipc://{tmp_path}/x", "x")
     events = sockets.keep(server.get_monitor_socket(zmq.EVENT_DISCONNECTED))
     client = sockets.open(zmq.XSUB if kind == zmq.XPUB else zmq.DEALER)
     client.connect(f"ipc://{tmp_path}/x")
@@ -105,26 +107,27 @@ def test_who_sends_too_large_a_frame_is_hung_up_on(
     assert not server.poll(0)
 
 
-def test_a_peer_that_never_speaks_again_is_let_go(sockets: Sockets, tmp_path: Path) -> None:
-    """A stopped process holds its connection open, and answers no heartbeat."""
-    server = publisher(sockets)
-    server.setsockopt(zmq.HEARTBEAT_IVL, 50)
-    server.setsockopt(zmq.HEARTBEAT_TIMEOUT, 200)
-    endpoint = f"ipc://{tmp_path}/stream"
-    bind(server, endpoint, "x")
-    events = sockets.keep(server.get_monitor_socket(zmq.EVENT_DISCONNECTED))
-    program = (
-        "import sys, time, zmq\ns = zmq.Context().socket(zmq.SUB)\n"
-        "s.connect(sys.argv[1])\ns.subscribe(b'')\ntime.sleep(60)\n"
+def test_hanging_up_disconnects_the_sender_alone(sockets: Sockets, tmp_path: Path) -> None:
+    server = sockets.keep(
+        open_socket(sockets.context, zmq.ROUTER, send=10, receive=10, largest=1024)
     )
-    with subprocess.Popen([sys.executable, "-c", program, endpoint]) as peer:
-        try:
-            assert server.poll(10_000), "nobody subscribed"
-            assert not events.poll(500), "who answers is kept"
-            peer.send_signal(signal.SIGSTOP)
-            assert events.poll(10_000), "who does not is not"
-        finally:
-            peer.kill()
+    bind(sockets, server, f"ipc://{tmp_path}/x", "x")
+    loud, quiet = sockets.open(zmq.DEALER), sockets.open(zmq.DEALER)
+    lost = [s.get_monitor_socket(zmq.EVENT_DISCONNECTED) for s in (loud, quiet)]
+    for monitor in lost:
+        sockets.keep(monitor)
+    for client in (loud, quiet):
+        client.connect(f"ipc://{tmp_path}/x")
+        client.send(b"hello")
+    for _ in range(2):
+        server.recv_multipart()
+    loud.send(b"again")
+    server.recv()
+    frame = server.recv(copy=False)
+    assert frame.bytes == b"again"
+    assert hang_up(frame)
+    assert lost[0].poll(10_000)
+    assert not lost[1].poll(100)
 
 
 @given(st.binary(max_size=64))

@@ -9,28 +9,28 @@ from pathlib import Path
 import can
 import pytest
 
-from taxeld import layout
-from taxeld.config import SourceConfig
-from taxeld.devices import CanDevice
+from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.sources import Source, open_source
-from taxeld_hil.adapter import SlcanAdapter
+from taxeld.layout import read as layouts
+from taxeld.source.devices import CanDevice
+from taxeld.source.sources import Source, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.virtual_hub import VirtualHub
 
-SKIN = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())
 CHANNELS = sum(module.channels for module in MODULES)
 DEADLINE_S = 20.0
 
 
 @pytest.fixture
-def adapter() -> Iterator[SlcanAdapter]:
-    with SlcanAdapter(VirtualIhb(MODULES), lambda _: None) as made:
+def hub(tmp_path: Path) -> Iterator[VirtualHub]:
+    with VirtualHub(tmp_path / "adapter", MODULES) as made:
         yield made
 
 
@@ -49,37 +49,26 @@ def counts(k: int) -> list[int]:
     return [1000 * k + i + 1 for i in range(CHANNELS)]
 
 
-def test_slcan_on_a_pseudo_terminal_brings_the_skin_up(adapter: SlcanAdapter) -> None:
-    source = open_source(SourceConfig(kind="can", interface="slcan", channel=adapter.device), SKIN)
-    sent = 0
-
-    def serve(_: int) -> None:
-        nonlocal sent
-        adapter.serve(time.time())
-        if adapter.ihb.due(time.monotonic()):
-            for answer in adapter.ihb.sensor_data(counts(sent)):
-                adapter.send(*answer, time.time())
-            sent += 1
-
-    scans = scans_until(source, serve, 5)
+def test_slcan_on_a_pseudo_terminal_brings_the_skin_up(hub: VirtualHub) -> None:
+    source = open_source(SourceConfig(kind="can", interface="slcan", channel=hub.device), SKIN)
+    scans = scans_until(source, lambda _: hub.serve(time.monotonic(), counts), 5)
     assert [list(scan.counts) for scan in scans[:5]] == [counts(k) for k in range(5)]
     source.close()
-    adapter.serve(time.time())
-    assert not adapter.ihb.auto_sync  # stopped on exit
+    hub.answer(time.time())
+    assert not hub.ihb.auto_sync  # stopped on exit
 
 
-def test_damaged_slcan_lines_cost_only_themselves(adapter: SlcanAdapter) -> None:
-    settings = SourceConfig(kind="can", interface="slcan", channel=adapter.device, listen_only=True)
+def test_damaged_slcan_lines_cost_only_themselves(hub: VirtualHub) -> None:
+    settings = SourceConfig(kind="can", interface="slcan", channel=hub.device, listen_only=True)
     source = open_source(settings, SKIN)
     noise = [b"t1ZZ8junk\r", b"\xff\xfe\r", b"t\r", b"T123\r", b"\x07", b"tttt\r"]
 
     def serve(k: int) -> None:
-        adapter.serve(time.time())
-        os.write(adapter.fileno(), noise[k % len(noise)])
+        hub.answer(time.time())
+        os.write(hub.port.fileno(), noise[k % len(noise)])
         time.sleep(0.01)  # python-can flushes a line that it cannot decode, and what follows it
         source.poll(time.monotonic())
-        for answer in adapter.ihb.sensor_data(counts(k)):
-            adapter.send(*answer, time.time())
+        hub.scan(counts(k))
 
     serve(0)
     scans = scans_until(source, serve, len(noise) + 2)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from taxeld import client
 from taxeld.cli import main
-from taxeld.status_text import lines
+from taxeld.commands.status import lines
+from taxeld.stream import client
 
 from .recorded import configuration, write_session
 
@@ -75,7 +75,7 @@ def test_reset_and_tare_wait_for_the_answer_and_say_what_happened(
     config = str(running / "config.toml")
     before = _contacts(running)
     assert main(["reset", config]) == 0
-    assert capsys.readouterr().out == "forgotten what was felt\n"
+    assert capsys.readouterr().out == "all touches are forgotten\n"
     assert before > 0
     assert main(["tare", config]) == 0
     assert "leave the skin untouched" in capsys.readouterr().out

@@ -11,8 +11,9 @@ import msgpack
 import pytest
 import zmq
 
-from taxeld import client, messages, streams
-from taxeld.estimate import ProposalKind, Status
+from taxeld.estimator.estimate import ProposalKind, Status
+from taxeld.stream import client, messages
+from taxeld.stream.pose_input import as_pose
 
 from .conftest import Sockets
 from .recorded import configuration, write_session
@@ -133,7 +134,7 @@ def test_every_name_of_a_number_is_documented(kind: type[Status] | type[Proposal
 def test_the_documented_sensor_pose_is_taken() -> None:
     keys, example = documented("/robot/sensor_pose")
     assert leaves(example) == keys
-    pose = streams._pose([messages.SENSOR_POSE, msgpack.packb(example), b"0.0"])
+    pose = as_pose([messages.SENSOR_POSE, msgpack.packb(example), b"0.0"])
     assert pose == tuple(example[key] for key in ("t", "x", "y", "theta"))
 
 

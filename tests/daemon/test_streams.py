@@ -1,5 +1,7 @@
 """The publisher and whoever subscribes: newcomers, the slow, the silent and the flooding."""
 
+import contextlib
+import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,10 +11,8 @@ import msgpack
 import pytest
 import zmq
 
-from taxeld import messages, streams
-from taxeld.config import CurveConfig
-from taxeld.curve import Guard
-from taxeld.streams import Publisher
+from taxeld.stream import messages, publisher
+from taxeld.stream.publisher import Publisher
 
 from .conftest import Sockets
 
@@ -27,10 +27,9 @@ class Desk:
         self.endpoint = f"ipc://{place}/stream"
         self.now = 0.0
         self._sockets = sockets
-        guard = Guard(sockets.context, None, CurveConfig())
-        self.publisher = Publisher(sockets.context, QUEUE, INFO, guard)
+        self.publisher = Publisher(sockets.context, QUEUE, INFO)
         sockets.callback(self.publisher.close)
-        self.publisher.bind((self.endpoint,))
+        self.publisher.bind((self.endpoint,), "publish.endpoints")
 
     def subscriber(self, *topics: bytes, queue: int = 1000) -> zmq.Socket[Any]:
         socket = self._sockets.open(zmq.SUB)
@@ -119,8 +118,28 @@ def test_what_nobody_wants_is_known(desk: Desk) -> None:
     first.close()
     desk.until_wanted(messages.TAXELS, wanted=False)
     assert desk.publisher.wants(messages.PARTICLES)
-    second.setsockopt(zmq.UNSUBSCRIBE, b"/taxeld/p")
+    second.close()
     desk.until_wanted(messages.PARTICLES, wanted=False)
+
+
+@pytest.mark.parametrize("end", [b"\x00", b"\x02", b"", b"\xff"])
+def test_what_one_peer_says_ends_no_other_peers_topic(
+    desk: Desk, sockets: Sockets, end: bytes
+) -> None:
+    honest = desk.subscriber(messages.TAXELS)
+    desk.until_wanted(messages.TAXELS)
+    stranger = sockets.open(zmq.XSUB)
+    stranger.connect(desk.endpoint)
+    stranger.send(b"\x01" + messages.PARTICLES)
+    stranger.send(end + messages.TAXELS)
+    stranger.send(b"\x01" + messages.HEALTH)
+    desk.until_wanted(messages.HEALTH)
+    assert desk.publisher.wants(messages.TAXELS)
+    assert desk.publisher.counters.malformed == (end != b"\x00")
+    stranger.close()
+    desk.until_wanted(messages.PARTICLES, wanted=False)
+    desk.publisher.send(messages.TAXELS, {"z": []}, 1.0)
+    assert honest.poll(10_000)
 
 
 @pytest.mark.parametrize("same", [True, False])
@@ -132,7 +151,6 @@ def test_a_flood_of_subscriptions_is_heard_a_bounded_number_a_tick(
     honest = desk.subscriber(b"/taxeld/info")
     events = 0
     desk.until(honest)
-    outlet = next(iter(desk.publisher._outlets.values()))
     for k in range(200):
         for n in range(200):
             topic = b"/taxeld/info" if same else b"/taxeld/i%d" % (200 * k + n)
@@ -143,12 +161,13 @@ def test_a_flood_of_subscriptions_is_heard_a_bounded_number_a_tick(
                 break
         desk.tick()
     assert events > 1000
-    assert len(outlet._prefixes) == 1, "what is none of our topics is not kept"
+    assert len(desk.publisher._prefixes) == 1, "what is none of our topics is not kept"
+    assert desk.publisher.counters.hung_up >= 1, "who floods is hung up on"
     greetings = 0
     while honest.poll(0):
         honest.recv_multipart()
         greetings += 1
-    assert greetings <= 1 + 200 * 0.01 / streams.INFO_S, "nobody is greeted to death"
+    assert greetings <= 1 + 200 * 0.01 / publisher.INFO_S, "nobody is greeted to death"
 
 
 def test_who_fetches_nothing_keeps_a_second_and_loses_the_rest_alone(desk: Desk) -> None:
@@ -169,3 +188,59 @@ def test_who_fetches_nothing_keeps_a_second_and_loses_the_rest_alone(desk: Desk)
         stalled.recv_multipart()
         kept += 1
     assert QUEUE <= kept < 2 * QUEUE
+
+
+def test_who_asks_for_very_many_topics_is_hung_up_on_and_nobody_else(
+    desk: Desk, sockets: Sockets
+) -> None:
+    honest = desk.subscriber(b"/taxeld/e")
+    desk.until_wanted(messages.ESTIMATE)
+    flooder = sockets.open(zmq.XSUB)
+    events = sockets.keep(flooder.get_monitor_socket(zmq.EVENT_DISCONNECTED))
+    flooder.connect(desk.endpoint)
+    lost = sockets.keep(honest.get_monitor_socket(zmq.EVENT_DISCONNECTED))
+    for n in range(20 * publisher.EVENTS_MAX):
+        if events.poll(0):
+            break
+        with contextlib.suppress(zmq.Again):
+            flooder.send(b"\x01none of ours %d" % n, zmq.NOBLOCK)
+        desk.tick()
+        desk.publisher.send(messages.ESTIMATE, {"n": n}, 1.0)
+        assert honest.poll(10_000)
+        assert msgpack.unpackb(honest.recv_multipart()[1]) == {"n": n}, "not one is missed"
+    assert events.poll(10_000), "the flooder was left alone"
+    assert desk.publisher.counters.foreign > publisher.EVENTS_MAX
+    assert desk.publisher.counters.hung_up == 1
+    assert not lost.poll(0)
+
+
+def test_a_socket_file_that_vanished_is_bound_again_and_that_is_said_once(
+    desk: Desk, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    before = desk.subscriber(b"/taxeld/e")
+    desk.until_wanted(messages.ESTIMATE)
+    (tmp_path / "stream").unlink()
+    desk.until(desk.subscriber(messages.INFO))
+    for _ in range(1000):
+        desk.tick()
+    assert [record.message for record in caplog.records] == [
+        f"publish.endpoints: {tmp_path}/stream had vanished and was bound again"
+    ]
+    assert stat.S_IMODE((tmp_path / "stream").stat().st_mode) == 0o660
+    assert desk.publisher.counters.bound_again == 1
+    desk.publisher.send(messages.ESTIMATE, {}, 1.0)
+    assert before.poll(10_000), "who was there has stayed connected"
+
+
+def test_a_socket_file_that_another_has_taken_is_left_to_it(
+    desk: Desk, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "stream").unlink()
+    (tmp_path / "stream").write_text("another's", encoding="ascii")
+    for _ in range(1000):
+        desk.tick()
+    assert [record.message for record in caplog.records] == [
+        f"publish.endpoints: {tmp_path}/stream is lost: something else stands in its place"
+    ]
+    desk.publisher.close()
+    assert (tmp_path / "stream").read_text(encoding="ascii") == "another's"

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxeld import se2
-from taxeld.layout import Layout
-from taxeld.observation import ObservationModel
-from taxeld.symmetry import PoseMetric, add_m
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
+from taxeld.model.observation import ObservationModel
+from taxeld.model.symmetry import PoseMetric, add_m
 
 from .conftest import box, scene_of
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from taxeld.ticker import Ticker
+from taxeld.service.ticker import Ticker
 
 
 class FakeClock:

@@ -1,34 +1,27 @@
 """A virtual skin for the acceptance's tests: on a pseudo-terminal, on a clock of its own.
 
 The clock is what the code under test sleeps on; a sleep serves the hub, and waits until the kernel
-has carried its bytes over. So seconds of scans take little time, and no load can spoil them.
+has its bytes on the other side. So seconds of scans take little time, on a busy machine as well.
 """
 
-import fcntl
 import io
-import os
 import re
 import select
-import struct
-import termios
 import time
-import tty
 from collections.abc import Callable, Sequence
-from typing import Any, Self
 
 import numpy as np
 
-from taxeld_hil.adapter import SlcanAdapter
-from taxeld_protocol import cyskin, serial_link, slcan
+from taxeld_protocol.cyskin import Command
+from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, wired
-from taxeld_protocol.serial_link import SerialReader
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.virtual_hub import VirtualHub
 
 LAYOUT = "cylinder:rows=2,columns=20,radius_m=0.06,pitch_m=0.015"  # four modules of ten taxels
 MODULES = tuple(wired([i // 10 + 1 << 4 | i % 10 + 1 for i in range(40)]))
 LEVEL, T0, NOISE = 10_000.0, 12_000.0, 34.0
 PRESS_COUNTS = 9_000.0
-CARRY_S = 5.0
+WAIT_S = 5.0
 SLOW = 10.0  # times the sleep that was asked for, as on a busy machine
 PROMPT = re.compile(r"^\d+/\d+ press module (\d+) ")
 
@@ -74,91 +67,49 @@ class Counts:
         return values
 
 
-class BusAdapter(SlcanAdapter):
-    """Counts what it writes, and turns a bit of every n-th packet of counts."""
+class DamagingHub(VirtualHub):
+    """Flips a bit of every n-th packet of counts."""
 
-    written = 0
     damage_every = 0
     _packets = 0
 
-    def send(self, command: int, payload: bytes, t: float) -> None:
-        if command != cyskin.Command.SENSOR_DATA:
-            super().send(command, payload, t)
-            return
-        self._packets += 1
-        damaged = self.damage_every and self._packets % self.damage_every == 0
-        for i, frame in enumerate(cyskin.to_frames(command, payload, ihb=self.ihb.short_id, t=t)):
-            flip = bytes((frame.data[0] ^ 0x10,)) + frame.data[1:]
-            self._write(slcan.encode(frame._replace(data=flip) if damaged and i == 1 else frame))
-
-    def _write(self, data: bytes) -> None:
-        self.written += len(data)
-        super()._write(data)
-
-
-class NativeAdapter:
-    """A hub on the native serial link, as `SlcanAdapter` is one behind SLCAN."""
-
-    def __init__(self, ihb: VirtualIhb) -> None:
-        self.ihb = ihb
-        self.written = 0
-        self._requests = SerialReader()
-        self._master, self._slave = os.openpty()
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.device = os.ttyname(self._slave)
-
-    def fileno(self) -> int:
-        return self._master
-
-    def serve(self, t: float) -> None:
-        try:
-            data = os.read(self._master, 4096)
-        except OSError:  # nothing there
-            return
-        for packet in self._requests.feed(data, t):
-            for command, payload in self.ihb.answer(packet):
-                self.send(command, payload, t)
-
-    def send(self, command: int, payload: bytes, t: float) -> None:  # noqa: ARG002
-        self.written += os.write(
-            self._master, serial_link.encode(command, payload, ihb=self.ihb.short_id)
-        )
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        os.close(self._master)
-        os.close(self._slave)
+    def items(self, command: int, payload: bytes) -> Sequence[Frame | bytes]:
+        items = super().items(command, payload)
+        if command == Command.SENSOR_DATA:
+            self._packets += 1
+            if self.damage_every and self._packets % self.damage_every == 0:
+                frame = items[1]
+                assert isinstance(frame, Frame)
+                data = bytes((frame.data[0] ^ 0x10,)) + frame.data[1:]
+                return [items[0], frame._replace(data=data), *items[2:]]
+        return items
 
 
 class VirtualSkin:
-    """A hub behind an adapter, served while the clock's owner sleeps."""
+    """A hub and what it reads, served while the clock's owner sleeps."""
 
-    def __init__(self, adapter: Any, counts: Counts, clock: Clock) -> None:
-        self.adapter, self.counts = adapter, counts
+    def __init__(self, hub: VirtualHub, counts: Counts, clock: Clock) -> None:
+        self.hub, self.counts = hub, counts
         self.period_ms: int | None = None  # what it keeps to, whatever it is asked for
         self.wired_as: dict[int, int] = {}  # module that is asked for → that lies there
         self._clock = clock
-        self.operator = self.on_text  # hears what is printed
+        self.operator = self.on_text  # reads what is printed
         self._release_s = np.inf
         clock.on_sleep = self.serve
 
     def serve(self) -> None:
-        adapter, now = self.adapter, self._clock.now
-        if not adapter.ihb.auto_sync:  # requests are under way: real time, a little
-            select.select([adapter], [], [], 0.001)
-        adapter.serve(now)
+        hub, now = self.hub, self._clock.now
+        if not hub.ihb.auto_sync:  # requests are under way: real time, a little
+            select.select([hub.port], [], [], 0.001)
+        hub.answer(now)
         if now >= self._release_s:
             self.counts.pressed = None
         if self.period_ms:
-            adapter.ihb.period_ms = self.period_ms
-        if adapter.ihb.due(now):
-            before = adapter.written
-            for command, payload in adapter.ihb.sensor_data(self.counts.scan()):
-                adapter.send(command, payload, now)
-            self._carry(adapter.written - before)
+            hub.ihb.period_ms = self.period_ms
+        if hub.ihb.due(now):
+            before = hub.written
+            hub.scan(self.counts.scan())
+            self._wait_for_kernel(hub.written - before)
 
     def on_text(self, text: str) -> None:
         """The operator, who presses what is asked for: from what is printed."""
@@ -168,20 +119,17 @@ class VirtualSkin:
             self._release_s = self._clock.now + 0.4
 
     def was_stopped(self) -> bool:
-        """Whether the host switched the scans off, in its last words."""
-        while self.adapter.ihb.auto_sync and select.select([self.adapter], [], [], CARRY_S)[0]:
-            self.adapter.serve(self._clock.now)
-        return not self.adapter.ihb.auto_sync
+        """Whether the last thing that the host asked for was that the scans stop."""
+        hub = self.hub
+        while hub.ihb.auto_sync and select.select([hub.port], [], [], WAIT_S)[0]:
+            hub.answer(self._clock.now)
+        return not hub.ihb.auto_sync
 
-    def _carry(self, written: int) -> None:
-        """Wait until the kernel has carried a scan's last byte to the reader's side."""
-        deadline = time.monotonic() + CARRY_S
-        while self._waiting() < written and time.monotonic() < deadline:
+    def _wait_for_kernel(self, written: int) -> None:
+        """Until a scan's last byte is on the reader's side of the pseudo-terminal."""
+        deadline = time.monotonic() + WAIT_S
+        while self.hub.port.waiting() < written and time.monotonic() < deadline:
             time.sleep(2e-5)
-
-    def _waiting(self) -> int:
-        found = fcntl.ioctl(self.adapter._slave, termios.FIONREAD, b"\0" * 4)
-        return int(struct.unpack("i", found)[0])
 
 
 class Operator(io.StringIO):

@@ -1,4 +1,4 @@
-"""The acceptance checks, as functions of what was received: every fault fails its own check."""
+"""The acceptance checks, as functions of what was received: each fault fails its own check."""
 
 import json
 import re
@@ -10,21 +10,24 @@ from typing import Any
 import numpy as np
 import pytest
 
-from taxeld import layout
 from taxeld.errors import SetupError
-from taxeld_hil import accept_link, accept_press, accept_taxels
-from taxeld_hil.accept import checks, source_of
-from taxeld_hil.accept_draw import draw
-from taxeld_hil.accept_parts import Check, Link, Press, Received, Verdict
-from taxeld_hil.accept_press import Watch
-from taxeld_hil.accept_readings import readings
-from taxeld_hil.accept_report import Report
+from taxeld.layout import read as layouts
+from taxeld_hil.acceptance import link as accept_link
+from taxeld_hil.acceptance import press as accept_press
+from taxeld_hil.acceptance import taxels as accept_taxels
+from taxeld_hil.acceptance.accept import source_of
+from taxeld_hil.acceptance.checks import checks
+from taxeld_hil.acceptance.draw import draw
+from taxeld_hil.acceptance.press import PressDetector
+from taxeld_hil.acceptance.readings import readings
+from taxeld_hil.acceptance.report import Report
+from taxeld_hil.acceptance.values import CheckResult, Link, Press, Received, Verdict
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module
 
 from .accept_skin import LAYOUT, MODULES, Counts
 
-SKIN = layout.read(LAYOUT)
+SKIN = layouts.read(LAYOUT)
 SCANS, PERIOD_S = 200, 0.05
 FULL_SCALE = 20_000.0
 HEALTHY_LINK = Link(frames=2400, packets=200)
@@ -52,7 +55,7 @@ def received(scans: list[Scan] | None = None, **more: Any) -> Received:
     return Received(**{**healthy, **more})
 
 
-def judged(got: Received) -> dict[str, Check]:
+def judged(got: Received) -> dict[str, CheckResult]:
     found = checks(got, readings(got.layout, got.scans, PERIOD_S))
     return {check.name: check for check in found}
 
@@ -187,21 +190,23 @@ def test_a_healthy_skin_fails_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "said", "make"), FAULTS, ids=[f"{name}: {said}" for name, said, _ in FAULTS]
+    ("name", "expected", "make"),
+    FAULTS,
+    ids=[f"{name}: {expected}" for name, expected, _ in FAULTS],
 )
 def test_a_fault_fails_its_own_check_alone_and_is_named(
-    name: str, said: str, make: Callable[[], Received]
+    name: str, expected: str, make: Callable[[], Received]
 ) -> None:
     found = failed(make())
     assert list(found) == name.split()
-    assert said in found[name.split(maxsplit=1)[0]]
+    assert expected in found[name.split(maxsplit=1)[0]]
 
 
-def test_a_swapped_pair_is_told_once() -> None:
+def test_a_swapped_pair_is_one_finding() -> None:
     assert failed(presses(0, 3, 2, 1)())["press"].count("swapped") == 1
 
 
-def test_scans_lost_to_damaged_packets_are_the_links_fault_and_not_the_rates() -> None:
+def test_scans_lost_to_damaged_packets_fail_the_link_and_not_the_rate() -> None:
     scans = scans_of(Counts(MODULES))
     torn = [
         replace(scan, counts=(*scan.counts[:40], *[MISSING] * 4)) if i % 20 == 10 else scan
@@ -212,19 +217,19 @@ def test_scans_lost_to_damaged_packets_are_the_links_fault_and_not_the_rates() -
     assert "10 of 200 missed" in judged(got)["rate"].summary
 
 
-def test_what_cannot_be_checked_is_not_said_to_have_passed() -> None:
+def test_what_cannot_be_checked_has_not_passed() -> None:
     verdicts = {name: c.verdict for name, c in judged(no_scans({})()).items()}
     assert verdicts.pop("discovery") is Verdict.FAILED
     assert set(verdicts.values()) == {Verdict.NOT_CHECKED}
 
 
-def test_a_table_without_scans_is_still_held_against_the_layout() -> None:
+def test_a_module_table_is_compared_with_the_layout_without_scans_too() -> None:
     found = failed(no_scans({1: (A, C, D)}, packets=9)())
     assert list(found) == ["discovery", "modules"]
     assert "module 2 did not answer" in found["modules"]
 
 
-def test_channels_that_the_layout_lacks_are_noted_and_no_fault() -> None:
+def test_channels_that_the_layout_lacks_are_a_note_and_no_finding() -> None:
     more = replace(A, mask=0xFFF, channels=12)
     got = table(more, B, C, D)()
     assert failed(got) == {}
@@ -233,7 +238,7 @@ def test_channels_that_the_layout_lacks_are_noted_and_no_fault() -> None:
     ]
 
 
-def test_a_skin_too_quiet_to_tell_a_stuck_taxel_says_so() -> None:
+def test_with_less_noise_than_a_count_no_taxel_is_called_stuck_and_a_note_says_so() -> None:
     counts = Counts(MODULES, noise=0.2)
     counts.fixed = {(1, 3): 10_000}
     got = received(scans_of(counts))
@@ -241,12 +246,12 @@ def test_a_skin_too_quiet_to_tell_a_stuck_taxel_says_so() -> None:
     assert "use --press" in judged(got)["noise"].notes[0]
 
 
-def test_every_skin_is_measured_by_its_own_noise() -> None:
+def test_noise_is_compared_with_the_skins_own() -> None:
     for sd in (0.5, 34.0, 130.0):  # a flat patch, a handle, a large curved patch
         assert failed(received(scans_of(Counts(MODULES, noise=sd)))) == {}
 
 
-def test_slow_drift_is_neither_noise_nor_a_fault_of_the_temperature() -> None:
+def test_slow_drift_fails_neither_the_noise_nor_the_temperature() -> None:
     scans = [
         replace(scan, counts=tuple(value + i // 20 for value in scan.counts))
         for i, scan in enumerate(scans_of(Counts(MODULES)))
@@ -255,40 +260,40 @@ def test_slow_drift_is_neither_noise_nor_a_fault_of_the_temperature() -> None:
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 19, 21])
-def test_a_period_of_few_scans_is_judged_as_far_as_it_goes(n: int) -> None:
+def test_with_few_scans_nothing_fails_but_the_rate(n: int) -> None:
     assert set(failed(received(scans_of(Counts(MODULES))[:n], span=(1000.0, 1000.0)))) <= {"rate"}
 
 
-def test_presses_beyond_full_scale_are_noted() -> None:
+def test_presses_beyond_full_scale_are_a_note() -> None:
     got = presses(0, 1, 2, 3, counts=31_000.0)()
     assert failed(got) == {}
     assert "full_scale_counts towards 31000" in judged(got)["press"].notes[0]
 
 
-def test_a_hub_that_declared_itself_anew_is_judged_by_its_last_table() -> None:
+def test_a_hub_that_declared_itself_twice_is_checked_by_its_last_table() -> None:
     dead = Counts(MODULES)
     dead.fixed = {(1, 1): 0}
     scans = scans_of(dead)[:100] + scans_of(Counts(MODULES), version=2)[100:]
     assert failed(received(scans)) == {}
 
 
-def feed(watch: Watch, over: list[float], t: float) -> float:
+def feed(detector: PressDetector, over: list[float], t: float) -> float:
     """Ten counts on taxel 0 of module 0 and taxel 1 of module 1, over a level of 100."""
     for value in over:
-        watch.on_counts(t, np.arange(2), np.array([100.0, 100.0 + value]))
+        detector.on_counts(t, np.arange(2), np.array([100.0, 100.0 + value]))
         t += PERIOD_S
     return t
 
 
-def watch() -> Watch:
-    return Watch(np.full(2, 100.0), np.full(2, 50.0), np.ones(2, dtype=bool))
+def detector() -> PressDetector:
+    return PressDetector(np.full(2, 100.0), np.full(2, 50.0), np.ones(2, dtype=bool))
 
 
 MODULE = np.array([0, 1], dtype=np.intp)
 
 
 def test_a_press_begins_over_the_threshold_and_ends_with_its_release() -> None:
-    one = watch()
+    one = detector()
     t = feed(one, [0, 10, 49, 0, 60, 300, 200], 0.0)
     assert (one.pressed, one.done) == (True, False)
     feed(one, [0] * 8, t)
@@ -297,14 +302,14 @@ def test_a_press_begins_over_the_threshold_and_ends_with_its_release() -> None:
     assert one.peak.max() == 300.0
 
 
-def test_a_spark_is_no_press() -> None:
-    one = watch()
+def test_a_single_scan_over_the_threshold_is_no_press() -> None:
+    one = detector()
     feed(one, [0, 400, 0, 0, 400, 0], 0.0)
     assert one.answer(MODULE) is None
 
 
-def test_a_hand_that_is_still_there_is_not_the_next_press() -> None:
-    one = watch()
+def test_a_press_that_is_still_held_is_not_the_next_press() -> None:
+    one = detector()
     t = feed(one, [400] * 20, 0.0)
     one.begin()  # the time for the first is over
     t = feed(one, [400] * 20, t)
@@ -314,13 +319,13 @@ def test_a_hand_that_is_still_there_is_not_the_next_press() -> None:
     assert one.pressed
 
 
-def test_taxels_that_cannot_be_believed_press_nothing() -> None:
-    one = Watch(np.full(2, 100.0), np.full(2, 50.0), np.array([True, False]))
+def test_taxels_that_are_not_usable_begin_no_press() -> None:
+    one = PressDetector(np.full(2, 100.0), np.full(2, 50.0), np.array([True, False]))
     feed(one, [400] * 5, 0.0)
     assert not one.pressed
 
 
-def test_the_json_is_plain_and_has_a_row_a_taxel() -> None:
+def test_the_json_is_strict_and_has_a_row_for_each_taxel() -> None:
     got = received(scans_of(Counts((A, B, C)), (A, B, C)), tables={1: (A, B, C)})
     found = readings(SKIN, got.scans, PERIOD_S)
     report = Report("can:can0", "now", got, found, checks(got, found))
@@ -340,7 +345,7 @@ def test_the_json_is_plain_and_has_a_row_a_taxel() -> None:
     ],
     ids=["silent", "dead", "some of each", "pressed"],
 )
-def test_whatever_was_found_can_be_drawn(make: Callable[[], Received], tmp_path: Path) -> None:
+def test_every_report_can_be_drawn(make: Callable[[], Received], tmp_path: Path) -> None:
     got = make()
     found = readings(SKIN, got.scans, PERIOD_S)
     draw(Report("can:can0", "now", got, found, checks(got, found)), tmp_path / "p.png")
@@ -364,23 +369,23 @@ def test_a_target_is_one_of_the_daemons_sources(
     assert config.period_ms == 20
 
 
-def test_a_serial_target_may_carry_its_speed() -> None:
+def test_a_serial_target_may_name_its_baud_rate() -> None:
     assert source_of("serial:/dev/ttyUSB0@115200", 50).baud == 115_200
 
 
 @pytest.mark.parametrize("target", ["can0", "can:", ":can0", ""])
-def test_a_target_that_is_none_is_refused(target: str) -> None:
+def test_a_malformed_target_is_refused(target: str) -> None:
     with pytest.raises(SetupError, match="use can:can0"):
         source_of(target, 50)
 
 
 def test_the_document_has_every_threshold_as_the_code_has_it() -> None:
     text = (Path(__file__).parents[2] / "docs" / "acceptance.md").read_text(encoding="utf-8")
-    said = dict(re.findall(r"`([A-Z_]+)` = ([0-9.]+)", text))
+    expected = dict(re.findall(r"`([A-Z_]+)` = ([0-9.]+)", text))
     names = {
         accept_link: ("RATE_OFF", "JITTER_OFF", "MISSED", "DAMAGED"),
         accept_taxels: ("STANDS_OUT", "NOISE_MAX", "INVALID", "STILL_SCANS", "STEP"),
         accept_press: ("WEAK",),
     }
     held = {name: getattr(module, name) for module, own in names.items() for name in own}
-    assert {name: float(value) for name, value in said.items()} == pytest.approx(held)
+    assert {name: float(value) for name, value in expected.items()} == pytest.approx(held)

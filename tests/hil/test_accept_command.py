@@ -11,15 +11,14 @@ from types import SimpleNamespace
 import pytest
 
 from taxeld_hil import cli
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.virtual_hub import VirtualHub
 
 from .accept_skin import (
     LAYOUT,
     MODULES,
-    BusAdapter,
     Clock,
     Counts,
-    NativeAdapter,
+    DamagingHub,
     Operator,
     VirtualSkin,
 )  # fmt: skip
@@ -51,28 +50,35 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """Everything that looks at a clock between device and report looks at this one."""
     made = Clock()
     for module in (
-        "taxeld_hil.accept", "taxeld_hil.accept_acquire", "taxeld.devices", "can.interfaces.slcan",
+        "taxeld_hil.acceptance.accept", "taxeld_hil.acceptance.acquire",
+        "taxeld.source.devices", "can.interfaces.slcan",
     ):  # fmt: skip
         monkeypatch.setattr(f"{module}.time", made)
     return made
 
 
 @pytest.fixture
-def skin(clock: Clock) -> Iterator[VirtualSkin]:
+def link(tmp_path: Path) -> Path:
+    """The device's name."""
+    return tmp_path / "device"
+
+
+@pytest.fixture
+def skin(clock: Clock, link: Path) -> Iterator[VirtualSkin]:
     """A healthy skin behind an SLCAN adapter; tests break it."""
-    with BusAdapter(VirtualIhb(MODULES), lambda _: None) as adapter:
-        yield VirtualSkin(adapter, Counts(MODULES), clock)
+    with DamagingHub(link, MODULES) as hub:
+        yield VirtualSkin(hub, Counts(MODULES), clock)
 
 
 @pytest.fixture
 def accept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
     def run(skin: VirtualSkin, *more: str, kind: str = "slcan", view: bool = False) -> Ran:
         operator, out = Operator(skin.operator), tmp_path / "report"
-        target = f"{kind}:{skin.adapter.device}"
+        target = f"{kind}:{Path(skin.hub.device).readlink()}"  # a short name, for the page
         with monkeypatch.context() as patch:
             patch.setattr(sys, "stdout", operator)
             if not view:  # as where the extra is not installed
-                patch.setitem(sys.modules, "taxeld_hil.accept_draw", None)
+                patch.setitem(sys.modules, "taxeld_hil.acceptance.draw", None)
             code = cli.main(["accept", target, "--layout", LAYOUT, "--out", str(out), *FIVE, *more])
         return Ran(code=code, out=out, printed=operator.getvalue())
 
@@ -82,7 +88,7 @@ def accept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran
 Accept = Callable[..., Ran]
 
 
-def test_a_healthy_skin_passes_all_and_leaves_a_page_a_picture_and_the_recording(
+def test_a_healthy_skin_passes_all_checks_and_gets_a_report_a_picture_and_a_recording(
     skin: VirtualSkin, accept: Accept
 ) -> None:
     ran = accept(skin, "--press", view=True)
@@ -97,9 +103,11 @@ def test_a_healthy_skin_passes_all_and_leaves_a_page_a_picture_and_the_recording
     assert skin.was_stopped()
 
 
-def test_the_native_serial_link_is_looked_at_the_same_way(clock: Clock, accept: Accept) -> None:
-    with NativeAdapter(VirtualIhb(MODULES)) as adapter:
-        ran = accept(VirtualSkin(adapter, Counts(MODULES), clock), kind="serial")
+def test_the_native_serial_link_is_checked_the_same_way(
+    clock: Clock, link: Path, accept: Accept
+) -> None:
+    with VirtualHub(link, MODULES, native=True) as hub:
+        ran = accept(VirtualSkin(hub, Counts(MODULES), clock), kind="serial")
     assert (ran.code, ran.failed) == (0, []), ran.printed
     assert (ran.out / "serial.bin").stat().st_size > 0
 
@@ -109,10 +117,12 @@ def test_without_matplotlib_all_but_the_picture_is_there(skin: VirtualSkin, acce
     assert ran.code == 0
     assert "no picture: " in ran.printed
     assert "pip install 'taxeld[view]'" in ran.printed
-    assert sorted(p.name for p in ran.out.iterdir()) == ["frames.log", "report.json", "report.txt"]
+    assert sorted(p.name for p in ran.out.iterdir()) == [
+        *("frames.log", "report.json", "report.txt", "session.toml")
+    ]
 
 
-def test_without_presses_the_rest_is_judged(skin: VirtualSkin, accept: Accept) -> None:
+def test_without_presses_all_else_is_checked(skin: VirtualSkin, accept: Accept) -> None:
     ran = accept(skin)
     assert ran.code == 0
     assert re.search(r"^press +not checked +not asked for", ran.printed, re.MULTILINE)
@@ -125,10 +135,12 @@ def test_a_dead_taxel_fails_the_taxels_alone(skin: VirtualSkin, accept: Accept) 
     assert "T4 of module 3 (hub 1, position 2)" in ran.findings("taxels")
 
 
-def test_a_missing_module_fails_the_module_table_alone(clock: Clock, accept: Accept) -> None:
+def test_a_missing_module_fails_the_module_table_alone(
+    clock: Clock, link: Path, accept: Accept
+) -> None:
     rest = [module for module in MODULES if module.sui != 2]
-    with BusAdapter(VirtualIhb(rest), lambda _: None) as adapter:
-        ran = accept(VirtualSkin(adapter, Counts(rest), clock), "--press")
+    with VirtualHub(link, rest) as hub:
+        ran = accept(VirtualSkin(hub, Counts(rest), clock), "--press")
     assert (ran.code, ran.failed) == (1, ["modules"]), ran.printed
     assert "module 2" in ran.findings("modules")
 
@@ -142,16 +154,14 @@ def test_a_swapped_pair_of_modules_fails_the_presses_alone(
     assert "modules 2 and 4" in ran.findings("press")
 
 
-def test_a_module_that_nobody_presses_is_a_failure_after_a_time(
-    skin: VirtualSkin, accept: Accept
-) -> None:
+def test_a_module_that_is_not_pressed_in_time_fails(skin: VirtualSkin, accept: Accept) -> None:
     skin.wired_as = {3: 99}
     ran = accept(skin, "--press")
     assert (ran.code, ran.failed) == (1, ["press"]), ran.printed
     assert "module 3" in ran.findings("press")
 
 
-def test_presses_that_are_broken_off_still_make_a_report(
+def test_presses_that_are_interrupted_still_give_a_report(
     skin: VirtualSkin, accept: Accept, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def leave(asked: str) -> None:
@@ -166,7 +176,7 @@ def test_presses_that_are_broken_off_still_make_a_report(
 
 
 def test_corrupted_frames_fail_the_link_alone(skin: VirtualSkin, accept: Accept) -> None:
-    skin.adapter.damage_every = 9
+    skin.hub.damage_every = 9
     ran = accept(skin)
     assert (ran.code, ran.failed) == (1, ["link"]), ran.printed
     assert "wrong checksum" in ran.findings("link")
@@ -180,26 +190,28 @@ def test_a_slow_hub_fails_the_rate_alone(skin: VirtualSkin, accept: Accept) -> N
 
 
 def test_a_taxel_that_was_cut_off_fails_the_module_table_alone(
-    clock: Clock, accept: Accept
+    clock: Clock, link: Path, accept: Accept
 ) -> None:
     cut = [replace(MODULES[0], mask=0x3FF, channels=10), *MODULES[1:]]
-    with BusAdapter(VirtualIhb(cut), lambda _: None) as adapter:
-        ran = accept(VirtualSkin(adapter, Counts(cut), clock))
+    with VirtualHub(link, cut) as hub:
+        ran = accept(VirtualSkin(hub, Counts(cut), clock))
     assert (ran.code, ran.failed) == (1, ["modules"]), ran.printed
     assert "T10" in ran.findings("modules")
 
 
-def test_a_hub_that_is_given_another_short_id_is_one_hub(clock: Clock, accept: Accept) -> None:
-    with BusAdapter(VirtualIhb(MODULES, short_id=9), lambda _: None) as adapter:
-        ran = accept(VirtualSkin(adapter, Counts(MODULES), clock))
+def test_a_hub_that_is_given_another_short_id_is_one_hub(
+    clock: Clock, link: Path, accept: Accept
+) -> None:
+    with VirtualHub(link, MODULES, short_id=9) as hub:
+        ran = accept(VirtualSkin(hub, Counts(MODULES), clock))
     assert (ran.code, ran.failed) == (0, []), ran.printed
 
 
-def test_a_line_on_which_nobody_answers_fails_discovery_and_says_what_to_look_at(
-    clock: Clock, accept: Accept
+def test_without_an_answer_discovery_fails_and_names_what_to_check(
+    clock: Clock, link: Path, accept: Accept
 ) -> None:
-    with BusAdapter(VirtualIhb(MODULES), lambda _: None) as adapter:
-        silent = VirtualSkin(adapter, Counts(MODULES), clock)
+    with VirtualHub(link, MODULES) as hub:
+        silent = VirtualSkin(hub, Counts(MODULES), clock)
         clock.on_sleep = lambda: None
         ran = accept(silent, "--press")
     assert (ran.code, ran.failed) == (1, ["discovery"])
@@ -208,7 +220,7 @@ def test_a_line_on_which_nobody_answers_fails_discovery_and_says_what_to_look_at
 
 
 @pytest.mark.parametrize(
-    ("target", "more", "said"),
+    ("target", "more", "expected"),
     [
         ("slcan:/dev/nothing", [], "plugged in"),
         ("serial:/dev/nothing", [], "plugged in"),
@@ -222,14 +234,14 @@ def test_a_line_on_which_nobody_answers_fails_discovery_and_says_what_to_look_at
         ("slcan:/dev/nothing", ["--layout", "nothing.json"], "skin.layout"),
     ],
 )
-def test_what_cannot_be_used_is_one_line_and_exit_status_2(
-    target: str, more: list[str], said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_wrong_arguments_are_one_line_and_exit_status_2(
+    target: str, more: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "report"
     code = cli.main(["accept", target, "--layout", LAYOUT, "--out", str(out), *more])
     error = capsys.readouterr().err
     assert (code, error.count("\n")) == (2, 1)
-    assert said in error
+    assert expected in error
     assert not out.exists()
 
 

@@ -1,29 +1,31 @@
-"""What stands between a depth and a count: each effect by the rule it keeps."""
+"""The effects between the depth of a press and a count: each keeps its own rule."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from taxeld import bundle, layout, se2
-from taxeld.se2 import Poses
-from taxeld_hil import scenario
-from taxeld_hil.electronics import Foam, Warmth, condenser, coupling
-from taxeld_hil.physics import MeshConfig
-from taxeld_hil.scenario import Scenario
-from taxeld_hil.world import COUNT_MAX, World, world
+from taxeld.arrays import Poses
+from taxeld.layout import read as layouts
+from taxeld.model import se2
+from taxeld.proposals import bundle
+from taxeld_hil.scenario import scenario
+from taxeld_hil.scenario.mesh_config import MeshConfig
+from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.world.electronics import Foam, ThermalDrift, condenser, coupling
+from taxeld_hil.world.world import COUNT_MAX, World, make_world
 from taxeld_protocol.modules import wired
 
 DEMO = replace(scenario.load("demo"), physics="scene")
 MESH = replace(DEMO, physics="mesh")
-SKIN = layout.load(DEMO.layout)
+SKIN = layouts.load(DEMO.layout)
 MODEL = bundle.load(DEMO.bundle, SKIN, 0.005).model
 MODULES = wired(SKIN.uid.tolist())
 FAR = np.array([5.0, 5.0, 0.0])
 
 
 def of(scenario_: Scenario, seed: int = 1) -> World:
-    return world(scenario_, MODEL, MODULES, seed)
+    return make_world(scenario_, MODEL, MODULES, seed)
 
 
 def touching(made: World, depth_m: float = 0.003) -> Poses:
@@ -54,12 +56,12 @@ def test_the_hysteresis_loop_closes_and_does_not_depend_on_speed() -> None:
     assert down_again[len(down) // 2] == pytest.approx(1.1 * up_again[len(down) // 2], rel=0.03)
 
 
-def test_a_press_that_deepens_reads_as_deep_as_it_is() -> None:
+def test_while_a_press_deepens_the_depth_itself_is_read() -> None:
     first = loop(Foam(1, 0.1, 0.1, 2.0), 0.02)[0]
     np.testing.assert_allclose(first, np.arange(0.001, 0.004, 0.00005))
 
 
-def test_what_a_long_press_leaves_behind_recovers() -> None:
+def test_what_remains_of_a_long_press_decays_with_its_time_constant() -> None:
     foam = Foam(1, 0.0, 0.1, 2.0)
     foam.press(np.array([0.004]), 0.0)
     foam.press(np.array([0.004]), 60.0)
@@ -71,7 +73,7 @@ def test_what_a_long_press_leaves_behind_recovers() -> None:
     assert short.press(np.zeros(1), 0.1)[0] < 0.1 * left[0]
 
 
-def test_a_condenser_is_true_at_both_ends_and_never_falls() -> None:
+def test_a_condenser_is_exact_at_0_and_1_and_rises_between() -> None:
     h = np.linspace(0.0, 1.6, 100)
     np.testing.assert_allclose(condenser(h, 0.0), h)
     bent = condenser(h, 0.3)
@@ -81,7 +83,7 @@ def test_a_condenser_is_true_at_both_ends_and_never_falls() -> None:
     assert (bent[1:60] < h[1:60]).all()
 
 
-def test_cross_talk_keeps_what_a_module_reads_in_all_and_leaves_others_alone() -> None:
+def test_cross_talk_keeps_the_sum_of_each_module() -> None:
     matrix = coupling(SKIN, 0.05)
     reading = np.random.default_rng(0).uniform(0.0, 1000.0, len(SKIN))
     module = SKIN.uid >> 4
@@ -94,15 +96,14 @@ def test_cross_talk_keeps_what_a_module_reads_in_all_and_leaves_others_alone() -
     np.testing.assert_array_equal(coupling(SKIN, 0.0), np.eye(len(SKIN)))
     one = np.zeros(len(SKIN))
     one[4] = 1.0
-    felt = np.flatnonzero(matrix @ one)
-    assert felt.tolist() == [3, 4, 5]
+    assert np.flatnonzero(matrix @ one).tolist() == [3, 4, 5]
 
 
 def test_drift_is_never_faster_than_asked() -> None:
-    warmth = Warmth(10, 3.0, 3600.0, 0.3, np.random.default_rng(0))
-    counts = np.array([warmth.counts(t) for t in np.arange(0.0, 7200.0, 60.0)])
+    drift = ThermalDrift(10, 3.0, 3600.0, 0.3, np.random.default_rng(0))
+    counts = np.array([drift.counts(t) for t in np.arange(0.0, 7200.0, 60.0)])
     assert 2.5 < np.abs(np.diff(counts)).max() <= 3.0
-    assert counts[0] == pytest.approx(warmth.counts(3600.0))
+    assert counts[0] == pytest.approx(drift.counts(3600.0))
 
 
 def test_a_seed_has_the_same_truth_in_both_worlds_and_the_same_counts_again() -> None:
@@ -115,7 +116,7 @@ def test_a_seed_has_the_same_truth_in_both_worlds_and_the_same_counts_again() ->
 
 
 @pytest.mark.parametrize("full_scale", [20_000.0, 60_000.0])
-def test_counts_are_readings_however_hard_the_press(full_scale: float) -> None:
+def test_counts_stay_within_their_range_however_hard_the_press(full_scale: float) -> None:
     made = of(replace(MESH, full_scale_counts=full_scale, baseline_counts=20_000.0))
     for depth in (0.001, 0.0045, 0.005):
         counts = made.counts(touching(made, depth), depth)
@@ -123,7 +124,7 @@ def test_counts_are_readings_however_hard_the_press(full_scale: float) -> None:
     assert max(counts) > 25_000
 
 
-def test_temperature_channels_drift_with_the_taxels_and_hardly_feel_a_press() -> None:
+def test_temperature_channels_drift_with_the_taxels_and_hardly_read_a_press() -> None:
     quiet = replace(MESH, noise_counts=0.0, mesh=MeshConfig(drift_counts_per_min=60.0))
     made = of(quiet)
     counts = np.array([made.counts(FAR, t) for t in np.arange(0.0, 1800.0, 60.0)])

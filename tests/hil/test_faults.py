@@ -1,4 +1,4 @@
-"""The injector does what it says and no more, and the ledger and the judge notice what is wrong."""
+"""The injector does its faults and no more; the ledger and the judge find what is wrong."""
 
 from collections import Counter
 from dataclasses import replace
@@ -8,16 +8,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld.estimate import Status
-from taxeld_hil import flags, laps, scenario, soak
-from taxeld_hil.fake import FakeRun
-from taxeld_hil.faults import Injector
-from taxeld_hil.grade import Run, grade
-from taxeld_hil.judge import Judge, Sample, percentile
-from taxeld_hil.ledger import Ledger, Sent, Unit
-from taxeld_hil.reconcile import laws
-from taxeld_hil.rig import Rig
-from taxeld_hil.scenario import Fault
+from taxeld.estimator.estimate import Status
+from taxeld_hil.grade import flags
+from taxeld_hil.grade.grade import Run, grade
+from taxeld_hil.grade.judge import Judge, Sample, percentile
+from taxeld_hil.grade.reconcile import laws
+from taxeld_hil.rig.faults import Injector
+from taxeld_hil.rig.ledger import Ledger, Sent, Unit
+from taxeld_hil.rig.rig import Rig
+from taxeld_hil.run import soak
+from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.scenario import laps, scenario
+from taxeld_hil.scenario.scenario import Fault
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.frames import Frame
@@ -44,7 +46,7 @@ def units(number: int) -> list[Unit]:
 
 
 @pytest.mark.parametrize("kind", ["dropped", "duplicated", "reordered", "corrupted", "late"])
-def test_frames_suffer_within_the_fault_s_time_alone_and_all_is_written_down(kind: str) -> None:
+def test_frames_are_changed_during_a_fault_alone_and_each_change_is_counted(kind: str) -> None:
     subject, ledger = injector(Fault(kind, at_s=1.0, for_s=1.0, share=0.3, delay_s=0.0))
     before, sent = ledger.done[kind], units(100)
     assert [out for unit in sent for out in subject.unit(unit, 0.5)] == sent
@@ -86,7 +88,7 @@ def test_a_stuck_taxel_reads_what_it_read_when_it_stuck() -> None:
     assert read == [100, 101, 102, 102, 104, 105]
 
 
-def test_a_flooded_bus_carries_so_many_foreign_frames_a_second() -> None:
+def test_a_flooded_bus_has_so_many_foreign_frames_a_second() -> None:
     subject, ledger = injector(Fault("flooded", 1.0, 2.0, per_s=300.0))
     flood = [unit for k in range(500) for unit in subject.due(0.01 * k, line=False)]
     assert len(flood) == ledger.done["flooded"] == pytest.approx(600, abs=4)
@@ -95,42 +97,42 @@ def test_a_flooded_bus_carries_so_many_foreign_frames_a_second() -> None:
     assert ledger.fates.foreign == len(flood)
 
 
-def test_poses_freeze_jump_and_are_late_or_missing() -> None:
-    def told(fault: Fault) -> list[tuple[float, ...]]:
+def test_poses_freeze_jump_are_late_or_missing_as_the_fault_says() -> None:
+    def published(fault: Fault) -> list[tuple[float, ...]]:
         subject, _ = injector(fault)
         rows = [(0.1 * k, float(k), 0.0, 0.0) for k in range(30)]
         return [out for row in rows for out in subject.poses(row, row[0])]
 
-    frozen = told(Fault("pose_frozen", 1.0, 1.0))
+    frozen = published(Fault("pose_frozen", 1.0, 1.0))
     assert [row[1] for row in frozen[10:20]] == [10.0] * 10
     assert [row[0] for row in frozen] == [0.1 * k for k in range(30)]
-    assert len(told(Fault("pose_silent", 1.0, 1.0))) == 20
-    jumped = told(Fault("pose_jumping", 1.0, 1.0, share=1.0, offset_m=2.0))
+    assert len(published(Fault("pose_silent", 1.0, 1.0))) == 20
+    jumped = published(Fault("pose_jumping", 1.0, 1.0, share=1.0, offset_m=2.0))
     assert [row[1] for row in jumped[10:20]] == [k + 2.0 for k in range(10, 20)]
-    late = told(Fault("pose_late", 1.0, 1.0, delay_s=0.5))
+    late = published(Fault("pose_late", 1.0, 1.0, delay_s=0.5))
     assert sorted(late) == [(0.1 * k, float(k), 0.0, 0.0) for k in range(30)]
     assert late != sorted(late)
 
 
-def test_a_frame_that_is_lost_behind_the_ledger_s_back_breaks_a_law() -> None:
+def test_a_frame_that_is_lost_without_the_ledger_breaks_a_law() -> None:
     run = FakeRun(replace(DEMO, contacts=2), seed=0)
-    stolen: list[Frame] = []
+    lost: list[Frame] = []
     take = run.line.take
 
-    def thief() -> list[Frame]:
+    def lossy() -> list[Frame]:
         items = take()
-        if len(items) > 5 and not stolen and run.line.t > 2.0:
-            stolen.append(items.pop(3))  # type: ignore[arg-type]
+        if len(items) > 5 and not lost and run.line.t > 2.0:
+            lost.append(items.pop(3))  # type: ignore[arg-type]
         return items  # type: ignore[return-value]
 
-    run.line.take = thief  # type: ignore[method-assign]
+    run.line.take = lossy  # type: ignore[method-assign]
     result = run.graded("demo")
     broken = {c.name.removeprefix("accounts: ") for c in result.checks if c.passed is False}
     assert {"frames", "packets whole", "packets of wrong length", "scans"} <= broken
     assert not result.passed
 
 
-def test_a_counter_that_the_daemon_does_not_keep_breaks_a_law() -> None:
+def test_a_counter_of_the_daemon_that_is_off_by_one_breaks_a_law() -> None:
     run = FakeRun(scenario.load("everything"), seed=0)
     run.run()
     health = run.judge.health
@@ -176,7 +178,7 @@ def test_a_silent_failure_a_late_flag_and_a_slow_recovery_are_found() -> None:
     assert judge.tally.silent_episodes == 1
 
 
-def test_a_counter_that_grows_raises_the_flag_and_one_of_another_life_does_not() -> None:
+def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does_not() -> None:
     flag = flags.flag_of(Fault("corrupted", 1.0), "slcan")
     assert flag is not None
     before = {"uptime_s": 9.0, "source": {"crc_errors": 4, "length_errors": 0}}
@@ -203,7 +205,7 @@ def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     assert soak.resumed(path, 6, "fake", 1.0).laps == 0, "of another seed it is another soak"
 
 
-def test_laps_differ_and_are_the_same_each_time() -> None:
+def test_laps_differ_and_are_determined_by_seed_and_number() -> None:
     made = [laps.lap(DEMO, 1, number) for number in range(30)]
     assert made == [laps.lap(DEMO, 1, number) for number in range(30)]
     assert len({repr(lap.fault) for lap in made}) > 20
@@ -222,16 +224,19 @@ def test_faults_of_a_scenario_are_named_by_their_place(tmp_path: Path) -> None:
         f"fault[0].kind: must be one of {', '.join(scenario.KINDS)}, not 'flood'",
         "fault[0].share: must be 0..1, not 2",
     ]
-    for wrong, said in (("module = 8", "module: the skin has 0..7"), ("taxels = [80]", "0..79")):
+    for wrong, expected in (
+        ("module = 8", "module: the skin has 0..7"),
+        ("taxels = [80]", "0..79"),
+    ):
         path.write_text(f'bundle = "box"\n[[fault]]\nkind = "saturated"\nat_s = 1\n{wrong}\n')
-        with pytest.raises(scenario.SetupError, match=said):
+        with pytest.raises(scenario.SetupError, match=expected):
             FakeRun(scenario.load(str(path)), 0)
     path.write_text('bundle = "box"\nfault = 3\n')
     with pytest.raises(scenario.SetupError, match=r"fault: must be tables \[\[fault\]\]"):
         scenario.load(str(path))
 
 
-def test_a_robot_goes_on_when_the_clock_is_set_back() -> None:
+def test_poses_go_on_when_the_wall_clock_is_set_back() -> None:
     rig = Rig(DEMO, 0)
     stamps = [
         row[0]

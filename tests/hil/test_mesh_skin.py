@@ -7,14 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld import bundle, contacts, layout
+from taxeld.arrays import Floats
 from taxeld.errors import SetupError
-from taxeld_hil import meshes
-from taxeld_hil.mesh_skin import LAYER_M, MeshSkin
-from taxeld_hil.mesh_world import solid_of
-from taxeld_hil.solids import Floats
+from taxeld.layout import read as layouts
+from taxeld.model import contacts
+from taxeld.proposals import bundle
+from taxeld_hil.world import meshes
+from taxeld_hil.world.mesh_physics import solid_of
+from taxeld_hil.world.mesh_skin import LAYER_M, MeshSkin
 
-SKIN = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 HALF = np.array([0.05, 0.03, 0.04])
 FACING = np.array([0.04 + 0.05, 0.0, 0.0])  # a box's face just touches column 0
 
@@ -68,7 +70,7 @@ def test_a_flat_press_is_as_deep_as_the_plane_stands_in_each_normals_way(depth_m
     np.testing.assert_allclose(HARD.indentation(pressed(depth_m)), expected, atol=1e-9)
 
 
-def test_what_does_not_touch_is_not_felt() -> None:
+def test_an_object_that_does_not_touch_indents_nothing() -> None:
     assert not SOFT.indentation(pressed(-1e-4)).any()
     assert not SOFT.indentation(np.array([1.0, 0.0, 0.3])).any()
 
@@ -81,17 +83,17 @@ def test_a_soft_skin_sags_beside_the_press_and_nowhere_rises() -> None:
     assert soft.max() <= hard.max() + 1e-9
 
 
-def test_an_edge_between_two_columns_is_felt_by_a_soft_skin_alone() -> None:
+def test_an_edge_between_two_columns_is_read_by_a_soft_skin_alone() -> None:
     thin = Box(np.array([0.05, 0.003, 0.04]))
     between = np.pi / 16
     pose = np.array([*(0.087 * np.array([np.cos(between), np.sin(between)])), between])
     assert not MeshSkin(thin, SKIN, 0.0, 0.0).indentation(pose).any()
-    felt = MeshSkin(thin, SKIN, 0.002, 0.003).indentation(pose)
-    np.testing.assert_allclose(felt[0::16], felt[1::16], rtol=0.2)  # to the lattice
-    assert felt[0] > 1e-4
+    depth = MeshSkin(thin, SKIN, 0.002, 0.003).indentation(pose)
+    np.testing.assert_allclose(depth[0::16], depth[1::16], rtol=0.2)  # to the lattice
+    assert depth[0] > 1e-4
 
 
-def test_the_skin_turned_by_a_column_feels_the_same_one_column_on() -> None:
+def test_an_object_turned_by_a_column_is_read_the_same_one_column_on() -> None:
     pose = np.array([0.06, 0.05, 0.4])
     turn = 2.0 * np.pi / 16
     c, s = np.cos(turn), np.sin(turn)
@@ -102,7 +104,7 @@ def test_the_skin_turned_by_a_column_feels_the_same_one_column_on() -> None:
                                atol=1e-9)  # fmt: skip
 
 
-def test_a_wall_that_is_thinner_than_the_press_is_felt_as_deep_as_its_outside() -> None:
+def test_a_wall_thinner_than_the_press_is_read_as_deep_as_its_outside() -> None:
     """What the estimator does by filling its slices."""
     wall = Box(np.array([0.001, 0.03, 0.04]))
     pose = np.array([0.04 + 0.001 - 0.004, 0.0, 0.0])
@@ -158,7 +160,7 @@ def test_the_estimators_object_stands_at_the_same_height() -> None:
         assert np.quantile(np.abs(off), 0.9) < 1e-3
 
 
-def test_what_is_far_away_costs_little() -> None:
+def test_an_object_far_away_costs_less_than_a_fifth_of_a_press() -> None:
     def cpu(pose: Floats) -> int:
         start = time.process_time_ns()
         for _ in range(200):
@@ -178,7 +180,7 @@ def test_a_mesh_is_built_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         meshes.load("025_mug", 0.05, 0.01)
 
 
-def test_a_damaged_or_unwritable_cache_is_done_without(
+def test_without_a_usable_cache_the_grid_is_built_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -191,7 +193,7 @@ def test_a_damaged_or_unwritable_cache_is_done_without(
     np.testing.assert_array_equal(meshes.load("025_mug", 0.04, 0.01).values, first.values)
 
 
-def test_a_mesh_that_cannot_be_had_is_a_line_with_the_cure(
+def test_a_mesh_that_is_missing_or_damaged_is_one_line_with_the_cure(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(SetupError, match="no such mesh file"):

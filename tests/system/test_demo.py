@@ -1,4 +1,4 @@
-"""The line end to end: real processes, a pseudo-terminal, ZeroMQ, and a session to replay."""
+"""The demo end to end: real processes, a pseudo-terminal, ZeroMQ, and a session to replay."""
 
 import json
 import subprocess
@@ -29,7 +29,7 @@ def replay(session: Path, *more: str) -> bytes:
     return subprocess.run(command, capture_output=True, timeout=120, check=True).stdout
 
 
-def test_the_table_has_a_line_a_contact_and_the_latencies(ran: tuple[Path, str]) -> None:
+def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path, str]) -> None:
     lines = ran[1].splitlines()
     assert [line.split()[0] for line in lines[2:5]] == ["1", "2", "3"]
     assert all(int(line.split()[1]) > 0 for line in lines[2:5])

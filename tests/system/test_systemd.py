@@ -1,20 +1,22 @@
 """The unit and what comes with it, as systemd's own tools judge them."""
 
-import os
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from taxeld import cli
-from taxeld.config import ControlConfig, PublishConfig
+from taxeld.config.tables import ControlConfig, PublishConfig
+from taxeld.service import descriptors
 
 ROOT = Path(__file__).parents[2]
 SYSTEMD = ROOT / "systemd"
 UNIT = SYSTEMD / "taxeld@.service"
+RELAY = SYSTEMD / "taxeld-relay@.service"
 EXPOSURE = 1.6
 
 needs_systemd = pytest.mark.skipif(
@@ -32,10 +34,11 @@ def settings(path: Path = UNIT) -> dict[str, list[str]]:
 
 
 @needs_systemd
-def test_the_unit_is_exposed_no_more_than_it_must_be() -> None:
+@pytest.mark.parametrize("unit", [UNIT, RELAY], ids=lambda unit: unit.stem)
+def test_the_unit_is_exposed_no_more_than_it_must_be(unit: Path) -> None:
     done = subprocess.run(
         ["systemd-analyze", "security", "--offline=true", "--no-pager",
-         f"--threshold={round(10 * EXPOSURE)}", str(UNIT)],
+         f"--threshold={round(10 * EXPOSURE)}", str(unit)],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
@@ -46,41 +49,79 @@ def test_the_unit_is_exposed_no_more_than_it_must_be() -> None:
 
 
 @needs_systemd
-def test_systemd_has_nothing_to_say_against_the_unit(tmp_path: Path) -> None:
+@pytest.mark.parametrize("unit", [UNIT, RELAY], ids=lambda unit: unit.stem)
+def test_systemd_has_nothing_to_say_against_the_unit(tmp_path: Path, unit: Path) -> None:
     """With a command that exists: the installed one need not be on this machine."""
-    text = UNIT.read_text(encoding="utf-8")
-    command = settings()["ExecStart"][0].split()[0]
-    copy = tmp_path / UNIT.name
+    text = unit.read_text(encoding="utf-8")
+    command = settings(unit)["ExecStart"][0].split()[0]
+    copy = tmp_path / unit.name
     copy.write_text(text.replace(command, sys.executable), encoding="utf-8")
     done = subprocess.run(
-        ["systemd-analyze", "verify", "--man=no", str(tmp_path / "taxeld@can0.service")],
+        ["systemd-analyze", "verify", "--man=no", str(tmp_path / unit.name.replace("@", "@can0"))],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert done.stderr == ""
     assert done.returncode == 0
 
 
-def test_the_unit_starts_what_the_command_line_takes() -> None:
-    (start,) = settings()["ExecStart"]
+@pytest.mark.parametrize(("unit", "function"), [(UNIT, cli._run), (RELAY, cli._relay)])
+def test_the_unit_starts_what_the_command_line_takes(
+    unit: Path, function: Callable[..., int]
+) -> None:
+    (start,) = settings(unit)["ExecStart"]
     command, *arguments = start.replace("%i", "can0").split()
-    assert command == "/usr/local/lib/taxeld/bin/taxeld"
+    assert command == "/usr/local/lib/taxeld/current/bin/taxeld"
     args = cli._parser().parse_args(arguments)
     assert args.config == Path("/etc/taxeld/can0.toml")
-    assert args.command is cli._run
+    assert args.command is function
+
+
+def test_what_peers_may_take_of_the_machine_by_the_relay_is_bounded() -> None:
+    relay, daemon = settings(RELAY), settings(UNIT)
+    assert relay["Restart"] == ["always"]
+    for limit in ("LimitNOFILE", "MemoryMax", "TasksMax"):
+        (value,) = relay[limit]
+        assert int(value.removesuffix("M")) > 0
+    (after,) = relay["After"]
+    assert "taxeld@%i.service" in after
+    assert relay["Group"] == daemon["Group"], "who may open the daemon's sockets"
+    assert not {"Requires", "BindsTo", "PartOf"} & set(relay), "it outlives the daemon"
 
 
 def test_what_exits_as_a_configuration_fault_is_not_started_again() -> None:
     unit = settings()
     assert unit["RestartPreventExitStatus"] == [str(cli.USAGE_ERROR)]
     assert unit["Restart"] == ["always"]
-    assert unit["StartLimitIntervalSec"] == ["0"]
+
+
+def test_a_fault_at_each_start_ends_and_one_now_and_then_does_not() -> None:
+    """Ten starts within five minutes are what a watchdog at its quickest does not reach."""
+    unit = settings()
+    assert (unit["StartLimitIntervalSec"], unit["StartLimitBurst"]) == (["5min"], ["10"])
+    least_s = float(unit["RestartSec"][0]) * int(unit["StartLimitBurst"][0])
+    assert least_s < 300.0
+
+
+def test_nothing_of_the_machines_can_be_used_up() -> None:
+    unit = settings()
+    assert int(unit["LimitNOFILE"][0]) > 10 * descriptors.NEEDED
+    assert {"MemoryMax", "MemorySwapMax", "TasksMax", "LimitRTTIME", "OOMScoreAdjust"} <= set(unit)
+    (reload,) = unit["ExecReload"]
+    assert reload == "/bin/kill -HUP $MAINPID"
+
+
+def test_modem_manager_keeps_away_from_the_daemons_lines() -> None:
+    rules = (SYSTEMD / "60-taxeld.rules").read_text(encoding="utf-8")
+    assert 'ENV{ID_MM_DEVICE_IGNORE}="1"' in rules
+    assert 'ENV{ID_MM_PORT_IGNORE}="1"' in rules
+    assert rules.index("ID_MM_DEVICE_IGNORE") > rules.index('GOTO="taxeld_end"')
 
 
 def test_the_default_endpoints_lie_in_the_units_runtime_directory() -> None:
     (directory,) = settings()["RuntimeDirectory"]
     endpoints = [*PublishConfig().endpoints, ControlConfig().endpoint]
     for endpoint in endpoints:
-        assert endpoint.startswith((f"ipc:///run/{directory}/", "tcp://127.0.0.1:"))
+        assert endpoint.startswith(f"ipc:///run/{directory}/")
 
 
 def test_the_daemons_user_is_made_and_owns_its_lines() -> None:
@@ -94,38 +135,9 @@ def test_the_daemons_user_is_made_and_owns_its_lines() -> None:
     assert all(name in rules for name in majors.values())
 
 
-def test_install_puts_files_where_systemd_looks_and_uninstall_takes_exactly_them(
-    tmp_path: Path,
-) -> None:
-    """What `make` would run, with the environment left out: the virtual machine installs that."""
-    alone = {k: v for k, v in os.environ.items() if not k.startswith("MAKE")}  # of `make test`
-
-    def make(target: str) -> None:
-        prefix = ["PREFIX=/opt/skin", f"DESTDIR={tmp_path}"]
-        done = subprocess.run(
-            ["make", "-n", target, *prefix],
-            cwd=ROOT, env=alone, capture_output=True, text=True, check=True,
-        )  # fmt: skip
-        lines = done.stdout.replace("\\\n", " ").splitlines()
-        kept = [line for line in lines if not re.search(r"-m (venv|pip) |bin/taxeld\*$", line)]
-        subprocess.run("\n".join(kept), shell=True, cwd=ROOT, check=True)
-
-    make("install")
-    put = {str(p.relative_to(tmp_path)) for p in tmp_path.rglob("*") if not p.is_dir()}
-    assert put == {
-        "opt/skin/bin/taxeld", "opt/skin/lib/systemd/system/taxeld@.service",
-        "opt/skin/lib/systemd/network/60-can0.network", "opt/skin/lib/sysusers.d/taxeld.conf",
-        "opt/skin/lib/udev/rules.d/60-taxeld.rules", "opt/skin/share/doc/taxeld/can0.toml",
-        "opt/skin/share/doc/taxeld/service.md",
-    }  # fmt: skip
-    unit = settings(tmp_path / "opt/skin/lib/systemd/system/taxeld@.service")
-    assert unit["ExecStart"] == ["/opt/skin/lib/taxeld/bin/taxeld run /etc/taxeld/%i.toml"]
-    make("uninstall")
-    assert not [p for p in tmp_path.rglob("*") if not p.is_dir()]
-
-
 def test_the_documentation_names_every_check_of_the_virtual_machine() -> None:
-    guest = (ROOT / "tests" / "vm" / "guest.py").read_text(encoding="utf-8")
+    guests = sorted((ROOT / "tests" / "vm").glob("guest*.py"))
+    guest = "\n".join(path.read_text(encoding="utf-8") for path in guests)
     checks = re.findall(r"^@check\ndef (\w+)", guest, re.MULTILINE)
     text = " ".join((ROOT / "docs" / "service.md").read_text(encoding="utf-8").split())
     assert len(checks) > 10

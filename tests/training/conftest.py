@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
-from taxeld import layout
-from taxeld.layout import Layout
-from taxeld.observation import ObservationModel
-from taxeld_training import scenes
-from taxeld_training.dataset import Touches, simulate
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.model.observation import ObservationModel
+from taxeld_training.models.dataset import Touches, simulate
+from taxeld_training.objects import scenes
 
 RING = "cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015"
 
@@ -21,7 +21,7 @@ def _box(skin: Layout) -> ObservationModel:
 
 @pytest.fixture(scope="session")
 def ring_model() -> ObservationModel:
-    return _box(layout.load(RING))
+    return _box(layouts.load(RING))
 
 
 @pytest.fixture(scope="session")

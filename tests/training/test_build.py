@@ -1,15 +1,19 @@
-"""`taxeld-train build`, small: what it makes is what the daemon loads."""
+"""`taxeld-train build`, small: the daemon loads what it makes."""
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
 
-from taxeld import bundle, layout
-from taxeld_training.build import choose
+from taxeld.config.tables import SkinConfig
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.proposals import bundle
 from taxeld_training.cli import main
+from taxeld_training.samplers.candidates import choose
 
 SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
 
@@ -26,8 +30,8 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place / "block"
 
 
-def test_the_daemon_loads_and_samples_it(built: Path) -> None:
-    skin = layout.load(SKIN)
+def test_the_daemon_loads_a_built_bundle_and_samples_from_it(built: Path) -> None:
+    skin = layouts.load(SKIN)
     loaded = bundle.load(str(built), skin, 0.005)
     assert loaded.info["symmetry"] == 2
     rng = np.random.default_rng(0)
@@ -44,7 +48,7 @@ def test_the_daemon_loads_and_samples_it(built: Path) -> None:
         assert np.array_equal(again, same)
 
 
-def test_each_sampler_says_what_it_costs_and_how_good_it_is(built: Path) -> None:
+def test_the_bundle_records_each_samplers_cost_and_distance(built: Path) -> None:
     info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
     assert {s["name"] for s in info["samplers"]} == {
         "density-64",
@@ -80,7 +84,7 @@ def test_the_bundle_records_repairs_and_the_grids_error(built: Path) -> None:
     assert 0.0 < info["grid_error_mm"]["rms"] < info["grid_error_mm"]["max"] < 1.0
 
 
-def test_a_directory_of_other_things_is_not_overwritten(
+def test_a_directory_with_other_content_is_not_overwritten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "thesis.tex").write_text("years of work", encoding="ascii")
@@ -95,3 +99,42 @@ def test_shipped_bundles_are_small_and_name_their_origin() -> None:
         assert sum(file.stat().st_size for file in path.iterdir()) < 2_000_000
         info = json.loads((path / "bundle.json").read_text(encoding="utf-8"))
         assert "CC BY 4.0" in info["attribution"]
+
+
+def test_a_built_bundle_names_the_digest_of_each_file(built: Path) -> None:
+    info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
+    files = {p.name for p in built.iterdir()} - {"bundle.json"}
+    assert info["files"].keys() == files
+    assert info["format"] == 3
+
+
+@pytest.fixture
+def box(tmp_path: Path) -> Path:
+    return Path(shutil.copytree(bundle.find("box"), tmp_path / "box"))
+
+
+def test_sealing_a_sound_bundle_changes_nothing(box: Path) -> None:
+    before = (box / "bundle.json").read_bytes()
+    assert main(["seal", str(box)]) == 0
+    assert (box / "bundle.json").read_bytes() == before
+
+
+def test_sealing_makes_a_bundle_of_format_2_one_of_format_3(box: Path) -> None:
+    skin = layouts.load(SkinConfig().layout)
+    info = json.loads((box / "bundle.json").read_text(encoding="utf-8"))
+    del info["files"]
+    (box / "bundle.json").write_text(json.dumps(info | {"format": 2}), encoding="utf-8")
+    with pytest.raises(SetupError, match="taxeld-train seal"):
+        bundle.load(str(box), skin, 0.005)
+    assert main(["seal", str(box)]) == 0
+    assert bundle.load(str(box), skin, 0.005).info["files"]
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"format": 1}', '{"format": 2}', "[" * 100_000])
+def test_what_is_no_bundle_is_not_sealed(
+    box: Path, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    (box / "bundle.json").write_text(text, encoding="utf-8")
+    assert main(["seal", str(box)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert (box / "bundle.json").read_text(encoding="utf-8") == text

@@ -1,4 +1,4 @@
-"""Pictures of experiments, from rows made up in the shape of real ones."""
+"""Pictures of experiments, from made-up rows in the shape of real ones."""
 
 import math
 from pathlib import Path
@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 
-from taxeld import layout
 from taxeld.errors import SetupError
-from taxeld.observation import ObservationModel
-from taxeld.proposals import Projection
-from taxeld_training import charts, picture, scenes
-from taxeld_training.dataset import simulate
-from taxeld_training.gallery import gallery
+from taxeld.layout import read as layouts
+from taxeld.model.observation import ObservationModel
+from taxeld.proposals.analytic import Projection
+from taxeld_training.charts import picture, sampler_charts
+from taxeld_training.charts.gallery import gallery
+from taxeld_training.models.dataset import simulate
+from taxeld_training.objects import scenes
 
 OBJECTS = (
     "003_cracker_box", "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle",
@@ -34,7 +35,7 @@ SAMPLERS = {
     ("consistency", 2, 128): (2.3, 1.75), ("mdn", 1, 128): (0.5, 4.5), ("table", None, None):
     (0.35, 9.0), ("manifold", None, None): (0.12, 25.0), ("projection", None, None): (0.3, 110.0),
 }  # fmt: skip
-SKIN = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 
 
 def cost_rows(objects: tuple[str, ...] = OBJECTS) -> list[dict[str, Any]]:
@@ -92,42 +93,42 @@ def with_gaps(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 @pytest.mark.parametrize("count", [1, 10])
 def test_the_frontier_of_one_object_and_of_many(count: int, tmp_path: Path) -> None:
-    charts.frontier(cost_rows(OBJECTS[:count]), 32, tmp_path / "a.png")
+    sampler_charts.frontier(cost_rows(OBJECTS[:count]), 32, tmp_path / "a.png")
     check_picture(tmp_path / "a.png")
 
 
 @pytest.mark.parametrize("count", [1, 7])
 def test_samplers_are_drawn_side_by_side(count: int, tmp_path: Path) -> None:
     rows = sample_rows(OBJECTS[:count])
-    charts.proposals(rows, tmp_path / "a.png")
-    charts.proposals(rows, tmp_path / "b.png", "observation_residual")
-    charts.posterior_gap(rows, tmp_path / "c.png")
+    sampler_charts.proposals(rows, tmp_path / "a.png")
+    sampler_charts.proposals(rows, tmp_path / "b.png", "observation_residual")
+    sampler_charts.posterior_gap(rows, tmp_path / "c.png")
     for name in "abc":
         check_picture(tmp_path / f"{name}.png")
 
 
-def test_what_was_not_run_leaves_a_gap(tmp_path: Path) -> None:
-    charts.frontier(with_gaps(cost_rows(OBJECTS[:2])), 16, tmp_path / "a.png")
+def test_missing_values_leave_a_gap(tmp_path: Path) -> None:
+    sampler_charts.frontier(with_gaps(cost_rows(OBJECTS[:2])), 16, tmp_path / "a.png")
     rows = with_gaps(sample_rows(OBJECTS[:2]))
-    charts.proposals(rows, tmp_path / "b.png")
-    charts.posterior_gap(rows, tmp_path / "c.png")
+    sampler_charts.proposals(rows, tmp_path / "b.png")
+    sampler_charts.posterior_gap(rows, tmp_path / "c.png")
     for name in "abc":
         check_picture(tmp_path / f"{name}.png")
 
 
-def test_a_frontier_of_nothing_is_refused(tmp_path: Path) -> None:
+def test_a_frontier_without_complete_rows_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match="no complete row of 64 columns"):
-        charts.frontier(cost_rows(), 64, tmp_path / "a.png")
+        sampler_charts.frontier(cost_rows(), 64, tmp_path / "a.png")
 
 
-def test_a_picture_is_the_same_bytes_again(tmp_path: Path) -> None:
+def test_the_same_rows_give_the_same_bytes(tmp_path: Path) -> None:
     rows = cost_rows(OBJECTS[:1])
-    charts.frontier(rows, 16, tmp_path / "a.png")
-    charts.frontier(rows, 16, tmp_path / "b.png")
+    sampler_charts.frontier(rows, 16, tmp_path / "a.png")
+    sampler_charts.frontier(rows, 16, tmp_path / "b.png")
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
-def test_samplers_keep_their_style_whoever_else_is_there() -> None:
+def test_a_samplers_style_does_not_depend_on_the_others() -> None:
     assert (
         picture.styles(["table", "ddpm"]).items() <= picture.styles(["ddpm", "x", "table"]).items()
     )
@@ -135,7 +136,7 @@ def test_samplers_keep_their_style_whoever_else_is_there() -> None:
     assert len(set(picture.styles(many).values())) == len(many)
 
 
-def test_labels_of_a_crowded_front_do_not_meet() -> None:
+def test_labels_of_a_crowded_front_do_not_overlap() -> None:
     figure = Figure(figsize=(10.0, 5.0), layout="constrained")
     axes = figure.add_subplot()
     rng = np.random.default_rng(0)
@@ -153,7 +154,7 @@ number = st.sampled_from([1.0, 2.0, 3.0]) | st.floats()  # few values: ties and 
 
 
 @given(st.lists(st.tuples(number, number), max_size=20))
-def test_the_front_is_what_nothing_dominates(points: list[tuple[float, float]]) -> None:
+def test_the_front_holds_the_points_that_none_dominates(points: list[tuple[float, float]]) -> None:
     finite = [i for i, (x, y) in enumerate(points) if math.isfinite(x) and math.isfinite(y)]
 
     def dominated(i: int) -> bool:
@@ -162,7 +163,7 @@ def test_the_front_is_what_nothing_dominates(points: list[tuple[float, float]]) 
             a <= x and b <= y and (a, b) != (x, y) for a, b in map(points.__getitem__, finite)
         )
 
-    front = charts.pareto(points)
+    front = sampler_charts.pareto(points)
     assert sorted(front) == [i for i in finite if not dominated(i)]
     assert [points[i][0] for i in front] == sorted(points[i][0] for i in front)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taxeld.se2 import Poses
-from taxeld_training import costs
+from taxeld.arrays import Poses
+from taxeld_training.samplers import costs
 
 READINGS = np.zeros((6, 4))
 
@@ -50,12 +50,12 @@ def samplers(monkeypatch: pytest.MonkeyPatch) -> list[Fake]:
     return [Fake("a", machine, 1, 5), Fake("b", machine, 2, 3)]
 
 
-def test_cold_calls_of_all_samplers_interleave(samplers: list[Fake]) -> None:
+def test_cold_calls_of_all_samplers_alternate(samplers: list[Fake]) -> None:
     assert costs.cold_ms(samplers, READINGS, np.random.default_rng(0)) == [5.0, 3.0]
     assert [sampler.calls for sampler in samplers] == [6, 6]
 
 
-def test_warm_calls_of_a_sampler_follow_on_each_other(samplers: list[Fake]) -> None:
+def test_warm_calls_of_a_sampler_follow_each_other(samplers: list[Fake]) -> None:
     assert costs.warm_ms(samplers, READINGS, np.random.default_rng(0)) == [1.0, 2.0]
     assert [sampler.calls for sampler in samplers] == [6, 6]
     for sampler in samplers:

@@ -4,14 +4,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from taxeld import layout
-from taxeld_training.diffusion import Denoiser, Sampler, Solver, cosine_alpha_bar
-from taxeld_training.frames import PoseFrame
-from taxeld_training.models import NetworkConfig
-from taxeld_training.views import Plain
+from taxeld.layout import read as layouts
+from taxeld_training.models.base import NetworkConfig
+from taxeld_training.models.diffusion import Denoiser, DiffusionSampler, Solver, cosine_alpha_bar
+from taxeld_training.models.frames import PoseFrame
+from taxeld_training.models.views import Plain
 
 STEPS = 100
-SKIN = layout.load("cylinder:rows=1,columns=4,radius_m=0.04,pitch_m=0.015")
+SKIN = layouts.load("cylinder:rows=1,columns=4,radius_m=0.04,pitch_m=0.015")
 
 
 class GaussianDenoiser(Denoiser):
@@ -47,10 +47,10 @@ def gaussian() -> GaussianDenoiser:
         (Solver.DPM, 10, 0.02),
     ],
 )
-def test_samplers_reach_the_gaussian_they_are_given(
+def test_each_solver_samples_the_gaussian_of_its_denoiser(
     solver: Solver, steps: int, tolerance: float
 ) -> None:
-    sampler = Sampler(gaussian(), solver, steps)
+    sampler = DiffusionSampler(gaussian(), solver, steps)
     generator = torch.Generator().manual_seed(0)
     noise = torch.randn(sampler.noise_steps, 20_000, 4, generator=generator)
     with torch.no_grad():
@@ -64,14 +64,16 @@ def test_the_second_order_solver_beats_the_first_at_equal_steps() -> None:
     gaps = []
     for solver in (Solver.DPM, Solver.DDIM):
         with torch.no_grad():
-            drawn = Sampler(gaussian(), solver, 10)(torch.zeros(1, 4), torch.ones(1, 4), noise)
+            drawn = DiffusionSampler(gaussian(), solver, 10)(
+                torch.zeros(1, 4), torch.ones(1, 4), noise
+            )
         gaps.append(float((drawn.std(0) - 0.3).abs().mean()))
     assert gaps[0] < 0.5 * gaps[1]
 
 
 def test_ancestral_sampling_takes_all_steps() -> None:
     with pytest.raises(ValueError, match="all 100 steps"):
-        Sampler(gaussian(), Solver.DDPM, 10)
+        DiffusionSampler(gaussian(), Solver.DDPM, 10)
 
 
 def test_the_noise_schedule_falls_from_all_signal_to_none() -> None:
@@ -83,8 +85,8 @@ def test_the_noise_schedule_falls_from_all_signal_to_none() -> None:
 
 
 @pytest.mark.parametrize("steps", [100, 99, 50, 7, 1])
-def test_the_last_step_taken_is_the_cleanest(steps: int) -> None:
-    sampler = Sampler(gaussian(), Solver.DDIM, steps)
+def test_the_last_noise_level_visited_is_the_cleanest(steps: int) -> None:
+    sampler = DiffusionSampler(gaussian(), Solver.DDIM, steps)
     assert len(sampler.times) == steps
     assert sampler.times[0] == STEPS - 1
     assert steps == 1 or sampler.times[-1] <= 2

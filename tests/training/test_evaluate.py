@@ -1,4 +1,4 @@
-"""The experiments, small: rows, files, and going on where one was cut short."""
+"""The samplers' experiments, small: rows, files, and going on after one was cut short."""
 
 import json
 from pathlib import Path
@@ -6,8 +6,10 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from taxeld_training import evaluate, experiment
 from taxeld_training.cli import main
+from taxeld_training.objects.setting import ring
+from taxeld_training.samplers import evaluate
+from taxeld_training.samplers.experiment import Measurement
 
 FRONTIER = {
     "object", "columns", "proposal", "steps", "width", "flops", "ms", "ms_eager_ddpm100",
@@ -30,7 +32,7 @@ def command(name: str, block: Path, place: Path, *more: str) -> list[str]:
     ]  # fmt: skip
 
 
-def test_the_proposals_of_an_object(
+def test_proposals_writes_a_row_a_sampler_and_remembers_its_jobs(
     block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     arguments = command("proposals", block, tmp_path, "--groups", "analytic,density-64")
@@ -59,7 +61,7 @@ def test_the_proposals_of_an_object(
     assert before == sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
 
 
-def test_the_frontier_has_cost_and_distance_of_each(
+def test_frontier_writes_cost_and_distance_of_each_sampler(
     block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the two samplers of 100 steps, whose graphs are slow to export."""
@@ -94,7 +96,7 @@ def test_damage_is_measured_on_the_shipped_bundles(tmp_path: Path) -> None:
     assert (tmp_path / "damage.png").is_file()
 
 
-def test_no_time_leaves_rows_of_what_is_remembered_alone(block: Path, tmp_path: Path) -> None:
+def test_without_time_only_remembered_rows_are_written(block: Path, tmp_path: Path) -> None:
     groups = ("--groups", "analytic")
     assert main(command("proposals", block, tmp_path, *groups)) == 0
     more = ("--groups", "analytic,density-16", "--minutes", "0")
@@ -103,7 +105,7 @@ def test_no_time_leaves_rows_of_what_is_remembered_alone(block: Path, tmp_path: 
     assert {row["proposal"] for row in rows} == {"projection", "manifold", "table", "exact"}
 
 
-def test_an_unknown_group_or_object_is_one_line(
+def test_an_unknown_group_or_object_is_refused_in_one_line(
     block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(command("proposals", block, tmp_path, "--groups", "magic")) == 2
@@ -112,8 +114,8 @@ def test_an_unknown_group_or_object_is_one_line(
     assert "999_none" in capsys.readouterr().err
 
 
-def test_settings_of_other_thoroughness_are_other_jobs() -> None:
-    one = experiment.Setting("a", experiment.ring(8), 8)
-    other = experiment.Setting("a", experiment.ring(8), 8, readings=9)
+def test_measurements_with_other_counts_are_other_jobs() -> None:
+    one = Measurement("a", ring(8), 8)
+    other = Measurement("a", ring(8), 8, readings=9)
     assert repr(one) != repr(other)
     assert one.name == other.name == "a-8"

@@ -1,6 +1,5 @@
-"""The filter experiment, small: rows as the contract has them, and going on where it was cut."""
+"""The filter experiment, small: rows as the contract has them, and going on after a cut."""
 
-import ast
 import json
 import math
 import time
@@ -12,17 +11,18 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from taxeld.estimate import Status
-from taxeld.observation import Noise, ObservationModel
-from taxeld.proposals import Table
-from taxeld_training import cells, follow, trained
-from taxeld_training.cells import Cell
+from taxeld.estimator.estimate import Status
+from taxeld.model.observation import Noise, ObservationModel
+from taxeld.proposals.analytic import Table
 from taxeld_training.cli import main
-from taxeld_training.conditions import Conditions
-from taxeld_training.evaluate import Options
-from taxeld_training.experiment import Setting, ring
-from taxeld_training.follow import GRID, Method, Outcome
-from taxeld_training.trials import Trial
+from taxeld_training.filters import cells, follow, trained
+from taxeld_training.filters.cells import Cell
+from taxeld_training.filters.conditions import Conditions
+from taxeld_training.filters.follow import Method, TouchResult
+from taxeld_training.filters.trials import Trial
+from taxeld_training.jobs.options import Options
+from taxeld_training.jobs.rows import GRID
+from taxeld_training.objects.setting import Setting, ring
 
 KEYS = {
     "object", "proposal", "injection", "particles", "contact", "map_mm", "mean_mm", "success_rate",
@@ -74,7 +74,7 @@ def test_rows_have_the_contracts_keys_and_are_remembered(block: Path, tmp_path: 
     assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
 
 
-def test_an_unknown_proposal_is_one_line(
+def test_an_unknown_proposal_is_refused_in_one_line(
     block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(command(block, tmp_path, "--groups", "magic")) == 2
@@ -99,7 +99,7 @@ def test_a_density_is_trained_once_and_read_from_its_file(block: Path, tmp_path:
     assert sampler.propose(z, live, 5, np.random.default_rng(0)).shape == (5, 3)
 
 
-def test_more_trials_go_on_where_fewer_stopped(
+def test_more_trials_add_to_those_that_are_remembered(
     block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(cells, "BLOCK", 2)
@@ -127,47 +127,35 @@ def test_cells_that_differ_are_named_differently() -> None:
         Cell(setting, method, Conditions(sigma=0.1)).name,
         Cell(setting, method, Conditions(stuck=1, stuck_at=0.0)).name,
         Cell(setting, method, Conditions(stuck=1)).name,
-        Cell(setting, method, felt="061_foam_brick").name,
+        Cell(setting, method, touched="061_foam_brick").name,
         Cell(setting, Method("table", "mixture", 10, 20)).name,
     }
     assert len(names) == 6
 
 
-def test_other_code_is_another_job_and_other_words_are_not() -> None:
+def test_other_code_makes_another_job_and_other_comments_do_not() -> None:
     assert follow.code("table") == follow.code("density") != follow.code(GRID)
     source = "class A:\n    def f(self):\n        return 1\n"
-    said = '"""Doc."""\nclass A:\n    """Doc."""\n\n    def f(self):  # why\n        return 1\n'
-    assert follow._bare(source) == follow._bare(said)
+    documented = (
+        '"""Doc."""\nclass A:\n    """Doc."""\n\n    def f(self):  # why\n        return 1\n'
+    )
+    assert follow._bare(source) == follow._bare(documented)
     assert follow._bare(source) != follow._bare(source.replace("1", "2"))
 
 
-@pytest.mark.parametrize(
-    ("first", "rules"), [("estimator", ("daemon", "particles")), ("news", ("daemon",))]
-)
-def test_all_that_a_filter_imports_decides(first: str, rules: tuple[str, ...]) -> None:
-    """But for what only reads layouts, counts and configurations."""
-    daemon = Path(follow.taxeld.__file__).parent
-    idle = {
-        "cylinder_fit", "errors", "generated", "layout", "layout_draw", "layout_files", "skin",
-        "toml_tables",
-    }  # fmt: skip
-    seen, todo = set(), {first}
-    while todo:
-        name = todo.pop()
-        seen.add(name)
-        tree = ast.parse((daemon / f"{name}.py").read_text(encoding="utf-8"))
-        for node in ast.walk(tree):
-            if not isinstance(node, ast.ImportFrom):
-                continue
-            named = [f"{node.module}.{alias.name}" for alias in node.names] + [str(node.module)]
-            parts = [each.split(".") for each in named]
-            found = {each[1] for each in parts if each[0] == "taxeld" and len(each) > 1}
-            todo |= {each for each in found if (daemon / f"{each}.py").is_file()} - seen - idle
-    decide = {name for rule in rules for name in follow.DECIDES[rule].split()}
-    assert seen <= decide
+def test_each_room_that_decides_results_is_in_the_key_of_a_job(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    names = {follow.code("table")}
+    for rooms in (follow.ROOMS[:1], follow.ROOMS[1:]):
+        monkeypatch.setattr(follow, "ROOMS", rooms)
+        follow.code.cache_clear()
+        names.add(follow.code("table"))
+    follow.code.cache_clear()
+    assert len(names) == 3
 
 
-def test_a_filter_draws_nothing_that_its_trial_drew() -> None:
+def test_a_methods_filter_has_its_sizes_and_the_given_seed() -> None:
     assert Method("table", "mixture", 20).config(follow.OWN_SEEDS).seed == follow.OWN_SEEDS
     small = Method("table", "paper", 20).config(0)
     assert (small.particles, small.particles_max, small.injected) == (20, 20, 10)
@@ -187,37 +175,37 @@ def test_a_filter_draws_nothing_that_its_trial_drew() -> None:
         (math.nan, Status.SEARCHING, False, False),
     ],
 )
-def test_an_outcome_is_judged_by_error_and_status(
+def test_a_touch_succeeds_or_fails_by_its_error_and_status(
     error_mm: float, status: Status, succeeded: bool, silent: bool
 ) -> None:
-    outcome = Outcome(error_mm, error_mm, status, 100)
-    assert (outcome.succeeded, outcome.failed_silently) == (succeeded, silent)
+    result = TouchResult(error_mm, error_mm, status, 100)
+    assert (result.succeeded, result.failed_silently) == (succeeded, silent)
 
 
 def test_the_grid_learns_from_the_estimators_scans(
     ring_model: ObservationModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told = []
+    contacts = []
 
     class Grid:
         def __init__(self, model: ObservationModel, noise: Noise) -> None:
             assert (model, noise) == (ring_model, Noise())
 
         def __len__(self) -> int:
-            return sum(told)
+            return sum(contacts)
 
         def update(self, sensor: object, z: object, live: object, *, touched: bool) -> None:
             del sensor, z, live
-            told.append(touched)
+            contacts.append(touched)
 
         def estimate(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             return np.zeros(3), np.zeros(3)
 
     monkeypatch.setattr(follow, "GridFilter", Grid)
-    outcomes = follow.follow(Trial(ring_model, 0, 3), Method(GRID), ring_model, None)
-    assert [outcome.status for outcome in outcomes] == [None] * 3
-    assert told.count(True) == 3
+    results = follow.follow(Trial(ring_model, 0, 3), Method(GRID), ring_model, None)
+    assert [result.status for result in results] == [None] * 3
+    assert contacts.count(True) == 3
     estimator = follow.follow(
         Trial(ring_model, 0, 3), Method("table", "mixture", 20), ring_model, Table(ring_model)
     )
-    assert [outcome.particles for outcome in estimator] == [20] * 3
+    assert [result.particles for result in estimator] == [20] * 3

@@ -1,16 +1,17 @@
-"""What an estimate is judged by."""
+"""Errors of an estimate."""
 
 import numpy as np
 import pytest
 
-from taxeld import se2
-from taxeld.observation import ObservationModel
-from taxeld_training import follow
-from taxeld_training.conditions import Conditions
-from taxeld_training.trials import Trial
+from taxeld.model import se2
+from taxeld.model.observation import ObservationModel
+from taxeld_training.filters import follow
+from taxeld_training.filters.conditions import Conditions
+from taxeld_training.filters.trials import Trial
+from taxeld_training.jobs.rows import SUCCESS_MM
 
 
-def test_of_two_objects_alike_that_are_touched_either_is_found(
+def test_of_two_objects_of_one_kind_the_nearer_one_counts(
     ring_model: ObservationModel,
 ) -> None:
     trial = Trial(ring_model, 1, 2, Conditions(both=2))
@@ -20,4 +21,4 @@ def test_of_two_objects_alike_that_are_touched_either_is_found(
     errors = follow._errors(trial, ring_model, moment, beside, moment.truth)
     assert errors == pytest.approx((1.0, 0.0), abs=1e-6)
     alone = moment._replace(twin=None)
-    assert follow._errors(trial, ring_model, alone, beside, moment.truth)[0] > follow.SUCCESS_MM
+    assert follow._errors(trial, ring_model, alone, beside, moment.truth)[0] > SUCCESS_MM

@@ -1,14 +1,14 @@
-"""Contact coordinates: there and back, and what they mean."""
+"""Contact coordinates: they give back the pose, and mean what they are documented to."""
 
 import numpy as np
 import pytest
 import torch
 
-from taxeld import contacts
-from taxeld.observation import ObservationModel
-from taxeld.se2 import Poses
-from taxeld_training.dataset import Touches
-from taxeld_training.frames import ContactFrame, PoseFrame, rotated
+from taxeld.arrays import Poses
+from taxeld.model import contacts
+from taxeld.model.observation import ObservationModel
+from taxeld_training.models.dataset import Touches
+from taxeld_training.models.frames import ContactFrame, PoseFrame, rotated
 
 
 def poses(four: torch.Tensor) -> Poses:
@@ -21,7 +21,7 @@ def worst_mm(a: Poses, b: Poses) -> float:
 
 
 @pytest.mark.parametrize("kind", [ContactFrame, PoseFrame])
-def test_a_pose_survives_its_coordinates(
+def test_a_pose_is_recovered_from_its_coordinates(
     kind: type, ring_model: ObservationModel, touches: Touches
 ) -> None:
     frame = ContactFrame(ring_model) if kind is ContactFrame else PoseFrame()
@@ -41,7 +41,7 @@ def test_turning_coordinates_turns_the_pose(
     assert worst_mm(back, touches.pose[:500]) < 0.3
 
 
-def test_every_coordinate_presses_as_deep_as_it_says(ring_model: ObservationModel) -> None:
+def test_a_pose_presses_as_deep_as_its_depth_coordinate(ring_model: ObservationModel) -> None:
     frame = ContactFrame(ring_model)
     s = torch.linspace(0.0, 1.0, 400)
     depth = torch.full_like(s, 0.003)
@@ -65,6 +65,6 @@ def test_the_direction_is_where_the_skin_is_pressed(
     direction = ContactFrame(ring_model).encode(touches.pose)[:, 1].numpy()
     xy = ring_model.layout.position_m[:, :2]
     strongest = touches.activation.argmax(axis=1)
-    felt = np.arctan2(xy[strongest, 1], xy[strongest, 0])
-    off = np.abs(np.angle(np.exp(1j * (felt - direction))))
+    pressed = np.arctan2(xy[strongest, 1], xy[strongest, 0])
+    off = np.abs(np.angle(np.exp(1j * (pressed - direction))))
     assert np.quantile(off, 0.99) < 2.0 * np.pi / 16

@@ -1,21 +1,23 @@
-"""The grid filter: the belief it must have, and what it must not lose."""
+"""The grid filter: its belief is the exact one, and the truth stays in it."""
 
 import numpy as np
 import pytest
 
-from taxeld import contacts, layout, se2, symmetry
-from taxeld.memory import Felt, Memory
-from taxeld.observation import Noise, ObservationModel
-from taxeld.se2 import Poses
-from taxeld_training import grid_filter
-from taxeld_training.dataset import FELT
-from taxeld_training.dataset import Touches as Bank
-from taxeld_training.grid_filter import GridFilter
-from taxeld_training.posterior import ExactPosterior, energy_distance
+from taxeld.arrays import Poses
+from taxeld.estimator.memory import Memory
+from taxeld.layout import read as layouts
+from taxeld.model import contacts, se2, symmetry
+from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld_training.limits import grid_cells
+from taxeld_training.limits.grid_cells import Cells, tile
+from taxeld_training.limits.grid_filter import DROP_NATS, CellLikelihood, GridFilter
+from taxeld_training.limits.posterior import ExactPosterior, energy_distance
+from taxeld_training.models.dataset import MIN_ACTIVATION
+from taxeld_training.models.dataset import Touches as Bank
 
 from .conftest import RING
 
-SKIN = layout.load(RING)
+SKIN = layouts.load(RING)
 LIVE = np.ones(len(SKIN), dtype=bool)
 NOISE = Noise()
 SENSOR = np.array([0.3, -0.2, 1.0])
@@ -35,16 +37,16 @@ def band(model: ObservationModel, n: int, rng: np.random.Generator) -> Poses:
     while len(poses) < n:
         ax, ay = rng.uniform(low[:, None], high[:, None], (2, 10 * n))
         theta = rng.uniform(-np.pi, np.pi, 10 * n)
-        c, s = np.cos(theta), np.sin(theta)
-        drawn = np.column_stack([s * ay - c * ax, -s * ax - c * ay, theta])
+        drawn = contacts.pose_of_axis(ax, ay, theta)
         gap = contacts.clearance(model.scene, SKIN.radius_m, drawn)
         poses = np.concatenate([poses, drawn[(gap < 0.0) & (gap > -model.depth_max_m)]])
     return poses[:n]
 
 
-def felt(model: ObservationModel, n: int, rng: np.random.Generator) -> Poses:
+def contact_poses(model: ObservationModel, n: int, rng: np.random.Generator) -> Poses:
+    """`n` of those at which a taxel reads enough to be simulated."""
     poses = band(model, 3 * n, rng)
-    return poses[model.activation(poses).max(axis=1) > FELT][:n]
+    return poses[model.activation(poses).max(axis=1) > MIN_ACTIVATION][:n]
 
 
 def drawn(belief: GridFilter, n: int) -> Poses:
@@ -54,74 +56,72 @@ def drawn(belief: GridFilter, n: int) -> Poses:
 
 def test_the_first_cells_tile_all_contacts_once(model: ObservationModel) -> None:
     """Cells' midpoints have the volume and the reach of poses drawn evenly."""
-    cells = grid_filter.lay(model)
+    cells = tile(model)
     low, high = model.scene.extent
     axis = np.random.default_rng(0).uniform(low, high, (200_000, 2))
     gap = model.scene.clearance(*axis.T)[0] - SKIN.radius_m
     pressed = (gap < 0.0) & (gap > -model.depth_max_m)
     area = pressed.mean() * np.prod(high - low)
-    volume = np.exp(cells.log_room).sum()
+    volume = np.exp(cells.log_effective_volume).sum()
     assert volume == pytest.approx(2.0 * np.pi * area, rel=0.02)
-    half = 0.5 * np.hypot(grid_filter.FIRST_M, grid_filter.FIRST_DEEP_M)
+    half = 0.5 * np.hypot(grid_cells.FIRST_M, grid_cells.FIRST_DEEP_M)
     middle = np.unique(cells.mid[:, :2], axis=0)
     away = np.linalg.norm(axis[pressed][:300, None] - middle, axis=-1).min(axis=1)
     assert away.max() < 1.3 * half
 
 
 def test_halves_fill_their_cell(model: ObservationModel) -> None:
-    cells = grid_filter.lay(model)
+    cells = tile(model)
     cells = cells[np.arange(len(cells)) < 40]
     cells.information[:] = np.random.default_rng(0).random((40, 3))
     halves = cells.halved()
     assert np.allclose(0.5 * (halves.mid[:40] + halves.mid[40:]), cells.mid)
-    volume = np.exp(halves.log_room)
+    volume = np.exp(halves.log_effective_volume)
     cells.information[:] = 0.0
-    assert np.allclose(volume[:40] + volume[40:], np.exp(cells.log_room))
+    assert np.allclose(volume[:40] + volume[40:], np.exp(cells.log_effective_volume))
 
 
 def test_a_small_cell_has_the_likelihood_of_its_pose(model: ObservationModel) -> None:
     rng = np.random.default_rng(0)
-    poses = felt(model, 200, rng)
+    poses = contact_poses(model, 200, rng)
     ax, ay = contacts.axis_in_object(poses)
     mid = np.column_stack([ax, ay, poses[:, 2]])
-    cells = grid_filter.Cells.unweighed(mid, np.tile(1e-8 * np.eye(3), (200, 1, 1)), np.zeros(200))
+    cells = Cells.unweighed(mid, np.tile(1e-8 * np.eye(3), (200, 1, 1)), np.zeros(200))
     scans, known = [], Memory(model, NOISE)
     for sensor in (SENSOR, se2.compose(SENSOR, np.array([0.01, 0.02, 0.4]))):
         z = NOISE.draw(model.activation(poses[:1])[0], rng)
         live = rng.random(len(SKIN)) < 0.8
-        scans.append(grid_filter.Scan(sensor, z, live))
-        known.add(Felt(sensor, z, live))
-    grid_filter.Weigher(model, NOISE).weigh(cells, scans, SENSOR)
+        scans.append(Observation(sensor, z, live))
+        known.add(scans[-1])
+    CellLikelihood(model, NOISE).add(cells, scans, SENSOR)
     expected = known.explain(se2.compose(SENSOR, poses)).sum(axis=1)
-    assert np.allclose(cells.log_like, expected, atol=1e-2)
-    assert np.allclose(cells.log_best, expected, atol=1e-2)
+    assert np.allclose(cells.log_likelihood, expected, atol=1e-2)
+    assert np.allclose(cells.log_likelihood_max, expected, atol=1e-2)
     assert cells.information.max() < 1e-3
 
 
 def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel) -> None:
     """Or cells would be dropped that hold the truth: a touch, and silence beside another."""
     rng = np.random.default_rng(6)
-    first, second = felt(model, 2, rng)
+    first, second = contact_poses(model, 2, rng)
     beside = se2.compose(first, se2.inverse(second * BACK))
     z = NOISE.draw(model.activation(first[None])[0], rng)
     scans = [
-        grid_filter.Scan(np.zeros(3), z, LIVE),
-        grid_filter.Scan(beside, np.zeros(len(SKIN)), LIVE),
+        Observation(np.zeros(3), z, LIVE),
+        Observation(beside, np.zeros(len(SKIN)), LIVE),
     ]
-    weigher, known = grid_filter.Weigher(model, NOISE), Memory(model, NOISE)
+    likelihood, known = CellLikelihood(model, NOISE), Memory(model, NOISE)
     for scan in scans:
-        known.add(Felt(scan.sensor, scan.z, scan.live))
-    cells = grid_filter.lay(model)
+        known.add(scan)
+    cells = tile(model)
     for _ in range(6):
         cells = cells[rng.random(len(cells)) < 2000 / len(cells)]
-        weigher.weigh(cells, scans, np.zeros(3))
+        likelihood.add(cells, scans, np.zeros(3))
         within = rng.uniform(-0.5, 0.5, (8, len(cells), 1, 3)) @ cells.edge
-        ax, ay, turn = (cells.mid + within[:, :, 0]).reshape(-1, 3).T
-        c, s = np.cos(turn), np.sin(turn)
-        poses = np.column_stack([s * ay - c * ax, -s * ax - c * ay, turn])
+        poses = contacts.pose_of_axis(*(cells.mid + within[:, :, 0]).reshape(-1, 3).T)
         explained = known.explain(poses).sum(axis=1).reshape(8, -1).max(axis=0)
-        matter = explained > explained.max() - grid_filter.DROP_NATS
-        assert np.quantile((explained - cells.log_best)[matter], 0.99) < 1.0
+        matter = explained > explained.max() - DROP_NATS
+        assert np.quantile((explained - cells.log_likelihood_max)[matter], 0.99) < 1.0
         cells = cells.halved()
 
 
@@ -132,7 +132,7 @@ def test_one_touch_gives_the_exact_posterior(model: ObservationModel) -> None:
     some = h.max(axis=1) > 0.0
     exact = ExactPosterior(Bank(poses[some], h[some], 0.0), SKIN, NOISE)
     gaps, floors = [], []
-    for truth in felt(model, 4, rng):
+    for truth in contact_poses(model, 4, rng):
         z = NOISE.draw(model.activation(truth[None])[0], rng)
         belief = GridFilter(model, NOISE)
         belief.update(np.zeros(3), z, LIVE, touched=True)
@@ -142,12 +142,12 @@ def test_one_touch_gives_the_exact_posterior(model: ObservationModel) -> None:
     assert np.mean(gaps) < 2.0 * np.mean(floors) + 0.002
 
 
-def test_all_scans_count_as_they_do_by_brute_force(model: ObservationModel) -> None:
+def test_all_scans_count_as_in_a_brute_force_posterior(model: ObservationModel) -> None:
     """A silent scan, two touches and another silent scan, of a skin so noisy that many of the
     poses drawn by chance explain them."""
     noise = Noise(sigma=0.3, gain_cv=0.8, outliers=0.1)
     rng = np.random.default_rng(2)
-    truth, other = felt(model, 2, rng)
+    truth, other = contact_poses(model, 2, rng)
     sensors = [
         se2.compose(SENSOR, se2.compose(truth, se2.inverse(pose)))
         for pose in (truth * BACK, truth, other, other * BACK)
@@ -157,7 +157,7 @@ def test_all_scans_count_as_they_do_by_brute_force(model: ObservationModel) -> N
         h = model.activation(se2.compose(se2.inverse(sensor), se2.compose(SENSOR, truth))[None])[0]
         z = noise.draw(h, rng)
         belief.update(sensor, z, LIVE, touched=k == 1)
-        scans.add(Felt(sensor, z, LIVE))
+        scans.add(Observation(sensor, z, LIVE))
     poses = se2.compose(sensors[1], band(model, 60_000, rng))
     log_w = scans.explain(poses).sum(axis=1)
     w = np.exp(log_w - log_w.max())
@@ -168,11 +168,13 @@ def test_all_scans_count_as_they_do_by_brute_force(model: ObservationModel) -> N
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_the_truth_is_not_lost_and_soon_found(model: ObservationModel, seed: int) -> None:
+def test_the_truth_stays_in_the_belief_and_the_estimate_reaches_it(
+    model: ObservationModel, seed: int
+) -> None:
     rng = np.random.default_rng(seed)
     truth = np.array([0.1, 0.2, rng.uniform(-np.pi, np.pi)])
     belief = GridFilter(model, NOISE)
-    for pose in felt(model, 6, rng):
+    for pose in contact_poses(model, 6, rng):
         z = NOISE.draw(model.activation(pose[None])[0], rng)
         belief.update(se2.compose(truth, se2.inverse(pose)), z, LIVE, touched=True)
         assert belief.metric.distance(belief.pose, truth).min() < 0.003
@@ -180,11 +182,11 @@ def test_the_truth_is_not_lost_and_soon_found(model: ObservationModel, seed: int
         assert symmetry.add_m(model.scene, estimate, truth)[1] < 0.002
 
 
-def test_a_finer_grid_says_the_same(model: ObservationModel) -> None:
+def test_a_finer_grid_has_the_same_belief(model: ObservationModel) -> None:
     rng = np.random.default_rng(5)
     truth = np.array([0.1, 0.2, 0.3])
     beliefs = GridFilter(model, NOISE), GridFilter(model, NOISE, cells=200_000, coarse=0.1)
-    for pose in felt(model, 3, rng):
+    for pose in contact_poses(model, 3, rng):
         z = NOISE.draw(model.activation(pose[None])[0], rng)
         for belief in beliefs:
             belief.update(se2.compose(truth, se2.inverse(pose)), z, LIVE, touched=True)
@@ -193,7 +195,7 @@ def test_a_finer_grid_says_the_same(model: ObservationModel) -> None:
     assert len(beliefs[1]) > 3 * len(beliefs[0])
 
 
-def test_nothing_is_believed_before_the_first_touch(model: ObservationModel) -> None:
+def test_there_is_no_belief_before_the_first_touch(model: ObservationModel) -> None:
     belief = GridFilter(model, NOISE)
     belief.update(FAR, NOISE.draw(np.zeros(len(SKIN)), np.random.default_rng(0)), LIVE)
     assert len(belief) == len(belief.pose) == len(belief.weight) == 0
@@ -203,7 +205,7 @@ def test_nothing_is_believed_before_the_first_touch(model: ObservationModel) -> 
 
 def test_scans_before_the_first_touch_count_as_those_after_it(model: ObservationModel) -> None:
     rng = np.random.default_rng(3)
-    pose = felt(model, 1, rng)[0]
+    pose = contact_poses(model, 1, rng)[0]
     touch = NOISE.draw(model.activation(pose[None])[0], rng)
     x, y = pose[:2]
     # moved along the face, and in where the face would go on
@@ -219,9 +221,9 @@ def test_scans_before_the_first_touch_count_as_those_after_it(model: Observation
     assert energy_distance(samples[0], samples[2], 0.05) > 0.1
 
 
-def test_a_dead_taxel_says_nothing(model: ObservationModel) -> None:
+def test_a_dead_taxels_reading_changes_nothing(model: ObservationModel) -> None:
     rng = np.random.default_rng(4)
-    z = NOISE.draw(model.activation(felt(model, 1, rng))[0], rng)
+    z = NOISE.draw(model.activation(contact_poses(model, 1, rng))[0], rng)
     live = np.arange(len(SKIN)) % 3 > 0
     beliefs = GridFilter(model, NOISE), GridFilter(model, NOISE)
     beliefs[0].update(SENSOR, z, live, touched=True)

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from taxeld.errors import SetupError
-from taxeld_training import jobs
-from taxeld_training.jobs import Job
+from taxeld_training.jobs import jobs
+from taxeld_training.jobs.jobs import Job
 
 
 def note(place: str, value: int) -> dict[str, int]:
@@ -30,7 +30,7 @@ def times_run(place: Path) -> list[int]:
     return [len(path.read_text(encoding="ascii")) for path in sorted(place.glob("ran-*"))]
 
 
-def test_what_was_done_is_not_done_again(tmp_path: Path) -> None:
+def test_a_finished_job_is_not_run_again(tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     first = jobs.run(three(tmp_path), memory, quiet=True)
     assert {name: result["square"] for name, result in first.items()} == {
@@ -46,13 +46,13 @@ def test_other_arguments_are_another_job(tmp_path: Path) -> None:
     assert Job("job-0", refuse, (str(tmp_path), 0)).key != three(tmp_path)[0].key
 
 
-def test_a_place_does_not_make_another_job(tmp_path: Path) -> None:
+def test_an_argument_beside_the_others_does_not_make_another_job(tmp_path: Path) -> None:
     one = Job("job-0", note, (), (str(tmp_path), 0))
     assert one.key == Job("job-0", note, (), ("elsewhere", 0)).key
     assert jobs.run([one], tmp_path / "memory", quiet=True)["job-0"]["square"] == 0
 
 
-def test_a_torn_result_is_made_again(tmp_path: Path) -> None:
+def test_a_job_with_a_torn_result_runs_again(tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     job = three(tmp_path)[2]
     jobs.run([job], memory, quiet=True)
@@ -61,7 +61,7 @@ def test_a_torn_result_is_made_again(tmp_path: Path) -> None:
     assert times_run(tmp_path) == [2]
 
 
-def test_what_was_done_before_a_failure_is_kept(tmp_path: Path) -> None:
+def test_results_before_a_failure_are_kept(tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     with pytest.raises(ValueError, match="9"):
         jobs.run([*three(tmp_path), Job("bad", refuse, ("", 9))], memory, workers=1, quiet=True)
@@ -95,7 +95,7 @@ def test_the_same_jobs_run_on_a_dask_cluster(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_a_scheduler_that_is_not_there_is_one_line(
+def test_a_missing_scheduler_is_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed")

@@ -1,4 +1,4 @@
-"""Broken meshes: a stated repair or one clear line, never an outline lost in silence."""
+"""Broken meshes: a reported repair or one clear line, never an outline lost in silence."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -8,16 +8,15 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from taxeld import layout
+from taxeld.arrays import Bools
 from taxeld.errors import SetupError
-from taxeld_training import meshes, scenes
+from taxeld.layout import read as layouts
 from taxeld_training.cli import main
+from taxeld_training.objects import meshes, scenes
 
-SKIN = layout.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
+SKIN = layouts.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
 HEIGHT_M = 0.05
 AREA_M2 = np.pi * 0.05**2
-
-Bools = NDArray[np.bool_]
 
 
 def can() -> trimesh.Trimesh:
@@ -88,7 +87,7 @@ def test_a_sound_mesh_needs_no_repair(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("mesh", "said"),
+    ("mesh", "repairs"),
     [
         (without(slit), ["closed 3 gaps of at most 2.5 mm in the outlines"]),
         (inside_out(), ["turned 512 faces outward"]),
@@ -105,11 +104,11 @@ def test_a_sound_mesh_needs_no_repair(tmp_path: Path) -> None:
     ids=["open", "inside out", "some inside out", "faces too many", "not finite"],
 )
 @pytest.mark.parametrize("suffix", [".stl", ".ply", ".glb"])
-def test_what_was_repaired_is_said_and_the_outline_is_whole(
-    mesh: trimesh.Trimesh, said: list[str], suffix: str, tmp_path: Path
+def test_repairs_are_reported_and_the_outline_is_whole(
+    mesh: trimesh.Trimesh, repairs: list[str], suffix: str, tmp_path: Path
 ) -> None:
     repaired = load(mesh, tmp_path, suffix)
-    assert scenes.repairs(repaired, SKIN, HEIGHT_M) == said
+    assert scenes.repairs(repaired, SKIN, HEIGHT_M) == repairs
     for cut in scenes.outlines(repaired, SKIN, HEIGHT_M):
         assert np.isclose(cut.shape.area, AREA_M2, rtol=2e-3)
     assert repaired.volume > 0.0
@@ -133,7 +132,7 @@ def test_an_outline_that_crosses_itself_is_untangled(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("z_m", [0.03, 0.05])
-def test_solids_that_share_a_corner_are_both_there(z_m: float) -> None:
+def test_solids_that_share_a_corner_are_both_in_the_outline(z_m: float) -> None:
     """Four lines meet where the lobes touch, which makes trimesh's loops ambiguous."""
     bow = prism(np.array([[-0.05, -0.04], [0.05, 0.04], [0.05, -0.04], [-0.05, 0.04]]))
     assert np.isclose(meshes.cut(bow, z_m).area, 0.004, rtol=1e-3)
@@ -188,7 +187,7 @@ def sheet() -> trimesh.Trimesh:
     ],
     ids=["millimetres", "tiny", "flat", "no number"],
 )
-def test_a_mesh_that_cannot_be_used_is_one_line_with_its_cure(
+def test_an_unusable_mesh_is_refused_in_one_line_with_its_cure(
     mesh: trimesh.Trimesh, fault: str, tmp_path: Path
 ) -> None:
     with pytest.raises(SetupError, match=rf"broken\.stl: .*{fault}") as caught:
@@ -207,7 +206,7 @@ def test_a_mesh_that_cannot_be_used_is_one_line_with_its_cure(
         ("dangling.obj", b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nf 1 2 9\n", "unreadable mesh"),
     ],
 )
-def test_a_file_that_is_no_mesh_is_one_line(
+def test_a_file_that_is_no_mesh_is_refused_in_one_line(
     name: str, content: bytes, fault: str, tmp_path: Path
 ) -> None:
     path = tmp_path / name

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 import trimesh
 
-from taxeld import layout, se2
-from taxeld.observation import ObservationModel
-from taxeld.symmetry import add_m
-from taxeld_training import scenes
-from taxeld_training.dataset import simulate
-from taxeld_training.metrics import add, add_s, add_symmetric, sample_errors
+from taxeld.layout import read as layouts
+from taxeld.model import se2
+from taxeld.model.observation import ObservationModel
+from taxeld.model.symmetry import add_m
+from taxeld_training.limits.metrics import add, add_s, add_symmetric, sample_errors
+from taxeld_training.models.dataset import simulate
+from taxeld_training.objects import scenes
 
-SKIN = layout.load("cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015")
+SKIN = layouts.load("cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015")
 
 
 @pytest.fixture(scope="module")
@@ -21,7 +22,7 @@ def model() -> ObservationModel:
     return ObservationModel(scenes.build(mesh, SKIN, 0.04), SKIN, 0.005)
 
 
-def test_a_shift_is_its_length_by_every_add_but_the_nearest(model: ObservationModel) -> None:
+def test_a_shift_counts_its_length_in_add_and_less_in_add_s(model: ObservationModel) -> None:
     truth = np.array([0.1, 0.2, 0.4])
     moved = truth + np.array([[0.003, 0.004, 0.0], [0.0, 0.0, 0.0]])
     assert np.allclose(add(model.scene, moved, truth), [0.005, 0.0])
@@ -31,7 +32,7 @@ def test_a_shift_is_its_length_by_every_add_but_the_nearest(model: ObservationMo
     assert 0.0 < nearest[0] < 0.005
 
 
-def test_a_half_turn_is_far_by_add_alone(model: ObservationModel) -> None:
+def test_a_half_turn_of_a_box_is_an_error_in_plain_add_alone(model: ObservationModel) -> None:
     truth = np.array([0.1, 0.2, 0.4])
     turned = se2.compose(truth, se2.rotation_about(model.scene.centre, np.pi))[None]
     assert add(model.scene, turned, truth)[0] > 0.05
@@ -39,7 +40,7 @@ def test_a_half_turn_is_far_by_add_alone(model: ObservationModel) -> None:
     assert add_s(model.scene, turned, truth)[0] < 0.002  # the surface points are 5 mm apart
 
 
-def test_the_two_adds_are_the_runtimes(model: ObservationModel) -> None:
+def test_the_adds_are_those_of_the_daemon(model: ObservationModel) -> None:
     rng = np.random.default_rng(0)
     truth, poses = rng.uniform(-1, 1, 3), rng.uniform(-1, 1, (5, 3))
     both = np.array([add_m(model.scene, pose, truth) for pose in poses])
@@ -47,7 +48,7 @@ def test_the_two_adds_are_the_runtimes(model: ObservationModel) -> None:
     assert np.allclose(add_symmetric(model.scene, poses, truth), both[:, 1])
 
 
-def test_residuals_are_zero_at_the_truth_and_measure_what_is_off(model: ObservationModel) -> None:
+def test_residuals_are_zero_at_the_truth_and_grow_with_the_error(model: ObservationModel) -> None:
     touch = simulate(model, 1, np.random.default_rng(0))
     truth, z = touch.pose[0], touch.activation[0].astype(float)
     direction = truth[:2] / np.linalg.norm(truth[:2])

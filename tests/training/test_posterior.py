@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 import torch
 
-from taxeld import layout, se2
-from taxeld.observation import Noise, ObservationModel
-from taxeld_training.dataset import FELT, Batches, simulate
-from taxeld_training.frames import PoseFrame
-from taxeld_training.posterior import ExactPosterior, energy_distance
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
+from taxeld.model.observation import Noise, ObservationModel
+from taxeld_training.limits.posterior import ExactPosterior, energy_distance
+from taxeld_training.models.dataset import MIN_ACTIVATION, Batches, simulate
+from taxeld_training.models.frames import PoseFrame
 
 from .conftest import RING
 
-SKIN = layout.load(RING)
+SKIN = layouts.load(RING)
 NOISE = Noise()
 
 
@@ -21,10 +23,10 @@ def model(ring_model: ObservationModel) -> ObservationModel:
     return ring_model
 
 
-def test_every_touch_is_felt(model: ObservationModel) -> None:
+def test_every_simulated_touch_presses_a_taxel(model: ObservationModel) -> None:
     touches = simulate(model, 3000, np.random.default_rng(0))
     assert len(touches) == 3000
-    assert (touches.activation.max(axis=1) > FELT).all()
+    assert (touches.activation.max(axis=1) > MIN_ACTIVATION).all()
     assert np.allclose(model.activation(touches.pose), touches.activation, atol=1e-6)
 
 
@@ -39,7 +41,7 @@ def test_batches_are_readings_of_their_poses(model: ObservationModel) -> None:
     assert 0.01 < (live == 0).mean() < 0.2
 
 
-def test_the_exact_posterior_finds_the_pose_that_was_felt(model: ObservationModel) -> None:
+def test_the_exact_posterior_finds_the_true_pose(model: ObservationModel) -> None:
     """Against importance weights over the same bank with every turn tried, and no shortcut."""
     rng = np.random.default_rng(0)
     bank = simulate(model, 4000, rng)
@@ -61,7 +63,7 @@ def test_the_exact_posterior_finds_the_pose_that_was_felt(model: ObservationMode
 
 
 def test_a_layout_without_symmetry_needs_no_turn(model: ObservationModel) -> None:
-    half = layout.Layout("half", SKIN.uid[:7], SKIN.position_m[:7], SKIN.normal[:7], SKIN.radius_m)
+    half = Layout("half", SKIN.uid[:7], SKIN.position_m[:7], SKIN.normal[:7], SKIN.radius_m)
     assert len(half.turns) == 1
     one_row = ObservationModel(model.scene, half, 0.005)
     rng = np.random.default_rng(0)
@@ -71,7 +73,7 @@ def test_a_layout_without_symmetry_needs_no_turn(model: ObservationModel) -> Non
     assert np.abs(one_row.activation(draws.pose) - h).max(axis=1).mean() < 0.4
 
 
-def test_energy_distance_is_zero_only_for_the_same() -> None:
+def test_energy_distance_is_zero_only_for_equal_distributions() -> None:
     rng = np.random.default_rng(0)
     a, b = rng.normal(0, 0.01, (2, 400, 3))
     assert energy_distance(a, a, 0.05) == pytest.approx(0.0, abs=1e-12)

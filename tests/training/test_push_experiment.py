@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld import contacts, se2
 from taxeld.errors import SetupError
-from taxeld.observation import ObservationModel
-from taxeld_training import push_experiment
-from taxeld_training.evaluate import Options
-from taxeld_training.pusher import DEPTH_M, STEP_M, TOUCHES, PushedTrial, gave_way
+from taxeld.model import contacts, se2
+from taxeld.model.observation import ObservationModel
+from taxeld_training.filters import push
+from taxeld_training.filters.pusher import DEPTH_M, STEP_M, TOUCHES, PushedTrial, gave_way
+from taxeld_training.jobs.options import Options
 
 LIMIT_M = 0.03
 
@@ -22,7 +22,7 @@ def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> floa
     return -float(contacts.clearance(model.scene, model.layout.radius_m, seen)[0])
 
 
-def test_it_gives_way_until_the_skin_is_as_deep_as_friction_holds(
+def test_the_object_gives_way_until_friction_holds_it(
     ring_model: ObservationModel,
 ) -> None:
     scans = [scan for scan in PushedTrial(ring_model, 0) if scan.touch == TOUCHES]
@@ -31,7 +31,7 @@ def test_it_gives_way_until_the_skin_is_as_deep_as_friction_holds(
     assert np.mean(np.array(depths) > DEPTH_M - 3e-4) > 0.5
 
 
-def test_it_stands_still_until_it_is_pushed_and_then_goes_no_farther_than_the_sensor(
+def test_the_object_stands_until_it_is_pushed_and_moves_no_farther_than_the_sensor(
     ring_model: ObservationModel,
 ) -> None:
     scans = list(PushedTrial(ring_model, 0))
@@ -43,7 +43,7 @@ def test_it_stands_still_until_it_is_pushed_and_then_goes_no_farther_than_the_se
     assert 0.1 < np.hypot(gap[0], gap[1]) < STEP_M * len(scans)
 
 
-def test_a_push_through_the_centre_does_not_turn_it(ring_model: ObservationModel) -> None:
+def test_a_push_through_the_centre_does_not_turn_the_object(ring_model: ObservationModel) -> None:
     before = np.array([0.03 + 0.04 - DEPTH_M, 0.0, 0.0])
     after = before - [STEP_M, 0.0, 0.0]
     pose = gave_way(ring_model, np.zeros(3), before, after, LIMIT_M)
@@ -55,7 +55,7 @@ def test_the_quick_run_writes_a_row_an_object_and_motion(tmp_path: Path) -> None
         out=tmp_path, memory=tmp_path / "memory", quick=True, objects=("003_cracker_box",),
         workers=1,
     )  # fmt: skip
-    (path,) = push_experiment.run(options)
+    (path,) = push.run(options)
     rows = json.loads(path.read_text(encoding="utf-8"))
     assert [(row["object"], row["motion"]) for row in rows] == [
         ("003_cracker_box", "push"), ("003_cracker_box", "none"),
@@ -66,4 +66,4 @@ def test_the_quick_run_writes_a_row_an_object_and_motion(tmp_path: Path) -> None
 
 def test_an_object_without_a_bundle_is_refused_in_one_line(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match="016_pear has no shipped bundle"):
-        push_experiment.run(Options(out=tmp_path, memory=tmp_path, objects=("016_pear",)))
+        push.run(Options(out=tmp_path, memory=tmp_path, objects=("016_pear",)))

@@ -1,4 +1,4 @@
-"""Rivals from sbi: proposals like any other, repeatable, quiet, and better than not looking."""
+"""Rivals from sbi: proposals like any other, repeatable, quiet, better than an uninformed one."""
 
 import sys
 from pathlib import Path
@@ -7,18 +7,19 @@ import numpy as np
 import pytest
 import torch
 
-from taxeld import layout
 from taxeld.errors import SetupError
-from taxeld.observation import Noise, ObservationModel
-from taxeld.proposals import Projection, Proposal
-from taxeld_training import quality
-from taxeld_training.rivals import RIVALS, train_rival
+from taxeld.layout import read as layouts
+from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.proposal import Proposal
+from taxeld.proposals.analytic import Projection
+from taxeld_training.limits import quality
+from taxeld_training.limits.rivals import RIVALS, train_rival
 
 from .conftest import RING
 
 pytest.importorskip("sbi")
 
-SKIN = layout.load(RING)
+SKIN = layouts.load(RING)
 LIVE = np.ones(len(SKIN), dtype=bool)
 EPOCHS = {"npe": 5, "npse": 30, "fmpe": 20}
 
@@ -38,7 +39,7 @@ def train(kind: str, model: ObservationModel, contacts: int, epochs: int) -> Pro
 
 
 @pytest.mark.parametrize("kind", RIVALS)
-def test_a_seed_says_all(
+def test_a_seed_determines_training_and_samples(
     kind: str,
     model: ObservationModel,
     tmp_path: Path,
@@ -66,7 +67,7 @@ def test_a_seed_says_all(
 
 
 @pytest.mark.parametrize("kind", RIVALS)
-def test_a_little_training_beats_not_looking(
+def test_a_rival_trained_a_little_beats_the_uninformed_proposal(
     kind: str, model: ObservationModel, reference: quality.Reference
 ) -> None:
     rival = train(kind, model, 3000, EPOCHS[kind])

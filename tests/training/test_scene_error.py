@@ -1,4 +1,4 @@
-"""The grid error: an independent witness against the grids."""
+"""The grid error: measured independently of the code that makes the grids."""
 
 from dataclasses import replace
 
@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 import trimesh
 
-from taxeld import layout
-from taxeld.scene import Scene
-from taxeld_training import scenes
-from taxeld_training.scene_error import GridError, grid_error
+from taxeld.layout import read as layouts
+from taxeld.model.scene import Scene
+from taxeld_training.objects import scenes
+from taxeld_training.objects.scene_error import GridError, grid_error
 
-SKIN = layout.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
+SKIN = layouts.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
 
 
 def can() -> trimesh.Trimesh:
@@ -32,27 +32,27 @@ def test_a_smooth_solid_is_exact_to_the_grids_curvature() -> None:
 
 
 @pytest.mark.parametrize("grid", ["slices", "silhouette"])
-def test_a_grid_that_is_off_is_seen(grid: str) -> None:
+def test_an_offset_grid_is_detected(grid: str) -> None:
     mesh = can()
     scene = scenes.build(mesh, SKIN, 0.04)
     wrong = replace(scene, **{grid: getattr(scene, grid) + np.float32(0.001)})
     assert np.isclose(measure(wrong, mesh).max, 1.0, atol=0.05)
 
 
-def test_an_outline_that_was_lost_is_seen() -> None:
+def test_a_lost_outline_is_detected() -> None:
     scene = scenes.build(can(), SKIN, 0.04)
     lost = scene.slices.copy()
     lost[1] = scenes.FAR_M
     assert measure(replace(scene, slices=lost), can()).max > 900.0
 
 
-def test_a_grid_that_is_moved_is_seen() -> None:
+def test_a_moved_grid_is_detected() -> None:
     scene = scenes.build(can(), SKIN, 0.04)
     moved = replace(scene, origin=scene.origin + np.array([0.001, 0.0]))
     assert 0.5 < measure(moved, can()).rms < 1.0
 
 
-def test_walls_that_no_skin_meets_do_not_count() -> None:
+def test_walls_that_no_skin_touches_do_not_count() -> None:
     """The grids are filled: neither a wall's inside nor a solid inside another one is an error."""
     tube = trimesh.creation.annulus(0.047, 0.05, 0.1, sections=128)
     tube.apply_translation([0.0, 0.0, 0.05])

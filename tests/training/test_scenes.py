@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import trimesh
 
-from taxeld import layout
 from taxeld.errors import SetupError
-from taxeld.scene import CONTINUOUS, load
-from taxeld_training import meshes, scenes
-from taxeld_training.scene_error import grid_error
+from taxeld.layout import read as layouts
+from taxeld.model.scene import CONTINUOUS
+from taxeld.proposals import scene_file
+from taxeld_training.objects import meshes, scenes
+from taxeld_training.objects.scene_error import grid_error
 
-SKIN = layout.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
+SKIN = layouts.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
 
 
 def prism(sides: int, radius: float = 0.05, height: float = 0.1) -> trimesh.Trimesh:
@@ -92,8 +93,8 @@ def test_a_skin_above_the_whole_object_is_refused() -> None:
 
 def test_a_scene_survives_its_file(tmp_path: Path) -> None:
     scene = scenes.build(box(0.06, 0.16), SKIN, 0.04)
-    scene.save(tmp_path / "scene.npz")
-    again = load(tmp_path / "scene.npz")
+    scene_file.save(scene, tmp_path / "scene.npz")
+    again = scene_file.load(tmp_path / "scene.npz")
     assert np.array_equal(again.slices, scene.slices)
     assert again.symmetry == scene.symmetry
     assert np.array_equal(again.surface, scene.surface)
@@ -107,7 +108,7 @@ def test_a_scene_survives_its_file(tmp_path: Path) -> None:
         ("/nowhere/mesh.stl", "no such mesh file"),
     ],
 )
-def test_an_object_that_is_not_there_is_one_line(name: str, fault: str) -> None:
+def test_a_missing_object_is_refused_in_one_line(name: str, fault: str) -> None:
     with pytest.raises(SetupError, match=fault):
         meshes.find(name)
 
@@ -127,10 +128,8 @@ TEN = {  # as a ring of five rows feels them, 10 to 70 mm above their lowest poi
 
 
 @pytest.mark.parametrize(("name", "order"), TEN.items())
-def test_the_papers_objects_have_the_symmetry_that_touch_feels_and_exact_grids(
-    name: str, order: int
-) -> None:
-    skin = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+def test_the_papers_objects_have_their_symmetry_and_exact_grids(name: str, order: int) -> None:
+    skin = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
     path, attribution = meshes.find(name)
     assert attribution is not None
     assert "CC BY 4.0" in attribution
@@ -144,7 +143,7 @@ def test_the_papers_objects_have_the_symmetry_that_touch_feels_and_exact_grids(
     assert error.max < 1.5  # at an edge, under the grid's spacing
 
 
-def test_the_pitchers_handle_is_felt_where_it_is() -> None:
-    skin = layout.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+def test_the_pitchers_handle_breaks_the_symmetry_at_its_height() -> None:
+    skin = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
     mesh = meshes.load(meshes.find("019_pitcher_base")[0])
     assert scenes.build(mesh, skin, 0.15).symmetry == 1

@@ -7,14 +7,15 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from taxeld.estimate import Status
-from taxeld_training import cells, stability, stability_map
+from taxeld.estimator.estimate import Status
+from taxeld_training.charts import stability_map
 from taxeld_training.cli import main
-from taxeld_training.conditions import Conditions
-from taxeld_training.experiment import Setting, ring
-from taxeld_training.filter_experiment import shares
-from taxeld_training.follow import Method, Outcome
-from taxeld_training.stability import LEVELS, Level
+from taxeld_training.filters import cells, stability
+from taxeld_training.filters.conditions import Conditions
+from taxeld_training.filters.filter import shares
+from taxeld_training.filters.follow import Method, TouchResult
+from taxeld_training.filters.stability import LEVELS, Level
+from taxeld_training.objects.setting import Setting, ring
 
 KEYS = {
     "object", "factor", "level", "proposal", "injection", "success_rate", "flagged_rate",
@@ -61,15 +62,15 @@ def test_rows_and_map_of_an_object(
 
 
 def test_a_wrong_object_is_never_a_success() -> None:
-    """Whatever is said of it: who converges on it has failed in silence."""
-    level = Level("wrong object", "003_cracker_box", felt="003_cracker_box")
+    """And a filter that converges on it fails silently."""
+    level = Level("wrong object", "003_cracker_box", touched="003_cracker_box")
     mug = Setting("025_mug", ring(16), 16)
     cell = stability.cell_of(level, Method("table", "mixture"), mug)
-    told = cells.play(cell, 0, 6, "", "")
-    assert all(map_mm is None for trial in told for map_mm, *_ in trial)
-    wrong = Outcome(math.nan, math.nan, Status.CONVERGED, 100)
-    found = shares([wrong, wrong, wrong._replace(status=Status.AMBIGUOUS), wrong])
-    assert found == {"success_rate": 0.0, "flagged_rate": 0.25, "silent_failure_rate": 0.75}
+    found = cells.play(cell, 0, 6, "", "")
+    assert all(map_mm is None for trial in found for map_mm, *_ in trial)
+    wrong = TouchResult(math.nan, math.nan, Status.CONVERGED, 100)
+    rates = shares([wrong, wrong, wrong._replace(status=Status.AMBIGUOUS), wrong])
+    assert rates == {"success_rate": 0.0, "flagged_rate": 0.25, "silent_failure_rate": 0.75}
 
 
 def test_every_factor_has_levels_of_its_own_that_differ() -> None:
@@ -78,8 +79,8 @@ def test_every_factor_has_levels_of_its_own_that_differ() -> None:
     assert len({repr(level) for level in LEVELS}) == len(LEVELS)
     plain = Level("", 0)
     for level in LEVELS[1:]:
-        assert (level.conditions, level.columns, level.particles, level.felt, level.objects) != (
-            plain.conditions, plain.columns, plain.particles, plain.felt, plain.objects,
+        assert (level.conditions, level.columns, level.particles, level.touched, level.objects) != (
+            plain.conditions, plain.columns, plain.particles, plain.touched, plain.objects,
         )  # fmt: skip
     assert LEVELS[0].conditions == Conditions()
 

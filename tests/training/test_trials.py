@@ -1,4 +1,4 @@
-"""Trials: the same touches for a seed, and each condition does what it says and no more."""
+"""Trials: the same touches for a seed, and each condition changes what it names and no more."""
 
 from dataclasses import replace
 from itertools import groupby, pairwise
@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from taxeld import contacts, se2
 from taxeld.errors import SetupError
-from taxeld.observation import ObservationModel
-from taxeld_training import trials
-from taxeld_training.conditions import BESIDE_M, SIDE_RAD, Beside, Conditions, Skin
-from taxeld_training.trials import Moment, Trial
+from taxeld.model import contacts, se2
+from taxeld.model.observation import ObservationModel
+from taxeld_training.filters import trials
+from taxeld_training.filters.conditions import SIDE_RAD, TWIN_GAP_M, Conditions, TrialSkin, Twin
+from taxeld_training.filters.trials import Moment, Trial
 
 TOUCHES = 6
 
@@ -34,20 +34,20 @@ def test_the_default_conditions_are_the_plain_trial(ring_model: ObservationModel
     truth = rng.uniform(-most, most)
     gain = np.maximum(1.0 + 0.17 * rng.standard_normal(len(model.layout)), 0.1)
     presses = trials.presses(model, TOUCHES, rng)
-    told = iter(Trial(model, 3, TOUCHES))
+    scans = iter(Trial(model, 3, TOUCHES))
     for touch, press in enumerate(presses):
         path = trials.approach(model, press)
         for pose in (*path, press, press, press, path[-2]):
             h = model.activation(pose[None])[0]
             z = gain * h + 0.02 * rng.standard_normal(len(h))
             z = np.where(z < 0.08, 0.0, np.minimum(z, 1.0))
-            moment = next(told)
+            moment = next(scans)
             assert moment.touch == touch
             assert np.array_equal(moment.activation.z, z)
             assert moment.activation.live.all()
             assert np.array_equal(moment.truth, truth)
             assert np.array_equal(moment.sensor, se2.compose(truth, se2.inverse(pose)))
-    assert next(told, None) is None
+    assert next(scans, None) is None
 
 
 def test_a_seed_replays_a_trial(ring_model: ObservationModel) -> None:
@@ -83,7 +83,7 @@ def test_a_pushed_object_goes_along_a_line(ring_model: ObservationModel) -> None
         {"drift": 0.1}, {"sensor_sd_m": 0.005},
     ],
 )  # fmt: skip
-def test_the_touches_are_those_of_the_plain_trial(
+def test_conditions_leave_the_touches_of_a_seed_as_they_are(
     ring_model: ObservationModel, given: dict[str, float]
 ) -> None:
     """All scans come from the truth that they name."""
@@ -94,7 +94,7 @@ def test_the_touches_are_those_of_the_plain_trial(
             assert np.array_equal(a.activation.z, b.activation.z)
 
 
-def test_dead_taxels_are_known_and_say_nothing(ring_model: ObservationModel) -> None:
+def test_dead_taxels_are_known_and_read_zero(ring_model: ObservationModel) -> None:
     taxels = len(ring_model.layout)
     share = moments(ring_model, dead_share=0.25)
     assert all((m.activation.live == share[0].activation.live).all() for m in share)
@@ -106,7 +106,7 @@ def test_dead_taxels_are_known_and_say_nothing(ring_model: ObservationModel) -> 
     assert all(not modules[10 * module : 10 * module + 10].any() for module in dead)
 
 
-def test_stuck_taxels_are_believed(ring_model: ObservationModel) -> None:
+def test_stuck_taxels_count_as_live(ring_model: ObservationModel) -> None:
     for at in (0.0, 1.0):
         found = moments(ring_model, stuck=3, stuck_at=at)
         z = np.array([m.activation.z for m in found])
@@ -116,10 +116,10 @@ def test_stuck_taxels_are_believed(ring_model: ObservationModel) -> None:
     assert (free[0] == 1.0).sum() == 3
 
 
-def test_drift_grows_to_what_it_is_said_to_be() -> None:
+def test_drift_grows_to_its_given_size() -> None:
     still = np.zeros(40)
     rng = np.random.default_rng(0)
-    skin = Skin(Conditions(sigma=0.0, drift=0.1), still + 1.0, rng)
+    skin = TrialSkin(Conditions(sigma=0.0, drift=0.1), still + 1.0, rng)
     early, late = skin.read(still + 0.5, 0.1, rng), skin.read(still + 0.5, 1.0, rng)
     assert np.allclose(late - 0.5, 10.0 * (early - 0.5))
     assert 0.05 < np.abs(late - 0.5).max() <= 0.1
@@ -158,10 +158,10 @@ def test_another_object_stands_beside_and_is_pressed_as_often_as_asked(
     ring_model: ObservationModel,
 ) -> None:
     for seed in range(5):
-        beside = Beside(ring_model, np.random.default_rng(seed))
-        outline = se2.apply(beside.pose, ring_model.scene.outline)
+        twin = Twin(ring_model, np.random.default_rng(seed))
+        outline = se2.apply(twin.pose, ring_model.scene.outline)
         gap = ring_model.scene.clearance(*outline.T)[0].min()
-        assert BESIDE_M - 0.004 < gap <= BESIDE_M
+        assert TWIN_GAP_M - 0.004 < gap <= TWIN_GAP_M
     plain = Conditions(sigma=0.0, gain_cv=0.0)
     found = list(Trial(ring_model, 3, TOUCHES, replace(plain, both=2)))
     pressed = set()
@@ -186,7 +186,7 @@ def test_a_press_has_as_many_scans_as_asked(ring_model: ObservationModel) -> Non
         assert scans == 1 or (np.ptp(held[:, :2], axis=0) > 1e-4).all()
 
 
-def test_touches_that_do_not_exist_are_one_line(
+def test_touches_that_do_not_exist_are_refused_in_one_line(
     ring_model: ObservationModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(trials, "BATCHES_MAX", 2)

@@ -1,12 +1,12 @@
-"""Views: what a touch looks like does not depend on which side it comes from."""
+"""Views: a touch looks the same from every side."""
 
 import numpy as np
 import torch
 
-from taxeld import se2
-from taxeld.observation import ObservationModel
-from taxeld_training.dataset import Touches
-from taxeld_training.views import Centred, Plain, Turned, best
+from taxeld.model import se2
+from taxeld.model.observation import ObservationModel
+from taxeld_training.models.dataset import Touches
+from taxeld_training.models.views import Centred, Plain, Turned, best
 
 
 def tensors(h: np.ndarray) -> tuple[torch.Tensor, torch.Tensor]:
@@ -17,7 +17,7 @@ def turned_about_the_axis(pose: np.ndarray, angle: float) -> np.ndarray:
     return se2.compose(np.array([0.0, 0.0, angle]), pose)
 
 
-def test_a_ring_sees_the_same_touch_from_every_column(
+def test_a_ring_sees_the_same_touch_at_every_column(
     ring_model: ObservationModel, touches: Touches
 ) -> None:
     view = Turned(ring_model.layout)

@@ -58,6 +58,9 @@ ACTS: dict[str, Callable[[], object]] = {
         -1, mmap.PAGESIZE, prot=mmap.PROT_READ | mmap.PROT_WRITE | mmap.PROT_EXEC
     ),
     "a user namespace": lambda: libc("unshare", CLONE_NEWUSER),
+    # these the system call filter alone forbids
+    "another niceness": lambda: os.setpriority(os.PRIO_PROCESS, 0, 5),
+    "another processor": lambda: os.sched_setaffinity(0, {0}),
     "see other processes": lambda: Path("/proc/1").stat(),
 }
 

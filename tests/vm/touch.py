@@ -12,10 +12,13 @@ import msgpack
 import numpy as np
 import zmq
 
-from taxeld import bundle, client, layout, messages, session
-from taxeld.config import ControlConfig, PublishConfig, SkinConfig
-from taxeld.estimate import Status
-from taxeld.symmetry import add_m
+from taxeld.config.tables import ControlConfig, PublishConfig, SkinConfig
+from taxeld.estimator.estimate import Status
+from taxeld.layout import read as layouts
+from taxeld.model.symmetry import add_m
+from taxeld.proposals import bundle
+from taxeld.source import session
+from taxeld.stream import client, messages
 
 PATIENCE_S = 180.0  # an emulated processor is some twenty times slower
 GOOD_MM = 10.0
@@ -111,7 +114,7 @@ class Touch:
         except BaseException:
             self._skin.kill()
             raise
-        skin = layout.load(SkinConfig().layout)
+        skin = layouts.load(SkinConfig().layout)
         self._scene = bundle.load("box", skin, SkinConfig().full_scale_depth_m).model.scene
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)

@@ -9,12 +9,15 @@ from pathlib import Path
 
 from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
 
-from taxeld import layout
-from taxeld.config import SkinConfig
+from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld.scene import CONTINUOUS
-from taxeld_training.build import DEPTH_MAX_M, HEIGHT_M, VARIANTS, BuildConfig, build
-from taxeld_training.variants import trained_with
+from taxeld.layout import read as layouts
+from taxeld.model.scene import CONTINUOUS
+from taxeld_training import bundles
+from taxeld_training.build import build
+from taxeld_training.models.variants import trained_with
+from taxeld_training.objects.setting import DEPTH_MAX_M, HEIGHT_M
+from taxeld_training.samplers.candidates import VARIANTS, Candidates
 
 DEFAULT_SKIN = SkinConfig().layout
 EXPERIMENTS = ("proposals", "frontier", "gallery", "damage", "filter", "stability", "push")
@@ -32,8 +35,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _build(args: argparse.Namespace) -> int:
-    config = BuildConfig(
-        height_m=args.height_m,
+    given = Candidates(
         variants=tuple(trained_with(v, args.effort, args.contacts, args.seed) for v in VARIANTS),
         bank=args.bank,
         seed=args.seed,
@@ -47,18 +49,24 @@ def _build(args: argparse.Namespace) -> int:
                 tasks[stage] = bar.add_task(stage, total=1.0)
             bar.update(tasks[stage], completed=share)  # type: ignore[arg-type]
 
-        out = build(args.object, layout.load(args.skin), config, args.out, progress)
+        out = build(args.object, layouts.load(args.skin), args.height_m, given, args.out, progress)
     for repair in json.loads((out / "bundle.json").read_text(encoding="utf-8"))["repairs"]:
         print(f"taxeld-train: {args.object}: {repair}", file=sys.stderr)
     print(out)
     return 0
 
 
-def _scene(args: argparse.Namespace) -> int:
-    from taxeld_training import meshes, scenes
-    from taxeld_training.scene_error import grid_error
+def _seal(args: argparse.Namespace) -> int:
+    bundles.seal(args.bundle)
+    print(f"{args.bundle}: sealed")
+    return 0
 
-    skin = layout.load(args.skin)
+
+def _scene(args: argparse.Namespace) -> int:
+    from taxeld_training.objects import meshes, scenes
+    from taxeld_training.objects.scene_error import grid_error
+
+    skin = layouts.load(args.skin)
     mesh = meshes.load(meshes.find(args.object)[0])
     scene = scenes.build(mesh, skin, args.height_m)
     error = grid_error(scene, mesh, skin, args.height_m, DEPTH_MAX_M)
@@ -80,13 +88,16 @@ def _scene(args: argparse.Namespace) -> int:
 
 
 def _evaluate(args: argparse.Namespace) -> int:
-    from taxeld_training import evaluate, experiment, filter_experiment, push_experiment, stability
+    from taxeld_training.filters import filter as filter_experiment
+    from taxeld_training.filters import push as push_experiment
+    from taxeld_training.filters import stability
+    from taxeld_training.jobs.options import Options
+    from taxeld_training.samplers import damage, evaluate, gallery
 
-    objects = tuple(args.objects.split(",")) if args.objects else experiment.OBJECTS
-    options = evaluate.Options(
+    options = Options(
         out=args.out,
         memory=args.memory,
-        objects=objects,
+        objects=tuple(args.objects.split(",")) if args.objects else (),
         columns=tuple(int(c) for c in args.columns.split(",")) if args.columns else (),
         skin=args.skin or "",
         quick=args.quick,
@@ -101,8 +112,8 @@ def _evaluate(args: argparse.Namespace) -> int:
     experiments = {
         "proposals": evaluate.proposals,
         "frontier": evaluate.frontier,
-        "gallery": evaluate.gallery,
-        "damage": evaluate.damage,
+        "gallery": gallery.run,
+        "damage": damage.run,
         "filter": filter_experiment.run,
         "stability": stability.run,
         "push": push_experiment.run,
@@ -137,43 +148,37 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--seed", type=int, default=0)
     one.set_defaults(command=_build)
-    one = commands.add_parser("evaluate", help="the experiments: JSON beside PNG")
-    one.add_argument("experiment", choices=EXPERIMENTS)
-    one.add_argument("--out", type=Path, default=Path("docs/results"), metavar="DIR")
-    one.add_argument(
-        "--memory", type=Path, default=Path(".experiments"), metavar="DIR",
-        help="what was done is kept here, and an experiment cut short goes on (.experiments)",
-    )  # fmt: skip
-    one.add_argument("--quick", action="store_true", help="a smoke run; its figures mean nothing")
-    one.add_argument(
-        "--objects",
-        default="",
-        metavar="A,B",
-        help="default: the paper's ten; of stability, box and mug",
-    )
-    one.add_argument("--columns", default="", metavar="N,M", help="of the 5-row skins")
-    one.add_argument("--skin", metavar="LAYOUT", help="this layout in place of them")
-    one.add_argument("--workers", type=int, default=2, help="processes of one thread each")
-    one.add_argument(
-        "--groups", default="", metavar="A,B", help="of samplers (analytic, npe, …), or proposals"
-    )
-    one.add_argument(
-        "--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training"
-    )
-    one.add_argument(
-        "--seeds",
-        type=int,
-        default=0,
-        metavar="N",
-        help="trials a cell of filter, stability and push",
-    )
-    one.add_argument(
-        "--minutes", type=float, default=math.inf, help="begin nothing later; write what is done"
-    )
-    one.add_argument("--dask", default="", metavar="ADDRESS", help="a running Dask scheduler")
-    one.add_argument("--seed", type=int, default=0)
-    one.set_defaults(command=_evaluate)
+    one = commands.add_parser("seal", help="a bundle's files are right as they are: say so in it")
+    one.add_argument("bundle", type=Path, metavar="BUNDLE")
+    one.set_defaults(command=_seal)
+    _add_options(commands.add_parser("evaluate", help="the experiments: JSON beside PNG"))
     return parser
+
+
+def _add_options(one: argparse.ArgumentParser) -> None:
+    """The arguments of `evaluate`."""
+    add = one.add_argument
+    add("experiment", choices=EXPERIMENTS)
+    add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
+    add(
+        "--memory", type=Path, default=Path(".experiments"), metavar="DIR",
+        help="results of jobs, from which an experiment cut short goes on (default %(default)s)",
+    )  # fmt: skip
+    add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
+    add(
+        "--objects", default="", metavar="A,B",
+        help="default: the paper's ten; of stability and push, box and mug",
+    )  # fmt: skip
+    add("--columns", default="", metavar="N,M", help="of the 5-row skins")
+    add("--skin", metavar="LAYOUT", help="this layout in place of them")
+    add("--workers", type=int, default=2, help="processes of one thread each")
+    add("--groups", default="", metavar="A,B", help="of samplers (analytic, npe, …), or proposals")
+    add("--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training")
+    add("--seeds", type=int, default=0, metavar="N", help="trials a cell of a filter experiment")
+    add("--minutes", type=float, default=math.inf, help="begin nothing later; write what is done")
+    add("--dask", default="", metavar="ADDRESS", help="a running Dask scheduler")
+    add("--seed", type=int, default=0)
+    one.set_defaults(command=_evaluate)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,10 @@
+"""Names for arrays in signatures; shapes stand in docstrings, as (N, 3)."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+Index = NDArray[np.intp]  # positions in another array
+Grid = NDArray[np.float32]  # what is kept in many numbers and needs few digits
+Poses = NDArray[np.float64]  # (…, 3) x [m], y [m], θ [rad]

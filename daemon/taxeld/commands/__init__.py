@@ -1,0 +1,1 @@
+"""The commands beside `taxeld run`, a module each; `cli` has their arguments."""

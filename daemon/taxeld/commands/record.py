@@ -1,0 +1,82 @@
+"""`taxeld record`: what a skin and a robot send, as a session, and nothing estimated.
+
+A process of its own that brings the skin up itself; `taxeld run --record` records beside estimates.
+"""
+
+import time
+from pathlib import Path
+
+import zmq
+
+from taxeld.config.tables import Config
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.pipeline.poses import PoseTrack
+from taxeld.source.recorder import Recorder
+from taxeld.source.sources import open_source
+from taxeld.stream import curve
+from taxeld.stream.pose_input import PoseInput
+
+POLL_S = 0.002
+
+
+def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
+    """What records the input of such a configuration.
+
+    Raises:
+        SetupError: the directory holds a session, or the configuration replays one.
+    """
+    if config.source.kind == "replay":
+        raise SetupError("source.kind: 'replay' is a recording already; use can or serial")
+    return Recorder(directory, moves=bool(config.sensor_pose.endpoint), config=config_path)
+
+
+class Recording:
+    """A configuration, being recorded into a directory."""
+
+    def __init__(self, config: Config, config_path: Path, directory: Path) -> None:
+        """Raises SetupError as `recorder_of` does."""
+        self.config = config
+        self.stopping = False
+        self.scans = 0
+        self._directory = directory
+        self._recorder = recorder_of(config, config_path, directory)
+
+    @property
+    def failed(self) -> bool:
+        """Whether the disk took no more; the log says why."""
+        return self._recorder.counters.failed
+
+    def run(self) -> str:
+        """Record until `stopping`, or until the disk is full; → one line on what was recorded.
+
+        Raises:
+            SetupError: a device or the directory cannot be used.
+        """
+        config = self.config
+        endpoint, keys = config.sensor_pose.endpoint, curve.robot_keys(config)
+        with self._recorder as recorder, zmq.Context() as context:
+            source = open_source(config.source, layouts.load(config.skin.layout), recorder)
+            moves = config.sensor_pose
+            track = PoseTrack(moves.max_age_s, moves.within_m, recorder.pose)
+            robot = PoseInput(context, endpoint, track.add, keys) if endpoint else None
+            try:
+                while not self.stopping and not self.failed:
+                    if robot is not None:
+                        robot.poll()
+                    self.scans += len(source.poll(time.monotonic()))
+                    time.sleep(POLL_S)
+            finally:
+                if robot is not None:
+                    robot.close()
+                source.close()
+        return self._said()
+
+    def _said(self) -> str:
+        written = self._recorder.counters
+        if not (written.frames or written.bytes or written.poses or written.failed):
+            return f"{self._directory}: nothing came, so nothing is kept"
+        sent = f"{written.frames} frames" if written.frames else f"{written.bytes} bytes"
+        dropped = f", {written.dropped} records dropped" if written.dropped else ""
+        scans, poses = f"{self.scans} scans", f"{written.poses} sensor poses"
+        return f"{self._directory}: {sent}, {scans}, {poses}{dropped}"

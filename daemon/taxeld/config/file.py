@@ -1,0 +1,111 @@
+"""The configuration file: read, and checked where keys must agree."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from taxeld.config import endpoints, toml_tables
+from taxeld.config.tables import Config, SourceConfig
+from taxeld.config.toml_tables import ConfigError
+from taxeld_protocol import icub
+
+
+def load(path: Path) -> Config:
+    """Read and validate a configuration file.
+
+    Raises:
+        ConfigError: all faults at once.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError([f"{path}: unreadable configuration ({error})"]) from None
+    return _for_this_user(parse(text, str(path)))
+
+
+def parse(text: str, name: str = "configuration") -> Config:
+    """Validate configuration text.
+
+    Raises:
+        ConfigError: all faults at once.
+    """
+    config = toml_tables.parse(Config, text, name)
+    faults: list[str] = []
+    _check_source(config.source, faults)
+    _check_rate(config, faults)
+    _check_metrics(config.metrics.file, faults)
+    _check_endpoints(config, faults)
+    if config.source.dialect == "icub":
+        _check_icub(config, faults)
+    if faults:
+        raise ConfigError(faults)
+    return config
+
+
+def _check_source(source: SourceConfig, faults: list[str]) -> None:
+    if source.kind in ("can", "serial") and not source.channel:
+        faults.append(f"source.channel: is required for kind '{source.kind}'")
+    if source.kind == "replay" and not source.path:
+        faults.append("source.path: is required for kind 'replay'")
+
+
+def _check_rate(config: Config, faults: list[str]) -> None:
+    """Whether a tick has room for what each touch takes: samples keep to what is left of it."""
+    budget = config.budget
+    needed_ms = budget.source_ms + budget.skin_ms + budget.filter_ms + budget.publish_ms
+    if budget.degrade and needed_ms * config.loop.rate_hz > 1000.0:
+        faults.append(
+            f"loop.rate_hz: {config.loop.rate_hz:g} leaves {1000.0 / config.loop.rate_hz:.1f} ms a "
+            f"tick, and budget has {needed_ms:g} for it without samples; use "
+            f"{int(1000.0 / needed_ms)} or less, or smaller budgets"
+        )
+
+
+def _check_metrics(file: str, faults: list[str]) -> None:
+    path = Path(file)
+    if file and (path.suffix != ".prom" or not path.is_absolute()):
+        faults.append(f"metrics.file: {file} must be an absolute path that ends with .prom")
+
+
+def _check_endpoints(config: Config, faults: list[str]) -> None:
+    has_keys = bool(config.curve.directory)
+    if config.curve.loopback and not has_keys:
+        faults.append("curve.directory: is required with curve.loopback")
+    for name, used, relay_key in (
+        ("publish.endpoints", config.publish.endpoints, "relay.publish"),
+        ("control.endpoint", (config.control.endpoint,), "relay.control"),
+    ):
+        served = (endpoints.served_fault(endpoint, relay_key) for endpoint in filter(None, used))
+        faults += [f"{name}: {fault}" for fault in served if fault]
+    for name, used in (
+        ("sensor_pose.endpoint", (config.sensor_pose.endpoint,)),
+        ("relay.publish", config.relay.publish),
+        ("relay.control", (config.relay.control,)),
+    ):
+        found = (endpoints.fault(endpoint, has_keys) for endpoint in filter(None, used))
+        faults += [f"{name}: {fault}" for fault in found if fault]
+
+
+def _for_this_user(config: Config) -> Config:
+    """With the user's own endpoints, where the service's are closed to them."""
+    own = endpoints.for_this_user
+    return replace(
+        config,
+        publish=replace(config.publish, endpoints=tuple(map(own, config.publish.endpoints))),
+        control=replace(config.control, endpoint=own(config.control.endpoint)),
+    )
+
+
+def _check_icub(config: Config, faults: list[str]) -> None:
+    source, counts = config.source, config.skin.full_scale_counts
+    if source.kind == "serial" and source.framing == "native":
+        faults.append("source.dialect: icub is spoken on CAN alone; use framing 'slcan'")
+    if source.period_ms > icub.PERIOD_MAX_MS:
+        faults.append(
+            f"source.period_ms: must be 1..{icub.PERIOD_MAX_MS} with dialect icub, "
+            f"not {source.period_ms}"
+        )
+    if counts > icub.VALUE_MAX:
+        faults.append(
+            f"skin.full_scale_counts: must be 1..{icub.VALUE_MAX} with dialect icub, "
+            f"whose values have 8 bits, not {counts:g}"
+        )

@@ -1,0 +1,194 @@
+"""The configuration: one dataclass a table, every key with its type, default and bounds.
+
+Units stand in the names.
+"""
+
+from dataclasses import dataclass, field
+
+from taxeld.config.toml_tables import between, key, one_of
+from taxeld_protocol import icub
+from taxeld_protocol.slcan import BITRATES
+
+
+def _bit_rate(value: int) -> str | None:
+    if value in BITRATES:
+        return None
+    return f"{value} is no CAN bit rate; use one of {', '.join(map(str, BITRATES))}"
+
+
+def _boards(boards: tuple[int, ...]) -> str | None:
+    if boards and len(set(boards)) == len(boards) and all(b in icub.BOARDS for b in boards):
+        return None
+    first, last = icub.BOARDS[0], icub.BOARDS[-1]
+    return f"must be different boards of {first}..{last}, not {list(boards)}"
+
+
+@dataclass(frozen=True, slots=True)
+class SkinConfig:
+    layout: str = key(
+        "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015", doc="where the taxels are"
+    )
+    full_scale_counts: float = key(
+        20000.0, between(1, 65535), "counts over baseline at full_scale_depth_m"
+    )
+    full_scale_depth_m: float = key(0.005, between(1e-4, 0.05), "depth that reads as 1")
+    baseline_scans: int = key(20, between(2, 10000), "untouched scans that make the baseline")
+    threshold_sigmas: float = key(
+        6.0, between(1, 100), "idle noise a reading must exceed to be a touch"
+    )
+    drift_s: float = key(
+        60.0, between(1, 86_400), "time constant of the baseline's following, out of contact"
+    )
+    state_dir: str = key(
+        "", doc="where the baseline is kept over restarts; empty: $STATE_DIRECTORY, or nowhere"
+    )
+    state_max_age_s: float = key(
+        43_200.0, between(1, 1e8), "a baseline that was stored longer ago is not used"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SourceConfig:
+    kind: str = key(check=one_of("can", "serial", "replay"), doc="where frames come from")
+    dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol")
+    boards: tuple[int, ...] = key(
+        tuple(icub.BOARDS), _boards, "dialect icub: the part's boards, in its layout's order"
+    )
+    interface: str = key("socketcan", doc="kind can: any python-can interface")
+    channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
+    bitrate: int = key(1_000_000, _bit_rate, "bit/s of the CAN bus")
+    framing: str = key(
+        "native", one_of("native", "slcan"), "kind serial: packets in COBS, or SLCAN lines"
+    )
+    baud: int = key(921_600, between(1200, 12_000_000), "kind serial: line speed, bit/s")
+    path: str = key("", doc="kind replay: a session directory")
+    period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")
+    listen_only: bool = key(False, doc="never send: for a skin that something else started")
+    max_age_s: float = key(
+        0.5, between(0.01, 60), "a scan that is older when it arrives is not used"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class SceneConfig:
+    bundle: str = key(doc="a shipped bundle's name, or a path")
+
+
+@dataclass(frozen=True, slots=True)
+class SensorPoseConfig:
+    endpoint: str = key("", doc="SUB endpoint of the robot; empty: the sensor stands still")
+    max_age_s: float = key(0.2, between(0.001, 60), "a scan whose pose is older is not used")
+    wait_s: float = key(0.02, between(0, 1), "a scan waits so long for a pose at or after its time")
+    within_m: float = key(
+        10.0, between(0.01, 1e6), "a pose whose x or y lies farther from the origin is not taken"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class LoopConfig:
+    rate_hz: float = key(100.0, between(1, 1000), "ticks and estimates a second")
+    stale_s: float = key(0.5, between(0.01, 60), "without a scan for so long, not valid")
+    priority: int = key(
+        20, between(0, 99), "SCHED_FIFO, and memory locked, where permitted; 0: neither"
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetConfig:
+    """Of a tick's stages; what takes longer is counted, and samples keep to what is left."""
+
+    source_ms: float = key(1.0, between(0.01, 1000), "taking what has arrived")
+    skin_ms: float = key(0.5, between(0.01, 1000), "counts to activations")
+    propose_ms: float = key(
+        5.0, between(0.01, 1000), "a proposal; auto chooses by it, measured at start"
+    )
+    filter_ms: float = key(5.0, between(0.01, 1000), "the belief and its summary")
+    publish_ms: float = key(1.0, between(0.01, 1000), "streams and control, kept free of the tick")
+    degrade: bool = key(True, doc="save samples where a tick lacks time; false: let it be late")
+
+
+@dataclass(frozen=True, slots=True)
+class FilterConfig:
+    particles: int = key(100, between(2, 100_000), "N, at least")
+    particles_max: int = key(400, between(2, 100_000), "N while the belief is wide, at most")
+    kld_error: float = key(0.05, between(0.001, 10), "nats between a wide belief and its particles")
+    kld_confidence: float = key(0.99, between(0.5, 0.999999), "probability of no more than that")
+    injected: int = key(50, between(0, 10_000), "S, samples a touch brings")
+    proposal: str = key(
+        "auto",
+        one_of("auto", "density", "ddpm", "table", "manifold", "projection"),
+        "where they come from; auto: the bundle's best that fits the budget",
+    )
+    injection: str = key(
+        "mixture", one_of("mixture", "paper"),
+        "how they enter: weighed against all that is remembered, or by Algorithm 1 of the paper",
+    )  # fmt: skip
+    project: bool = key(True, doc="bring samples that miss the object onto it by one step")
+    motion: str = key(
+        "none", one_of("none", "push"), "what the object does: stands still, or gives way to a push"
+    )
+    memory: int = key(8, between(1, 100), "injection mixture: touches remembered")
+    sampler: str = key("", doc="which of the bundle's samplers; empty: as proposal says")
+    seed: int = key(0, between(0, 2**63), "of the one random generator")
+    centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")
+    half_width_m: float = key(0.5, between(0.01, 100), "of that square, world frame")
+    # what a soft skin reads lies so far from what is expected of it (docs/physics.md)
+    noise_sigma: float = key(0.04, between(1e-4, 1), "sd of an activation")
+    gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
+    outliers: float = key(0.01, between(0, 0.5), "share of readings that mean nothing")
+
+
+@dataclass(frozen=True, slots=True)
+class PublishConfig:
+    endpoints: tuple[str, ...] = key(("ipc:///run/taxeld/stream",), doc="XPUB endpoints, ipc alone")
+
+
+@dataclass(frozen=True, slots=True)
+class ControlConfig:
+    endpoint: str = key("ipc:///run/taxeld/control", doc="REP endpoint, ipc alone; empty: none")
+
+
+@dataclass(frozen=True, slots=True)
+class RelayConfig:
+    """`taxeld relay`: the streams over TCP, by a process of its own."""
+
+    publish: tuple[str, ...] = key(("tcp://127.0.0.1:9872",), doc="where the relay publishes")
+    control: str = key("", doc="where it answers status and info; empty: nowhere")
+    change: bool = key(False, doc="it takes tare and reset as well")
+
+
+@dataclass(frozen=True, slots=True)
+class CurveConfig:
+    directory: str = key("", doc="keys, without which nothing goes beyond this machine")
+    loopback: bool = key(False, doc="tcp endpoints of this machine take keys as well")
+
+
+@dataclass(frozen=True, slots=True)
+class LogConfig:
+    level: str = key(
+        "info",
+        one_of("debug", "info", "warning", "error"),
+        "what is logged on standard error; taken anew at SIGHUP",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class MetricsConfig:
+    file: str = key("", doc="*.prom of node_exporter's textfile collector; empty: none")
+
+
+@dataclass(frozen=True, slots=True)
+class Config:
+    scene: SceneConfig
+    source: SourceConfig
+    skin: SkinConfig = field(default_factory=SkinConfig)
+    sensor_pose: SensorPoseConfig = field(default_factory=SensorPoseConfig)
+    loop: LoopConfig = field(default_factory=LoopConfig)
+    budget: BudgetConfig = field(default_factory=BudgetConfig)
+    filter: FilterConfig = field(default_factory=FilterConfig)
+    publish: PublishConfig = field(default_factory=PublishConfig)
+    control: ControlConfig = field(default_factory=ControlConfig)
+    relay: RelayConfig = field(default_factory=RelayConfig)
+    curve: CurveConfig = field(default_factory=CurveConfig)
+    log: LogConfig = field(default_factory=LogConfig)
+    metrics: MetricsConfig = field(default_factory=MetricsConfig)

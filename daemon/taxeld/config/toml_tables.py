@@ -1,0 +1,120 @@
+"""TOML files as frozen dataclasses: types, defaults, bounds, and all faults in one pass.
+
+Unknown keys are refused, and every fault is named by its path (`source.chanel: unknown key`).
+"""
+
+import difflib
+import math
+import tomllib
+from collections.abc import Callable
+from dataclasses import MISSING, Field, field, fields
+from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
+
+from taxeld.errors import SetupError
+
+T = TypeVar("T")
+
+
+class ConfigError(SetupError):
+    """All faults of a configuration, one line each."""
+
+    def __init__(self, faults: list[str]) -> None:
+        super().__init__("\n".join(faults))
+        self.faults = faults
+
+
+Bound = Callable[[Any], str | None]
+
+
+def between(low: float, high: float) -> Bound:
+    return lambda v: None if low <= v <= high else f"must be {low:g}..{high:g}, not {v:g}"
+
+
+def one_of(*values: str) -> Bound:
+    return lambda v: None if v in values else f"must be one of {', '.join(values)}, not '{v}'"
+
+
+def key(default: Any = MISSING, check: Bound | None = None, doc: str = "") -> Any:
+    return field(default=default, metadata={"check": check, "doc": doc})
+
+
+def parse(cls: type[T], text: str, name: str) -> T:
+    """The dataclass `cls` from TOML text; `name` is the file's, for messages.
+
+    Raises:
+        ConfigError: all faults at once.
+    """
+    try:
+        data = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError([f"{name}: not TOML: {error}"]) from None
+    faults: list[str] = []
+    parsed = _table(cls, data, "", faults)
+    if faults:
+        raise ConfigError(faults)
+    return cast(T, parsed)
+
+
+def _table(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> object:
+    """A dataclass from a TOML table; None where its faults make that impossible."""
+    known = {f.name: f for f in fields(cls)}
+    hints = get_type_hints(cls)
+    for name in data.keys() - known:
+        near = difflib.get_close_matches(name, known, 1)
+        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+        faults.append(f"{path}{name}: unknown key; {hint}")
+    before = len(faults)
+    values = {}
+    for name, spec in known.items():
+        if name in data:
+            values[name] = _value(hints[name], spec, data[name], path + name, faults)
+        elif spec.default is MISSING and spec.default_factory is MISSING:
+            faults.append(f"{path}{name}: is required")
+    return cls(**values) if len(faults) == before else None
+
+
+def _value(kind: Any, spec: Field[Any], value: Any, path: str, faults: list[str]) -> Any:
+    inner = get_args(kind)[0] if get_origin(kind) is tuple else kind
+    if inner is not kind and hasattr(inner, "__dataclass_fields__"):
+        if isinstance(value, list) and all(isinstance(item, dict) for item in value):
+            items = enumerate(value)
+            return tuple(_table(inner, item, f"{path}[{i}].", faults) for i, item in items)
+        faults.append(f"{path}: must be tables [[{path}]]")
+        return None
+    if hasattr(kind, "__dataclass_fields__"):
+        if isinstance(value, dict):
+            return _table(kind, value, path + ".", faults)
+        faults.append(f"{path}: must be a table [{path}]")
+        return None
+    converted = _convert(kind, value)
+    if converted is None:
+        faults.append(f"{path}: must be {_describe(kind)}, not {value!r}")
+        return None
+    check = spec.metadata["check"]
+    fault = check(converted) if check and converted != spec.default else None
+    if fault:
+        faults.append(f"{path}: {fault}")
+    return converted
+
+
+def _convert(kind: Any, value: Any) -> Any:
+    """The TOML value as `kind`, or None if it is none: TOML has no null."""
+    if get_origin(kind) is tuple:
+        inner = get_args(kind)
+        if not isinstance(value, list) or (inner[-1] is not Ellipsis and len(value) != len(inner)):
+            return None
+        items = tuple(_convert(inner[0], item) for item in value)
+        return None if None in items else items
+    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if kind is float and isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if type(value) is kind else None
+
+
+def _describe(kind: Any) -> str:
+    if get_origin(kind) is tuple:
+        inner = get_args(kind)
+        size = "" if inner[-1] is Ellipsis else f" of {len(inner)}"
+        return f"a list{size} ({inner[0].__name__})"
+    return {str: "a string", int: "an integer", float: "a number", bool: "true or false"}[kind]

@@ -1,0 +1,103 @@
+"""What a belief is worth: what confirms it, what refutes it, and what speaks against it now.
+
+A belief is *confirmed* by a contact that leaves it narrow and where it was, and that it explains.
+It is *searched* by samples that could have found a better place and did not. It is in *doubt* while
+no pose explains the newest scan, or all remembered contacts together. It was *refuted* once
+contacts contradicted each other.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+from taxeld.estimator.estimate import SEARCHING_WEIGHT, Status, Summary, summarise
+from taxeld.estimator.particles import Belief
+from taxeld.model.scene import Scene
+from taxeld.model.symmetry import PoseMetric
+
+CONFIRMED_M = 0.02  # a heaviest mode that moved less than this has stayed
+AGREEING = 4  # remembered contacts that must agree once any was refuted: a few may do so by chance
+SEARCHED = 100  # samples that must have left a narrow belief where it was
+
+
+@dataclass(slots=True)
+class Confidence:
+    """Follows one belief."""
+
+    metric: PoseMetric
+    summary: Summary  # of the belief as it stands
+    agreeing: int  # contacts that it takes where one was refuted
+    enough: int  # samples that it takes
+    doubt: bool = False
+    doubted: int = 0  # contacts in a row that ended in doubt
+    refuted: bool = False
+    searched: int = 0  # samples in a row that left a narrow belief where it was
+    confirmed: bool = False  # by the last contact, and by every search since
+    remembered: int = 0  # contacts that the belief explains
+    _contact: int = 0  # that was judged last: one contact confirms once
+
+    @classmethod
+    def of(
+        cls, belief: Belief, scene: Scene, agreeing: int = AGREEING, enough: int = SEARCHED
+    ) -> Self:
+        """Of a new belief about the object of a scene."""
+        metric = PoseMetric(scene)
+        return cls(metric, summarise(belief, metric), agreeing, enough)
+
+    def learned(
+        self, belief: Belief, samples: int, contact: int, remembered: int, *, in_doubt: bool
+    ) -> None:
+        """The belief has learned from a scan of the given contact, counted from 1, or from a
+        silent one, 0. `in_doubt`: as it was before."""
+        stayed = self._search(belief, samples)
+        self.remembered = remembered
+        if contact and contact != self._contact:
+            self._contact = contact
+            self.confirmed = stayed and not in_doubt
+
+    def revisited(self, belief: Belief, samples: int) -> None:
+        """The belief has changed by samples of a remembered contact, and nothing new was read."""
+        self.confirmed &= self._search(belief, samples)
+
+    def moved(self, belief: Belief) -> None:
+        """The object was pushed, and the belief with it."""
+        self.summary = summarise(belief, self.metric)
+        self.confirmed, self.remembered = False, 0
+
+    def judged(self, *, doubt: bool) -> None:
+        """A contact has ended in doubt, or without."""
+        self.doubt = doubt
+        self.doubted = self.doubted + 1 if doubt else 0
+
+    @property
+    def is_searched(self) -> bool:
+        return self.searched >= self.enough
+
+    @property
+    def is_sure(self) -> bool:
+        """Whether enough samples and, where it matters, enough contacts agree."""
+        agree = not self.refuted or self.remembered >= self.agreeing
+        return agree and self.is_searched
+
+    def _search(self, belief: Belief, samples: int) -> bool:
+        """Whether a change by so many samples has left a narrow belief where it was."""
+        before, self.summary = self.summary, summarise(belief, self.metric)
+        apart = self.metric.distance(before.modes[0].pose, self.summary.modes[0].pose)
+        stayed = before.is_narrow and self.summary.is_narrow and bool(apart < CONFIRMED_M)
+        self.searched = self.searched + samples if stayed else 0
+        return stayed
+
+
+def status(confidence: Confidence, contacts: int, *, blind: bool = False) -> Status:
+    """What an estimate is worth after so many contacts; `blind`: no taxel lives where the best
+    pose expects contact."""
+    summary = confidence.summary
+    if blind:
+        return Status.BLIND
+    if not contacts:
+        return Status.SEARCHING
+    if confidence.doubt:
+        return Status.INCONSISTENT
+    if summary.is_narrow and confidence.confirmed and confidence.is_sure:
+        return Status.CONVERGED
+    weak = summary.modes[0].weight < SEARCHING_WEIGHT
+    return Status.SEARCHING if weak else Status.AMBIGUOUS

@@ -1,0 +1,51 @@
+"""Whether any pose explains what was read: deviances of remembered scans from what is usual.
+
+The deviance of a pose is by how much its likelihood falls short of that of taxels pressed just as
+they read. A single scan may deviate as much as the true pose does in one of 1000 contacts. All
+contacts together may deviate little more than they usually do: a wrong object of about the right
+shape does not pass that.
+"""
+
+import math
+
+import numpy as np
+
+from taxeld.arrays import Floats
+from taxeld.estimator.memory import Memory
+from taxeld.estimator.particles import Belief
+
+MOST, MOST_TAXEL = 10.0, 1.0  # nats that a scan or prior, and each pressed taxel, may deviate
+USUAL, USUAL_TAXEL = 2.0, 0.55  # nats that a contact, and each of its taxels, usually deviate
+USUAL_SPREAD = (
+    3.5  # of the sum over contacts, times the root of its taxels: 3.1 at most in 120 seen
+)
+
+
+def excess(memory: Memory, belief: Belief) -> Floats:
+    """(K,) nats by which each remembered scan deviates more than is allowed; above 0: no pose that
+    is believed explains it."""
+    allowed = MOST + MOST_TAXEL * memory.pressed
+    return np.asarray(_deviance(memory, belief) - allowed)
+
+
+def refutes_prior(memory: Memory, belief: Belief) -> bool:
+    """Whether the belief has left what was known before the remembered scans."""
+    prior = memory.prior
+    if prior is None:
+        return False
+    return bool(prior.ceiling - belief.weight @ belief.remembered[:, 0] > MOST)
+
+
+def is_excessive(memory: Memory, belief: Belief) -> bool:
+    """Whether the remembered contacts together deviate more than is allowed, though each alone may
+    pass: a wrong object of about the right shape."""
+    contact = memory.contact
+    contacts, taxels = int(np.count_nonzero(contact)), float(memory.pressed[contact].sum())
+    deviance = float(_deviance(memory, belief)[contact].sum())
+    usual = USUAL * contacts + USUAL_TAXEL * taxels
+    return contacts > 1 and deviance > usual + USUAL_SPREAD * math.sqrt(taxels)
+
+
+def _deviance(memory: Memory, belief: Belief) -> Floats:
+    """(K,) nats."""
+    return np.asarray(memory.ceiling - belief.weight @ memory.of_scans(belief.remembered))

@@ -1,0 +1,115 @@
+"""The estimator: activations and sensor poses in, estimates out. No clock, no socket, no file.
+
+It takes what can be used of a scan (`intake`), picks the scans to learn from (`news`), has the
+belief learn from them by the configured rule (`rules`), and says what the result is worth
+(`confidence`). docs/estimator.md has the way of a contact through these.
+"""
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator import confidence
+from taxeld.estimator.counters import EstimatorCounters
+from taxeld.estimator.estimate import Estimate
+from taxeld.estimator.intake import Intake
+from taxeld.estimator.news import News
+from taxeld.estimator.rules import RULES
+from taxeld.estimator.sampling import Sampling
+from taxeld.model.activation import Activation
+from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.proposal import Proposal
+
+
+class Estimator:
+    """A belief about one object, changed by one scan at a time; the same scans and seed give the
+    same estimates, bit for bit."""
+
+    def __init__(self, model: ObservationModel, proposal: Proposal, config: FilterConfig) -> None:
+        self.model = model
+        self.proposal = proposal
+        self.config = config
+        self.counters = EstimatorCounters()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every contact; the random generator begins anew as well."""
+        config, layout = self.config, self.model.layout
+        rng = np.random.default_rng(config.seed)
+        self.rule = RULES[config.injection](self.model, config, rng)
+        self.rule.counters = self.counters.rule
+        self._sampling = Sampling(self.model, self.proposal, rng, project=config.project)
+        self._intake = Intake(len(layout), layout.radius_m, self.counters)
+        self._news = News(layout.radius_m)
+        self._before: Observation | None = None
+        self.estimate = self._estimate(0.0)
+
+    def on_scan(self, activation: Activation, sensor: Poses) -> Estimate:
+        """Take a scan's activations at the sensor's pose (3,) in the world; never raises."""
+        self.counters.scans += 1
+        observation = self._intake.observation(activation, sensor)
+        if observation is None:
+            self.estimate = self._estimate(max(self.estimate.t, self._intake.t))
+            return self.estimate
+        self._follow(observation)
+        injected, log_evidence = self._learn(observation)
+        blind = self._is_blind(observation)
+        self.counters.blind += blind
+        self.estimate = self._estimate(self._intake.t, injected, log_evidence, blind=blind)
+        return self.estimate
+
+    def _follow(self, observation: Observation) -> None:
+        """Between two scans of one contact the object may have been pushed."""
+        before, self._before = self._before, observation
+        if self.config.motion == "none" or before is None:
+            return
+        if before.is_contact and observation.is_contact:
+            self.rule.follow(before, observation)
+
+    def _learn(self, observation: Observation) -> tuple[int, float]:
+        """Have the belief learn from what is new, or use the time; → how many samples that took,
+        and the scan's log evidence."""
+        news = self._news
+        used = news.on_scan(self._intake.t, observation) if observation.live.any() else None
+        if used is not None:
+            self.counters.updates += 1
+            return self.rule.learn(used, news.contacts, self._draw)
+        samples = self.rule.revisit(self._draw)
+        self.counters.thoughts += samples > 0
+        return samples, 0.0
+
+    def _draw(self, observation: Observation, n: int) -> Poses:
+        poses = self._sampling(observation, n)
+        self.counters.injections += len(poses) > 0
+        return poses
+
+    def _is_blind(self, observation: Observation) -> bool:
+        """Whether no taxel lives, or none of those that the best pose presses."""
+        if observation.live.all() or observation.is_contact:
+            return False
+        if not observation.live.any():
+            return True
+        best = self.rule.confidence.summary.modes[0].pose
+        pressed, _ = self.model.pressed_from(observation.sensor[None], best[None])
+        expected = self._news.contacts > 0 and len(pressed) > 0
+        return expected and not bool(observation.live[pressed].any())
+
+    def _estimate(
+        self, t: float, injected: int = 0, log_evidence: float = 0.0, *, blind: bool = False
+    ) -> Estimate:
+        summary = self.rule.confidence.summary
+        return Estimate(
+            t=t,
+            status=confidence.status(self.rule.confidence, self._news.contacts, blind=blind),
+            contact=self._news.contact,
+            contacts=self._news.contacts,
+            map=summary.modes[0].pose,
+            mean=summary.mean,
+            cov=summary.cov,
+            modes=summary.modes,
+            ess=summary.ess,
+            particles=summary.particles,
+            injected=injected,
+            proposal=self._sampling.kind,
+            log_evidence=log_evidence,
+        )

@@ -1,0 +1,99 @@
+"""How samples of a contact enter the belief: by the paper's rule, or weighed against it.
+
+A sample of p(q | contact) takes no other scan into account. The paper gives it the mean weight all
+the same, and a belief that is right can lose to samples that explain the present contact alone.
+Here the samples are first *annealed* into a second opinion of the whole posterior, which stands
+beside the belief by its evidence.
+"""
+
+import numpy as np
+
+from taxeld.arrays import Floats, Poses
+from taxeld.estimator import particles as pf
+from taxeld.estimator.particles import Belief, Explain
+from taxeld.model import contacts
+from taxeld.model.observation import ObservationModel
+
+KEPT = 0.25  # of the samples: effective number that a stage of annealing leaves
+STAGES_MAX = 6  # the last takes all that is left
+FINE = np.array([0.004, 0.004, 0.06])  # cells that measure how much room a belief takes
+
+
+def paper(belief: Belief, poses: Poses) -> None:
+    """Algorithm 1 of Marić et al. 2025: the least particles give way to samples (S, 3), at the mean
+    weight; then the weights are normalised."""
+    n, count = len(belief), min(len(poses), len(belief))
+    if not count:
+        return
+    lowest = np.argpartition(belief.log_weight, count - 1)[:count]
+    belief.pose[lowest] = poses[:count]
+    belief.log_weight[lowest] = -np.log(n)  # weights sum to 1: their mean is 1 / N
+    pf.normalise(belief)
+
+
+def anneal(samples: Belief, own: Floats, explain: Explain, rng: np.random.Generator) -> Belief:
+    """Equally weighted samples of ∏ p(z_k | q)^own_k brought to ∏ p(z_k | q): the other scans
+    count by degrees, and after each step the samples are drawn anew and moved (an SMC sampler, Del
+    Moral et al. 2006). A step is as large as leaves the share KEPT of them.
+
+    own (terms,) in 0..1: the terms that the samples have taken into account.
+    """
+    n, rest = len(samples), 1.0 - own
+    degree = 0.0
+    for stage in range(STAGES_MAX):
+        gain = samples.remembered @ rest
+        left = 1.0 - degree
+        step = left if stage == STAGES_MAX - 1 else _step(gain, left, KEPT * n)
+        samples.log_weight = step * gain
+        pf.normalise(samples)
+        samples = pf.resample(samples, n, rng)
+        degree += step
+        pf.rejuvenate(samples, explain, own + degree * rest, rng)
+        if step == left:
+            break
+    return samples
+
+
+def merge(a: Belief, b: Belief) -> Belief:
+    """Both, each weighed by its evidence."""
+    made = Belief(
+        np.concatenate([a.pose, b.pose]),
+        np.concatenate([a.log_weight + evidence(a), b.log_weight + evidence(b)]),
+        np.concatenate([a.remembered, b.remembered]),
+    )
+    pf.normalise(made)
+    return made
+
+
+def evidence(belief: Belief) -> float:
+    """log ∫ ∏ p(z_k | q) dq up to a constant: the mean logarithm of the integrand, and the room
+    that the belief takes (its entropy, as the cells that it occupies)."""
+    support = belief.remembered.sum(axis=1)
+    return float(belief.weight @ support) + float(np.log(pf.occupied(belief.pose, FINE)))
+
+
+def project(model: ObservationModel, poses: Poses) -> Poses:
+    """Samples (S, 3) in the sensor frame brought onto the contact manifold by one step (Marić et
+    al. 2026): those that miss the object, or press deeper than a taxel can tell, are moved along
+    the contact's normal; the others keep the depth, and thus the spread, that they have."""
+    ax, ay = contacts.axis_in_object(poses)
+    radius_m = model.layout.radius_m
+    depth = radius_m - model.scene.clearance(ax, ay)[0]
+    return contacts.project(model.scene, radius_m, poses, np.clip(depth, 0.0, model.depth_max_m))[0]
+
+
+def _step(gain: Floats, most: float, kept: float) -> float:
+    """The largest power of exp(gain), up to `most`, that leaves `kept` effective samples."""
+    gain = gain - gain.max()
+
+    def left(power: float) -> float:
+        weight = np.exp(power * gain)
+        return float(weight.sum() ** 2 / (weight @ weight))
+
+    if left(most) >= kept:
+        return most
+    low, high = 0.0, most
+    for _ in range(12):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if left(middle) >= kept else (low, middle)
+    return high

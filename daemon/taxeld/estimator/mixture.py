@@ -1,0 +1,207 @@
+"""The rule that remembers: samples stand beside the belief by their evidence, and the past is
+dropped when the object has moved."""
+
+import numpy as np
+
+from taxeld.arrays import Bools, Poses
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator import consistency, injection
+from taxeld.estimator import particles as pf
+from taxeld.estimator.confidence import Confidence
+from taxeld.estimator.counters import RuleCounters
+from taxeld.estimator.memory import Memory
+from taxeld.estimator.particles import Belief
+from taxeld.estimator.prior import Prior
+from taxeld.estimator.push import push
+from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
+from taxeld.model.observation import Observation, ObservationModel
+
+MOVES = 2  # Metropolis steps a contact
+SILENT_MAX = 32  # silent scans remembered
+TELLING = 1.0  # nats by which a silent scan must part the particles to be remembered
+REVISITS = 4  # a contact: second opinions taken while there is nothing to learn
+
+
+class Mixture:
+    """Every remembered scan counts, and samples are weighed against all of them."""
+
+    def __init__(self, model: ObservationModel, config: FilterConfig, rng: np.random.Generator):
+        self._model, self._config, self._rng = model, config, rng
+        self._noise = noise_of(config)
+        self.memory = Memory(model, self._noise)
+        self.belief = anew(config, rng)
+        self.confidence = Confidence.of(self.belief, model.scene)
+        self.counters = RuleCounters()
+        self._revisits = 0  # since the last contact
+
+    def follow(self, before: Observation, after: Observation) -> None:
+        """What is remembered was read where the object no longer is: a prior stands for it."""
+        belief, metric = self.belief, self.confidence.metric
+        pose, pushed = push(
+            self._model, metric, belief.pose, before.sensor, after.sensor,
+            float(after.z.max()) * self._model.depth_max_m, self._rng,
+        )  # fmt: skip
+        if belief.weight @ pushed < PUSHED_M:
+            return
+        belief.pose = pose
+        self.confidence.moved(belief)
+        prior = Prior(metric, pose, belief.weight, self.confidence.summary.modes)
+        self.memory = Memory(self._model, self._noise, prior)
+        belief.remembered = self.memory.explain(pose)
+
+    def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
+        in_doubt = self.confidence.doubt
+        samples = drawn(draw, observation, self._wanted())
+        log_evidence = self.update(observation, samples)
+        contact = contacts if observation.is_contact else 0
+        remembered = int(np.count_nonzero(self.memory.contact))
+        self.confidence.learned(self.belief, len(samples), contact, remembered, in_doubt=in_doubt)
+        return len(samples), log_evidence
+
+    def update(self, observation: Observation, samples: Poses) -> float:
+        """Learn from a scan and samples of it, without judging the result; → log evidence."""
+        self.memory.add(observation)
+        newest = self.memory.explain_newest(self.belief.pose)
+        evidence = pf.reweight(self.belief, newest)
+        if evidence is None:
+            self.counters.impossible += 1
+            self._begin_anew(observation, samples)
+            return 0.0
+        self.belief.remembered = np.column_stack([self.belief.remembered, newest])
+        self._weigh(observation, samples, telling=bool(np.ptp(newest) >= TELLING))
+        return evidence
+
+    def revisit(self, draw: Draw) -> int:
+        """Samples of a remembered contact, brought to explain all, as a second opinion."""
+        memory, confidence = self.memory, self.confidence
+        contacts = np.flatnonzero(memory.contact)
+        enough = confidence.is_searched and not confidence.doubt
+        if len(contacts) < 2 or self._revisits >= REVISITS or enough:
+            return 0
+        scan = int(self._rng.choice(contacts))
+        samples = drawn(draw, memory.scan(scan), self._wanted())
+        if not len(samples):  # none are asked for, or there is no time for any
+            return 0
+        self._revisits += 1
+        self._become(injection.merge(self.belief, self._opinion(samples, memory, scan)), moves=1)
+        excess = consistency.excess(memory, self.belief)
+        newest = contacts[-1]
+        confidence.doubt = bool(excess[newest] > 0.0) or consistency.is_excessive(
+            memory, self.belief
+        )
+        confidence.revisited(self.belief, len(samples))
+        return len(samples)
+
+    def _wanted(self) -> int:
+        """S as configured, and more as the belief is wider or in doubt."""
+        config = self._config
+        size = config.particles_max if self.confidence.doubted else len(self.belief)
+        return round(config.injected * max(size / config.particles, 1.0))
+
+    def _weigh(self, observation: Observation, samples: Poses, *, telling: bool) -> None:
+        """Judge the newest scan, which the weights have taken, and change the particles by it."""
+        confidence = self.confidence
+        confidence.doubt = bool(consistency.excess(self.memory, self.belief)[-1] > 0.0)
+        if not observation.is_contact and not telling:
+            self._remember_only(np.arange(len(self.memory)) < len(self.memory) - 1)
+        self._keep_to_size()
+        if len(samples):
+            self._take(samples)
+            self._reconsider(samples)
+        elif pf.resampling_is_due(self.belief):
+            self._become(self.belief, moves=1)
+        self.counters.inconsistent += confidence.doubt
+
+    def _begin_anew(self, observation: Observation, samples: Poses) -> None:
+        """From the samples of a contact, or from nothing."""
+        self.memory = Memory(self._model, self._noise)
+        self.belief = anew(self._config, self._rng)
+        if len(samples):
+            self.memory.add(observation)
+            self._become(pf.equal(samples, self.memory.explain(samples)), moves=MOVES)
+
+    def _take(self, samples: Poses) -> None:
+        """The samples' own opinion of all that is remembered, beside the belief's."""
+        self._revisits = 0
+        memory = self.memory
+        opinion = self._opinion(samples, memory, len(memory) - 1)
+        if np.count_nonzero(memory.contact) > 1 or memory.prior is not None:
+            opinion = injection.merge(self.belief, opinion)
+        self._become(opinion, moves=MOVES)
+
+    def _opinion(self, samples: Poses, memory: Memory, scan: int) -> Belief:
+        """Samples of one of its scans brought to explain a whole memory."""
+        own = np.zeros(memory.terms)
+        memory.of_scans(own)[scan] = 1.0
+        opinion = pf.equal(samples, memory.explain(samples))
+        return injection.anneal(opinion, own, memory.explain, self._rng)
+
+    def _become(self, belief: Belief, moves: int) -> None:
+        """Have as many particles as so wide a belief needs, all equal, and part the copies."""
+        self.belief = pf.resample(belief, self._size(belief), self._rng)
+        share = np.ones(self.memory.terms)
+        for _ in range(moves):
+            pf.rejuvenate(self.belief, self.memory.explain, share, self._rng)
+
+    def _size(self, belief: Belief) -> int:
+        config = self._config
+        if config.particles_max <= config.particles:
+            return config.particles
+        drawn = pf.resample(belief, config.particles, self._rng)
+        wanted = pf.enough(pf.occupied(drawn.pose), config.kld_error, config.kld_confidence)
+        return min(max(wanted, config.particles), config.particles_max)
+
+    def _reconsider(self, samples: Poses) -> None:
+        """After a contact: drop the past that it has refuted.
+
+        One contact that no pose explains may be a fault. Two in a row that some pose explains, if
+        only the past were not, show that the object has moved.
+        """
+        confidence, memory = self.confidence, self.memory
+        excess = consistency.excess(memory, self.belief)
+        explained = bool(excess[-1] <= 0.0)
+        if explained:
+            prior = not consistency.refutes_prior(memory, self.belief)
+            confidence.refuted |= not prior or bool((excess > 0.0).any())
+            self._remember_only(excess <= 0.0, prior=prior)
+        confidence.judged(doubt=not explained or consistency.is_excessive(self.memory, self.belief))
+        if not confidence.doubt:
+            return
+        doubted, contacts = confidence.doubted, np.flatnonzero(self.memory.contact)
+        for last in dict.fromkeys((doubted, 2)):  # all since the doubt began, or the last two
+            if 2 <= last <= min(doubted, len(contacts)) and self._begin_with(
+                np.arange(len(self.memory)) >= contacts[-last], samples
+            ):
+                return
+
+    def _begin_with(self, kept: Bools, samples: Poses) -> bool:
+        """Whether some pose explains all of these scans; if so, nothing else is remembered."""
+        recent = self.memory.only(kept, prior=False)
+        opinion = self._opinion(samples, recent, len(recent) - 1)
+        if consistency.excess(recent, opinion).max() > 0.0:
+            return False
+        if consistency.is_excessive(recent, opinion):
+            return False
+        self.counters.forgotten += 1
+        self.memory = recent
+        self._become(opinion, moves=MOVES)
+        self.confidence.refuted = True
+        self.confidence.judged(doubt=False)
+        return True
+
+    def _keep_to_size(self) -> None:
+        kept = np.ones(len(self.memory), dtype=np.bool_)
+        memory = self.memory
+        for kind, most in ((memory.contact, self._config.memory), (memory.silent, SILENT_MAX)):
+            mine = np.flatnonzero(kind)
+            kept[mine[: max(len(mine) - most, 0)]] = False
+        self._remember_only(kept)
+
+    def _remember_only(self, kept: Bools, *, prior: bool = True) -> None:
+        """Of the scans those that `kept` (K,) names; of the prior whether it stays."""
+        if kept.all() and prior:
+            return
+        terms = np.full(self.memory.terms, prior)
+        self.memory.of_scans(terms)[:] = kept
+        self.memory = self.memory.only(kept, prior=prior)
+        self.belief.remembered = self.belief.remembered[:, terms]

@@ -1,0 +1,84 @@
+"""Which scans to learn from: a held contact must sharpen nothing.
+
+- A press is used once, when it stops deepening, which is when it says most. A tap that ends before
+  is used by its strongest scan.
+- After that, and in free motion, a scan is used again whenever the sensor has moved or the
+  activations have changed enough. Silence where the belief expects contact is evidence like any
+  other.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.model import se2
+from taxeld.model.observation import Observation
+
+MOTION_M = 0.005  # a sensor that moved this far meets another place
+ACTIVATION = 0.5  # a taxel that changed this much is pressed in another way
+RISING = 0.02  # a strongest activation that grew by more is a press still deepening
+RELEASE_S = 0.15  # silence this long ends a contact: a flicker does not start another
+
+
+@dataclass(slots=True)
+class News:
+    """Follows the contacts of a skin of radius `radius_m`, and picks the scans to learn from."""
+
+    radius_m: float
+    contact: bool = False
+    contacts: int = 0  # begun so far
+    _used: Observation | None = None  # the last scan that was learned from
+    _strongest: float = 0.0  # activation of the scan before this one
+    _pending: Observation | None = None  # the strongest scan of a press that is not used yet
+    _pressed_s: float = -np.inf  # when any taxel was pressed last
+
+    def on_scan(self, t: float, observation: Observation) -> Observation | None:
+        """The scan to learn from now, this one or one that it completes; None: nothing is new."""
+        strongest = float(observation.z.max())
+        rising = strongest > self._strongest + RISING
+        self._strongest = strongest
+        if observation.is_contact:
+            used = self._pressed(t, observation, rising=rising)
+        else:
+            used = self._silent(t, observation)
+        self._used = used or self._used
+        return used
+
+    def _silent(self, t: float, observation: Observation) -> Observation | None:
+        if self._pending is not None:
+            return self._ended()
+        if t - self._pressed_s <= RELEASE_S:  # just released: neither a contact nor free yet
+            return None
+        self.contact = False
+        return observation if self._is_new(observation) else None
+
+    def _pressed(self, t: float, observation: Observation, *, rising: bool) -> Observation | None:
+        begun = not self.contact
+        self.contact = True
+        self.contacts += begun
+        self._pressed_s = t
+        if begun or self._pending is not None:
+            if self._pending is None or observation.z.max() > self._pending.z.max():
+                self._pending = observation
+            return None if rising else self._ended(observation)
+        return observation if not rising and self._is_new(observation) else None
+
+    def _ended(self, held: Observation | None = None) -> Observation | None:
+        """The press that was pending: as it is held now, or its strongest scan."""
+        pending, self._pending = self._pending, None
+        return held or pending
+
+    def _is_new(self, observation: Observation) -> bool:
+        used = self._used
+        if used is None:
+            return True
+        moved = moved_m(used.sensor, observation.sensor, self.radius_m) / MOTION_M
+        changed = float(np.abs(observation.z - used.z).max()) / ACTIVATION
+        return moved + changed >= 1.0
+
+
+def moved_m(a: Poses, b: Poses, radius_m: float) -> float:
+    """How far a point of the skin went between two sensor poses (3,), at most."""
+    gap = se2.compose(se2.inverse(a), b)
+    return float(np.hypot(gap[0], gap[1]) + radius_m * abs(gap[2]))

@@ -1,0 +1,74 @@
+"""Algorithm 1 of Marić et al. 2025, kept as the baseline."""
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator import consistency, injection
+from taxeld.estimator import particles as pf
+from taxeld.estimator.confidence import Confidence
+from taxeld.estimator.counters import RuleCounters
+from taxeld.estimator.memory import Memory
+from taxeld.estimator.push import push
+from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
+from taxeld.model.observation import Observation, ObservationModel
+
+SETTLED_SHARE = 0.5  # of S when settled: a wrong belief must find out
+
+
+class Paper:
+    """Algorithm 1: samples take the mean weight, and nothing is remembered but the newest scan."""
+
+    def __init__(self, model: ObservationModel, config: FilterConfig, rng: np.random.Generator):
+        self._model, self._config, self._rng = model, config, rng
+        self._noise = noise_of(config)
+        self.belief = anew(config, rng)
+        self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0)
+        self.counters = RuleCounters()
+
+    def follow(self, before: Observation, after: Observation) -> None:
+        self.belief.pose, pushed = push(
+            self._model, self.confidence.metric, self.belief.pose, before.sensor, after.sensor,
+            float(after.z.max()) * self._model.depth_max_m, self._rng,
+        )  # fmt: skip
+        if self.belief.weight @ pushed >= PUSHED_M:
+            self.confidence.moved(self.belief)
+
+    def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
+        in_doubt = self.confidence.doubt
+        samples = drawn(draw, observation, self._wanted(contacts))
+        log_evidence = self.update(observation, samples)
+        contact = contacts if observation.is_contact else 0
+        self.confidence.learned(self.belief, len(samples), contact, 0, in_doubt=in_doubt)
+        return len(samples), log_evidence
+
+    def update(self, observation: Observation, samples: Poses) -> float:
+        """Learn from a scan and samples of it, without judging the result; → log evidence."""
+        injection.paper(self.belief, samples)
+        memory = Memory(self._model, self._noise)
+        memory.add(observation)
+        self.belief.remembered = memory.explain(self.belief.pose)
+        evidence = pf.reweight(self.belief, self.belief.remembered[:, 0])
+        if evidence is None:
+            self.counters.impossible += 1
+            self.belief = anew(self._config, self._rng)
+            if len(samples):
+                new = pf.equal(samples, np.empty((len(samples), 0)))
+                self.belief = pf.resample(new, len(self.belief), self._rng)
+            return 0.0
+        self.confidence.doubt = bool(consistency.excess(memory, self.belief)[0] > 0.0)
+        self.counters.inconsistent += self.confidence.doubt
+        if pf.resampling_is_due(self.belief):
+            self.belief = pf.resample(self.belief, len(self.belief), self._rng)
+            pf.roughen(self.belief, self._rng)
+        return evidence
+
+    def revisit(self, draw: Draw) -> int:  # noqa: ARG002
+        """Nothing is remembered."""
+        return 0
+
+    def _wanted(self, contacts: int) -> int:
+        """S falls as the belief settles on one mode."""
+        settled = self.confidence.summary.modes[0].weight if contacts > 1 else 0.0
+        share = max(1.0 - settled, SETTLED_SHARE)
+        return min(round(share * self._config.injected), len(self.belief))

@@ -1,0 +1,151 @@
+"""The particle filter: a belief over object poses in the world, and the steps that change it.
+
+Particles are a structure of arrays with log-weights; each step is a function of its own. How the
+samples of a contact enter the belief is in `injection`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from taxeld.arrays import Floats, Poses
+from taxeld.model import se2
+
+Explain = Callable[[Poses], Floats]  # poses (N, 3) → (N, terms) as in `Belief.remembered`
+
+RESAMPLE_BELOW = 0.5  # of N: effective sample size at which particles are drawn anew
+MOVE = np.array([0.002, 0.002, 0.02])  # sd of a random step [m, m, rad], times 2^u
+MOVE_OCTAVES = (-2.5, 1.5)  # of u: coarse steps part the copies, fine ones settle them
+DIFFERENCES = np.array(
+    [0.3, 0.7, 1.0]
+)  # of two other particles, of which half of the steps are made
+CELL = np.array([0.01, 0.01, np.radians(10.0)])  # cells of SE(2) that a belief occupies
+
+
+@dataclass(slots=True)
+class Belief:
+    """N weighted poses; log-weights are normalised (their exponentials sum to 1)."""
+
+    pose: Poses  # (N, 3) world frame
+    log_weight: Floats  # (N,)
+    remembered: Floats  # (N, terms) as `Memory.explain` has them
+
+    def __len__(self) -> int:
+        return len(self.log_weight)
+
+    @property
+    def weight(self) -> Floats:
+        return np.exp(self.log_weight)
+
+
+def uniform(
+    n: int, centre_m: tuple[float, float], half_width_m: float, rng: np.random.Generator
+) -> Belief:
+    """N equally weighted poses, uniform over a square and all turns, that remember nothing."""
+    low = np.array([centre_m[0] - half_width_m, centre_m[1] - half_width_m, -np.pi])
+    high = np.array([centre_m[0] + half_width_m, centre_m[1] + half_width_m, np.pi])
+    return equal(rng.uniform(low, high, (n, 3)), np.empty((n, 0)))
+
+
+def equal(pose: Poses, remembered: Floats) -> Belief:
+    """Equally weighted poses (N, 3) that explain what is remembered by `remembered` (N, terms)."""
+    n = len(pose)
+    return Belief(pose, np.full(n, -np.log(n)), remembered)
+
+
+def effective_sample_size(belief: Belief) -> float:
+    """1 / Σ w²: N for equal weights, 1 for a single survivor."""
+    return float(1.0 / np.sum(np.exp(2.0 * belief.log_weight)))
+
+
+def normalise(belief: Belief) -> float:
+    """Make the weights sum to 1; → the logarithm of what they summed to."""
+    log_sum = _log_sum_exp(belief.log_weight)
+    belief.log_weight = belief.log_weight - log_sum
+    return log_sum
+
+
+def reweight(belief: Belief, log_likelihood: Floats) -> float | None:
+    """Multiply the weights by a likelihood (N,); → log evidence log Σ w p(z | q).
+
+    None, with the belief unchanged, where every pose is impossible or a value is not a number.
+    """
+    log_weight = belief.log_weight + log_likelihood
+    if not np.isfinite(log_weight.max()):
+        return None
+    belief.log_weight = log_weight
+    return normalise(belief)
+
+
+def resampling_is_due(belief: Belief) -> bool:
+    return effective_sample_size(belief) < RESAMPLE_BELOW * len(belief)
+
+
+def resample(belief: Belief, n: int, rng: np.random.Generator) -> Belief:
+    """Systematic resampling: `n` particles of equal weight."""
+    cumulative = np.cumsum(belief.weight)
+    cumulative[-1] = 1.0  # rounding must not leave the last draw without a particle
+    below = np.ceil(n * cumulative - rng.random()).astype(np.intp)  # teeth of a comb of n
+    below[1:] -= below[:-1].copy()
+    drawn = np.repeat(np.arange(len(belief)), below)
+    return equal(belief.pose.take(drawn, axis=0), belief.remembered.take(drawn, axis=0))
+
+
+def roughen(belief: Belief, rng: np.random.Generator) -> None:
+    """Part the copies that resampling made by random steps."""
+    belief.pose = belief.pose + _random_steps(len(belief), rng)
+    belief.pose[:, 2] = se2.wrap(belief.pose[:, 2])
+
+
+def rejuvenate(belief: Belief, explain: Explain, share: Floats, rng: np.random.Generator) -> None:
+    """One Metropolis step of every particle, which leaves the posterior ∏ p(z_k | q)^share_k as it
+    is (resample-move, Gilks & Berzuini 2001).
+
+    Half of the steps are random, half along the difference of two other particles, which has the
+    posterior's own shape (differential evolution, ter Braak 2006). `share` (terms,): how
+    much each of what is remembered counts.
+    """
+    n = len(belief)
+    step = _random_steps(n, rng)
+    one, other = rng.integers(n, size=(2, n))
+    apart = belief.pose[one] - belief.pose[other]
+    apart[:, 2] = se2.wrap(apart[:, 2])
+    apart *= DIFFERENCES.take(rng.integers(len(DIFFERENCES), size=(n, 1)))
+    poses = belief.pose + np.where(rng.random((n, 1)) < 0.5, step, apart + 0.1 * step)
+    poses[:, 2] = se2.wrap(poses[:, 2])
+    remembered = explain(poses)
+    gain = (remembered - belief.remembered) @ share
+    taken = np.log(rng.random(n)) < gain
+    belief.pose[taken] = poses[taken]
+    belief.remembered[taken] = remembered[taken]
+
+
+def _random_steps(n: int, rng: np.random.Generator) -> Poses:
+    low, high = MOVE_OCTAVES
+    size = np.exp2(low + (high - low) * rng.random((n, 1)))
+    return np.asarray(rng.standard_normal((n, 3)) * MOVE * size)
+
+
+def occupied(poses: Poses, cell: Floats = CELL) -> int:
+    """How many cells of SE(2) hold a pose."""
+    at = np.floor(poses / cell).astype(np.int64)
+    at -= at.min(axis=0)
+    size = at.max(axis=0) + 1
+    return len(np.unique((at[:, 0] * size[1] + at[:, 1]) * size[2] + at[:, 2]))
+
+
+def enough(cells: int, error: float, confidence: float) -> int:
+    """Particles that a belief over so many cells needs for a Kullback–Leibler divergence from its
+    own histogram of at most `error` with this probability (KLD-sampling, Fox 2003, eq. 7)."""
+    if cells < 2:
+        return 1
+    k = cells - 1
+    root = 1.0 - 2.0 / (9.0 * k) + np.sqrt(2.0 / (9.0 * k)) * NormalDist().inv_cdf(confidence)
+    return int(np.ceil(k / (2.0 * error) * root**3))
+
+
+def _log_sum_exp(values: Floats) -> float:
+    top = values.max()
+    return float(top + np.log(np.exp(values - top).sum()))

@@ -1,0 +1,38 @@
+"""The samples that a rule asks for: from the proposal, in the sensor's frame, into the world."""
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.estimator import injection
+from taxeld.estimator.estimate import ProposalKind
+from taxeld.model import se2
+from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.proposal import Proposal
+
+
+class Sampling:
+    """A proposal as a rule sees it: `draw` of `estimator.rule`."""
+
+    def __init__(
+        self,
+        model: ObservationModel,
+        proposal: Proposal,
+        rng: np.random.Generator,
+        *,
+        project: bool,
+    ) -> None:
+        """`project`: bring samples that miss the object onto it by one step."""
+        self.kind = ProposalKind.NONE  # of the last samples
+        self._model, self._proposal, self._rng = model, proposal, rng
+        self._project = project
+
+    def __call__(self, observation: Observation, n: int) -> Poses:
+        """At most n poses (≤ n, 3) in the world that explain an observation by itself."""
+        poses = self._proposal.propose(observation.z, observation.live, n, self._rng)
+        poses = poses[np.isfinite(poses).all(axis=1)]
+        if not len(poses):
+            return poses
+        if self._project:
+            poses = injection.project(self._model, poses)
+        self.kind = ProposalKind[self._proposal.name.upper()]
+        return se2.compose(observation.sensor, poses)

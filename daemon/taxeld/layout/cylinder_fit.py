@@ -1,0 +1,109 @@
+"""The cylinder that a patch of taxels lies on, and the sensor frame that it makes.
+
+The estimator models a link as a cylinder about the sensor frame's z axis, while a file gives
+taxels in a frame of its own.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Floats
+
+PARALLEL = 0.003  # normals spread less than this (mean square) over an arc of about 11°
+AXIAL_MAX = 0.5  # of that spread; normals with more along the axis are a dome's
+ROUND = 0.1  # the mean normal across the axis is shorter only beyond an arc of about 327°
+RMS_MAX = 0.25  # of the radius; beyond it the taxels lie on something else
+RADIUS_MIN_M = 0.001
+RADIUS_MAX_SPANS = 10.0  # of the patch's width; beyond it the arc is too short to tell a radius
+ITERATIONS = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """A sensor frame, and the cylinder about its z axis if there is one."""
+
+    frame: Floats  # (4, 4) rigid transform from the file's frame to the sensor frame
+    radius_m: float  # inf: the taxels lie on no cylinder
+    inwards: NDArray[np.bool_]  # (M,) normals that point to the axis
+
+
+def fit(position_m: Floats, normal: Floats) -> Fit:
+    """Fit a cylinder to taxels (M, 3) with unit normals (M, 3), both in the file's frame.
+
+    The axis is the direction that the normals have least of, the circle across it that of least
+    squared distances. The sensor frame has its origin on the axis, at the middle of the taxels'
+    heights; z along the axis, the way in which its largest component in the file is positive; and
+    x (angle 0) towards the mean outward normal. A patch that goes all the way round has no such
+    mean: there x follows the file's own axis, that after the one nearest to z (x → y → z → x).
+
+    Where there is no cylinder (parallel normals, a dome, or taxels far from any circle) the radius
+    is infinite, the origin the taxels' mean, and z their mean normal.
+    """
+    spread, directions = np.linalg.eigh(normal.T @ normal / len(normal))
+    axis = directions[:, 0]
+    axis = axis * np.sign(axis[np.abs(axis).argmax()])
+    if spread[1] < PARALLEL or spread[0] > AXIAL_MAX * spread[1]:
+        return _flat(position_m, normal)
+    x, y = _across(axis, np.roll(np.eye(3)[np.abs(axis).argmax()], 1))
+    points = position_m @ np.column_stack([x, y])
+    centre, radius_m = _circle(points)
+    width = float(np.ptp(points, axis=0).max())
+    radial = points - centre
+    rms = math.sqrt(np.mean((np.hypot(*radial.T) - radius_m) ** 2))
+    if not (RADIUS_MIN_M < radius_m < RADIUS_MAX_SPANS * width and rms < RMS_MAX * radius_m):
+        return _flat(position_m, normal)
+    inwards = np.einsum("ij,ij->i", normal @ np.column_stack([x, y]), radial) < 0.0
+    heights = position_m @ axis
+    middle = 0.5 * (heights.min() + heights.max())
+    origin = centre[0] * x + centre[1] * y + middle * axis
+    mean = np.where(inwards[:, None], -normal, normal).mean(axis=0)
+    if np.linalg.norm(mean - (mean @ axis) * axis) > ROUND:
+        x, y = _across(axis, mean)
+    return Fit(_frame(x, y, axis, origin), radius_m, inwards)
+
+
+def _flat(position_m: Floats, normal: Floats) -> Fit:
+    mean = normal.mean(axis=0)
+    length = float(np.linalg.norm(mean))
+    axis = mean / length if length > ROUND else np.eye(3)[2]
+    x, y = _across(axis, np.roll(np.eye(3)[np.abs(axis).argmax()], 1))
+    frame = _frame(x, y, axis, position_m.mean(axis=0))
+    return Fit(frame, math.inf, np.zeros(len(normal), dtype=np.bool_))
+
+
+def _across(axis: Floats, towards: Floats) -> tuple[Floats, Floats]:
+    """Unit x and y that make a right-handed frame with z = `axis`, x as near as can be to
+    `towards`."""
+    x = towards - (towards @ axis) * axis
+    x = x / np.linalg.norm(x)
+    return x, np.cross(axis, x)
+
+
+def _frame(x: Floats, y: Floats, z: Floats, origin: Floats) -> Floats:
+    frame = np.eye(4)
+    frame[:3, :3] = x, y, z
+    frame[:3, 3] = -frame[:3, :3] @ origin
+    return frame
+
+
+def _circle(points: Floats) -> tuple[Floats, float]:
+    """Centre (2,) and radius of the circle of least squared distances to points (M, 2).
+
+    Gauss-Newton from the algebraic fit, which alone comes out too small on half a circle.
+    """
+    middle = points.mean(axis=0)
+    points = points - middle
+    ones = np.ones(len(points))
+    square = np.einsum("ij,ij->i", points, points)
+    x, y, rest = np.linalg.lstsq(np.column_stack([2.0 * points, ones]), square)[0]
+    centre, radius = np.array([x, y]), math.sqrt(max(rest + x * x + y * y, 0.0))
+    for _ in range(ITERATIONS):
+        away = points - centre
+        distance = np.maximum(np.hypot(*away.T), 1e-12)
+        jacobian = np.column_stack([away / distance[:, None], ones])
+        step = np.linalg.lstsq(jacobian, distance - radius)[0]
+        centre, radius = centre + step[:2], radius + float(step[2])
+    return centre + middle, radius

@@ -1,0 +1,93 @@
+"""A skin's layout: where its taxels are, and which turns leave it unchanged."""
+
+import hashlib
+import math
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+TURN_TOLERANCE_M = 1e-4
+BLOCK = 64  # taxels matched at a time
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What a file said of a layout beside its taxels."""
+
+    unit: str = "m"  # m | mm, of the coordinates in the file
+    missing: int = 0  # id −1, temperatures and thermal pads, rows of zeros
+    cut: int = 0
+    duplicates: int = 0  # of a UID that came before
+    parent: NDArray[np.float64] | None = (
+        None  # (4, 4) the first parent frame's tf_matrix, in metres
+    )
+
+
+@dataclass(frozen=True)
+class Layout:
+    """M taxels on a link that is, for contact, a cylinder about the sensor frame's z axis."""
+
+    name: str
+    uid: NDArray[np.int64]  # (M,) SUI << 4 | name, as on the wire
+    position_m: NDArray[np.float64]  # (M, 3) in the sensor frame
+    normal: NDArray[np.float64]  # (M, 3) unit, outwards
+    radius_m: float  # inf: the taxels lie on no cylinder
+    frame: NDArray[np.float64] = field(default_factory=lambda: np.eye(4))
+    """(4, 4) rigid transform from the layout file's frame [m] to the sensor frame, which
+    `cylinder_fit.fit` defines; a robot that knows the file's frame finds the sensor by it."""
+    source: Provenance = field(default_factory=Provenance)
+    turned: int = 0  # normals that the file has pointing inwards
+
+    def __len__(self) -> int:
+        return len(self.uid)
+
+    @cached_property
+    def digest(self) -> str:
+        """16 hex digits that name the geometry (to 10 µm), for bundles to refer to."""
+        geometry = np.round(np.hstack([self.position_m, self.normal]) * 1e5).astype("<i8")
+        return hashlib.sha256(geometry.tobytes()).hexdigest()[:16]
+
+    @cached_property
+    def rms_m(self) -> float:
+        """How far the taxels lie from the cylinder; nan where there is none."""
+        if math.isinf(self.radius_m):
+            return math.nan
+        radius = np.hypot(self.position_m[:, 0], self.position_m[:, 1])
+        return math.sqrt(np.mean((radius - self.radius_m) ** 2))
+
+    @cached_property
+    def turns(self) -> NDArray[np.int64]:
+        """(n, M) permutations: `z[turns[k]]` is what z becomes when the touch turns by −2πk/n.
+
+        n is the order of the layout's rotation symmetry about z, 1 where it has none.
+        """
+        turns = [np.arange(len(self))]
+        for order in range(len(self), 1, -1):
+            match = self._match(2.0 * np.pi / order) if len(self) % order == 0 else None
+            if match is not None:
+                for _ in range(order - 1):
+                    turns.append(match[turns[-1]])
+                break
+        return np.array(turns)
+
+    @cached_property
+    def sector(self) -> NDArray[np.int64]:
+        """(M,) the turn that brings each taxel to angle 0."""
+        order = len(self.turns)
+        angle = np.arctan2(self.position_m[:, 1], self.position_m[:, 0])
+        return np.round(angle * order / (2.0 * np.pi)).astype(np.int64) % order
+
+    def _match(self, angle: float) -> NDArray[np.int64] | None:
+        """For each taxel, the one that lies where it comes to when turned; None if one is not."""
+        c, s = np.cos(angle), np.sin(angle)
+        turned = self.position_m @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        match = np.empty(len(self), dtype=np.int64)
+        for start in range(0, len(self), BLOCK):
+            block = slice(start, start + BLOCK)
+            gap = np.linalg.norm(turned[block, None] - self.position_m, axis=-1)
+            if gap.min(axis=1).max() >= TURN_TOLERANCE_M:
+                return None
+            match[block] = gap.argmin(axis=1)
+        return match if len(np.unique(match)) == len(self) else None

@@ -1,0 +1,62 @@
+"""The layout that `skin.layout` names: generated, or read from a file."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from taxeld.errors import SetupError
+from taxeld.layout import cylinder_fit, files, generated
+from taxeld.layout.layout import Layout
+
+
+def load(spec: str) -> Layout:
+    """The layout that `skin.layout` names, for a run.
+
+    Raises:
+        SetupError: it cannot be read, or its taxels lie on no cylinder.
+    """
+    layout = read(spec)
+    if math.isinf(layout.radius_m):
+        raise SetupError(
+            f"skin.layout: {layout.name}: its {len(layout)} taxels lie on no cylinder (flat, or a "
+            "file without true normals); a run needs the skin of a round link"
+        )
+    return layout
+
+
+def read(spec: str) -> Layout:
+    """The layout that `skin.layout` names, on a cylinder or not.
+
+    Raises:
+        SetupError: the text is no layout, or the file cannot be used.
+    """
+    try:
+        made = generated.parse(spec)
+        if made is not None:
+            return Layout(made.name, made.uid, made.position_m, made.normal, made.radius_m)
+        if Path(spec).suffix.lower() not in files.READERS:
+            raise ValueError(
+                f"'{spec}' is no known layout; use '{generated.EXAMPLES['cylinder']}', "
+                f"'{generated.EXAMPLES['wrap']}', a robotskinlib .json or an iCub positions .txt"
+            )
+        return _of_patch(Path(spec).stem, files.read(Path(spec)))
+    except ValueError as error:
+        raise SetupError(f"skin.layout: {error}") from None
+
+
+def _of_patch(name: str, patch: files.Patch) -> Layout:
+    """The patch in its sensor frame; `name` is the file's, as names inside files repeat."""
+    fit = cylinder_fit.fit(patch.position_m, patch.normal)
+    turn, shift = fit.frame[:3, :3], fit.frame[:3, 3]
+    outwards = np.where(fit.inwards[:, None], -patch.normal, patch.normal)
+    return Layout(
+        name=name,
+        uid=patch.uid,
+        position_m=patch.position_m @ turn.T + shift,
+        normal=outwards @ turn.T,
+        radius_m=fit.radius_m,
+        frame=fit.frame,
+        source=patch.source,
+        turned=int(fit.inwards.sum()),
+    )

@@ -1,0 +1,162 @@
+"""The observation model: how deep an object at a pose presses each taxel, and how likely a reading
+is.
+
+h(q)_i = clip(−σ_k(i)(q⁻¹ p_i) / δ_max, 0, 1); a reading is h, times the taxel's gain error, plus
+noise, clipped to 0..1.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Bools, Floats, Poses
+from taxeld.layout.layout import Layout
+from taxeld.model.contacts import axis_in_object
+from taxeld.model.scene import Scene
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """A scan as evidence: what was read where."""
+
+    sensor: Poses  # (3,) in the world
+    z: Floats  # (M,) activations, 0 where a taxel does not live
+    live: Bools  # (M,)
+
+    @property
+    def is_contact(self) -> bool:
+        """Whether any taxel was pressed; else the scan is silent."""
+        return bool(self.z.max() > 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Errors of a reading z around h(q); dimensionless, as activations are."""
+
+    sigma: float = 0.02  # sd of the additive noise
+    gain_cv: float = 0.17  # sd of a taxel's relative gain error (PROTOCOL: measured on such skin)
+    outliers: float = 0.01  # probability that a reading has nothing to do with the pose
+
+    def draw(self, h: Floats, rng: np.random.Generator) -> Floats:
+        """Readings of true activations `h` (any shape)."""
+        gain = 1.0 + self.gain_cv * rng.standard_normal(h.shape)
+        return np.clip(gain * h + self.sigma * rng.standard_normal(h.shape), 0.0, 1.0)
+
+    def log_density(self, z: Floats, h: Floats) -> Floats:
+        """log p(z | h) of each taxel; shapes broadcast.
+
+        A mixture of a Gaussian and, with probability `outliers`, a uniform over 0..1, so a single
+        broken taxel costs a pose a bounded amount.
+        """
+        variance = self.sigma**2 + (self.gain_cv * h) ** 2
+        gauss = np.exp(-0.5 * (z - h) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
+        return np.asarray(np.log((1.0 - self.outliers) * gauss + self.outliers))
+
+    def log_likelihood(self, z: Floats, live: Bools, h: Floats) -> Floats:
+        """log p(z | h) summed over live taxels: z (M,), live (M,), h (N, M) → (N,)."""
+        return np.asarray(self.log_density(z, h) @ live.astype(np.float64))
+
+
+BLOCK = 65_536  # points looked up at once: they stay in the cache
+
+
+class ObservationModel:
+    """h(q) of one scene on one skin, vectorised over poses.
+
+    A pose presses few taxels, so all work beyond finding those few is done on them alone.
+    """
+
+    def __init__(self, scene: Scene, layout: Layout, depth_max_m: float) -> None:
+        self.scene = scene
+        self.layout = layout
+        self.depth_max_m = depth_max_m
+        ny, nx = scene.silhouette.shape
+        place, group = np.unique(layout.position_m[:, :2], axis=0, return_inverse=True)
+        self._places = np.vstack([place.T, np.ones(len(place))])  # (3, P): taxels stand in columns
+        self._column = _padded(group, len(place))  # (P, most) taxels there
+        self._offset = scene.slice_of(layout)[self._column] * (ny * nx)
+        self._flat = scene.slices.ravel()
+        inside = scene.silhouette < 0.0
+        near = np.zeros_like(inside)  # cells with a corner inside: elsewhere nothing is pressed
+        near[:-1, :-1] = inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:]
+        self._near = near.ravel()
+        farthest = float(np.hypot(*place.T).max()) + 1.5 * scene.cell
+        self._reach = (scene.silhouette < farthest).ravel()
+
+    def pressed(self, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
+        """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into
+        (N, M) and their h > 0."""
+        return self._pressed(*axis_in_object(poses), -poses[:, 2])
+
+    def pressed_from(self, sensors: Floats, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
+        """The same of sensors (K, 3) and objects (N, 3), both in the world: flat indices into
+        (K, N, M)."""
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        x, y = sensors[:, :1] - poses[:, 0], sensors[:, 1:2] - poses[:, 1]
+        turn = sensors[:, 2:] - poses[:, 2]
+        return self._pressed((c * x + s * y).ravel(), (c * y - s * x).ravel(), turn.ravel())
+
+    def _pressed(self, x: Floats, y: Floats, turn: Floats) -> tuple[NDArray[np.intp], Floats]:
+        """`pressed`, the sensor at (x, y) and turned by `turn`, in the object's frame: all (N,)."""
+        reached = np.flatnonzero(self._reach.take(self._cell(x, y)))
+        size = max(BLOCK // len(self._column), 1)
+        blocks = [
+            self._look_up(rows, x.take(rows), y.take(rows), turn.take(rows))
+            for rows in (reached[at : at + size] for at in range(0, max(len(reached), 1), size))
+        ]
+        if len(blocks) == 1:
+            return blocks[0]
+        return np.concatenate([at for at, _ in blocks]), np.concatenate([h for _, h in blocks])
+
+    def _cell(self, x: Floats, y: Floats) -> NDArray[np.intp]:
+        """The grid's cell that holds the sensor's axis: one look tells whether the link reaches."""
+        scene = self.scene
+        ny, nx = scene.silhouette.shape
+        u = np.clip((x - scene.origin[0]) / scene.cell, 0.0, nx - 1.0)
+        v = np.clip((y - scene.origin[1]) / scene.cell, 0.0, ny - 1.0)
+        return np.asarray(v.astype(np.intp) * nx + u.astype(np.intp))
+
+    def _look_up(
+        self, rows: NDArray[np.intp], x: Floats, y: Floats, turn: Floats
+    ) -> tuple[NDArray[np.intp], Floats]:
+        scene = self.scene
+        ny, nx = scene.silhouette.shape
+        c, s = np.cos(turn) / scene.cell, np.sin(turn) / scene.cell
+        x, y = (x - scene.origin[0]) / scene.cell, (y - scene.origin[1]) / scene.cell
+        u = np.stack([c, -s, x], axis=1) @ self._places
+        v = np.stack([s, c, y], axis=1) @ self._places
+        np.clip(u, 0.0, nx - 1.001, out=u)
+        np.clip(v, 0.0, ny - 1.001, out=v)
+        cell = v.astype(np.intp) * nx + u.astype(np.intp)
+        at = np.flatnonzero(self._near.take(cell))
+        row, place = np.divmod(at, cell.shape[1])
+        u, v, cell = u.take(at)[:, None], v.take(at)[:, None], cell.take(at)[:, None]
+        u -= np.floor(u)
+        v -= np.floor(v)
+        cell = cell + self._offset.take(place, axis=0)
+        flat = self._flat
+        low = flat.take(cell) * (1.0 - u) + flat.take(cell + 1) * u
+        high = flat.take(cell + nx) * (1.0 - u) + flat.take(cell + nx + 1) * u
+        depth = -(low * (1.0 - v) + high * v)
+        taxel = self._column.take(place, axis=0)
+        pressed = np.flatnonzero((depth > 0.0) & (taxel >= 0))
+        h = np.minimum(depth.take(pressed) / self.depth_max_m, 1.0)
+        row = rows.take(row.take(pressed // taxel.shape[1]))
+        return row * len(self.layout) + taxel.take(pressed), h
+
+    def activation(self, poses: Floats) -> Floats:
+        """h: poses (N, 3) of the object in the sensor frame → (N, M) in 0..1."""
+        h = np.zeros((len(poses), len(self.layout)))
+        at, values = self.pressed(poses)
+        h.flat[at] = values
+        return h
+
+
+def _padded(group: NDArray[np.intp], groups: int) -> NDArray[np.intp]:
+    """(groups, most) the members of each group, −1 where it has fewer than the largest."""
+    count = np.bincount(group, minlength=groups)
+    members = np.full((groups, int(count.max())), -1)
+    order = np.argsort(group, kind="stable")
+    members[group[order], np.arange(len(group)) - (np.cumsum(count) - count)[group[order]]] = order
+    return members

@@ -1,0 +1,120 @@
+"""A scene: an object as the skin meets it, K signed distance grids and nothing more.
+
+The object never tips, so only the heights where taxels are matter. Each slice holds horizontal
+signed distance [m], negative inside; slices are filled, since a skin is pressed from outside and
+gives way past a thin wall. The object frame is the mesh file's own (x, y, yaw).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Floats, Grid
+from taxeld.errors import SetupError
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
+
+CONTINUOUS = 0  # the `symmetry` of an object of revolution
+HEIGHT_TOLERANCE_M = 0.006  # a taxel is served by the slice this near; slices stand 10 mm apart
+FINEST_M, FARTHEST_M = 1e-5, 10.0  # of a grid's spacing, and of all lengths
+MOST_TURNS = 360  # the highest order of a symmetry
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One object at one height on one skin. Lengths in metres."""
+
+    slices: Grid  # (K, ny, nx) signed distance at each of the skin's heights
+    silhouette: Grid  # (ny, nx) signed distance to the union of the slices
+    heights: Floats  # (K,) in the sensor frame
+    origin: Floats  # (2,) position of grid point [0, 0]
+    cell: float  # grid spacing
+    outline: Floats  # (P, 2) points on the silhouette, in order
+    surface: Floats  # (Q, 3) points on the object's surface at the skin's heights, for ADD
+    symmetry: int  # order of the geometric rotation symmetry; CONTINUOUS, or 1 for none
+    centre: Floats  # (2,) of that symmetry
+
+    def __post_init__(self) -> None:
+        shapes = {
+            "slices": (None, None, None), "silhouette": (None, None), "heights": (None,),
+            "origin": (2,), "outline": (None, 2), "surface": (None, 3), "centre": (2,),
+        }  # fmt: skip
+        for name, shape in shapes.items():
+            _check(name, getattr(self, name), shape)
+        slices, ny, nx = self.slices.shape
+        if self.silhouette.shape != (ny, nx) or self.heights.shape != (slices,):
+            raise SetupError("scene: slices, silhouette and heights do not belong together")
+        if min(ny, nx) < 2 or len(self.outline) < 3:
+            raise SetupError("scene: empty grid, or no outline")
+        if not FINEST_M <= self.cell <= FARTHEST_M:
+            raise SetupError(f"scene: cell is not within {FINEST_M:g} to {FARTHEST_M:g} m")
+        if not 0 <= self.symmetry <= MOST_TURNS:
+            raise SetupError(f"scene: symmetry is not within 0 to {MOST_TURNS}")
+
+    @property
+    def extent(self) -> tuple[Floats, Floats]:
+        """Lower and upper corner of the grid."""
+        ny, nx = self.silhouette.shape
+        return self.origin, self.origin + self.cell * np.array([nx - 1, ny - 1])
+
+    @cached_property
+    def size(self) -> float:
+        """Largest distance of the outline from the centre."""
+        return float(np.linalg.norm(self.outline - self.centre, axis=1).max())
+
+    @cached_property
+    def mean_radius(self) -> float:
+        """Mean distance of the outline from the centre."""
+        return float(np.linalg.norm(self.outline - self.centre, axis=1).mean())
+
+    @cached_property
+    def equivalents(self) -> Floats:
+        """(n, 3) poses that touch cannot tell apart, the identity first.
+
+        An object of revolution is sampled every 10°: ample for errors in millimetres.
+        """
+        n = 36 if self.symmetry == CONTINUOUS else self.symmetry
+        return np.array([se2.rotation_about(self.centre, 2.0 * np.pi * k / n) for k in range(n)])
+
+    def slice_of(self, layout: Layout) -> NDArray[np.intp]:
+        """(M,) the slice that serves each taxel.
+
+        Raises:
+            SetupError: a taxel's height has no slice.
+        """
+        gap = np.abs(layout.position_m[:, 2, None] - self.heights)
+        if gap.min(axis=1).max() > HEIGHT_TOLERANCE_M:
+            raise SetupError(f"scene has no slice at a height of layout {layout.name}")
+        return np.asarray(gap.argmin(axis=1))
+
+    def clearance(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
+        """Signed distance of points to the silhouette, and its unit gradient's x and y. Outside the
+        grid the nearest border value stands."""
+        ny, nx = self.silhouette.shape
+        flat = self.silhouette.ravel()
+        u = np.clip((x - self.origin[0]) / self.cell, 0.0, nx - 1.001)
+        v = np.clip((y - self.origin[1]) / self.cell, 0.0, ny - 1.001)
+        iu, iv = u.astype(np.intp), v.astype(np.intp)
+        u -= iu
+        v -= iv
+        at = iv * nx + iu
+        d00, d01 = flat.take(at), flat.take(at + 1)
+        d10, d11 = flat.take(at + nx), flat.take(at + nx + 1)
+        low = d00 + (d01 - d00) * u
+        high = d10 + (d11 - d10) * u
+        gx, gy = (d01 - d00) * (1.0 - v) + (d11 - d10) * v, high - low
+        norm = np.maximum(np.hypot(gx, gy), 1e-9)
+        return low + (high - low) * v, gx / norm, gy / norm
+
+
+def _check(name: str, array: object, shape: tuple[int | None, ...]) -> None:
+    """Raises SetupError unless it is an array of lengths and of this shape, whose None is any."""
+    if not isinstance(array, np.ndarray) or array.dtype.kind != "f" or array.ndim != len(shape):
+        raise SetupError(f"scene: {name} is no array of {len(shape)} dimensions of lengths")
+    for size, wanted in zip(array.shape, shape, strict=True):
+        if size == 0 or wanted not in {None, size}:
+            raise SetupError(f"scene: {name} has the shape {array.shape}")
+    if not np.abs(array).max() <= FARTHEST_M:
+        raise SetupError(f"scene: {name} is not finite, or beyond {FARTHEST_M:g} m")

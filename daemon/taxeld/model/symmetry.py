@@ -1,0 +1,115 @@
+"""Poses up to the object's rotation symmetry: distances, means and modes that touch can tell apart.
+
+A pose is reduced to the world position of the symmetry's centre and the turn modulo 2π/n. Both are
+the same for equivalent poses, so no search over equivalents is needed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Floats, Poses
+from taxeld.model import se2
+from taxeld.model.scene import CONTINUOUS, Scene
+
+SILENT_MM = 20.0  # a converged estimate that is off by more, by `add_m`, is a silent failure
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """A cluster of the belief."""
+
+    pose: Poses  # (3,) its mean
+    weight: float
+    members: NDArray[np.intp]
+
+
+class PoseMetric:
+    """Lengths between poses of one object, in metres, blind to its symmetry."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.centre = scene.centre
+        self.order = scene.symmetry
+        spread = scene.surface[:, :2] - scene.centre
+        self.arm_m = float(np.sqrt(np.mean(np.sum(spread**2, axis=1))))  # turns a turn into metres
+        if self.order == CONTINUOUS:
+            self.arm_m = 0.0
+
+    def centres(self, poses: Poses) -> Floats:
+        """World positions (…, 2) of the symmetry's centre."""
+        c, s = np.cos(poses[..., 2]), np.sin(poses[..., 2])
+        x, y = self.centre
+        return np.stack([poses[..., 0] + c * x - s * y, poses[..., 1] + s * x + c * y], axis=-1)
+
+    def placed(self, centres: Floats, theta: Floats) -> Poses:
+        """Poses (…, 3) whose centres (…, 2) and turns (…,) these are: the inverse of `centres`."""
+        c, s = np.cos(theta), np.sin(theta)
+        x, y = self.centre
+        at = [centres[..., 0] - c * x + s * y, centres[..., 1] - s * x - c * y, se2.wrap(theta)]
+        return np.stack(at, axis=-1)
+
+    def turn(self, a: Floats, b: Floats) -> Floats:
+        """The smallest turn from b to a, up to symmetry, in (−π/n, π/n]."""
+        n = max(self.order, 1)
+        return se2.wrap(n * (a - b)) / n
+
+    def distance(self, a: Poses, b: Poses) -> Floats:
+        """Root-mean-square displacement of surface points, to first order; broadcasts."""
+        gap = self.centres(a) - self.centres(b)
+        arc = self.arm_m * self.turn(a[..., 2], b[..., 2])
+        return np.asarray(np.sqrt(np.sum(gap**2, axis=-1) + arc**2))
+
+    def mean(self, poses: Poses, weight: Floats, near: Poses) -> tuple[Poses, Floats]:
+        """Weighted mean (3,) of poses (N, 3), each taken as its equivalent nearest to `near`, and
+        the covariance (3, 3) about it."""
+        weight = weight / weight.sum()
+        centre = weight @ self.centres(poses)
+        turns = self.turn(poses[:, 2], near[2])
+        theta = near[2] + float(weight @ turns) if self.order != CONTINUOUS else near[2]
+        mean = self.placed(centre, np.asarray(theta))
+        off = np.column_stack([self.centres(poses) - centre, self.turn(poses[:, 2], theta)])
+        return mean, (off * weight[:, None]).T @ off
+
+    def modes(
+        self, poses: Poses, weight: Floats, radius_m: float, most: int, candidates: int
+    ) -> list[Mode]:
+        """Clusters of weighted poses (N, 3), heaviest first: greedy peaks of a kernel density.
+
+        Peaks are sought among `candidates` particles, a comb through the weights, which bounds the
+        cost: no mode that holds 1 / `candidates` of the weight is passed over.
+        """
+        n = len(poses)
+        comb = (np.arange(candidates) + 0.5) / candidates * weight.sum()
+        top = np.unique(np.minimum(np.searchsorted(np.cumsum(weight), comb), n - 1))
+        gap = self.distance(poses[top][:, None], poses[None])
+        kernel = np.exp(-0.5 * (gap / (0.4 * radius_m)) ** 2)
+        free = np.ones(n, dtype=bool)
+        found: list[Mode] = []
+        while len(found) < most and free.any():
+            density = kernel @ (weight * free)
+            density[~free[top]] = -1.0
+            peak = int(density.argmax())
+            if density[peak] <= 0.0:  # what is left weighs nothing
+                break
+            members = np.flatnonzero(free & (gap[peak] < radius_m))
+            free[members] = False
+            pose, _ = self.mean(poses[members], weight[members], poses[top[peak]])
+            found.append(Mode(pose, float(weight[members].sum()), members))
+        found.sort(key=lambda mode: -mode.weight)
+        return found
+
+
+def add_m(scene: Scene, estimate: Poses, truth: Poses) -> tuple[float, float]:
+    """Average distance of surface points between two poses (3,): plain, and the least over the
+    object's geometric rotation group."""
+    at_truth = se2.apply(truth, scene.surface[:, :2])
+    equivalents = scene.equivalents
+    if scene.symmetry == CONTINUOUS:  # of all turns the one that undoes the error's
+        undone = se2.rotation_about(scene.centre, truth[2] - estimate[2])
+        equivalents = np.stack([se2.IDENTITY, undone])
+    poses = se2.compose(estimate, equivalents)
+    each = [
+        np.linalg.norm(se2.apply(p, scene.surface[:, :2]) - at_truth, axis=1).mean() for p in poses
+    ]
+    return float(each[0]), float(min(each))

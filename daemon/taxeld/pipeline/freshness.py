@@ -1,0 +1,68 @@
+"""Whether the inputs are fresh, and what an estimate is worth where they are not.
+
+The estimator judges its belief; this module judges the inputs. Status is decided nowhere else.
+"""
+
+import math
+from dataclasses import replace
+
+from taxeld.arrays import Poses
+from taxeld.estimator.estimate import Estimate, Status
+
+USABLE = (Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED)
+
+
+class Freshness:
+    """What has become of the last scan, and how long ago it came."""
+
+    def __init__(
+        self,
+        stale_s: float,
+        centre_m: tuple[float, float] = (0.0, 0.0),
+        within_m: float = math.inf,
+    ) -> None:
+        """`stale_s`: without a scan for so long, the inputs are stale; an object farther than
+        `within_m` from `centre_m` along x or y is where it cannot be."""
+        self._centre_m = centre_m
+        self._within_m = within_m
+        self._stale_s = stale_s
+        self._verdict: Status | None = Status.STARTING  # of the last scan; None: it was used
+        self._came_s = 0.0
+
+    def starting(self) -> None:
+        """The idle baseline is being learned."""
+        self._verdict = Status.STARTING
+
+    def unused(self) -> None:
+        """A scan came at a wrong time, or without a sensor pose."""
+        self._verdict = Status.STALE
+
+    def used(self) -> None:
+        """The estimator has taken a scan."""
+        self._verdict = None
+
+    def came(self, now_s: float) -> None:
+        """A scan has come, used or not; `now_s` is monotonic."""
+        self._came_s = now_s
+
+    def is_silent(self, now_s: float) -> bool:
+        """Whether no scan has come for too long."""
+        return now_s - self._came_s > self._stale_s
+
+    def judged(self, estimate: Estimate, now_s: float | None = None) -> Estimate:
+        """The estimate with the status that its inputs leave it; with `now_s`, by their age too."""
+        verdict = self._verdict
+        if now_s is not None and self.is_silent(now_s):
+            verdict = Status.STALE
+        return estimate if verdict is None else replace(estimate, status=verdict)
+
+    def is_valid(self, estimate: Estimate) -> bool:
+        """Whether a subscriber may use it: its inputs are fresh, something was touched, and the
+        object is where it can be."""
+        if estimate.contacts == 0 or estimate.status not in USABLE:
+            return False
+        return self._is_inside(estimate.map) and self._is_inside(estimate.mean)
+
+    def _is_inside(self, pose: Poses) -> bool:
+        x, y = self._centre_m
+        return bool(max(abs(pose[0] - x), abs(pose[1] - y)) <= self._within_m)

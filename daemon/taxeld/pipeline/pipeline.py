@@ -1,0 +1,220 @@
+"""From scans to estimates: skin, sensor pose and estimator in one pure object.
+
+The daemon's loop and the replay of a session run this same code. What arrives is handed in with the
+time of its arrival, so the same arrivals lead to the same estimates, byte for byte. Durations are
+measured by the ladder's clock, if it has one.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.config.tables import Config
+from taxeld.estimator.estimate import Estimate
+from taxeld.estimator.estimator import Estimator
+from taxeld.model.activation import Activation
+from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.freshness import Freshness
+from taxeld.pipeline.poses import OnPose, PoseTrack, StandingStill
+from taxeld.proposals.ladder import Ladder
+from taxeld.skin.skin import Skin
+from taxeld.skin.state import SkinState
+from taxeld_protocol.decoder import Scan
+
+FUTURE_S = 0.1  # a scan that is stamped later than now by more was stamped wrongly
+WAITING_MAX = 64  # scans; of more the oldest are dropped
+SILENT_PERIODS = 3.0  # without a scan of it for so long, a hub is silent
+
+Dated = TypeVar("Dated", Scan, Activation, Estimate, SkinState)
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one scan led to, and the time each stage took [ns]."""
+
+    estimate: Estimate
+    activation: Activation | None = None  # None while the baseline is learned, or not used
+    sensor: Poses | None = None  # (3,) in the world; None where it is not known
+    skin_ns: int = 0
+    propose_ns: int = 0
+    filter_ns: int = 0
+
+
+@dataclass(slots=True)
+class InputCounters:
+    """Since start."""
+
+    scans_old: int = 0  # that arrived when older than their limit, not used
+    scans_from_the_future: int = 0  # later than now, or of no time at all, not used
+    scans_without_pose: int = 0  # for which no sensor pose near in time came, not used
+    scans_waited: int = 0  # for a pose at or after their time
+    scans_put_off: int = 0  # to the next tick, as the time of this one was up
+    scans_crowded_out: int = 0  # by too many that waited, not used
+    clock_steps: int = 0  # of the Unix clock
+
+
+class Pipeline:
+    """Scans and sensor poses in, outcomes out.
+
+    Times are Unix times outside, and so are those of the sensor's poses. Skin, estimator and the
+    scans that wait have a time that goes on as if the Unix clock had never been set: `_stepped_s`
+    less.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        model: ObservationModel,
+        ladder: Ladder,
+        on_pose: OnPose | None = None,
+    ) -> None:
+        """`on_pose` hears every sensor pose (t, x, y, θ) that is taken."""
+        self.config = config
+        self.ladder = ladder
+        period_s = config.source.period_ms / 1000.0
+        silent_s = max(config.source.max_age_s, SILENT_PERIODS * period_s)
+        self.skin = Skin(model.layout, config.skin, silent_s)
+        self.poses: PoseTrack | StandingStill = StandingStill()
+        if config.sensor_pose.endpoint:
+            moves = config.sensor_pose
+            self.poses = PoseTrack(moves.max_age_s, moves.within_m, on_pose)
+        self.estimator = Estimator(model, ladder, config.filter)
+        square = config.filter.half_width_m + _reach_m(model)
+        self.freshness = Freshness(config.loop.stale_s, config.filter.centre_m, square)
+        self.estimate = self.freshness.judged(self.estimator.estimate)
+        self.inputs = InputCounters()
+        self._waiting: deque[tuple[float, Scan]] = deque()  # with the time of arrival
+        self._stepped_s = 0.0  # by how much the Unix clock was set since the start
+
+    def advance(self, scans: Iterable[Scan], now: float) -> Iterator[Outcome]:
+        """Take the scans that have arrived by `now`, after the sensor poses that have; → what they,
+        and those that had been waiting, led to.
+
+        A scan waits for a pose at or after its time, which may be on its way, but no longer than
+        `sensor_pose.wait_s`; and for the next call, where the ladder's deadline has passed and
+        another scan has been taken in this one.
+        """
+        by = self._stepped_s
+        for scan in scans:
+            age = now - scan.t
+            if -FUTURE_S <= age <= self.config.source.max_age_s:
+                self._waiting.append((now - by, _later(scan, -by)))
+                self.inputs.scans_waited += self.poses.latest_t < scan.t
+            else:
+                yield self._refused(age)
+        while self._waiting and self._is_due(*self._waiting[0], now - by):
+            yield self._taken(self._waiting.popleft()[1])
+            if self.ladder.is_late():
+                self.inputs.scans_put_off += len(self._waiting)
+                break
+        while len(self._waiting) > WAITING_MAX:
+            self._waiting.popleft()
+            self.inputs.scans_crowded_out += 1
+
+    def flush(self) -> Iterator[Outcome]:
+        """What the scans that still wait led to, as nothing more will come."""
+        while self._waiting:
+            yield self._taken(self._waiting.popleft()[1])
+
+    def clock_stepped(self, by: float) -> None:
+        """The Unix clock was set forward by so many seconds.
+
+        The sensor's poses are forgotten, as the robot's clock may have been set with this one or
+        not.
+        """
+        self.inputs.clock_steps += 1
+        self._stepped_s += by
+        self.poses.clear()
+        if self.estimate.t:  # it is of a scan
+            self.estimate = _later(self.estimate, by)
+
+    def input_counts(self) -> dict[str, int]:
+        """What became of scans and poses before they were used; what waits has no count yet."""
+        return {
+            **asdict(self.inputs),
+            "scans_waiting": len(self._waiting),
+            "poses": self.poses.taken,
+            "poses_rejected": self.poses.rejected,
+            "poses_far": self.poses.far,
+            "poses_from_the_future": self.poses.from_the_future,
+            "poses_begun_again": self.poses.begun_again,
+        }
+
+    def health(self) -> dict[str, Any]:
+        """Counters of the stages since start, and the taxels that cannot be believed."""
+        return {
+            "skin": self.skin.counters,
+            "estimator": self.estimator.counters,
+            "drift": self.skin.figures(),
+            **self.skin.faults(),
+        }
+
+    def skin_state(self) -> SkinState | None:
+        """What the skin has learned so far, of Unix time; None before there is anything."""
+        state = self.skin.state()
+        return None if state is None else _later(state, self._stepped_s)
+
+    def tare(self) -> None:
+        """Learn the idle baseline anew; the skin must not be touched. The status is STARTING until
+        that is done."""
+        self.skin.tare()
+        self.freshness.starting()
+        self.estimate = self.freshness.judged(self.estimate)
+
+    def reset(self) -> None:
+        """Forget all touches."""
+        self.estimator.reset()
+        self.estimate = self.freshness.judged(self.estimator.estimate)
+
+    def _is_due(self, arrived: float, scan: Scan, now: float) -> bool:
+        waited = now - arrived >= self.config.sensor_pose.wait_s
+        has_pose = self.poses.latest_t >= scan.t + self._stepped_s
+        return waited or has_pose or len(self._waiting) > WAITING_MAX
+
+    def _refused(self, age: float) -> Outcome:
+        if age > 0.0:
+            self.inputs.scans_old += 1
+        else:
+            self.inputs.scans_from_the_future += 1
+        self.freshness.unused()
+        self.estimate = self.freshness.judged(self.estimate)
+        return Outcome(self.estimate)
+
+    def _taken(self, scan: Scan) -> Outcome:
+        """Take a scan; the sensor's poses up to its time have been added."""
+        clock, by = self.ladder.clock, self._stepped_s
+        start = clock()
+        activation = self.skin.on_scan(scan)
+        read = clock()
+        if activation is None:
+            self.freshness.starting()
+            self.estimate = self.freshness.judged(replace(self.estimate, t=scan.t + by))
+            return Outcome(self.estimate, skin_ns=read - start)
+        sensor = self.poses.at(scan.t + by)
+        if sensor is None:
+            self.inputs.scans_without_pose += 1
+            self.freshness.unused()
+            self.estimate = self.freshness.judged(replace(self.estimate, t=scan.t + by))
+            return Outcome(self.estimate, _later(activation, by), skin_ns=read - start)
+        before = self.ladder.spent_ns
+        self.freshness.used()
+        self.estimate = _later(self.estimator.on_scan(activation, sensor), by)
+        self.ladder.used()
+        propose_ns = self.ladder.spent_ns - before
+        filter_ns = clock() - read - propose_ns
+        activation = _later(activation, by)
+        return Outcome(self.estimate, activation, sensor, read - start, propose_ns, filter_ns)
+
+
+def _reach_m(model: ObservationModel) -> float:
+    """How far from the square that it may be in an object that is felt in it may lie."""
+    return float(np.hypot(*model.scene.outline.T).max()) + model.layout.radius_m
+
+
+def _later(dated: Dated, by: float) -> Dated:
+    """The same, of a time that is later by so much."""
+    return replace(dated, t=dated.t + by) if by else dated

@@ -1,0 +1,119 @@
+"""The sensor's pose over time, interpolated to the moment of a scan."""
+
+import math
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.model import se2
+
+KEPT = 512  # poses: five seconds at 100 Hz
+FUTURE_S = 0.1  # a pose that is stamped later than now by more was stamped wrongly
+BACK_MAX = 10  # poses in a row from before the last, in order: the robot's clock was set back
+
+OnPose = Callable[[float, float, float, float], None]
+
+
+class PoseTrack:
+    """The last poses (t, x, y, θ) of the sensor in the world; bounded memory."""
+
+    def __init__(
+        self, max_age_s: float, within_m: float = math.inf, on_pose: OnPose | None = None
+    ) -> None:
+        """`within_m`: |x| and |y|, at most; `on_pose` is given every pose (t, x, y, θ) that is
+        taken."""
+        self.max_age_s = max_age_s
+        self._within_m = within_m
+        self._on_pose = on_pose
+        self.taken = 0
+        self.rejected = 0  # not finite, not later than the one before, or one of the next two
+        self.far = 0  # beyond `within_m`
+        self.from_the_future = 0
+        self.begun_again = 0  # times that the robot's clock was seen to be set back
+        self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last of them
+        self._t: deque[float] = deque(maxlen=KEPT)
+        self._pose: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
+
+    @property
+    def latest_t(self) -> float:
+        return self._t[-1] if self._t else -np.inf
+
+    def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:
+        """Take a pose that has arrived `now`; times must increase, but for a clock that was set
+        back."""
+        if not self._is_fit(t, x, y, theta, now):
+            self.rejected += 1
+            return
+        self._back = 0
+        self.taken += 1
+        self._t.append(t)
+        self._pose.append((x, y, theta))
+        if self._on_pose is not None:
+            self._on_pose(t, float(x), float(y), float(theta))
+
+    def _is_fit(self, t: float, x: float, y: float, theta: float, now: float) -> bool:
+        if not all(map(math.isfinite, (t, x, y, theta))):
+            return False
+        if t > now + FUTURE_S:  # taken, it would keep out all that come before its time
+            self.from_the_future += 1
+            return False
+        if max(abs(x), abs(y)) > self._within_m:
+            self.far += 1
+            return False
+        return t > self.latest_t or self._is_set_back(t)
+
+    def clear(self) -> None:
+        """Forget all poses: their times are of another clock."""
+        self._t.clear()
+        self._pose.clear()
+
+    def _is_set_back(self, t: float) -> bool:
+        """Whether this pose from the past is the last of so many that they are the present."""
+        self._back = self._back + 1 if t > self._back_t else 1
+        self._back_t = t
+        if self._back < BACK_MAX:
+            return False
+        self.begun_again += 1
+        self.clear()
+        return True
+
+    def at(self, t: float) -> Poses | None:
+        """The pose (3,) at time t: interpolated, or the last one while it is young enough; None
+        where nothing that near in time is known."""
+        i = bisect_right(self._t, t)
+        if i == 0:
+            return None
+        before: Poses = np.array(self._pose[i - 1])
+        t_before = self._t[i - 1]
+        if i == len(self._t):
+            return before if t - t_before <= self.max_age_s else None
+        after: Poses = np.array(self._pose[i])
+        span = self._t[i] - t_before
+        if span > self.max_age_s:
+            return before if t - t_before <= self.max_age_s else None
+        share = (t - t_before) / span
+        if np.hypot(*(after - before)[:2]) > se2.JUMP_M:  # one of them is wrong, as is all between
+            return before if share < 0.5 else after
+        pose: Poses = before + share * (after - before)
+        pose[2] = se2.wrap(before[2] + share * se2.wrap(after[2] - before[2]))
+        return pose
+
+
+class StandingStill:
+    """A sensor without a robot: always at the origin."""
+
+    max_age_s = np.inf
+    taken = rejected = far = from_the_future = begun_again = 0
+    latest_t = np.inf
+
+    def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:
+        """There is no robot whose poses could be of use."""
+
+    def clear(self) -> None:
+        """There is nothing to forget."""
+
+    def at(self, t: float) -> Poses:  # noqa: ARG002
+        return se2.IDENTITY

@@ -1,0 +1,139 @@
+"""Proposals that are computed from the scene, without training."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from taxeld.arrays import Bools, Floats, Poses
+from taxeld.errors import SetupError
+from taxeld.model import contacts, se2
+from taxeld.model.observation import ObservationModel
+from taxeld.model.proposal import Proposal
+
+ROUNDS = 1000  # of drawing contacts, at most; `check_contacts` has found that some land
+DRAWS, LEAST_FELT = 5000, 10  # of so many contacts so many must be felt
+NO_CONTACT = "scene: no contact with this skin can be made; build the bundle again"
+
+
+def check_contacts(model: ObservationModel) -> None:
+    """Whether contacts can be drawn: else whatever draws them would never be done.
+
+    Raises:
+        SetupError: hardly any lands on the object, or is felt.
+    """
+    rng = np.random.default_rng(0)
+    radius_m = model.layout.radius_m
+    made = contacts.synthesise(model.scene, radius_m, model.depth_max_m, DRAWS, rng)
+    felt = model.activation(made.pose).max(axis=1) > 0.0
+    if np.count_nonzero(felt) < LEAST_FELT:
+        raise SetupError(NO_CONTACT)
+
+
+class Projection:
+    """The paper's uninformed baseline: contact poses that do not look at the activations."""
+
+    name = "projection"
+
+    def __init__(self, model: ObservationModel) -> None:
+        self._model = model
+
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
+        model = self._model
+        found = np.empty((0, 3))
+        for _ in range(ROUNDS):
+            if len(found) >= n:
+                break
+            made = contacts.synthesise(
+                model.scene, model.layout.radius_m, model.depth_max_m, 2 * n + 8, rng
+            )
+            found = np.concatenate([found, made.pose])
+        return found[:n]
+
+
+class Manifold:
+    """A point of the outline, turned to face the touched side, as deep as the strongest taxel.
+
+    Exact for a smooth convex outline, but for its curvature; all points of the outline weigh alike.
+    """
+
+    name = "manifold"
+
+    def __init__(self, model: ObservationModel) -> None:
+        self._model = model
+        outline = model.scene.outline
+        ahead, behind = np.roll(outline, -1, axis=0), np.roll(outline, 1, axis=0)
+        tangent = ahead - behind
+        area = np.sum(outline[:, 0] * ahead[:, 1] - ahead[:, 0] * outline[:, 1])
+        outwards = -np.pi / 2 if area > 0 else np.pi / 2  # of the tangent's direction
+        self._facing = np.arctan2(tangent[:, 1], tangent[:, 0]) + outwards
+
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
+        model = self._model
+        scene, radius_m = model.scene, model.layout.radius_m
+        pressed = np.where(live, z, 0.0)
+        at = pressed @ model.layout.position_m[:, :2]
+        touched = np.arctan2(at[1], at[0])
+        depth_m = float(pressed.max()) * model.depth_max_m
+        i = rng.integers(len(scene.outline), size=n)
+        theta = se2.wrap(touched + np.pi - self._facing[i])
+        c, s = np.cos(theta), np.sin(theta)
+        x, y = scene.outline[i].T
+        gap = radius_m - depth_m
+        px = gap * np.cos(touched) - (c * x - s * y)
+        py = gap * np.sin(touched) - (s * x + c * y)
+        poses, _ = contacts.project(
+            scene, radius_m, np.column_stack([px, py, theta]), np.full(n, depth_m)
+        )
+        return poses
+
+
+class Table:
+    """The nearest of `size` simulated contacts, by their activations.
+
+    On a layout with rotation symmetry, contacts are stored turned to their strongest taxel, and
+    activations are looked up in the same way.
+    """
+
+    name = "table"
+
+    def __init__(self, model: ObservationModel, size: int = 10_000, seed: int = 0) -> None:
+        layout = model.layout
+        rng = np.random.default_rng(seed)
+        self._layout = layout
+        h, poses = np.empty((0, len(layout))), np.empty((0, 3))
+        for _ in range(ROUNDS):
+            if len(h) >= size:
+                break
+            made = contacts.synthesise(model.scene, layout.radius_m, model.depth_max_m, size, rng)
+            found = model.activation(made.pose)
+            kept = found.max(axis=1) > 0.0
+            h, poses = np.concatenate([h, found[kept]]), np.concatenate([poses, made.pose[kept]])
+        if len(h) < size:
+            raise SetupError(NO_CONTACT)
+        h, poses = h[:size], poses[:size]
+        turn = layout.sector[h.argmax(axis=1)]
+        self._h = np.take_along_axis(h, layout.turns[turn], axis=1).astype(np.float32)
+        self._square = np.square(self._h)
+        self._pose = _turned(poses, -2.0 * np.pi * turn / len(layout.turns))
+
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
+        layout = self._layout
+        turn = int(layout.sector[np.where(live, z, -1.0).argmax()])
+        taxels = layout.turns[turn]
+        mask = live[taxels].astype(np.float32)
+        gap = self._square @ mask - 2.0 * (self._h @ (z[taxels].astype(np.float32) * mask))
+        count = min(n, len(gap))
+        nearest = np.argpartition(gap, count - 1)[:count]
+        poses = self._pose[np.resize(nearest, n)]
+        return _turned(poses, np.full(n, 2.0 * np.pi * turn / len(layout.turns)))
+
+
+def _turned(poses: Poses, angle: Floats) -> Poses:
+    """Poses (N, 3) turned about the sensor's axis, each by its own angle."""
+    zero = np.zeros_like(angle)
+    return se2.compose(np.stack([zero, zero, angle], axis=1), poses)
+
+
+ANALYTIC: dict[str, Callable[[ObservationModel], Proposal]] = {
+    "projection": Projection, "manifold": Manifold, "table": Table,
+}  # fmt: skip

@@ -1,0 +1,127 @@
+"""Scene bundles: a directory with the scene, its samplers, and what is known about them."""
+
+import contextlib
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from taxeld.config.tables import FilterConfig
+from taxeld.errors import SetupError
+from taxeld.layout.layout import Layout
+from taxeld.model.observation import ObservationModel
+from taxeld.model.proposal import Proposal
+from taxeld.proposals import manifest, scene_file, seal
+from taxeld.proposals.analytic import ANALYTIC, Table, check_contacts
+from taxeld.proposals.ladder import Ladder, Rung, Step
+from taxeld.proposals.sampler import Sampler
+
+
+@dataclass(frozen=True, slots=True)
+class Bundle:
+    """A validated bundle that belongs to the configured layout."""
+
+    path: Path
+    info: dict[str, Any]  # bundle.json as it stands
+    files: dict[str, bytes]  # beside it, as they were when it was built
+    model: ObservationModel
+
+    def resolve(self, name: str, sampler: str = "") -> str:
+        """The analytic proposal or the sampler that the configuration names.
+
+        An analytic proposal is taken by its name, a `sampler` by its own, a kind of sampler
+        (`density`, `ddpm`) as the bundle's first of that kind, and `auto` as the bundle's first
+        choice, whatever it costs on this machine.
+
+        Raises:
+            SetupError: the bundle has none of that name.
+        """
+        samplers = self._samplers()
+        if sampler and sampler not in samplers:
+            known = ", ".join(samplers) or "none"
+            raise SetupError(f"filter.sampler: {self.path.name} has no '{sampler}'; it has {known}")
+        if name in ANALYTIC or sampler:
+            return name if name in ANALYTIC else sampler
+        if name == "auto":
+            return self.order[0]
+        for entry in samplers.values():
+            if entry["kind"] == name:
+                return str(entry["name"])
+        raise SetupError(f"filter.proposal: {self.path.name} holds no {name} sampler; use auto")
+
+    @property
+    def order(self) -> list[str]:
+        """Proposals by preference, the first choice of `auto` first."""
+        return self.info["auto"] or [Table.name]
+
+    def cheaper(self, name: str) -> list[str]:
+        """Samplers of fewer operations than the sampler `name`, by preference."""
+        samplers = self._samplers()
+        most = samplers[name]["flops"] if name in samplers else 0
+        return [n for n in self.order if n in samplers and samplers[n]["flops"] < most]
+
+    def open(self, name: str) -> Proposal:
+        """An analytic proposal or a sampler by its own name.
+
+        Raises:
+            SetupError: the sampler cannot be used.
+        """
+        if name in ANALYTIC:
+            return ANALYTIC[name](self.model)
+        entry = self._samplers()[name]
+        file = entry["file"]
+        return Sampler(self.files[file], self.model.layout, entry["kind"], self.path / file)
+
+    def proposal(self, name: str, sampler: str = "") -> Proposal:
+        """The proposal that the configuration names, as `resolve`."""
+        return self.open(self.resolve(name, sampler))
+
+    def untimed(self, config: FilterConfig) -> Ladder:
+        """The configured proposal alone, read by no clock: the same samples on any machine."""
+        return Ladder([Rung(Step.CHOSEN, self.proposal(config.proposal, config.sampler))])
+
+    def _samplers(self) -> dict[str, dict[str, Any]]:
+        return {sampler["name"]: sampler for sampler in self.info["samplers"]}
+
+
+def find(name: str) -> Path:
+    """The directory of a shipped bundle's name or a path."""
+    shipped = Path(str(resources.files("taxeld") / "bundles"))
+    for path in (shipped / name, Path(name)):
+        with contextlib.suppress(OSError, ValueError):  # no path at all, or not ours to see
+            if (path / manifest.NAME).is_file():
+                return path
+    names = ", ".join(sorted(p.name for p in shipped.glob("*") if (p / manifest.NAME).is_file()))
+    raise SetupError(
+        f"scene.bundle: no bundle {name!r:.100}; shipped are {names}; "
+        "others are built by 'taxeld-train build'"
+    )
+
+
+def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
+    """Load and validate a bundle for a skin.
+
+    Raises:
+        SetupError: it is missing, damaged, or of another layout or depth.
+    """
+    path = find(name)
+    info = manifest.parse(seal.read(path / manifest.NAME), path / manifest.NAME)
+    theirs = info["layout"]
+    if theirs["digest"] != layout.digest:
+        raise SetupError(
+            f"scene.bundle: {path.name} is for the layout {theirs['name']} "
+            f"({theirs['digest']}), not for {layout.name} ({layout.digest})"
+        )
+    if abs(info["depth_max_m"] - depth_max_m) > 1e-6:
+        raise SetupError(
+            f"skin.full_scale_depth_m: is {depth_max_m:g}, but {path.name} was built for "
+            f"{info['depth_max_m']:g}"
+        )
+    files = seal.unbroken(path, info["files"])
+    scene = scene_file.parse(files[manifest.SCENE], path / manifest.SCENE)
+    try:
+        model = ObservationModel(scene, layout, depth_max_m)
+        check_contacts(model)
+    except SetupError as error:
+        raise SetupError(f"{path / manifest.SCENE}: {error}") from None
+    return Bundle(path, info, files, model)

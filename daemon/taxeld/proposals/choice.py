@@ -1,0 +1,99 @@
+"""Which proposals serve on this machine, by the CPU time of a call.
+
+Only this module of the room measures time, and only the service asks it.
+"""
+
+import time
+
+import numpy as np
+
+from taxeld.config.tables import Config, FilterConfig
+from taxeld.model.observation import ObservationModel
+from taxeld.model.proposal import Proposal
+from taxeld.proposals.analytic import Table
+from taxeld.proposals.bundle import Bundle
+from taxeld.proposals.ladder import ClockNs, Cost, Ladder, Rung, Step
+
+TIMED_CALLS = 5  # whose median is the cost of a proposal
+SHARES = (0.5, 0.25)  # of the samples, where the cheapest sampler is too slow for all of them
+
+
+Opened = dict[str, Proposal]  # by name
+
+
+def ladder(bundle: Bundle, config: Config, clock: ClockNs) -> Ladder:
+    """The configured proposal and what stands in for it where time is short; `clock` is in ns.
+
+    Raises:
+        SetupError: one of them cannot be used.
+    """
+    samples, budget_ms = config.filter.injected, config.budget.propose_ms
+    opened = open_all(bundle, config.filter)
+    chosen = choose(bundle, opened, config.filter, budget_ms)
+    return Ladder(rungs(bundle, opened, chosen, samples), clock, budget_ns=1e6 * budget_ms)
+
+
+def open_all(bundle: Bundle, config: FilterConfig) -> Opened:
+    """All proposals that a run may draw from, on whatever machine.
+
+    Raises:
+        SetupError: the bundle has none of the configured name, or one cannot be used.
+    """
+    chosen = bundle.resolve(config.proposal, config.sampler)
+    names = bundle.order if _is_auto(config) else [chosen, *bundle.cheaper(chosen)]
+    return {name: bundle.open(name) for name in dict.fromkeys([*names, Table.name])}
+
+
+def choose(bundle: Bundle, opened: Opened, config: FilterConfig, budget_ms: float) -> str:
+    """The name of the proposal that the configuration names.
+
+    `auto` is the first of the bundle's order of preference whose CPU time for the samples of a
+    touch is at most `budget_ms`, or the cheapest where none is.
+    """
+    if not _is_auto(config):
+        return bundle.resolve(config.proposal, config.sampler)
+    timed: list[tuple[float, str]] = []
+    for name in bundle.order:
+        ms = cpu_ms(opened[name], bundle.model, config.injected)
+        if ms <= budget_ms:
+            return name
+        timed.append((ms, name))
+    return min(timed)[1]
+
+
+def rungs(bundle: Bundle, opened: Opened, chosen: str, samples: int) -> list[Rung]:
+    """The chosen proposal, cheaper samplers in the bundle's order of preference, fewer samples of
+    the last of them, the table if it is cheaper still, and no samples."""
+
+    def rung(step: Step, name: str, share: float = 1.0) -> Rung:
+        ms = cpu_ms(opened[name], bundle.model, max(round(share * samples), 1))
+        return Rung(step, opened[name], share, Cost(1e6 * ms))
+
+    last = chosen
+    made = [rung(Step.CHOSEN, chosen)]
+    for name in bundle.cheaper(chosen):
+        cheaper = rung(Step.CHEAPER, name)
+        if cheaper.cost.ns < made[-1].cost.ns:
+            made, last = [*made, cheaper], name
+    made += [rung(Step.FEWER, last, share) for share in SHARES]
+    if chosen != Table.name:
+        table = rung(Step.TABLE, Table.name)
+        made += [table] if table.cost.ns < made[-1].cost.ns else []
+    return [*made, Rung(Step.NONE)]
+
+
+def cpu_ms(proposal: Proposal, model: ObservationModel, samples: int) -> float:
+    """Median CPU time of a call [ms], the first left out."""
+    rng = np.random.default_rng(0)
+    taxels = len(model.layout)
+    z, live = np.eye(1, taxels)[0], np.ones(taxels, dtype=bool)
+    spent = []
+    for _ in range(TIMED_CALLS + 1):
+        start = time.thread_time_ns()
+        proposal.propose(z, live, samples, rng)
+        spent.append((time.thread_time_ns() - start) / 1e6)
+    return float(np.median(spent[1:]))
+
+
+def _is_auto(config: FilterConfig) -> bool:
+    return config.proposal == "auto" and not config.sampler

@@ -1,0 +1,297 @@
+"""The fixed-rate loop: it alone owns clocks, sockets and devices.
+
+A tick takes what has arrived, runs the pipeline on it and publishes the estimate. Where its time is
+short it draws fewer samples (`proposals.ladder`), and then leaves scans to the next tick.
+"""
+
+import contextlib
+import hashlib
+import math
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from taxeld.config.tables import Config
+from taxeld.estimator.estimate import Estimate
+from taxeld.layout import read as layouts
+from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.pipeline.warm_up import warm_up
+from taxeld.proposals import bundle, choice
+from taxeld.service import metrics, realtime, state_file
+from taxeld.service.clock import WallClock
+from taxeld.service.latency import Latencies
+from taxeld.service.metrics import MetricsFile
+from taxeld.service.notify import Notifier
+from taxeld.service.state_file import StateFile
+from taxeld.service.ticker import Ticker
+from taxeld.source import session
+from taxeld.source.recorder import RecordCounters, Recorder
+from taxeld.source.sources import Source, open_source
+from taxeld.stream import curve, messages
+from taxeld.stream.control import Control, ControlCounters
+from taxeld.stream.hoard import Hoard
+from taxeld.stream.pose_input import PoseCounters, PoseInput
+from taxeld.stream.publisher import Publisher
+
+STAGES = messages.STAGES[:-1]  # all but their total
+PARTICLES_HZ = 20.0
+HEALTH_S = 1.0
+
+
+@dataclass(slots=True)
+class LoopCounters:
+    """Since start."""
+
+    ticks: int = 0
+    overruns: int = 0  # ticks that were missed
+    own_overruns: int = 0  # ticks whose own CPU time was longer than their period
+    scans: int = 0
+
+
+class Daemon:
+    """A configuration, running."""
+
+    def __init__(self, config: Config, recorder: Recorder | None = None) -> None:
+        """Open everything a run needs; `recorder` gets what skin and robot send.
+
+        Raises:
+            SetupError: something of it cannot be used.
+        """
+        self._replays_poses = _replays_poses(config)
+        if self._replays_poses:
+            where = replace(config.sensor_pose, endpoint=config.source.path)
+            config = replace(config, sensor_pose=where)
+        self.config = config
+        self.stopping = False
+        self.counters = LoopCounters()
+        self.layout = layouts.load(config.skin.layout)
+        scene = bundle.load(config.scene.bundle, self.layout, config.skin.full_scale_depth_m)
+        ladder = choice.ladder(scene, config, time.perf_counter_ns)
+        on_pose = recorder.pose if recorder else None
+        self.pipeline = Pipeline(config, scene.model, ladder, on_pose)
+        self._recorder = recorder
+        self.latencies = Latencies(messages.STAGES)
+        self.clock = WallClock()
+        place, pipeline = state_file.directory(config), self.pipeline
+        max_age_s = config.skin.state_max_age_s
+        self.kept = StateFile(place, pipeline.skin, pipeline.skin_state, max_age_s)
+        self.kept.restore(time.time())
+        budget = config.budget
+        self._budget_us = {stage: 1e3 * getattr(budget, f"{stage}_ms") for stage in STAGES}
+        self._over = dict.fromkeys(STAGES, 0)
+        self._realtime = realtime.RealTime()
+        self._publish_us = 0.0
+        self._start_s = time.monotonic()
+        self.pipeline.freshness.came(self._start_s)  # as if a scan had come at the start
+        self._next_health_s = self._next_particles_s = 0.0
+        self._estimate_sent: dict[str, Any] = {}
+        self._health_sent: dict[str, Any] = {}
+        digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
+        self._info = messages.info(self.layout, scene.model.scene, scene.info, digest)
+        with contextlib.ExitStack() as opened:
+            opened.callback(self.kept.close)
+            self._metrics = MetricsFile(metrics.place(config.metrics))
+            opened.callback(self._metrics.close)
+            if recorder:
+                opened.enter_context(recorder)
+            self.source: Source = open_source(
+                config.source, self.layout, recorder, self.pipeline.poses.add, wait=True
+            )
+            opened.callback(self.source.close)
+            self._open_streams(opened)
+            self._opened = opened.pop_all()
+
+    def _open_streams(self, opened: contextlib.ExitStack) -> None:
+        config = self.config
+        context: zmq.Context[Any] = opened.enter_context(zmq.Context())
+        queue = round(config.loop.rate_hz)  # about a second
+        self.publisher = Publisher(context, queue, self._info)
+        opened.callback(self.publisher.close)
+        self.publisher.bind(config.publish.endpoints, "publish.endpoints")
+        self.pose_input: PoseInput | None = None
+        self._hoard = Hoard(filter(None, (*config.publish.endpoints, config.control.endpoint)))
+        opened.callback(self._hoard.close)
+        keys, endpoint = curve.robot_keys(config), config.sensor_pose.endpoint
+        if endpoint and not self._replays_poses:
+            self.pose_input = PoseInput(context, endpoint, self.pipeline.poses.add, keys)
+            opened.callback(self.pose_input.close)
+        self.control: Control | None = None
+        if config.control.endpoint:
+            handlers = {
+                "status": self.state,
+                "info": lambda: {"info": self._info},
+                "tare": self._on_tare,
+                "reset": self._on_reset,
+            }
+            self.control = Control(context, config.control.endpoint, "control.endpoint", handlers)
+            opened.callback(self.control.close)
+
+    def stop(self) -> None:
+        """End `run` after this tick."""
+        self.stopping = True
+
+    def run(self, between: Callable[[], None] = lambda: None) -> None:
+        """Tick until `stop`, or to the end of a replayed session; `between` is called between two
+        ticks."""
+        notifier = Notifier()
+        try:
+            warm_up(self.pipeline.estimator.model, self.pipeline.ladder, self.config.filter)
+            self.pipeline.freshness.came(time.monotonic())  # as if a scan had come at the start
+            with realtime.thread(self.config.loop.priority) as self._realtime:
+                notifier.ready()
+                self._loop(notifier, between)
+        finally:
+            notifier.stopping()
+            self.close()
+
+    def _loop(self, notifier: Notifier, between: Callable[[], None]) -> None:
+        ticker = Ticker(self.config.loop.rate_hz)
+        collector = realtime.Collector()
+        while not self.stopping:
+            now = ticker.wait()
+            self.counters.overruns = ticker.missed
+            self.tick(now, ticker.left_s())
+            notifier.tick(now, self._status_line)
+            opened = self.source.counters.unopened + self.source.counters.reopened
+            collector.tick(now, opened, pressed=self.pipeline.skin.touched)
+            between()
+            if self.source.finished:
+                break
+
+    def tick(self, now_s: float, left_s: float = math.inf) -> None:
+        """One pass: inputs, pipeline, outputs. `now_s` is monotonic; there is time for `left_s`."""
+        start, cpu = time.perf_counter_ns(), time.thread_time_ns()
+        self.counters.ticks += 1
+        if self.config.budget.degrade:
+            for_pipeline_s = left_s - self.config.budget.publish_ms / 1000.0
+            self.pipeline.ladder.deadline_ns = start + 1e9 * for_pipeline_s
+        wall_s, stepped = self.clock.read()
+        if stepped:
+            self.pipeline.clock_stepped(stepped)
+            self.source.clock_stepped(stepped)
+        if self.pose_input is not None:
+            self.pose_input.poll()
+        scans = self.source.poll(now_s)
+        took = {"source": time.perf_counter_ns() - start, "skin": 0, "propose": 0, "filter": 0}
+        outcome: Outcome | None = None
+        # stamped while they were polled, so not older than now
+        for outcome in self.pipeline.advance(scans, time.time() if scans else wall_s):
+            took["skin"] += outcome.skin_ns
+            took["propose"] += outcome.propose_ns
+            took["filter"] += outcome.filter_ns
+            self.pipeline.freshness.came(now_s)
+        self.counters.scans += len(scans)
+        self.kept.keep(now_s)
+        lat_us = {stage: ns / 1000.0 for stage, ns in took.items()}
+        lat_us["publish"] = self._publish_us  # of the tick before: this one is not over yet
+        lat_us["total"] = (time.perf_counter_ns() - start) / 1000.0 + self._publish_us
+        published = time.perf_counter_ns()
+        self._publish(outcome, lat_us, now_s)
+        if outcome is not None:  # in this tick, though its scan may have waited since another
+            self.latencies.add(lat_us)
+        if self.control is not None:
+            self.control.poll(now_s)
+        self._hoard.look(now_s)
+        self._publish_us = (time.perf_counter_ns() - published) / 1000.0
+        for stage, us in self._budget_us.items():
+            self._over[stage] += lat_us[stage] > us
+        own_s = (time.thread_time_ns() - cpu) / 1e9
+        self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
+
+    def close(self) -> None:
+        """Stop the skin and free what is held."""
+        self._opened.close()
+
+    def _publish(self, outcome: Outcome | None, lat_us: dict[str, float], now_s: float) -> None:
+        estimate = self._estimate(now_s)
+        wall_s = time.time()
+        self.publisher.greet(now_s, wall_s)
+        seq = self.counters.ticks
+        self._estimate_sent = messages.estimate(
+            estimate,
+            seq=seq,
+            valid=self.pipeline.freshness.is_valid(estimate),
+            mono_ns=time.monotonic_ns(),
+            age_us=(wall_s - estimate.t) * 1e6 if estimate.t else 0.0,
+            overruns=self.counters.overruns,
+            degraded=int(self.pipeline.ladder.step),
+            lat_us=lat_us,
+        )
+        self.publisher.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
+        if outcome is not None and outcome.activation is not None:
+            t = outcome.activation.t
+            if self.publisher.wants(messages.TAXELS):
+                self.publisher.send(messages.TAXELS, messages.taxels(outcome.activation, seq), t)
+            due = estimate.contact and now_s >= self._next_particles_s
+            if due and self.publisher.wants(messages.PARTICLES):
+                self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
+                belief = self.pipeline.estimator.rule.belief
+                cloud = messages.particles(t, seq, belief.pose, belief.weight)
+                self.publisher.send(messages.PARTICLES, cloud, t)
+        if now_s >= self._next_health_s:
+            self._next_health_s = now_s + HEALTH_S
+            self._health_sent = self._health(seq, now_s, wall_s)
+            self.publisher.send(messages.HEALTH, self._health_sent, wall_s)
+            self._metrics.offer(self._health_sent)
+
+    def _estimate(self, now_s: float) -> Estimate:
+        """As it is published at the time `now_s`."""
+        return self.pipeline.freshness.judged(self.pipeline.estimate, now_s)
+
+    def _status_line(self, now_s: float) -> str:
+        if self.source.waits_for:
+            return f"waiting, {self.source.waits_for}"
+        estimate = self._estimate(now_s)
+        return (
+            f"{estimate.status.name.lower()}, contacts {estimate.contacts}, "
+            f"overruns {self.counters.overruns}"
+        )
+
+    def _health(self, seq: int, now_s: float, t: float) -> dict[str, Any]:
+        pipeline = self.pipeline
+        poses = self.pose_input.counters if self.pose_input else PoseCounters()
+        parts = {
+            "uptime_s": now_s - self._start_s,
+            "loop": self.counters,
+            "over_budget": self._over,
+            "degraded": pipeline.ladder.counters,
+            "realtime": self._realtime,
+            "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
+            "skin_state": self.kept.counters,
+            "inputs": {
+                **pipeline.input_counts(),
+                "poses_malformed": poses.malformed,
+                "poses_oversized": poses.oversized,
+                "scans_stale": pipeline.freshness.is_silent(now_s),
+                "poses_stale": t - pipeline.poses.latest_t > pipeline.poses.max_age_s,
+            },
+            "control": self.control.counters if self.control else ControlCounters(),
+            "recording": self._recorder.counters if self._recorder else RecordCounters(),
+            "subscribers": self.publisher.counters,
+            "hoarders": self._hoard.hung_up,
+            "keys_refused": 0,  # none are taken here since the relay serves the network
+            "lat_us": self.latencies.percentiles(),
+            **pipeline.health(),
+        }
+        return messages.health(seq, t, parts)
+
+    def state(self) -> dict[str, Any]:
+        """What was last published of the estimate and of health."""
+        return {"estimate": self._estimate_sent, "health": self._health_sent}
+
+    def _on_tare(self) -> dict[str, Any]:
+        self.pipeline.tare()
+        return {}
+
+    def _on_reset(self) -> dict[str, Any]:
+        self.pipeline.reset()
+        return {}
+
+
+def _replays_poses(config: Config) -> bool:
+    """Whether the sensor's poses are those of a recorded session, whatever the endpoint."""
+    return config.source.kind == "replay" and session.has_poses(Path(config.source.path))

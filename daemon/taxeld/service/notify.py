@@ -1,0 +1,64 @@
+"""Messages to systemd: ready, alive, a line of status, stopping (sd_notify(3)).
+
+Datagrams to $NOTIFY_SOCKET that are never waited for. Without a service manager nothing is sent.
+"""
+
+import contextlib
+import os
+import socket
+from collections.abc import Callable, Mapping
+
+STATUS_S = 1.0
+WATCHDOG_SHARE = 0.5  # of the time-out, at most between two signs of life
+MICRO = 1e-6
+
+
+class Notifier:
+    """Called by the main loop alone, so that a loop that hangs sends nothing."""
+
+    def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
+        self._address = environ.get("NOTIFY_SOCKET", "")
+        if self._address.startswith("@"):  # in the abstract name space
+            self._address = "\0" + self._address[1:]
+        self.watchdog_s = _watchdog_s(environ)
+        self._socket: socket.socket | None = None
+        if self._address:
+            self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
+            self._socket.setblocking(False)
+        self._next_status_s = self._next_watchdog_s = float("-inf")
+
+    def ready(self) -> None:
+        """All is open and warm, and the loop is about to tick."""
+        self._send("READY=1")
+
+    def tick(self, now_s: float, status: Callable[[float], str]) -> None:
+        """The loop has made a pass; `status(now_s)` is one short line, asked for once a second."""
+        if self._socket is None:
+            return
+        if self.watchdog_s and now_s >= self._next_watchdog_s and self._send("WATCHDOG=1"):
+            self._next_watchdog_s = now_s + WATCHDOG_SHARE * self.watchdog_s
+        if now_s >= self._next_status_s:
+            self._next_status_s = now_s + STATUS_S
+            self._send(f"STATUS={status(now_s)}")
+
+    def stopping(self) -> None:
+        """The loop has ended."""
+        self._send("STOPPING=1")
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _send(self, message: str) -> bool:
+        """Whether it went out; where the manager is busy, the next tick tries again."""
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(message.encode(), self._address)
+                return True
+        return False
+
+
+def _watchdog_s(environ: Mapping[str, str]) -> float:
+    """The manager's time-out; 0 where it keeps no watch on this process."""
+    usec, pid = environ.get("WATCHDOG_USEC", ""), environ.get("WATCHDOG_PID", "")
+    watched = usec.isdecimal() and pid in ("", str(os.getpid()))
+    return int(usec) * MICRO if watched else 0.0

@@ -1,0 +1,100 @@
+"""Signals: each is noted when it comes and acted upon between two ticks; none kills unawares.
+
+TERM, INT and QUIT end the daemon, HUP reads the configuration anew, USR1 logs what the daemon knows
+and where it is, which is written at once, so that it shows where a loop hangs. XCPU comes to a
+real-time thread that does not pause (`LimitRTTIME=`): it says where, and ends the process. The
+others that would end a process are logged and ignored.
+"""
+
+import faulthandler
+import json
+import logging
+import signal
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from types import FrameType
+from typing import Any, Self
+
+from taxeld.config import file as config_file
+from taxeld.config.tables import Config
+from taxeld.config.toml_tables import ConfigError
+from taxeld.service import log as service_log
+
+STDERR = 2  # by its number: Python may be without the object
+STOP = (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
+IGNORED = (
+    *(signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF),
+    *(signal.SIGPOLL, signal.SIGPWR, signal.SIGSTKFLT),
+    *range(signal.SIGRTMIN, signal.SIGRTMAX + 1),
+)
+
+log = logging.getLogger(__name__)
+
+
+class Signals:
+    """The signals that the process gets while this is entered; in the main thread."""
+
+    def __init__(self) -> None:
+        self._noted: list[int] = []
+        self._before: dict[int, Any] = {}
+
+    def __enter__(self) -> Self:
+        for number in (signal.SIGHUP, signal.SIGUSR1, *IGNORED):
+            self._before[number] = signal.signal(number, self._note)
+        faulthandler.register(signal.SIGUSR1, file=STDERR, all_threads=True, chain=True)
+        faulthandler.register(signal.SIGXCPU, file=STDERR, all_threads=True, chain=True)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        faulthandler.unregister(signal.SIGUSR1)
+        faulthandler.unregister(signal.SIGXCPU)
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+
+    def stop_by(self, stop: Callable[[], None]) -> None:
+        """From now on, who ends the process has `stop` called, which only takes note."""
+        for number in STOP:
+            self._before[number] = signal.signal(number, lambda *_: stop())
+
+    def serve(self, actions: Mapping[int, Callable[[], None]]) -> None:
+        """Act upon what has come since, once each; what has no action is logged."""
+        while self._noted:
+            number = self._noted.pop(0)
+            if number in actions:
+                actions[number]()
+            else:
+                log.warning("signal %s: ignored", _name(number))
+
+    def _note(self, number: int, _: FrameType | None) -> None:
+        if number not in self._noted:
+            self._noted.append(number)
+
+
+def reload(path: Path, config: Config) -> None:
+    """Take from the configuration what can be taken while it runs; the rest needs a restart."""
+    try:
+        new = config_file.load(path)
+    except ConfigError as error:
+        log.error("%s; going on as before", "; ".join(error.faults))
+        return
+    service_log.set_level(new.log.level)
+    others = [
+        name
+        for name in Config.__dataclass_fields__
+        if name != "log" and getattr(new, name) != getattr(config, name)
+    ]
+    rest = f"; a restart is needed for what changed in {', '.join(others)}" if others else ""
+    log.warning("%s: read anew, log.level is %s%s", path, new.log.level, rest)
+
+
+def dump(state: Mapping[str, object]) -> None:
+    """Log what the daemon knows, a line a part."""
+    for name, part in state.items():
+        log.warning("%s: %s", name, json.dumps(part, default=str))
+
+
+def _name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return str(number)

@@ -1,0 +1,254 @@
+"""Counts → activations: what each taxel reads over its idle baseline, and which can be believed.
+
+CySkin counts have 16 bits and rise with pressure. Noise differs by three decades between patches:
+every taxel has a threshold of its own, learned while nothing touches the skin (`capture`). Then the
+baseline follows drift (`drift`). What has been learned can be kept over a restart (`state`).
+docs/skin.md has the rules.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taxeld.arrays import Bools, Floats, Index
+from taxeld.config.tables import SkinConfig
+from taxeld.layout.layout import Layout
+from taxeld.model.activation import Activation
+from taxeld.skin import state as skin_state
+from taxeld.skin.capture import Idle
+from taxeld.skin.channels import Wired, Wiring
+from taxeld.skin.drift import Drift, Slice
+from taxeld.skin.foam import Residue
+from taxeld.skin.frozen import Frozen
+from taxeld.skin.noise import IdleNoise
+from taxeld.skin.state import SkinState
+from taxeld_protocol.decoder import Scan
+
+INVALID_FROM = 43_000  # public tools treat counts of 0 and from here on as invalid
+THRESHOLD_MIN = 0.01  # of full scale: a lighter touch does not constrain the pose
+SILENT_S = 0.5  # readings of a hub's last scan hold for so long
+
+
+@dataclass(slots=True)
+class SkinCounters:
+    """Since start; channels are counted once a scan."""
+
+    scans: int = 0
+    invalid_counts: int = 0
+    unmapped: int = 0  # scans of a module table that names no taxel of the layout
+    learning: int = 0  # scans before any taxel had a baseline
+    hubs_silent: int = 0  # times that a hub sent no scan for too long while others did
+    states_believed: int = 0  # stored baselines that the first scans confirmed
+    states_refused: int = 0  # and those that they did not
+
+
+class Skin:
+    """Activations of one skin, from scans of all hubs that its taxels hang on."""
+
+    def __init__(self, layout: Layout, config: SkinConfig, silent_s: float = SILENT_S) -> None:
+        """`silent_s`: for so long a hub's readings hold without a new scan of it."""
+        taxels = len(layout)
+        self.layout = layout
+        self.config = config
+        self.counters = SkinCounters()
+        self.digest = skin_state.digest(layout)
+        self.captures = 0  # times that taxels got a baseline
+        self.live: Bools | None = None  # of the last activation
+        self.touched = False  # whether the last activation is of a touch
+        self.threshold: Floats = np.zeros(taxels)
+        self._silent_s = silent_s
+        self._floor = THRESHOLD_MIN * config.full_scale_counts
+        self._wiring = Wiring(layout)
+        self._counts: Floats = np.zeros(taxels)  # of each taxel's last scan, 0 where not valid
+        self._saturated: Bools = np.zeros(taxels, dtype=bool)
+        self._usable: Bools = np.zeros(taxels, dtype=bool)  # has a baseline, and is not frozen
+        self._last_scans: dict[int, tuple[float, Index]] = {}  # by hub: when, and its taxels
+        self._t = -np.inf
+        self._state: SkinState | None = None  # stored, and not yet confirmed where
+        self._pending = np.zeros(taxels, dtype=bool)
+        self._slice = Slice(taxels, len(self._wiring.suis))
+        self._drift = Drift(layout, self._wiring, config.full_scale_counts, config.drift_s)
+        self._frozen = Frozen(taxels)
+        self._noise = IdleNoise(taxels)
+        self._residue = Residue(taxels)
+        self.tare()
+
+    def tare(self) -> None:
+        """Forget the baseline; the next `baseline_scans` scans, untouched, make a new one."""
+        config = self.config
+        self._idle = Idle(
+            len(self.layout), config.baseline_scans, config.full_scale_counts, self._floor
+        )
+        self._state = None
+        self._slice.begin(-np.inf)
+        self._drift.release()
+        self.live = None
+        self.touched = False
+
+    @property
+    def baseline(self) -> Floats:
+        """(M,) counts; of no meaning where it is not known."""
+        return self._drift.baseline
+
+    @property
+    def modules(self) -> int:
+        """How many modules the taxels hang on."""
+        return len(self._wiring.suis)
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether any taxel has a baseline."""
+        return bool(self._idle.known.any())
+
+    def on_scan(self, scan: Scan) -> Activation | None:
+        """The activation after this scan; None while the baseline is being learned."""
+        self.counters.scans += 1
+        wired = self._wiring.of(scan)
+        taxels = wired.taxels
+        if not len(taxels):
+            self.counters.unmapped += 1
+            return None
+        channels = np.array(scan.counts, dtype=np.float64)
+        counts = channels[wired.channels]
+        valid = (counts > 0) & (counts < INVALID_FROM)
+        self._saturated[taxels] = counts >= INVALID_FROM
+        self.counters.invalid_counts += int(len(counts) - valid.sum())
+        self._age(scan.ihb, scan.t, taxels)
+        before, after = self._counts[taxels], np.where(valid, counts, 0.0)
+        self._counts[taxels] = after
+        full = self._slice.add(self._t, taxels, after, valid, after != before)
+        t0 = channels[wired.t0_channels]
+        t0_valid = (t0 > 0) & (t0 < INVALID_FROM)
+        self._slice.add_t0(wired.t0_modules, t0, t0_valid)
+        if self._state is not None:
+            self._judge(self._state, wired, after, np.where(t0_valid, t0, np.nan))
+        was_ready = self.is_ready
+        self._capture(taxels[valid], counts[valid])
+        if not was_ready:
+            self.counters.learning += 1
+            return None
+        activation = self._activation()
+        if full:
+            self._settle()
+        return activation
+
+    def restore(self, state: SkinState) -> None:
+        """Use what was learned before a restart, where the first scans confirm it."""
+        self._state = state
+        self._pending = ~np.isnan(state.baseline)
+        self._drift.temperature.coefficient = state.coefficient.copy()
+        self._drift.temperature.set_leak(state.leak)
+
+    def state(self) -> SkinState | None:
+        """What has been learned so far, to be kept; None before there is anything."""
+        if not self.is_ready:
+            return None
+        temperature = self._drift.temperature
+        return SkinState(
+            t=self._t,
+            digest=self.digest,
+            baseline=np.where(self._idle.known, self.baseline, np.nan),
+            noise=self._noise.sd.copy(),
+            coefficient=temperature.coefficient.copy(),
+            leak=temperature.leak.copy(),
+            t0=temperature.level,
+        )
+
+    def faults(self) -> dict[str, list[int]]:
+        """Taxels that cannot be believed, by what is wrong with them."""
+        live = self.live
+        return {
+            "dead_taxels": [] if live is None else np.flatnonzero(~live).tolist(),
+            "stuck_taxels": np.flatnonzero(self._frozen.mask).tolist(),
+            "saturated_taxels": np.flatnonzero(self._saturated).tolist(),
+            "untared_taxels": np.flatnonzero(~self._idle.known).tolist(),
+        }
+
+    def figures(self) -> dict[str, float]:
+        """The idle capture and drift in numbers."""
+        drift, temperature = self._drift, self._drift.temperature
+        return {
+            "begun_again": self._idle.begun_again,
+            "max_counts": float(np.abs(drift.followed).max()),
+            "lowered": drift.dips.lowered,
+            "raised": drift.dips.raised,
+            "t0_modules": int(np.count_nonzero(temperature.coefficient)),
+            "t0_coefficient_max": float(np.abs(temperature.coefficient).max()),
+            "t0_steps": temperature.steps,
+        }
+
+    def _age(self, hub: int, t: float, taxels: Index) -> None:
+        """A hub has sent a scan at time t; the readings of hubs that sent none for too long end."""
+        self._t = max(self._t, t)  # hubs end their scans in any order
+        self._last_scans[hub] = self._t, taxels
+        for other, (last, silent) in list(self._last_scans.items()):
+            if self._t - last > self._silent_s:
+                self._counts[silent] = 0.0
+                del self._last_scans[other]
+                self.counters.hubs_silent += 1
+
+    def _judge(self, state: SkinState, wired: Wired, counts: Floats, t0: Floats) -> None:
+        """Use what is stored of a hub's taxels, or none of it, by its first scan."""
+        taxels = wired.taxels
+        asked = self._pending[taxels]
+        answered = asked & (counts > 0)
+        if not answered.any() or 2 * answered.sum() < asked.sum():
+            return
+        self._pending[taxels] = False
+        noise, module = state.noise[taxels], self._wiring.module[taxels]
+        threshold = self._threshold(noise)
+        over = np.where(answered, counts - state.baseline[taxels], 0.0)
+        press = np.bincount(module, np.where(over > threshold, over, 0.0), len(state.t0))
+        warmer = np.zeros(len(state.t0))
+        warmer[wired.t0_modules] = t0 - (state.leak * press + state.t0)[wired.t0_modules]
+        moved = (state.coefficient * np.nan_to_num(warmer))[module]
+        if not skin_state.is_confirmed(over - moved, threshold, answered):
+            self.counters.states_refused += 1
+            self._state = None
+            return
+        self._idle.known[taxels[asked]] = True
+        self._know(taxels[asked], (state.baseline[taxels] + moved)[asked], noise[asked])
+        if not self._pending.any():
+            self.counters.states_believed += 1
+            self._state = None
+
+    def _capture(self, taxels: Index, counts: Floats) -> None:
+        """Learn the baseline of those that have none yet."""
+        if self._idle.known.all():
+            return
+        found = self._idle.on_scan(taxels, counts, self._drift.busy(self._t))
+        if len(found):
+            self._know(found, self._idle.mean[found], self._idle.noise[found])
+
+    def _know(self, taxels: Index, baseline: Floats, noise: Floats) -> None:
+        """These taxels have a baseline now [counts], and a noise."""
+        self.captures += 1
+        self._drift.take(taxels, baseline)
+        self._noise.take(taxels, noise, self.config.baseline_scans)
+        self.threshold[taxels] = self._threshold(noise)
+        self._usable = self._idle.known & ~self._frozen.mask
+        self._slice.begin(self._t)  # the readings before may be those of a touch
+
+    def _threshold(self, noise: Floats) -> Floats:
+        return np.maximum(self.config.threshold_sigmas * noise, self._floor)
+
+    def _activation(self) -> Activation:
+        live = (self._counts > 0) & self._usable
+        over = self._counts - self.baseline
+        residue = self._residue.after(np.where(live, over, 0.0), self._t)
+        pressed = live & (over > np.maximum(self.threshold, residue))
+        z = np.where(pressed, np.minimum(over / self.config.full_scale_counts, 1.0), 0.0)
+        self.live, self.touched = live, bool(pressed.any())
+        if self.touched:
+            self._drift.touched(self._t, pressed)
+        return Activation(self._t, z, live)
+
+    def _settle(self) -> None:
+        """Learn from a second of scans: frozen taxels, drift, noise and thresholds."""
+        part, known = self._slice, self._idle.known
+        self._frozen.on_slice(part.scans, part.changed, self._noise.sd[known])
+        self._usable = known & ~self._frozen.mask
+        at_rest = self._drift.on_slice(part, self._usable, self.threshold)
+        self._noise.on_slice(part.variance, part.scans, at_rest)
+        self.threshold = self._threshold(self._noise.sd)
+        part.begin(self._t)

@@ -1,0 +1,84 @@
+"""The skins' protocols: for each, what reads its frames, what starts it and how requests travel."""
+
+from collections.abc import Callable, Iterable
+from functools import partial
+from typing import NamedTuple, Protocol
+
+from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.layout.layout import Layout
+from taxeld.source.bring_up import BringUp, Request
+from taxeld.source.icub_bring_up import IcubBringUp
+from taxeld_protocol import cyskin, icub
+from taxeld_protocol.cyskin import BROADCAST, Packet
+from taxeld_protocol.decoder import Decoder, ScanDecoder
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.icub_decoder import IcubDecoder
+from taxeld_protocol.modules import wired
+
+
+class Starter(Protocol):
+    """A bring-up: decides what to send to get scans and to keep them coming."""
+
+    def restart(self) -> None: ...
+
+    def on_packet(self, packet: Packet, /) -> list[Request]: ...
+
+    def on_scan(self, ihb: int, now_s: float) -> None: ...
+
+    def due(self, now_s: float) -> Iterable[Request]: ...
+
+    def stop(self) -> list[Request]: ...
+
+
+ToFrames = Callable[[int, bytes], list[Frame]]
+
+
+class Dialect(NamedTuple):
+    """A protocol, ready for one source."""
+
+    decoder: ScanDecoder
+    bring_up: Starter | None  # None: never send
+    to_frames: ToFrames  # a request as CAN frames
+
+
+def live(config: SourceConfig, layout: Layout) -> Dialect:
+    """The configured dialect for a skin that is there.
+
+    Raises:
+        SetupError: the layout needs more boards than are configured.
+    """
+    if config.dialect == "icub":
+        boards = _boards(config, layout)
+        part = IcubDecoder(boards)
+        start = None if config.listen_only else IcubBringUp(part, boards, config.period_ms)
+        return Dialect(part, start, icub.to_frames)
+    to_frames = partial(cyskin.to_frames, ihb=BROADCAST)
+    if config.listen_only:
+        return Dialect(listener(config, layout), None, to_frames)
+    # who asks the hubs for their modules must not guess them
+    decoder = Decoder(period_s=config.period_ms / 1000.0)
+    return Dialect(decoder, BringUp(decoder, config.period_ms), to_frames)
+
+
+def listener(config: SourceConfig, layout: Layout) -> ScanDecoder:
+    """The decoder of the configured dialect for frames of a skin that something else started.
+
+    Raises:
+        SetupError: the layout needs more boards than are configured.
+    """
+    if config.dialect == "icub":
+        return IcubDecoder(_boards(config, layout))
+    modules = wired(layout.uid.tolist())
+    return Decoder(lambda _: modules, config.period_ms / 1000.0)
+
+
+def _boards(config: SourceConfig, layout: Layout) -> tuple[int, ...]:
+    """Those of the configured iCub boards that the layout's taxels hang on."""
+    needed = (int(layout.uid.max()) >> 4) // icub.TRIANGLES + 1
+    if needed > len(config.boards):
+        raise SetupError(
+            f"source.boards: names {len(config.boards)}, but {layout.name} has the triangles of "
+            f"{needed}; add the missing"
+        )
+    return config.boards[:needed]

@@ -1,0 +1,190 @@
+"""A recorded session: a directory with what the skin and the robot sent.
+
+`frames.log` (candump -L text), or `serial.bin` with `serial.csv` (t, offset: the byte at `offset`
+and those up to the next row's were read at t); `sensor_pose.csv`; `config.toml`; and, from the
+harness, `truth.csv`. `session.toml` has the version of all that and, once the recording has ended,
+how much it holds; a session without it is of version 1.
+
+A recording may end anywhere: what follows the last whole record is left out. Anything else that is
+damaged is an error.
+"""
+
+import logging
+import math
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from taxeld.errors import SetupError
+from taxeld_protocol.frames import Frame, parse_log_line
+
+FRAMES, POSES, TRUTH, CONFIG = "frames.log", "sensor_pose.csv", "truth.csv", "config.toml"
+SERIAL, SERIAL_TIMES, ABOUT = "serial.bin", "serial.csv", "session.toml"
+POSE_COLUMNS, SERIAL_COLUMNS = ["t", "x", "y", "theta"], ["t", "offset"]
+VERSION = 1
+
+PoseRow = tuple[float, float, float, float]  # t, x, y, θ
+
+log = logging.getLogger(__name__)
+
+
+class Chunk(NamedTuple):
+    """Bytes of a serial line that were read together."""
+
+    t: float
+    data: bytes
+
+
+Items = list[Frame] | list[Chunk]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """The whole records of a session, in the order of arrival."""
+
+    items: Items
+    poses: list[PoseRow]
+
+
+def has_poses(directory: Path) -> bool:
+    """Whether a robot was recorded, so that these poses are used and no others."""
+    return (directory / POSES).exists()
+
+
+def read(directory: Path) -> Session:
+    """A session, up to its last whole record; that it was cut is said in the log.
+
+    Raises:
+        SetupError: there is none, it is of a newer version, or damaged, with the line.
+    """
+    about = _about(directory)
+    items: Items
+    if (directory / SERIAL).exists() and not (directory / FRAMES).exists():
+        items, cut = _chunks(directory, about)
+        held = f"{sum(len(chunk.data) for chunk in items)} bytes"
+    else:
+        items, cut = _frames(directory / FRAMES, about)
+        held = f"{len(items)} frames"
+    poses: list[PoseRow] = []
+    if has_poses(directory):
+        lines = _Lines(directory / POSES)
+        poses = _poses(lines)
+        cut |= lines.cut
+    if cut or (about is not None and about.get("poses") != len(poses)):
+        log.warning(
+            "%s: the recording was cut; %s and %d sensor poses are whole, and used",
+            directory, held, len(poses),
+        )  # fmt: skip
+    elif not items:
+        raise SetupError(f"{directory}: holds no frames; the log is empty")
+    return Session(items, poses)
+
+
+def read_poses(path: Path) -> list[PoseRow]:
+    """The whole rows of a pose file (`t,x,y,theta`).
+
+    Raises:
+        SetupError: the file is unreadable or damaged, with the line.
+    """
+    return _poses(_Lines(path))
+
+
+class _Lines:
+    """The lines of a file, of which the last may be cut: what does not end is no line."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.cut = False  # whether a line was begun that does not end; known after the last
+
+    def __iter__(self) -> Iterator[str]:
+        try:
+            with self.path.open(encoding="ascii", errors="replace", newline="\n") as file:
+                for text in file:
+                    if text[-1] != "\n":
+                        self.cut = True
+                        return
+                    yield text.rstrip("\r\n")
+        except OSError as error:
+            raise SetupError(f"{self.path}: unreadable ({error.strerror})") from None
+
+
+def _about(directory: Path) -> dict[str, Any] | None:
+    """What `session.toml` counts, nothing before the recording has ended; None without the file."""
+    path = directory / ABOUT
+    if not path.exists():
+        return None
+    try:
+        found = tomllib.loads("\n".join(_Lines(path)))
+    except tomllib.TOMLDecodeError as error:
+        raise SetupError(f"{path}: damaged ({error})") from None
+    version = found.pop("version", VERSION)
+    if version != VERSION:
+        raise SetupError(
+            f"{path}: is of version {version}, where this taxeld reads {VERSION}; use a newer one"
+        )
+    if not all(isinstance(count, int) for count in found.values()):
+        raise SetupError(f"{path}: damaged (it counts what is no number)")
+    return found
+
+
+def _frames(path: Path, about: dict[str, Any] | None) -> tuple[list[Frame], bool]:
+    """The frames of a log, and whether it was cut."""
+    lines, frames = _Lines(path), []
+    for number, text in enumerate(lines, 1):
+        frame = parse_log_line(text)
+        if frame is not None:
+            frames.append(frame)
+        elif text.strip():
+            raise SetupError(f"{path}: line {number} is no candump line; the log is damaged")
+    return frames, lines.cut or (about is not None and about.get("frames") != len(frames))
+
+
+def _chunks(directory: Path, about: dict[str, Any] | None) -> tuple[list[Chunk], bool]:
+    """The bytes of a line as they came, and whether they were cut.
+
+    A recorder writes bytes before the rows that date them, but a power cut may keep either. Rows
+    without bytes are left out, and so are the bytes of a last row whose end no other row tells.
+    """
+    path, lines = directory / SERIAL, _Lines(directory / SERIAL_TIMES)
+    rows = _table(lines, SERIAL_COLUMNS)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SetupError(f"{path}: unreadable ({error.strerror})") from None
+    offsets = [int(offset) for _, offset in rows]
+    if offsets and (offsets[0] != 0 or offsets != sorted(offsets)):
+        raise SetupError(f"{lines.path}: its offsets do not begin at 0, or fall")
+    every_row = not lines.cut if about is None else about.get("chunks") == len(rows)
+    if every_row:
+        offsets.append(len(data) if about is None else about.get("bytes", 0))
+    chunks = [
+        Chunk(row[0], data[start:end])
+        for row, start, end in zip(rows, offsets, offsets[1:], strict=False)
+        if start < len(data)
+    ]
+    return chunks, not every_row or offsets[-1] > len(data)
+
+
+def _poses(lines: _Lines) -> list[PoseRow]:
+    return [(row[0], row[1], row[2], row[3]) for row in _table(lines, POSE_COLUMNS)]
+
+
+def _table(lines: _Lines, columns: list[str]) -> list[list[float]]:
+    """The rows of a CSV file of finite numbers under the header `columns`."""
+    table = []
+    for number, text in enumerate(lines, 1):
+        row = text.split(",")
+        if number == 1:
+            if row != columns:
+                raise SetupError(f"{lines.path}: must begin with the line {','.join(columns)}")
+            continue
+        try:
+            values = [float(value) for value in row]
+        except ValueError:
+            values = []
+        if len(values) != len(columns) or not all(map(math.isfinite, values)):
+            raise SetupError(f"{lines.path}: line {number} is not {','.join(columns)}")
+        table.append(values)
+    return table

@@ -1,0 +1,294 @@
+"""Sources of scans: CAN through python-can, a serial line, or a recorded session.
+
+A source is polled once a tick and never blocks. A device that goes away, or is not there yet, is
+opened again with growing pauses, and the skin on it is brought up anew; what arrives damaged is
+counted.
+"""
+
+import contextlib
+import logging
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.layout.layout import Layout
+from taxeld.source import dialects, session
+from taxeld.source.bring_up import Request
+from taxeld.source.devices import AwayError, Device, LostError, open_device
+from taxeld.source.dialects import Dialect, ToFrames
+from taxeld.source.outbox import Outbox
+from taxeld.source.recorder import Recorder
+from taxeld.source.reserve import Reserve
+from taxeld.source.session import Session
+from taxeld.source.wire import Heard, Wire
+from taxeld_protocol.decoder import Scan
+
+OnPose = Callable[[float, float, float, float], None]
+
+REOPEN_S = (0.2, 1.0)  # the first pause before a lost device is opened again, and the longest
+CLOSE_S = 0.2  # that the last requests may take to get out
+LOG_BURST = 10  # lines on a device that comes and goes, and then
+LOG_S = 30.0  # one in so long
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(slots=True)
+class SourceCounters:
+    """Since start."""
+
+    lost: int = 0  # times the device went away
+    reopened: int = 0
+    unopened: int = 0  # attempts to open it that failed
+    unsent: int = 0  # requests that the device did not take in time
+    noise: int = 0  # reads that python-can could not decode
+
+
+class Source(Protocol):
+    """What the loop asks of a source."""
+
+    wire: Wire
+    counters: SourceCounters
+
+    @property
+    def finished(self) -> bool:
+        """Whether nothing more will ever come."""
+        ...
+
+    @property
+    def waits_for(self) -> str:
+        """What must come before anything can, in a line; empty where nothing must."""
+        ...
+
+    def poll(self, now_s: float) -> list[Scan]:
+        """Scans that have arrived; `now_s` is monotonic."""
+        ...
+
+    def clock_stepped(self, by: float) -> None:
+        """The Unix clock was set forward by so many seconds."""
+        ...
+
+    def close(self) -> None: ...
+
+
+def open_source(
+    config: SourceConfig,
+    layout: Layout,
+    recorder: Recorder | None = None,
+    on_pose: OnPose | None = None,
+    *,
+    wait: bool = False,
+) -> Source:
+    """The configured source; `recorder` is given all that goes over its wire, `on_pose` the sensor
+    poses (t, x, y, θ) of a recorded session. With `wait` a device that is missing or busy is opened
+    once it can be.
+
+    Raises:
+        SetupError: the device or session cannot be opened.
+    """
+    if config.kind == "replay":
+        wire = Wire(config, dialects.listener(config, layout))
+        recorded = session.read(Path(config.path))
+        if not recorded.items:
+            raise SetupError(f"source.path: {config.path} was cut before its first frame")
+        return ReplaySource(recorded, wire, on_pose)
+    return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
+
+
+class LiveSource:
+    """A device that may go and come, and the bring-up of the skin behind it."""
+
+    finished = False
+
+    def __init__(
+        self,
+        config: SourceConfig,
+        dialect: Dialect,
+        device: Callable[[SourceConfig, ToFrames], Device],
+        recorder: Recorder | None,
+        *,
+        wait: bool = False,
+    ) -> None:
+        self.wire = Wire(config, dialect.decoder)
+        self.counters = SourceCounters()
+        self.waits_for = ""
+        self._open: Callable[[], Device] = lambda: device(config, dialect.to_frames)
+        self._recorder = recorder
+        self._bring_up = dialect.bring_up
+        self._device: Device | None = None
+        self._outbox: Outbox | None = None
+        self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
+        self._reserve = Reserve()
+        self._lines, self._next_line_s = LOG_BURST, 0.0
+        try:
+            self._take(self._open())
+        except SetupError as error:
+            if not (wait and isinstance(error, AwayError)):
+                self._reserve.close()
+                raise
+            self._wait(str(error), -math.inf)
+
+    def poll(self, now_s: float) -> list[Scan]:
+        if self._device is None:
+            self._reopen(now_s)
+        if self._device is None or self._outbox is None:
+            return []
+        try:
+            return self._exchange(self._device, self._outbox, now_s)
+        except LostError as error:
+            self._lose(self._device, str(error.__cause__ or "no cause is known"), now_s)
+            return []
+
+    def clock_stepped(self, by: float) -> None:
+        """A device stamps anew whatever comes."""
+
+    def close(self) -> None:
+        if self._device is not None and self._outbox is not None:
+            self._outbox.clear()
+            self._stop(self._outbox)
+            self._device.close(CLOSE_S)
+            self._device = None
+        self._reserve.close()
+
+    def _take(self, device: Device) -> None:
+        self._device, self._outbox = device, Outbox(device)
+        self._pause_s = REOPEN_S[0]
+        self.waits_for = ""
+
+    def _exchange(self, device: Device, outbox: Outbox, now_s: float) -> list[Scan]:
+        scans: list[Scan] = []
+        requests: list[Request] = []
+        for packet, ended in self._hear(device):
+            scans += ended
+            if packet is not None and self._bring_up is not None:
+                requests += self._bring_up.on_packet(packet)
+        self.counters.noise += device.noise
+        for _ in range(device.foreign):
+            self.wire.decoder.drop_foreign()
+        device.noise = device.foreign = 0
+        if self._bring_up is not None:
+            for scan in scans:
+                self._bring_up.on_scan(scan.ihb, now_s)
+            requests += self._bring_up.due(now_s)
+        for request in requests:
+            outbox.add(request, now_s)
+        self._flush(outbox, now_s)
+        return scans
+
+    def _hear(self, device: Device) -> list[Heard]:
+        heard: list[Heard] = []
+        for item in device.read():
+            if self._recorder is not None:
+                self._recorder.take(item)
+            heard += self.wire.take(item, item.t)
+        return heard
+
+    def _flush(self, outbox: Outbox, now_s: float) -> None:
+        try:
+            for frame in outbox.flush(now_s) if outbox else ():
+                if self._recorder is not None:
+                    self._recorder.take(frame)
+        finally:
+            self.counters.unsent += outbox.dropped
+            outbox.dropped = 0
+
+    def _stop(self, outbox: Outbox) -> None:
+        """Tell the skin to stop, if its device takes that in time."""
+        now_s = time.monotonic()
+        for request in self._bring_up.stop() if self._bring_up else []:
+            outbox.add(request, now_s)
+        with contextlib.suppress(LostError):
+            self._flush(outbox, now_s)
+            while outbox and time.monotonic() < now_s + CLOSE_S:
+                time.sleep(CLOSE_S / 20.0)
+                self._flush(outbox, now_s)
+
+    def _lose(self, device: Device, reason: str, now_s: float) -> None:
+        self.counters.lost += 1
+        device.close()
+        self._device = self._outbox = None
+        self._next_open_s = now_s + self._pause_s
+        self.waits_for = f"source.channel: the device went away ({reason})"
+        self._say(logging.WARNING, self.waits_for, now_s)
+
+    def _reopen(self, now_s: float) -> None:
+        if now_s < self._next_open_s:
+            return
+        waited_for = self.waits_for
+        try:
+            with self._reserve.lent():
+                self._take(self._open())
+        except SetupError as error:
+            self._wait(str(error), now_s)
+            return
+        self.counters.reopened += 1
+        self._say(logging.INFO, f"source.channel: is open, after: {waited_for}", now_s)
+        if self._bring_up is not None:
+            self._bring_up.restart()
+
+    def _wait(self, reason: str, now_s: float) -> None:
+        self.counters.unopened += 1
+        self._pause_s = min(2.0 * self._pause_s, REOPEN_S[1])
+        self._next_open_s = now_s + self._pause_s
+        if reason != self.waits_for:
+            self.waits_for = reason
+            self._say(logging.WARNING, f"{reason}; waiting for it", now_s)
+
+    def _say(self, level: int, line: str, now_s: float) -> None:
+        """Log a line, unless there were too many of late."""
+        if now_s >= self._next_line_s:
+            self._lines = min(self._lines + 1, LOG_BURST)
+            self._next_line_s = now_s + LOG_S
+        if self._lines > 0:
+            self._lines -= 1
+            log.log(level, "%s", line)
+
+
+class ReplaySource:
+    """A recorded session at the pace it was recorded, its times moved to now."""
+
+    waits_for = ""
+
+    def __init__(self, recorded: Session, wire: Wire, on_pose: OnPose | None) -> None:
+        self.wire = wire
+        self.counters = SourceCounters()
+        self._shift_s: float | None = None  # recorded time → Unix time, known from the first poll
+        self._items = recorded.items
+        self._at = 0
+        self._poses = deque(recorded.poses if on_pose else [])
+        self._on_pose = on_pose
+        self._start_s = 0.0
+
+    @property
+    def finished(self) -> bool:
+        return self._at >= len(self._items)
+
+    def poll(self, now_s: float) -> list[Scan]:
+        first_t = self._items[0].t
+        if self._shift_s is None:
+            self._shift_s = time.time() - first_t
+            self._start_s = now_s
+        until = first_t + now_s - self._start_s
+        while self._on_pose and self._poses and self._poses[0][0] <= until:
+            t, x, y, theta = self._poses.popleft()
+            self._on_pose(t + self._shift_s, x, y, theta)
+        scans: list[Scan] = []
+        while not self.finished and self._items[self._at].t <= until:
+            item = self._items[self._at]
+            for heard in self.wire.take(item, item.t + self._shift_s):
+                scans += heard.scans
+            self._at += 1
+        return scans
+
+    def clock_stepped(self, by: float) -> None:
+        if self._shift_s is not None:
+            self._shift_s += by
+
+    def close(self) -> None:
+        """Nothing is held open."""

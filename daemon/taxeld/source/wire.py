@@ -1,0 +1,67 @@
+"""What a skin sends → packets and scans: the one way for live sources, recordings and replays."""
+
+from typing import NamedTuple
+
+from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.source.session import Chunk
+from taxeld_protocol.cyskin import Packet
+from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.serial_link import SerialCounters, SerialReader
+from taxeld_protocol.slcan import SlcanReader
+
+
+class Heard(NamedTuple):
+    """A packet that came whole, if one did, and the scans that it ended."""
+
+    packet: Packet | None
+    scans: list[Scan]
+
+
+class Wire:
+    """Frames of a CAN bus, or bytes of a serial line, through the decoder."""
+
+    def __init__(self, config: SourceConfig, decoder: ScanDecoder) -> None:
+        self.decoder = decoder
+        self._slcan = SlcanReader() if config.framing == "slcan" else None
+        self._native = SerialReader()
+
+    def frame(self, frame: Frame) -> Heard:
+        """Take a CAN frame."""
+        return Heard(*self.decoder.feed(frame))
+
+    def take(self, item: Frame | Chunk, t: float) -> list[Heard]:
+        """Take either, stamped with `t`."""
+        if isinstance(item, Frame):
+            return [self.frame(item if item.t == t else item._replace(t=t))]
+        return self.data(item.data, t)
+
+    def data(self, data: bytes, t: float) -> list[Heard]:
+        """Take bytes of a serial line, in pieces of any size, that were read at time `t`.
+
+        Raises:
+            SetupError: a dialect that has no packets is configured for a line that carries them.
+        """
+        if self._slcan is not None:
+            return [self.frame(frame) for frame in self._slcan.feed(data, t)]
+        if not isinstance(self.decoder, Decoder):
+            raise SetupError("source.framing: 'native' carries CySkin packets alone; use slcan")
+        packets = self._native.feed(data, t)
+        return [Heard(packet, self.decoder.on_packet(packet)) for packet in packets]
+
+    def stats(self) -> dict[str, object]:
+        """The decoder's counters, and the line's own."""
+        reader = self._native if self._slcan is None else self._slcan
+        line = reader.counters
+        stats: dict[str, object] = {
+            **self.decoder.stats(),
+            "bytes": line.bytes,
+            "bytes_used": line.used,
+            "bytes_dropped": line.bytes - line.used - reader.pending,
+        }
+        if isinstance(line, SerialCounters) and line.bytes:  # that link checks packets itself
+            stats["packets"] = line.packets
+            stats["crc_errors"] = line.crc_errors
+            stats["length_errors"] = line.length_errors
+        return stats

@@ -1,0 +1,44 @@
+"""Asking a running daemon over its control socket, or its relay's."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import zmq
+
+from taxeld.config import endpoints
+from taxeld.errors import SetupError
+from taxeld.stream import curve
+from taxeld.stream.sockets import connect, open_socket, unpack
+
+ANSWER_BYTES = 1 << 20
+TIMEOUT_S = 2.0
+AGAIN_S = 0.5  # without an answer for so long, the daemon may have closed its socket: ask anew
+SERVER, OWN = "server.key", "client.key_secret"
+
+
+def ask(
+    endpoint: str, command: str, keys: Path | None = None, timeout_s: float | None = None
+) -> dict[str, Any] | None:
+    """The answer, or None where none comes; `keys` is a directory with server.key and
+    client.key_secret, for a daemon that takes keys.
+
+    Raises:
+        SetupError: the endpoint is none, or a key cannot be used.
+    """
+    fault = endpoints.fault(endpoint, keys is not None)
+    if fault:
+        raise SetupError(f"--endpoint: {fault.replace('set curve.directory', 'name --keys')}")
+    deadline_s = time.monotonic() + (TIMEOUT_S if timeout_s is None else timeout_s)
+    with zmq.Context() as context:
+        while (left_s := deadline_s - time.monotonic()) > 0.0:
+            with open_socket(context, zmq.REQ, send=1, receive=1, largest=ANSWER_BYTES) as socket:
+                if keys is not None and endpoint.startswith(endpoints.TCP):
+                    own = curve.secret_key(keys / OWN, "--keys")
+                    curve.as_client(socket, curve.public_key(keys / SERVER, "--keys"), *own)
+                connect(socket, endpoint, "--endpoint")
+                socket.send(msgpack.packb({"cmd": command}))
+                if socket.poll(round(min(left_s, AGAIN_S) * 1000)):
+                    return unpack(socket.recv())
+    return None

@@ -1,0 +1,114 @@
+"""CURVE: which endpoints take keys, and the keys themselves.
+
+`curve.directory` holds certificates in the form of `zmq.auth`: `server.key_secret`, the own pair of
+daemon and relay; `clients/*.key`, the public keys of those who may subscribe and ask at the relay;
+and `robot.key`, where sensor poses come from beyond this machine. They are read once, at start.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import zmq
+from zmq.auth import load_certificate
+from zmq.utils import z85
+
+from taxeld.config import endpoints
+from taxeld.config.tables import Config, CurveConfig
+from taxeld.errors import SetupError
+
+KEY = "curve.directory"
+OWN, CLIENTS, ROBOT = "server.key_secret", "clients", "robot.key"
+
+
+@dataclass(frozen=True, slots=True)
+class RobotKeys:
+    """The daemon's own pair, and the robot's public key; Z85."""
+
+    public: bytes
+    secret: bytes
+    robot: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RelayKeys:
+    """The relay's secret key, and the public ones of its clients; Z85."""
+
+    secret: bytes
+    clients: frozenset[bytes]
+
+
+def takes_keys(endpoint: str, curve: CurveConfig) -> bool:
+    return endpoint.startswith(endpoints.TCP) and (
+        curve.loopback or not endpoints.is_local(endpoint)
+    )
+
+
+def robot_keys(config: Config) -> RobotKeys | None:
+    """What the robot's poses take; None where they come plainly.
+
+    Raises:
+        SetupError: a key is missing, damaged or open to others.
+    """
+    own = _own(config.curve)
+    if own is None or not takes_keys(config.sensor_pose.endpoint, config.curve):
+        return None
+    return RobotKeys(*own, public_key(Path(config.curve.directory) / ROBOT))
+
+
+def relay_keys(config: Config) -> RelayKeys | None:
+    """What the relay's endpoints take; None where all of them are plain.
+
+    Raises:
+        SetupError: a key is missing, damaged or open to others.
+    """
+    own = _own(config.curve)
+    served = (*config.relay.publish, config.relay.control)
+    if own is None or not any(takes_keys(endpoint, config.curve) for endpoint in served):
+        return None
+    directory = Path(config.curve.directory)
+    clients = [public_key(path) for path in sorted((directory / CLIENTS).glob("*.key"))]
+    if not clients:
+        raise SetupError(
+            f"{KEY}: no {CLIENTS}/*.key in {directory}; copy the public keys of those "
+            "who may subscribe there"
+        )
+    return RelayKeys(own[1], frozenset(clients))
+
+
+def public_key(path: Path, asked_by: str = KEY) -> bytes:
+    """Raises SetupError, in the name of `asked_by`, where `path` is no certificate."""
+    return _certificate(path, asked_by)[0]
+
+
+def secret_key(path: Path, asked_by: str = KEY) -> tuple[bytes, bytes]:
+    """Public and secret key; SetupError also where others may read them."""
+    public, secret = _certificate(path, asked_by)
+    if not secret:
+        raise SetupError(f"{asked_by}: {path} holds no secret key; see docs/stream.md, 'Keys'")
+    if path.stat().st_mode & 0o007:
+        raise SetupError(f"{asked_by}: {path} is open to others; chmod 640 {path}")
+    return public, secret
+
+
+def as_client(socket: zmq.Socket[Any], server: bytes, public: bytes, secret: bytes) -> None:
+    """Talk to none but who holds the secret of the public key `server`."""
+    socket.setsockopt(zmq.CURVE_SERVERKEY, server)
+    socket.setsockopt(zmq.CURVE_PUBLICKEY, public)
+    socket.setsockopt(zmq.CURVE_SECRETKEY, secret)
+
+
+def _own(curve: CurveConfig) -> tuple[bytes, bytes] | None:
+    """The own pair, which a directory that is named must hold, whoever asks for keys."""
+    return secret_key(Path(curve.directory) / OWN) if curve.directory else None
+
+
+def _certificate(path: Path, asked_by: str) -> tuple[bytes, bytes | None]:
+    try:
+        public, secret = load_certificate(path)
+        if any(len(z85.decode(k)) != 32 for k in (public, secret) if k):
+            raise ValueError("a key is not 32 bytes in Z85")
+    except (OSError, ValueError, KeyError) as error:
+        why = "is not there" if not path.exists() else f"is no certificate ({error})"
+        raise SetupError(f"{asked_by}: {path} {why}; see docs/stream.md, 'Keys'") from None
+    return public, secret

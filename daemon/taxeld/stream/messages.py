@@ -1,0 +1,112 @@
+"""What is published: one msgpack map a message, every key always present (docs/stream.md).
+
+PlotJuggler's ZMQ subscriber plots the estimate stream as it is: string keys, and only numbers,
+booleans, lists and maps.
+"""
+
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+from taxeld import __version__
+from taxeld.arrays import Poses
+from taxeld.estimator.estimate import Estimate, ProposalKind, Status
+from taxeld.layout.layout import Layout
+from taxeld.model.activation import Activation
+from taxeld.model.scene import Scene
+from taxeld.proposals.ladder import Step
+
+VERSION = 1  # of the stream: `v` in every message
+
+ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO = (
+    b"/taxeld/estimate", b"/taxeld/particles", b"/taxeld/taxels", b"/taxeld/health",
+    b"/taxeld/info",
+)  # fmt: skip
+TOPICS = (ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO)
+SENSOR_POSE = b"/robot/sensor_pose"
+
+STAGES = ("source", "skin", "propose", "filter", "publish", "total")
+
+
+def estimate(
+    e: Estimate, *, seq: int, valid: bool, mono_ns: int = 0, age_us: float = 0.0,
+    overruns: int = 0, degraded: int = 0, lat_us: dict[str, float] | None = None,
+) -> dict[str, Any]:  # fmt: skip
+    """`/taxeld/estimate`; in a replay, where time is not measured, the timing keys are 0."""
+    return {
+        "v": VERSION,
+        "seq": seq,
+        "t": e.t,
+        "mono_ns": mono_ns,
+        "valid": valid,
+        "status": int(e.status),
+        "contact": e.contact,
+        "contacts": e.contacts,
+        "map": _pose(e.map),
+        "mean": _pose(e.mean),
+        "cov": e.cov.tolist(),
+        "modes": [{**_pose(mode.pose), "weight": mode.weight} for mode in e.modes],
+        "ess": e.ess,
+        "particles": e.particles,
+        "injected": e.injected,
+        "proposal": int(e.proposal),
+        "log_evidence": e.log_evidence,
+        "age_us": age_us,
+        "overruns": overruns,
+        "degraded": degraded,
+        "lat_us": lat_us or dict.fromkeys(STAGES, 0.0),
+    }
+
+
+def particles(t: float, seq: int, pose: Poses, weight: Poses) -> dict[str, Any]:
+    """`/taxeld/particles`."""
+    return {
+        "v": VERSION, "seq": seq, "t": t, "xytheta": pose.tolist(), "weight": weight.tolist(),
+    }  # fmt: skip
+
+
+def taxels(activation: Activation, seq: int) -> dict[str, Any]:
+    """`/taxeld/taxels`."""
+    return {
+        "v": VERSION, "seq": seq, "t": activation.t,
+        "z": activation.z.tolist(), "live": activation.live.tolist(),
+    }  # fmt: skip
+
+
+def health(seq: int, t: float, parts: dict[str, Any]) -> dict[str, Any]:
+    """`/taxeld/health`: counters and dataclasses of counters, by part."""
+    plain = {k: _plain(v) for k, v in parts.items()}
+    return {"v": VERSION, "seq": seq, "t": t, **plain}
+
+
+def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str) -> dict[str, Any]:
+    """`/taxeld/info`: which daemon this is, and what its numbers mean."""
+    return {
+        "v": VERSION,
+        "taxeld": __version__,
+        "units": {"length": "m", "angle": "rad", "time": "s", "lat_us": "us", "age_us": "us"},
+        "status": {str(int(s)): s.name.lower() for s in Status},
+        "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
+        "degraded": {str(int(s)): s.name.lower() for s in Step},
+        "layout": {
+            "name": layout.name,
+            "digest": layout.digest,
+            "taxels": len(layout),
+            "radius_m": layout.radius_m,
+            "position_m": layout.position_m.tolist(),
+        },
+        "object": bundle["object"],
+        "symmetry": scene.symmetry,
+        "outline": scene.outline.tolist(),
+        "config_hash": config_hash,
+    }
+
+
+def _plain(part: Any) -> Any:
+    """A dataclass as a map; as `dataclasses.asdict`, without copying what is plain already."""
+    if not is_dataclass(part):
+        return part
+    return {f.name: _plain(getattr(part, f.name)) for f in fields(part)}
+
+
+def _pose(pose: Poses) -> dict[str, float]:
+    return {"x": float(pose[0]), "y": float(pose[1]), "theta": float(pose[2])}

@@ -1,0 +1,135 @@
+"""What all sockets share: options, reading a bounded number of frames a tick, and hanging up."""
+
+import os
+import socket as kernel
+import struct
+from collections.abc import Iterator
+from typing import Any
+
+import msgpack
+import zmq
+
+from taxeld.errors import SetupError
+
+FRAMES_MAX = 8  # a message of more frames is none of ours, and none is read any further
+HANDSHAKE_MS = 5000  # a peer that has not said who it is by then is let go
+KEEPALIVE_S = 10  # the kernel asks a silent peer beyond this machine, and lets a dead one go
+KEEPALIVE_TRIES = 3
+
+
+def open_socket(
+    context: zmq.Context[Any], kind: int, *, send: int, receive: int, largest: int
+) -> zmq.Socket[Any]:
+    """A socket that keeps `send` and `receive` messages a peer, and hangs up on one that sends a
+    frame of more than `largest` bytes.
+
+    There are no heartbeats: in libzmq 4.3.5 a peer that floods and leaves has their timer abort
+    the process.
+    """
+    socket: zmq.Socket[Any] = context.socket(kind)
+    for option, value in (
+        (zmq.LINGER, 0),
+        (zmq.SNDHWM, send),
+        (zmq.RCVHWM, receive),
+        (zmq.MAXMSGSIZE, largest),
+        (zmq.HANDSHAKE_IVL, HANDSHAKE_MS),
+        (zmq.TCP_KEEPALIVE, 1),
+        (zmq.TCP_KEEPALIVE_IDLE, KEEPALIVE_S),
+        (zmq.TCP_KEEPALIVE_INTVL, KEEPALIVE_S),
+        (zmq.TCP_KEEPALIVE_CNT, KEEPALIVE_TRIES),
+    ):
+        socket.setsockopt(option, value)
+    return socket
+
+
+def connect(socket: zmq.Socket[Any], endpoint: str, key: str) -> None:
+    """Raises SetupError where the endpoint is none."""
+    socket.setsockopt(zmq.IPV6, "[" in endpoint)
+    try:
+        socket.connect(endpoint)
+    except zmq.ZMQError as error:
+        raise SetupError(f"{key}: cannot use {endpoint} ({why(error)})") from None
+
+
+def why(error: zmq.ZMQError) -> str:
+    return str(error.strerror).partition(" (addr=")[0]  # the endpoint is named already
+
+
+def unpack(body: bytes) -> dict[str, Any]:
+    """A msgpack map, or an empty one for anything else."""
+    try:
+        value = msgpack.unpackb(body)
+    except (ValueError, msgpack.UnpackException):
+        return {}
+    return value if isinstance(value, dict) else {}
+
+
+def is_waiting(socket: zmq.Socket[Any]) -> bool:
+    """Whether there is something to receive; cheaper than an exception."""
+    return bool(int(socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
+
+
+def messages(socket: zmq.Socket[Any], most: int) -> Iterator[list[bytes] | None]:
+    """At most so many of the messages that have arrived, each whole.
+
+    The last is None where one has too many frames: reading on would take a tick or many, so the
+    socket must be closed, which frees them at once.
+    """
+    for _ in range(most):
+        if not is_waiting(socket):
+            return
+        parts = [socket.recv(zmq.NOBLOCK)]
+        while socket.getsockopt(zmq.RCVMORE):
+            if len(parts) == FRAMES_MAX:
+                yield None
+                return
+            parts.append(socket.recv(zmq.NOBLOCK))
+        yield parts
+
+
+def connection_of(frame: zmq.Frame) -> int | None:
+    """The descriptor of the connection that `frame` came by; None where ZeroMQ made it itself."""
+    try:
+        return int(frame.get(zmq.SRCFD))
+    except zmq.ZMQError:
+        return None
+
+
+def hang_up(frame: zmq.Frame) -> bool:
+    """Disconnect the peer that sent `frame`; → whether it was still there."""
+    number = connection_of(frame)
+    if number is None:
+        return False
+    try:
+        with borrowed(number) as connection:
+            # ZeroMQ may have closed it, and its number may be another connection's by now
+            if str(frame.get("Peer-Address")) != _peer(connection):
+                return False
+            connection.shutdown(kernel.SHUT_RDWR)
+    except OSError:
+        return False
+    return True
+
+
+def borrowed(number: int) -> kernel.socket:
+    """The kernel's socket of a descriptor that is ZeroMQ's, to be closed without closing that.
+
+    Raises:
+        OSError: it is none.
+    """
+    copy = os.dup(number)
+    try:
+        return kernel.socket(fileno=copy)
+    except OSError:
+        os.close(copy)
+        raise
+
+
+def _peer(connection: kernel.socket) -> str:
+    """Who is at the other end, as ZeroMQ writes it."""
+    if connection.family != kernel.AF_UNIX:
+        return str(connection.getpeername()[0])
+    size = struct.calcsize("3i")
+    credentials = connection.getsockopt(kernel.SOL_SOCKET, kernel.SO_PEERCRED, size)
+    pid, uid, gid = struct.unpack("3i", credentials)
+    return f"localhost:{uid}:{gid}:{pid}"

@@ -1,0 +1,258 @@
+"""What a subscriber sees of a run, graded as it goes: silent failures, flags, recoveries, ages.
+
+Memory is bounded, so that a day can be judged as well as a minute.
+"""
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.estimator.estimate import Status
+from taxeld.model.scene import Scene
+from taxeld.model.symmetry import SILENT_MM, add_m
+from taxeld_hil.grade import flags
+from taxeld_hil.grade.flags import Flag, Health, TaxelsOf
+from taxeld_hil.rig.rig import SETTLE_S
+from taxeld_hil.scenario.scenario import Fault, Scenario
+
+SILENCE_S = 0.1  # without an estimate for so long, the stream is silent
+USABLE = (Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED)
+DOUBTS = (Status.INCONSISTENT, Status.BLIND)
+STOPPED = (Status.STARTING, Status.STALE)
+AGE_UNIT_S = 1e-4
+EPISODES_KEPT = 100
+
+
+class Sample(NamedTuple):
+    """An estimate as it was received."""
+
+    t: float  # scenario time
+    status: Status
+    valid: bool
+    contacts: int
+    map: Poses  # (3,)
+    scan_t: float  # that it is of, by whatever clock; 0: none yet
+    age_s: float  # of that scan
+    total_us: float = 0.0  # of the tick
+
+
+@dataclass(slots=True)
+class Seen:
+    """What was seen of one fault."""
+
+    fault: Fault
+    flag: Flag | None
+    injected: bool = True
+    detected_s: float | None = None  # after its beginning
+    recovered_s: float | None = None  # after its end, to a usable estimate that no stop follows
+    found_again_s: float | None = None  # after its end, to a converged and right one
+    close_s: float = 0.0  # until when it may recover
+    doubted: bool = False  # at the end of its time the status was INCONSISTENT or BLIND
+    overlapped: bool = False  # by another that is not over, or began before it could recover
+    taxels: tuple[int, ...] = ()
+    before: Health | None = None  # the last health without it
+    usable_s: float | None = None  # the first usable estimate after its end and the last stop
+    listed_s: float = 0.0  # after its end: the last health that lists its taxels, or the first line
+    # of the subscriber that was killed
+
+    @property
+    def recovery_s(self) -> float | None:
+        """How long after its end it had recovered, as far as is known now; None: it has not."""
+        if self.usable_s is None or (self.fault.kind == "subscriber_dead" and not self.listed_s):
+            return None
+        return max(self.usable_s, self.listed_s)
+
+
+@dataclass(slots=True)
+class Tally:
+    """Counts over all estimates."""
+
+    estimates: int = 0
+    valid: int = 0
+    silent: int = 0  # estimates that are silent failures,
+    silent_episodes: int = 0  # in so many uninterrupted sequences,
+    silent_at_s: list[float] = field(default_factory=list)  # which began at these times
+    worst_silent_mm: float = 0.0
+    ages: Counter[int] = field(default_factory=Counter)  # of each scan's first estimate
+    ticks_us: Counter[int] = field(default_factory=Counter)
+
+
+class Judge:
+    """Follows one run."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        scene: Scene,
+        truth: Poses | None,
+        not_injected: tuple[str, ...],
+        taxels_of: TaxelsOf,
+    ) -> None:
+        """`truth` (3,) where it is known; `not_injected`: kinds that this run cannot do."""
+        self.scenario = scenario
+        self.truth = truth
+        self.tally = Tally()
+        self.last: Sample | None = None
+        self.health: Health | None = None
+        self.seen: list[Seen] = []
+        self._scene = scene
+        self._live: list[Seen] = []
+        self._todo = [
+            Seen(
+                fault,
+                flags.flag_of(fault, scenario.transport),
+                fault.kind not in not_injected,
+                close_s=_close_s(fault, scenario),
+                overlapped=_is_overlapped(fault, scenario),
+                taxels=tuple(taxels_of(fault)),
+            )
+            for fault in sorted(scenario.fault, key=lambda fault: fault.at_s)
+        ]
+        self._error: tuple[bytes, float] = b"", np.nan
+        self._was_silent = False
+
+    def error_mm(self, pose: Poses) -> float:
+        """Symmetry-aware ADD; not a number without a truth."""
+        if self.truth is None:
+            return float("nan")
+        at = np.asarray(pose).tobytes()
+        if at != self._error[0]:  # it stays the same for many ticks
+            self._error = at, 1e3 * add_m(self._scene, np.asarray(pose), self.truth)[1]
+        return self._error[1]
+
+    def on_estimate(self, sample: Sample) -> None:
+        tally, last = self.tally, self.last
+        tally.estimates += 1
+        tally.valid += sample.valid
+        if sample.scan_t and (last is None or sample.scan_t != last.scan_t):
+            tally.ages[round(sample.age_s / AGE_UNIT_S)] += 1
+            tally.ticks_us[round(sample.total_us)] += 1
+        self._count_silent(sample)
+        if self._todo or self._live:
+            self._advance(sample.t)
+            for seen in self._live:
+                self._look(seen, sample, last)
+        self.last = sample
+
+    def on_health(self, t: float, health: Health) -> None:
+        self._advance(t)
+        for seen in self._live:
+            flag, fault = seen.flag, seen.fault
+            if flag is None:
+                continue
+            listed = flags.lists(flag, health, seen.taxels)
+            if seen.detected_s is None and (listed or flags.grew(flag, seen.before, health)):
+                seen.detected_s = t - fault.at_s
+            if listed and t > fault.end_s:
+                seen.listed_s = t - fault.end_s
+        self.health = health
+
+    def came_back(self, kind: str, t: float) -> None:
+        """The process that a fault of this kind had killed works again."""
+        for seen in self._live:
+            if seen.fault.kind == kind and t > seen.fault.end_s and not seen.listed_s:
+                seen.listed_s = t - seen.fault.end_s
+
+    def has_recovered(self, t: float) -> bool:
+        """Whether all faults are over, and the daemon usable since, for SETTLE_S at least."""
+        return not self._todo and all(
+            seen.recovery_s is not None and t - seen.fault.end_s > seen.recovery_s + SETTLE_S
+            for seen in self._live
+        )
+
+    def end(self, t: float) -> None:
+        """The run is over."""
+        self._advance(t)
+        for seen in self._live:
+            self._close(seen)
+        self._live = []
+
+    def _advance(self, t: float) -> None:
+        """Follow the faults that have begun, and close those whose time to recover is over."""
+        while self._todo and self._todo[0].fault.at_s <= t:
+            seen = self._todo.pop(0)
+            seen.before = self.health
+            self._live.append(seen)
+            self.seen.append(seen)
+        for seen in [s for s in self._live if s.close_s <= t]:
+            self._live.remove(seen)
+            self._close(seen)
+
+    def _look(self, seen: Seen, sample: Sample, last: Sample | None) -> None:
+        fault, flag = seen.fault, seen.flag
+        if seen.detected_s is None and flag is not None:
+            if sample.status.name in flag.status:
+                seen.detected_s = sample.t - fault.at_s
+            elif flag.silence and last is not None and sample.t - last.t > SILENCE_S:
+                seen.detected_s = max(0.0, last.t + SILENCE_S - fault.at_s)
+        if sample.t < fault.end_s:
+            return
+        after = sample.t - fault.end_s
+        if sample.status in STOPPED:
+            seen.usable_s = None
+        elif seen.usable_s is None and _is_usable(sample):
+            seen.usable_s = after
+        right = self.truth is None or self.error_mm(sample.map) < self.scenario.expect.error_mm
+        if seen.found_again_s is None and sample.status == Status.CONVERGED and right:
+            seen.found_again_s = after
+
+    def _close(self, seen: Seen) -> None:
+        """Decide whether it recovered."""
+        seen.before = None
+        if seen.usable_s is None:
+            seen.doubted = self.last is not None and self.last.status in DOUBTS
+            seen.overlapped |= seen.close_s < seen.fault.end_s + _window_s(self.scenario)
+            return
+        if not seen.overlapped:
+            seen.recovered_s = seen.recovery_s
+
+    def _count_silent(self, sample: Sample) -> None:
+        silent = False
+        if sample.valid and sample.status == Status.CONVERGED and self.truth is not None:
+            error = self.error_mm(sample.map)
+            silent = error > SILENT_MM
+            if silent:
+                self.tally.silent += 1
+                if not self._was_silent:
+                    self.tally.silent_episodes += 1
+                    self.tally.silent_at_s.append(sample.t)
+                    del self.tally.silent_at_s[EPISODES_KEPT:]
+                self.tally.worst_silent_mm = max(self.tally.worst_silent_mm, error)
+        self._was_silent = silent
+
+
+def _window_s(scenario: Scenario) -> float:
+    """After a fault's end, in which it must recover."""
+    return scenario.expect.recovery_s + SETTLE_S
+
+
+def _close_s(fault: Fault, scenario: Scenario) -> float:
+    """When that window ends: at the latest when another fault begins."""
+    later = [other.at_s for other in scenario.fault if other.at_s >= fault.end_s]
+    return min([fault.end_s + _window_s(scenario), *later])
+
+
+def _is_overlapped(fault: Fault, scenario: Scenario) -> bool:
+    """Whether another that stops the estimates is on when this one ends."""
+    return any(
+        other.at_s < fault.end_s < other.end_s
+        for other in scenario.fault
+        if other.kind in flags.STOPPING
+    )
+
+
+def _is_usable(sample: Sample) -> bool:
+    return sample.status in USABLE and (sample.valid or sample.contacts == 0)
+
+
+def percentile(counts: Counter[int], share: float) -> float:
+    """The value below which so much of the counts lies, in their unit; 0 of none."""
+    total, seen = sum(counts.values()), 0
+    for value in sorted(counts):
+        seen += counts[value]
+        if seen >= share * total:
+            return float(value)
+    return 0.0

@@ -1,0 +1,97 @@
+"""The daemon's counters against the ledger: nothing may be lost without being counted."""
+
+from typing import Any, NamedTuple
+
+from taxeld_hil.grade.flags import value
+from taxeld_hil.rig.ledger import Ledger
+
+
+class Law(NamedTuple):
+    """Two numbers that must be equal, but for `slack`."""
+
+    name: str
+    expected: int  # by the ledger, or by the daemon's own other counters
+    counted: int  # by the daemon
+    slack: int = 0
+
+    @property
+    def holds(self) -> bool:
+        return abs(self.expected - self.counted) <= self.slack
+
+
+def laws(ledger: Ledger, health: dict[str, Any], *, line: bool, exact_times: bool) -> list[Law]:
+    """Those for the host that listens, when nothing is in transit any more.
+
+    `line`: of the native link; `exact_times`: whether the host's stamps are the ledger's times, as
+    they are on a fake clock, so that pauses can be compared as well.
+    """
+    fates = ledger.fates
+
+    def counted(name: str) -> int:
+        return value(health, name)
+
+    found = _line(ledger, health) if line else _frames(ledger, health)
+    found += [
+        Law("packets whole", fates.packets, counted("source.packets")),
+        Law(
+            "packets of no module, malformed or unknown",
+            # a foreign frame is of no known command
+            fates.index_errors + (0 if line else fates.foreign),
+            counted("source.index_errors") + counted("source.malformed")
+            + counted("source.unknown"),
+            fates.unclear,
+        ),
+        Law("packets before the modules", fates.undeclared, counted("source.undeclared")),
+        Law("scans", fates.scans, counted("source.scans"), fates.unclear),
+        Law("scans incomplete", fates.incomplete, counted("source.incomplete"), fates.unclear),
+    ]  # fmt: skip
+    if exact_times:
+        missed = counted("source.missed")
+        found.append(Law("scans missed", fates.missed, missed, 20 * fates.unclear))
+    return found + _onwards(ledger, health)
+
+
+def _frames(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
+    fates = ledger.fates
+    dropped = [value(health, f"source.dropped.{name}") for name in DROPPED]
+    fate_of_frames = sum(dropped) + value(health, "source.used") + value(health, "source.pending")
+    return [
+        Law("frames", fates.units, value(health, "source.frames")),
+        Law("frames used, dropped or pending", value(health, "source.frames"), fate_of_frames),
+        Law("foreign frames", fates.foreign, dropped[3]),
+        Law("frames without a first", fates.orphan, dropped[2]),
+        Law("packets of wrong length", fates.length_errors, value(health, "source.length_errors")),
+        Law("packets of wrong checksum", fates.crc_errors, value(health, "source.crc_errors")),
+    ]
+
+
+DROPPED = ("crc", "length", "orphan", "foreign")
+
+
+def _line(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
+    fates = ledger.fates
+    errors = value(health, "source.crc_errors") + value(health, "source.length_errors")
+    return [
+        Law("bytes", fates.bytes, value(health, "source.bytes")),
+        Law("lines damaged", fates.line_errors, errors),
+    ]
+
+
+def _onwards(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
+    """What became of scans and poses inside the daemon."""
+
+    def counted(name: str) -> int:
+        return value(health, name)
+
+    unused = ("scans_old", "scans_from_the_future", "scans_crowded_out", "scans_waiting")
+    used = counted("skin.scans") + sum(counted(f"inputs.{name}") for name in unused)
+    taken = (
+        counted("estimator.scans") + counted("skin.learning") + counted("skin.unmapped")
+        + counted("inputs.scans_without_pose")
+    )  # fmt: skip
+    poses = counted("inputs.poses") + counted("inputs.poses_rejected")
+    return [
+        Law("scans to the skin, refused or waiting", counted("source.scans"), used),
+        Law("scans used, learned from or without a pose", counted("skin.scans"), taken),
+        Law("poses", ledger.poses_heard, poses + counted("inputs.poses_malformed")),
+    ]

@@ -1,0 +1,72 @@
+"""A grade for people (lines of text), for programs (grade.json) and for CI (JUnit XML)."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+from taxeld_hil.grade.grade import Check, Grade
+
+GRADE, JUNIT = "grade.json", "junit.xml"
+MARKS = {True: "ok  ", False: "FAIL", None: "-   "}
+
+
+def lines(grade: Grade) -> Iterator[str]:
+    """The report: laws that hold are one line."""
+    run, figures = grade.run, grade.figures
+    yield (
+        f"{run.scenario}, seed {run.seed}, on {run.target} over {run.transport}, {run.clock} clock"
+    )
+    laws = [check for check in grade.checks if check.name.startswith("accounts: ")]
+    for check in grade.checks:
+        if check not in laws or not check.passed:
+            yield _line(check)
+    if laws and all(check.passed for check in laws):
+        sent = figures["ledger"]["fates"]["units"]
+        detail = f"{len(laws)} equalities hold over {sent} frames"
+        yield _line(Check("accounts", True, detail))
+    for name, what in (("age_ms", "scan to estimate"), ("tick_ms", "tick with a scan")):
+        if figures[name]["max"]:
+            parts = ", ".join(f"{key} {value:.2f}" for key, value in figures[name].items())
+            yield f"      {what} [ms]: {parts}"
+    done = figures["ledger"].get("done", {}) if figures["ledger"] else {}
+    if done:
+        yield "      injected: " + ", ".join(f"{kind} {n}" for kind, n in done.items())
+    failed = sum(check.passed is False for check in grade.checks)
+    yield "passed" if grade.passed else f"failed: {failed} of {len(grade.checks)} checks"
+
+
+def write(grade: Grade, directory: Path) -> None:
+    """grade.json and junit.xml."""
+    text = json.dumps(grade.as_json(), indent=1)
+    (directory / GRADE).write_text(text + "\n", encoding="utf-8")
+    ET.ElementTree(junit([grade])).write(directory / JUNIT, encoding="utf-8", xml_declaration=True)
+
+
+def junit(grades: list[Grade]) -> ET.Element:
+    """A test suite for each run, with a test case for each check."""
+    root = ET.Element("testsuites")
+    for grade in grades:
+        run, checks = grade.run, grade.checks
+        suite = ET.SubElement(
+            root,
+            "testsuite",
+            name=f"{run.scenario}.{run.target}.{run.transport}.{run.clock}",
+            tests=str(len(checks)),
+            failures=str(sum(check.passed is False for check in checks)),
+            skipped=str(sum(check.passed is None for check in checks)),
+            errors="0",
+        )
+        for check in checks:
+            case = ET.SubElement(suite, "testcase", classname=run.scenario, name=check.name)
+            if check.passed is None:
+                ET.SubElement(case, "skipped", message=check.detail)
+            elif not check.passed:
+                ET.SubElement(case, "failure", message=check.detail)
+            else:
+                ET.SubElement(case, "system-out").text = check.detail
+    return root
+
+
+def _line(check: Check) -> str:
+    return f"{MARKS[check.passed]}  {check.name}: {check.detail}"

@@ -1,0 +1,4 @@
+"""The virtual hub on its wire: frames, faults in them, and the ledger of all that was sent.
+
+What the daemon makes of them is graded elsewhere.
+"""

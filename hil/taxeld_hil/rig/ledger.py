@@ -1,0 +1,200 @@
+"""The ledger: all that went over the wire to the host, and what the host must have counted of it.
+
+It knows which packet each frame was cut from, and so the fate of every packet: whole, damaged, or
+never there. The daemon's counters must agree with it (`reconcile`), to the last frame.
+"""
+
+from collections import Counter
+from dataclasses import asdict, dataclass, field
+from itertools import accumulate
+from typing import Any, NamedTuple
+
+from taxeld_protocol.cyskin import MAX_FRAGMENTS, Command, crc8
+from taxeld_protocol.decoder import GAP_SHARE, MISSED_SHARE, PAUSE_MAX_S
+from taxeld_protocol.frames import Frame
+
+
+class Sent(NamedTuple):
+    """A packet as the hub sent it."""
+
+    data: bytes  # on CAN the packet's, on the native link the line's
+    command: int
+    fragments: int = 1
+    start: int = 0  # SENSOR_DATA: the first channel
+    values: int = 0  # and how many
+
+
+class Unit(NamedTuple):
+    """What goes over the wire in one piece: a CAN frame, or a line of the native link."""
+
+    item: Frame | bytes
+    sent: Sent | None  # None: nothing of the skin's
+    part: int = 0  # which of the fragments
+
+
+@dataclass(slots=True)
+class Fates:
+    """What must have become of all that was delivered since this host began to listen."""
+
+    units: int = 0  # frames, or lines of the native link
+    bytes: int = 0  # of those lines
+    foreign: int = 0  # units that are not the skin's
+    orphan: int = 0  # frames without a first
+    packets: int = 0  # that arrived whole
+    length_errors: int = 0
+    crc_errors: int = 0
+    line_errors: int = 0  # lines of the native link, with either error
+    undetected: int = 0  # damaged packets whose checksum is right all the same;
+    unclear: int = 0  # of them, those that are not SENSOR_DATA, and not followed further
+    index_errors: int = 0  # of them, those of a module or channel that does not exist
+    undeclared: int = 0  # SENSOR_DATA before the modules were declared
+    scans: int = 0
+    incomplete: int = 0
+    missed: int = 0
+
+
+@dataclass(slots=True)
+class Ledger:
+    """What was sent in one run; `fates` begin anew with each host."""
+
+    modules: tuple[int, ...]  # channels of each
+    period_s: float
+    fates: Fates = field(default_factory=Fates)
+    done: Counter[str] = field(default_factory=Counter)  # what the injector did, by kind
+    scans_sent: int = 0
+    packets_sent: int = 0
+    poses_sent: int = 0
+    poses_heard: int = 0  # by this host
+    refused: int = 0  # units that the host did not make room for
+    hosts: int = 1
+    _open: list[Unit] = field(default_factory=list)
+    _first: list[int] = field(default_factory=list)
+    _channels: int = 0
+    _declared: bool = False
+    _reached: int = 0
+    _filled: int = 0
+    _t: float | None = None  # of the last scan's first packet
+    _last_t: float = 0.0  # of the last packet
+
+    def __post_init__(self) -> None:
+        self._first = [0, *accumulate(self.modules)]
+        self._channels = self._first[-1]
+
+    def begin(self) -> None:
+        """Another host listens from now on."""
+        self.fates = Fates()
+        self.poses_heard = 0
+        self.hosts += 1
+        self._open, self._declared, self._t = [], False, None
+        self._reached = self._filled = 0
+
+    def deliver(self, unit: Unit, t: float) -> None:
+        """The host was handed this at time t."""
+        fates = self.fates
+        fates.units += 1
+        if isinstance(unit.item, bytes):
+            self._line(unit, unit.item, t)
+        elif unit.sent is None:
+            fates.foreign += 1
+        else:
+            self._frame(unit, unit.sent, t)
+
+    def deliver_all(self, units: list[Unit], t: float) -> None:
+        """The same of several."""
+        for unit in units:
+            self.deliver(unit, t)
+
+    def entries(self) -> dict[str, Any]:
+        """For a report."""
+        names = ("scans_sent", "packets_sent", "poses_sent", "refused", "hosts")
+        return {
+            "done": dict(sorted(self.done.items())),
+            **{name: getattr(self, name) for name in names},
+            "fates": asdict(self.fates),
+        }
+
+    def _line(self, unit: Unit, line: bytes, t: float) -> None:
+        self.fates.bytes += len(line)
+        if unit.sent is None or line != unit.sent.data:
+            self.fates.foreign += unit.sent is None
+            self.fates.line_errors += 1
+        else:
+            self._arrived(unit.sent, t)
+
+    def _frame(self, unit: Unit, sent: Sent, t: float) -> None:
+        if unit.part == 0:
+            self.fates.length_errors += bool(self._open)  # the packet before was cut short
+            self._open = []
+        elif not self._open:
+            self.fates.orphan += 1
+            return
+        self._open.append(unit)
+        if unit.part == sent.fragments - 1:
+            parts, self._open = self._open, []
+            self._judge(parts, t)
+        elif len(self._open) >= MAX_FRAGMENTS:
+            self._open = []
+            self.fates.length_errors += 1
+
+    def _judge(self, parts: list[Unit], t: float) -> None:
+        """Fragments from a first to a last, which need not be of one packet."""
+        fates, sent = self.fates, parts[0].sent
+        data = b"".join(part.item.data for part in parts if isinstance(part.item, Frame))
+        if sent is not None and data[: len(sent.data)] == sent.data:
+            self._arrived(sent, t)
+        elif len(data) <= 2 or len(data) < data[1] + 3:
+            fates.length_errors += 1
+        elif crc8(data[: data[1] + 2]) != data[data[1] + 2]:
+            fates.crc_errors += 1
+        else:
+            fates.undetected += 1
+            fates.packets += 1
+            self._passed(data[: data[1] + 2], t)
+
+    def _passed(self, packet: bytes, t: float) -> None:
+        """A damaged packet that looks like a good one."""
+        if packet[0] != Command.SENSOR_DATA:
+            self.fates.unclear += 1
+        elif len(packet) < 4 or not self._declared:
+            self.fates.undeclared += len(packet) >= 3
+        else:
+            module, channel, values = packet[2], packet[3], len(packet) // 2 - 2
+            is_place = module < len(self.modules) and channel < self.modules[module]
+            if len(packet) % 2 or not is_place:
+                self.fates.index_errors += 1
+                return
+            start = self._first[module] + channel
+            fitting = min(values, self._channels - start)
+            self.fates.index_errors += fitting < values
+            self._scan(Sent(packet, packet[0], 1, start, fitting), t)
+
+    def _arrived(self, sent: Sent, t: float) -> None:
+        self.fates.packets += 1
+        if sent.command == Command.DECLARE:
+            self._declared = True
+        elif sent.command == Command.SENSOR_DATA:
+            self._scan(sent, t)
+
+    def _scan(self, sent: Sent, t: float) -> None:
+        """A packet of a scan: which scan, by the rules of docs/protocol.md."""
+        if not self._declared:
+            self.fates.undeclared += 1
+            return
+        if sent.start < self._reached or t - self._last_t > GAP_SHARE * self.period_s:
+            self._end()
+        self._last_t = t
+        if not self._filled:
+            pause = 0.0 if self._t is None else t - self._t
+            if MISSED_SHARE * self.period_s < pause <= PAUSE_MAX_S:
+                self.fates.missed += round(pause / self.period_s) - 1
+            self._t = t
+        self._reached = sent.start + sent.values
+        self._filled += sent.values
+        if self._reached == self._channels:
+            self._end()
+
+    def _end(self) -> None:
+        if self._filled:
+            self.fates.scans += 1
+            self.fates.incomplete += self._filled < self._channels
+        self._reached = self._filled = 0

@@ -1,0 +1,220 @@
+"""The device end of a transport: an SLCAN adapter or a native serial link on a pseudo-terminal that
+can be pulled out, or a hub on a CAN interface of this machine's kernel.
+
+Units are handed over whole: where there is no room for one, it is refused and never cut.
+"""
+
+import contextlib
+import errno
+import fcntl
+import os
+import struct
+import termios
+import tty
+from collections.abc import Callable
+from pathlib import Path
+from typing import Protocol
+
+import can
+
+from taxeld.errors import SetupError
+from taxeld_hil.rig.ledger import Unit
+from taxeld_protocol import slcan
+from taxeld_protocol.cyskin import Packet, Reassembler
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.serial_link import SerialReader
+
+READ_BYTES = 65536
+OUTBOX_BYTES = 65536  # beyond what the kernel takes: some tenths of a second of a saturated bus
+
+
+class Port(Protocol):
+    """What a bench asks of a transport."""
+
+    is_open: bool  # whether a host listens
+
+    def fileno(self) -> int: ...
+
+    def take(self, t: float) -> list[Packet]:
+        """The host's requests that have come; `t` stamps their frames."""
+        ...
+
+    def send(self, unit: Unit) -> bool:
+        """Hand a unit to the host; False: there was no room."""
+        ...
+
+    def flush(self) -> None:
+        """Hand over what waits."""
+
+    def forget(self) -> None:
+        """The host has died."""
+
+    def set_plugged(self, plugged: bool) -> None:
+        """Pull out the device, once what was sent is read; or plug it in."""
+
+    def close(self) -> None: ...
+
+
+class _Terminal:
+    """A pseudo-terminal behind a name that outlives it."""
+
+    def __init__(self, link: Path) -> None:
+        self.is_open = False
+        self._link = link
+        self._fds: tuple[int, int] | None = None
+        self._outbox = bytearray()
+        self.set_plugged(True)
+
+    def fileno(self) -> int:
+        return self._fds[0] if self._fds else -1
+
+    def set_plugged(self, plugged: bool) -> None:
+        if plugged and self._fds is None:
+            master, slave = self._fds = os.openpty()
+            tty.setraw(slave)
+            os.set_blocking(master, False)
+            self._link.symlink_to(os.ttyname(slave))
+        elif not plugged and self._fds is not None and self._is_read():
+            self.close()
+
+    def waiting(self) -> int:
+        """Bytes in the kernel that the host has not read."""
+        assert self._fds is not None  # noqa: S101  (asked of a device that is plugged in)
+        found = fcntl.ioctl(self._fds[1], termios.FIONREAD, b"\0" * 4)
+        return int(struct.unpack("i", found)[0])
+
+    def forget(self) -> None:
+        self.is_open = False
+        self._outbox.clear()
+
+    def flush(self) -> None:
+        if self._fds is None or not self._outbox:
+            return
+        with contextlib.suppress(BlockingIOError):
+            del self._outbox[: os.write(self._fds[0], self._outbox)]
+
+    def close(self) -> None:
+        if self._fds is None:
+            return
+        self._link.unlink()
+        for fd in self._fds:
+            os.close(fd)
+        self._fds = None
+        self.forget()
+
+    def _write(self, data: bytes) -> bool:
+        if len(self._outbox) + len(data) > OUTBOX_BYTES:
+            return False
+        self._outbox += data
+        self.flush()
+        return True
+
+    def _read(self) -> bytes:
+        if self._fds is None:
+            return b""
+        try:
+            return os.read(self._fds[0], READ_BYTES)
+        except OSError as error:
+            if error.errno not in (errno.EAGAIN, errno.EIO):  # EIO: the host has closed
+                raise
+            return b""
+
+    def _is_read(self) -> bool:
+        return not self.is_open or (not self.waiting() and not self._outbox)
+
+
+class SlcanPort(_Terminal):
+    """A USB-CAN adapter with the hub on its bus."""
+
+    def __init__(self, link: Path, on_frame: Callable[[Frame], None]) -> None:
+        """`on_frame` is called with each frame of the host's."""
+        self._rest = b""
+        self._requests = Reassembler()
+        self._on_frame = on_frame
+        super().__init__(link)
+
+    def take(self, t: float) -> list[Packet]:
+        lines, self._rest = slcan.split(self._rest + self._read())
+        packets = []
+        for line in lines:
+            frame = slcan.parse(line, t)
+            if frame is None:
+                if line[:1] in (b"O", b"L", b"C"):
+                    self.is_open = line[:1] != b"C"
+                self._write(slcan.CR)
+                continue
+            self._on_frame(frame)
+            packets.append(self._requests.feed(frame))
+        return [packet for packet in packets if packet is not None]
+
+    def send(self, unit: Unit) -> bool:
+        return isinstance(unit.item, Frame) and self._write(slcan.encode(unit.item))
+
+
+class NativePort(_Terminal):
+    """A hub on a serial line of its own; the host counts as listening from its first request on, as
+    a USB device sees its port opened."""
+
+    def __init__(self, link: Path) -> None:
+        self._requests = SerialReader()
+        super().__init__(link)
+
+    def take(self, t: float) -> list[Packet]:
+        packets = self._requests.feed(self._read(), t)
+        self.is_open = self.is_open or bool(packets)
+        return packets
+
+    def send(self, unit: Unit) -> bool:
+        return isinstance(unit.item, bytes) and self._write(unit.item)
+
+
+class CanPort:
+    """A hub on a CAN interface, such as vcan0, that something else brings up and down."""
+
+    def __init__(self, interface: str, on_frame: Callable[[Frame], None]) -> None:
+        """Raises SetupError where there is no such interface."""
+        self.is_open = False
+        self._on_frame = on_frame
+        self._requests = Reassembler()
+        try:
+            self._bus = can.Bus(interface="socketcan", channel=interface)
+        except (can.CanError, OSError) as error:
+            raise SetupError(f"cannot open {interface} ({error})") from None
+
+    def fileno(self) -> int:
+        return int(self._bus.fileno())
+
+    def take(self, t: float) -> list[Packet]:
+        packets = []
+        with contextlib.suppress(can.CanError, OSError):  # a bus that is down has no frames
+            # not `recv`, whose time-out is taken from a wall clock that may be set back
+            while message := self._bus._recv_internal(0.0)[0]:
+                frame = Frame(t, message.arbitration_id, bytes(message.data))
+                self._on_frame(frame)
+                packets.append(self._requests.feed(frame))
+        self.is_open = self.is_open or bool(packets)
+        return [packet for packet in packets if packet is not None]
+
+    def send(self, unit: Unit) -> bool:
+        if not isinstance(unit.item, Frame):
+            return False
+        message = can.Message(
+            arbitration_id=unit.item.can_id, data=unit.item.data, is_extended_id=False
+        )
+        try:
+            self._bus.send(message, timeout=0.0)
+        except (can.CanError, OSError):
+            return False
+        return True
+
+    def flush(self) -> None:
+        """The kernel has it all."""
+
+    def forget(self) -> None:
+        self.is_open = False
+
+    def set_plugged(self, plugged: bool) -> None:
+        """An interface cannot be pulled out."""
+
+    def close(self) -> None:
+        self._bus.shutdown()

@@ -1,0 +1,169 @@
+"""The virtual skin on its moving robot, with a scenario's faults; it has no clock and no transport.
+
+Its owner steps it through scenario time and delivers what it sends. Until a host starts the skin,
+scenario time stands still at BEFORE_S.
+"""
+
+from itertools import accumulate
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.errors import SetupError
+from taxeld_hil.rig.faults import Injector, PoseRow
+from taxeld_hil.rig.ledger import Ledger, Sent, Unit
+from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
+from taxeld_hil.world import robot
+from taxeld_hil.world.world import load_model, make_world
+from taxeld_protocol import cyskin, serial_link
+from taxeld_protocol.cyskin import Command, Packet
+from taxeld_protocol.modules import wired
+from taxeld_protocol.virtual_ihb import VirtualIhb
+
+POSE_PERIOD_S = 0.01
+POSE_AGE_S = 0.004  # from its measurement to its message: scans fall between poses
+IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
+SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
+BEFORE_S = -1.0  # scenario time while no host has started the skin
+
+
+class Rig:
+    """A scenario with a seed: hub, world, robot, injector and ledger."""
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        """Raises SetupError where skin or object cannot be loaded, or a fault does not fit them."""
+        self.model = load_model(scenario)
+        self._taxel_uids: list[int] = self.model.layout.uid.tolist()
+        self.modules = wired(self._taxel_uids)
+        self.world = make_world(scenario, self.model, self.modules, seed)
+        self.hub = VirtualIhb(self.modules)
+        channels = tuple(module.channels for module in self.modules)
+        self.ledger = Ledger(channels, self.hub.period_ms / 1000.0)
+        self.line = scenario.transport == "native"
+        self._first = [0, *accumulate(channels)]
+        self._was_on = True
+        self._next_pose_s = -1e9
+        self._now = 0.0  # that frames are stamped with
+        self._begin(scenario, seed)
+
+    def lap(self, scenario: Scenario, seed: int) -> None:
+        """Go on with another scenario on the same skin: the object stands elsewhere, and scenario
+        time begins anew."""
+        place = scenario.place_m
+        most = np.array([place, place, np.pi])
+        self.world.truth = np.random.default_rng([seed, 2]).uniform(-most, most)
+        self._begin(scenario, seed)
+
+    def _begin(self, scenario: Scenario, seed: int) -> None:
+        self.scenario = scenario
+        self.path = robot.plan(scenario, self.model, self.world.truth, seed)
+        self._injector = self._injecting(scenario, seed)
+
+    def _check(self, fault: Fault, number: int) -> None:
+        """Raises SetupError where a fault names a module or taxel that the skin does not have."""
+        modules, taxels = len(self.modules), len(self._taxel_uids)
+        if fault.kind in SKIN_KINDS and fault.module >= modules:
+            raise SetupError(f"fault[{number}].module: the skin has 0..{modules - 1}")
+        if not all(0 <= taxel < taxels for taxel in fault.taxels):
+            raise SetupError(f"fault[{number}].taxels: the skin has 0..{taxels - 1}")
+
+    def _injecting(self, scenario: Scenario, seed: int) -> Injector:
+        for number, fault in enumerate(scenario.fault):
+            self._check(fault, number)
+        uids = [uid for module in self.modules for uid in module.uids]
+        channel = {uid: c for c, uid in enumerate(uids)}
+        taxels = {i: channel[uid] for i, uid in enumerate(self._taxel_uids)}
+        modules = [
+            range(first + 1, end) for first, end in zip(self._first, self._first[1:], strict=False)
+        ]
+        return Injector(scenario.fault, seed, self.ledger, modules, taxels)
+
+    @property
+    def duration_s(self) -> float:
+        """To the end of the path, and of the last fault's recovery."""
+        ends = [fault.end_s for fault in self.scenario.fault]
+        last = max(ends, default=0.0) + self.scenario.expect.recovery_s + SETTLE_S
+        return max(IDLE_S + self.path.duration_s + self.scenario.rest_s, last if ends else 0.0)
+
+    def taxels_of(self, fault: Fault) -> list[int]:
+        """The taxels that a fault is about, as the layout numbers them."""
+        if fault.taxels:
+            return list(fault.taxels)
+        uids = set(self.modules[fault.module].uids)
+        return [i for i, uid in enumerate(self._taxel_uids) if uid in uids]
+
+    def fails(self, kind: str, t: float) -> bool:
+        """Whether a fault of this kind is on; asked for those that the rig's owner carries out."""
+        return kind in self._injector.active(t)
+
+    def is_on(self, t: float) -> bool:
+        """Whether the hub has power and its firmware runs."""
+        active = self._injector.active(t)
+        return "reboot" not in active and "unplugged" not in active
+
+    def answer(self, packet: Packet, t: float) -> list[Unit]:
+        """The answers to a host's request."""
+        if not self._power(t):
+            return []
+        answers = self.hub.answer(packet)
+        return [unit for answer in answers for unit in self._send(*answer, t)]
+
+    def scan(self, t: float, now: float) -> list[Unit]:
+        """What the hub sends at scenario time t; `now` is any clock that goes on over laps."""
+        self._now = now
+        if not self._power(t):
+            return []
+        out = self._injector.due(t, line=self.line)
+        if t >= 0.0 and self.hub.due(now):
+            counts = self._injector.counts(self.world.counts(self.pose(t), now), t)
+            self.ledger.scans_sent += 1
+            for answer in self.hub.sensor_data(counts):
+                out += self._send(*answer, t)
+        return out
+
+    def rest(self) -> list[Unit]:
+        """What was held back, at the end."""
+        return self._injector.flush()
+
+    def pose(self, t: float) -> Poses:
+        """Where the sensor truly is."""
+        return self.path.at(t - IDLE_S)
+
+    def poses(self, t: float, now: float, wall: float) -> list[PoseRow]:
+        """What the robot publishes, stamped with Unix time `wall`, which may be set; `now` as for
+        `scan`."""
+        if now < self._next_pose_s:
+            return []
+        self._next_pose_s = max(self._next_pose_s + POSE_PERIOD_S, now)
+        x, y, theta = self.pose(t - POSE_AGE_S).tolist()
+        rows = self._injector.poses((wall - POSE_AGE_S, x, y, theta), t)
+        self.ledger.poses_sent += len(rows)
+        return rows
+
+    def _power(self, t: float) -> bool:
+        on = self.is_on(t)
+        if self._was_on and not on:  # it forgets what the host has set
+            self.hub.reboot()
+            self._injector.drop_held()
+        self._was_on = on
+        return on
+
+    def _send(self, command: int, payload: bytes, t: float) -> list[Unit]:
+        self.ledger.packets_sent += 1
+        if self.line:
+            line = serial_link.encode(command, payload, ihb=self.hub.short_id)
+            units = [Unit(line, self._sent(line, command, payload, 1))]
+        else:
+            data = cyskin.encode(command, payload)
+            frames = cyskin.fragment(data, self.hub.short_id, self._now)
+            sent = self._sent(data, command, payload, len(frames))
+            units = [Unit(frame, sent, i) for i, frame in enumerate(frames)]
+        if self._injector.is_quiet(t):
+            return units
+        return [out for unit in units for out in self._injector.unit(unit, t)]
+
+    def _sent(self, data: bytes, command: int, payload: bytes, fragments: int) -> Sent:
+        if command != Command.SENSOR_DATA:
+            return Sent(data, command, fragments)
+        start = self._first[payload[0]] + payload[1]
+        return Sent(data, command, fragments, start, len(payload) // 2 - 1)

@@ -1,0 +1,63 @@
+"""A daemon on a fake clock: its own source, bring-up, decoder and pipeline.
+
+Its process, its sockets and the kernel's devices are not part of it: a run in real time has them.
+"""
+
+from dataclasses import asdict
+from typing import Any
+
+from taxeld.config.tables import Config, SourceConfig
+from taxeld.estimator.estimate import Estimate
+from taxeld.layout.layout import Layout
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld.proposals.bundle import Bundle
+from taxeld.skin.state import SkinState
+from taxeld.source import dialects
+from taxeld.source.dialects import ToFrames
+from taxeld.source.sources import LiveSource
+from taxeld.stream import messages
+from taxeld_hil.run.memory import MemoryDevice, MemoryLine
+
+
+class FakeDaemon:
+    """One life of a daemon."""
+
+    def __init__(
+        self, config: Config, skin: Layout, scene: Bundle, line: MemoryLine, kept: SkinState | None
+    ) -> None:
+        """`kept`: what the life before has learned of the skin."""
+
+        def device(_: SourceConfig, __: ToFrames) -> MemoryDevice:
+            return MemoryDevice(line)
+
+        self.pipeline = Pipeline(config, scene.model, scene.untimed(config.filter))
+        self.source = LiveSource(config.source, dialects.live(config.source, skin), device, None)
+        self.scans = 0
+        self._start_s = line.now
+        self.pipeline.freshness.came(self._start_s)
+        if kept is not None:
+            self.pipeline.skin.restore(kept)
+
+    def pose(self, t: float, x: float, y: float, theta: float) -> None:
+        self.pipeline.poses.add(t, x, y, theta)
+
+    def tick(self, t: float) -> None:
+        scans = self.source.poll(t)
+        self.scans += len(scans)
+        for _ in self.pipeline.advance(scans, t):
+            self.pipeline.freshness.came(t)
+
+    def estimate(self, t: float) -> Estimate:
+        """As it would be published now."""
+        return self.pipeline.freshness.judged(self.pipeline.estimate, t)
+
+    def health(self, t: float) -> dict[str, Any]:
+        """What the harness reads of /taxeld/health."""
+        parts = {
+            "uptime_s": t - self._start_s,
+            "loop": {"scans": self.scans},
+            "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
+            "inputs": {**self.pipeline.input_counts(), "poses_malformed": 0},
+            **self.pipeline.health(),
+        }
+        return messages.health(0, t, parts)

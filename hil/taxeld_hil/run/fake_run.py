@@ -1,0 +1,130 @@
+"""A run on the fake clock, without waiting; deterministic for a scenario and a seed."""
+
+from typing import NamedTuple
+
+from taxeld.estimator.estimate import Estimate
+from taxeld.layout import read as layouts
+from taxeld.proposals import bundle
+from taxeld_hil.grade.grade import Grade, Run, grade
+from taxeld_hil.grade.judge import Judge, Sample
+from taxeld_hil.grade.reconcile import laws
+from taxeld_hil.rig.rig import Rig
+from taxeld_hil.run.fake import FakeDaemon
+from taxeld_hil.run.memory import MemoryLine
+from taxeld_hil.scenario import settings
+from taxeld_hil.scenario.scenario import Scenario
+
+NOT_INJECTED = ("subscriber_dead",)  # there are no sockets
+HEALTH_S = 1.0
+
+
+class ContactEnd(NamedTuple):
+    """What the daemon estimated when a contact had ended."""
+
+    estimate: Estimate
+    error_mm: float  # symmetry-aware ADD of the MAP
+
+
+class FakeRun:
+    """A scenario on the fake clock, tick by tick; or several, lap by lap, in one life."""
+
+    def __init__(
+        self, scenario: Scenario, seed: int, rate_hz: float = 100.0, filter_keys: str = ""
+    ) -> None:
+        """`rate_hz`: of the daemon's loop, and of all that steps with it; `filter_keys`: lines of
+        TOML for the daemon's table [filter].
+
+        Raises:
+            SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
+        """
+        self.rig = Rig(scenario, seed)
+        self.line = MemoryLine(self.rig)
+        self.config = settings.on_a_fake_clock(scenario, seed, filter_keys, rate_hz)
+        self.skin = layouts.load(scenario.layout)
+        self.scene = bundle.load(scenario.bundle, self.skin, self.config.skin.full_scale_depth_m)
+        self._dead: FakeDaemon | None = None
+        self.daemon: FakeDaemon | None = self._born()
+        self.judge = self._judging()
+        self._seed = seed
+        self._began_s = self._next_health_s = 0.0
+
+    def lap(self, scenario: Scenario, seed: int) -> None:
+        """Begin another lap, and have the daemon forget the object."""
+        self._began_s = self.line.now + 1.0 / self.config.loop.rate_hz
+        self._seed = seed
+        self.rig.lap(scenario, seed)
+        self.judge = self._judging()
+        if self.daemon is not None:
+            self.daemon.pipeline.reset()
+
+    def graded(self, name: str) -> Grade:
+        """The scenario of this name to its end, and its grade."""
+        self.run()
+        held = laws(self.rig.ledger, self.judge.health or {}, line=self.rig.line, exact_times=True)
+        run = Run(name, self._seed, "sim", "fake", self.rig.scenario.transport)
+        return grade(run, self.judge, held, self.rig.ledger)
+
+    def run(self) -> list[ContactEnd]:
+        """To the end; → the estimates at which contacts ended."""
+        period = 1.0 / self.config.loop.rate_hz
+        ticks = round(self.rig.duration_s / period)
+        ends: list[ContactEnd] = []
+        last: Estimate | None = None
+        for k in range(ticks):
+            e = self.step(k * period)
+            if last is not None and e is not None and last.contact and not e.contact:
+                ends.append(ContactEnd(e, self.judge.error_mm(e.map)))
+            last = e
+        self.line.send_rest()
+        for k in range(ticks, ticks + 5):  # a scan may wait for its pose
+            self._set(k * period)
+            if self.daemon is not None:
+                self.daemon.tick(self.line.now)
+        if self.daemon is not None:
+            self.judge.on_health(self.line.t, self.daemon.health(self.line.now))
+        self.judge.end(self.line.t)
+        return ends
+
+    def step(self, t: float) -> Estimate | None:
+        """One tick of everything, at scenario time t; → the estimate of a daemon that is alive."""
+        self._set(t)
+        now, rig = self.line.now, self.rig
+        self._kill_or_start(t)
+        self.line.send_due()
+        if self.daemon is None:
+            self.line.take()
+        for row in rig.poses(t, now, now):
+            if self.daemon is not None:
+                rig.ledger.poses_heard += 1
+                self.daemon.pose(*row)
+        if self.daemon is None:
+            return None
+        self.daemon.tick(now)
+        e = self.daemon.estimate(now)
+        valid = self.daemon.pipeline.freshness.is_valid(e)
+        self.judge.on_estimate(Sample(t, e.status, valid, e.contacts, e.map, e.t, now - e.t))
+        if now >= self._next_health_s:
+            self._next_health_s = now + HEALTH_S
+            self.judge.on_health(t, self.daemon.health(now))
+        return e
+
+    def _set(self, t: float) -> None:
+        self.line.t, self.line.now = t, self._began_s + t
+
+    def _judging(self) -> Judge:
+        rig = self.rig
+        scene, truth = rig.model.scene, rig.world.truth
+        return Judge(rig.scenario, scene, truth, NOT_INJECTED, rig.taxels_of)
+
+    def _kill_or_start(self, t: float) -> None:
+        killed = self.rig.fails("daemon_killed", t)
+        if killed and self.daemon is not None:
+            self._dead, self.daemon = self.daemon, None
+        elif not killed and self.daemon is None:
+            self.rig.ledger.begin()
+            self.daemon = self._born()
+
+    def _born(self) -> FakeDaemon:
+        """A daemon with what the one before has stored of the skin."""
+        kept = None if self._dead is None else self._dead.pipeline.skin.state()
+        return FakeDaemon(self.config, self.skin, self.scene, self.line, kept)

@@ -1,0 +1,83 @@
+"""The wire of a run on the fake clock: a rig at one end, a device of the daemon's at the other."""
+
+from typing import Any
+
+from taxeld.errors import SetupError
+from taxeld.source.devices import LostError
+from taxeld.source.outbox import Unit
+from taxeld.source.session import Chunk
+from taxeld_hil.rig.rig import Rig
+from taxeld_protocol.cyskin import BROADCAST, Packet
+from taxeld_protocol.frames import Frame
+
+
+class MemoryLine:
+    """The wire between a rig and the fake devices that are plugged into it, one after the other."""
+
+    def __init__(self, rig: Rig) -> None:
+        self.rig = rig
+        self.t = 0.0  # scenario time,
+        self.now = 0.0  # and the daemon's clock, which goes on over laps
+        self._waiting: list[Frame] = []
+        self._bytes = b""
+
+    @property
+    def is_plugged(self) -> bool:
+        return not self.rig.fails("unplugged", self.t)
+
+    def send_due(self) -> None:
+        """Deliver what the hub sends by itself at this time."""
+        self._deliver(self.rig.scan(self.t, self.now))
+
+    def send_rest(self) -> None:
+        """Deliver what was held back, at the end."""
+        self._deliver(self.rig.rest())
+
+    def ask(self, command: int, payload: bytes) -> None:
+        """Deliver the answers to a request."""
+        self._deliver(self.rig.answer(Packet(self.now, BROADCAST, command, payload), self.t))
+
+    def take(self) -> list[Frame] | list[Chunk]:
+        """What has been delivered since the last call."""
+        frames, data = self._waiting, self._bytes
+        self._waiting, self._bytes = [], b""
+        if self.rig.line:
+            return [Chunk(self.now, data)] if data else []
+        return frames
+
+    def _deliver(self, units: list[Any]) -> None:
+        self.rig.ledger.deliver_all(units, self.now)
+        for unit in units:
+            item = unit.item
+            if isinstance(item, bytes):
+                self._bytes += item
+            else:  # what was late arrives now
+                self._waiting.append(item if item.t == self.now else item._replace(t=self.now))
+
+
+class MemoryDevice:
+    """The daemon's end of the wire."""
+
+    def __init__(self, line: MemoryLine) -> None:
+        """Raises SetupError where it is not plugged in."""
+        self.noise = self.foreign = 0
+        self._line = line
+        if not line.is_plugged:
+            raise SetupError("unplugged")
+        line.take()  # as a serial port is flushed when it is opened
+
+    def read(self) -> list[Frame] | list[Chunk]:
+        if not self._line.is_plugged:
+            raise LostError
+        return self._line.take()
+
+    @staticmethod
+    def pack(command: int, payload: bytes) -> list[Unit]:
+        return [Unit(None, bytes((command,)) + payload)]
+
+    def put(self, unit: Unit) -> None:
+        command, *payload = unit.line
+        self._line.ask(command, bytes(payload))
+
+    def close(self, wait_s: float = 0.0) -> None:
+        """Nothing is held open."""

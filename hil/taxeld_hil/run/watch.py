@@ -1,0 +1,81 @@
+"""A subscriber: one line a contact, and at the end the error and the latencies."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgpack
+import numpy as np
+import zmq
+
+from taxeld.arrays import Poses
+from taxeld.model.scene import Scene
+from taxeld.model.symmetry import add_m
+from taxeld.stream import messages
+
+HEADER = (
+    "contact  taxels    ESS  modes   MAP x, y, yaw [mm, mm, deg]    mean x, y, yaw"
+    "               error [mm]"
+)
+
+
+@dataclass(slots=True)
+class ContactTable:
+    """Follows the streams of a daemon; the truth, where it is known, grades the estimates."""
+
+    scene: Scene
+    truth: Poses | None
+    most_taxels: int = 0
+    last: dict[str, Any] = field(default_factory=dict)
+    lat_us: dict[str, list[float]] = field(default_factory=dict)
+    _in_contact: bool = False
+
+    def on_taxels(self, message: dict[str, Any]) -> None:
+        self.most_taxels = max(self.most_taxels, sum(z > 0 for z in message["z"]))
+
+    def on_estimate(self, message: dict[str, Any]) -> str | None:
+        """The line of a contact that has just ended."""
+        self.last = message
+        if message["lat_us"]["skin"] > 0:
+            for stage, value in message["lat_us"].items():
+                self.lat_us.setdefault(stage, []).append(value)
+        ended = self._in_contact and not message["contact"]
+        self._in_contact = message["contact"]
+        if not ended:
+            return None
+        line = (
+            f"{message['contacts']:7d} {self.most_taxels:7d} {message['ess']:6.1f} "
+            f"{len(message['modes']):6d}   {_pose(message['map'])}     {_pose(message['mean'])}"
+        )
+        self.most_taxels = 0
+        return line if self.truth is None else f"{line} {self.error_mm():12.1f}"
+
+    def error_mm(self) -> float:
+        """Symmetry-aware ADD of the last MAP estimate; not a number where there is none."""
+        if self.truth is None or not self.last or not self.last["valid"]:
+            return float("nan")
+        pose = self.last["map"]
+        estimate = np.array([pose["x"], pose["y"], pose["theta"]])
+        return 1e3 * add_m(self.scene, estimate, self.truth)[1]
+
+    def latencies(self) -> list[str]:
+        """A line a stage: median, 99th percentile and maximum of ticks with a scan."""
+        lines = ["latency [ms]   median     p99     max"]
+        for stage in messages.STAGES:
+            p50, p99, top = np.percentile(self.lat_us.get(stage, [0.0]), (50, 99, 100)) / 1e3
+            lines.append(f"{stage:12s} {p50:8.2f} {p99:7.2f} {top:7.2f}")
+        return lines
+
+
+def receive(socket: zmq.Socket[Any], table: ContactTable) -> str | None:
+    """Take one message; → a line to print, if it ended a contact."""
+    topic, body, _ = socket.recv_multipart()
+    if topic == messages.TAXELS:
+        table.on_taxels(msgpack.unpackb(body))
+    elif topic == messages.ESTIMATE:
+        return table.on_estimate(msgpack.unpackb(body))
+    return None
+
+
+def _pose(pose: dict[str, float]) -> str:
+    degrees = np.degrees(pose["theta"])
+    return f"({pose['x'] * 1e3:7.1f}, {pose['y'] * 1e3:7.1f}, {degrees:6.1f})"

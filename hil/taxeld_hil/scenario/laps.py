@@ -1,0 +1,64 @@
+"""The laps of a soak: random scenarios, each from the soak's seed and its number alone."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from taxeld_hil.scenario.scenario import SKIN_KINDS, Expect, Fault, Scenario
+
+CONTACTS = 5
+HOLDS_S = (0.3, 0.3, 0.3, 2.0, 6.0)  # one of these for each lap's presses
+FAULTS_MEAN = 1.5  # a lap
+FIRST_S, LAST_S = 3.0, 40.0  # between these a fault begins
+FOR_S = (0.2, 6.0)
+STUCK_S = (12.5, 15.0)  # long enough for the daemon to find a stuck taxel
+LAP_S = 60.0  # about
+
+FRAMES = ("dropped", "duplicated", "reordered", "corrupted", "late", "flooded")
+DEVICE = ("reboot", "unplugged")
+ROBOT = ("pose_silent", "pose_late", "pose_jumping")
+KINDS = FRAMES + SKIN_KINDS + DEVICE + ROBOT
+MISLEADING = ("baseline_jump", "pose_late", "pose_jumping")  # look like a touch elsewhere
+
+
+def lap(base: Scenario, seed: int, number: int, kinds: tuple[str, ...] = KINDS) -> Scenario:
+    """The scenario of a lap; a fault begins when those before it are over and recovered from."""
+    rng = np.random.default_rng([seed, number])
+    hold_s = float(rng.choice(HOLDS_S))
+    faults: list[Fault] = []
+    at_s = FIRST_S
+    for _ in range(rng.poisson(FAULTS_MEAN)):
+        at_s += float(rng.exponential(6.0))
+        if at_s > LAST_S:
+            break
+        faults.append(_fault(rng, str(rng.choice(kinds)), round(at_s, 2)))
+        at_s = faults[-1].end_s + base.expect.recovery_s + 1.0
+    rest_s = max(LAP_S - CONTACTS * (3.0 + hold_s), 1.0)
+    return replace(
+        base,
+        contacts=CONTACTS,
+        hold_s=hold_s,
+        rest_s=rest_s,
+        expect=Expect(found=False),
+        fault=tuple(faults),
+    )
+
+
+def _fault(rng: np.random.Generator, kind: str, at_s: float) -> Fault:
+    shortest, longest = STUCK_S if kind == "taxel_stuck" else FOR_S
+    if kind in (*FRAMES, *SKIN_KINDS) and kind != "taxel_stuck":
+        shortest = 3.0  # long enough to hit something, and for the daemon to show it
+    return Fault(
+        kind=kind,
+        at_s=at_s,
+        for_s=round(float(rng.uniform(shortest, longest)), 2),
+        share=round(float(rng.uniform(0.02, 0.3)), 3),
+        delay_s=round(float(rng.uniform(0.02, 0.6)), 3),
+        per_s=float(rng.integers(100, 4000)),
+        module=int(rng.integers(8)),
+        taxels=tuple(sorted(rng.choice(80, 2, replace=False).tolist()))
+        if kind in ("taxel_stuck", "saturated")
+        else (),
+        counts=float(rng.choice([-3000.0, 3000.0])),
+        offset_m=float(rng.uniform(1.5, 5.0)),
+    )

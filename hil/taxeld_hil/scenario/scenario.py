@@ -1,0 +1,107 @@
+"""Scenarios (TOML): what is touched, how, by what skin, what fails, and what is expected of it.
+
+Times are scenario times: seconds from the first scan.
+"""
+
+from dataclasses import dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+
+from taxeld.config import toml_tables
+from taxeld.config.tables import SkinConfig
+from taxeld.config.toml_tables import between, key, one_of
+from taxeld.errors import SetupError
+from taxeld_hil.scenario.mesh_config import MeshConfig
+
+TRANSPORTS = ("slcan", "native", "can")
+
+SKIN_KINDS = ("module_dead", "taxel_stuck", "saturated", "baseline_jump")
+KINDS = (
+    "dropped", "duplicated", "reordered", "corrupted", "late", "flooded",
+    *SKIN_KINDS,
+    "reboot", "unplugged",
+    "pose_silent", "pose_frozen", "pose_late", "pose_jumping",
+    "subscriber_dead", "daemon_killed",
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Something that fails for a while; keys that its kind does not need are ignored."""
+
+    kind: str = key(check=one_of(*KINDS), doc="what fails")
+    at_s: float = key(check=between(0, 1e6), doc="when it begins")
+    for_s: float = key(1.0, between(0, 1e6), "how long it lasts")
+    share: float = key(0.1, between(0, 1), "of the frames or poses that it hits")
+    delay_s: float = key(0.1, between(0, 10), "late, pose_late: by so much")
+    per_s: float = key(2000.0, between(1, 20_000), "flooded: foreign frames a second")
+    module: int = key(0, between(0, 247), "module_dead, baseline_jump: which")
+    taxels: tuple[int, ...] = key((), doc="taxel_stuck, saturated: which; empty: of the module")
+    counts: float = key(3000.0, between(-40_000, 40_000), "baseline_jump: by so much")
+    offset_m: float = key(2.0, between(0, 100), "pose_jumping: how far off")
+
+    @property
+    def end_s(self) -> float:
+        return self.at_s + self.for_s
+
+
+@dataclass(frozen=True, slots=True)
+class Expect:
+    """What a run is graded by."""
+
+    error_mm: float = key(10.0, between(0, 1000), "symmetry-aware ADD at the end, under this")
+    recovery_s: float = key(2.0, between(0, 60), "fresh estimates again so soon after a fault")
+    found: bool = key(True, doc="whether the object must be found in the end")
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    bundle: str = key(doc="the object, as a bundle that the daemon can load")
+    layout: str = key(SkinConfig().layout, doc="the skin")
+    transport: str = key("slcan", one_of(*TRANSPORTS), "how the skin is reached in simulation")
+    contacts: int = key(8, between(1, 1000), "presses, spread around the object")
+    press_min_m: float = key(0.002, between(0.0005, 0.005), "least depth of a press")
+    press_max_m: float = key(0.0045, between(0.0005, 0.005), "most")
+    hold_s: float = key(0.3, between(0, 3600), "how long a press is held")
+    rest_s: float = key(0.5, between(0.5, 3600), "at the end, untouched")
+    place_m: float = key(0.15, between(0.0, 10.0), "the object stands within ± this, any yaw")
+    baseline_counts: float = key(10_000.0, between(100, 40_000), "idle reading")
+    baseline_spread: float = key(500.0, between(0, 10_000), "sd between taxels")
+    noise_counts: float = key(34.0, between(0, 1000), "sd of a reading")
+    gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
+    full_scale_counts: float = key(20_000.0, between(100, 60_000), "counts of a 5 mm press")
+    physics: str = key(
+        "mesh", one_of("scene", "mesh"), "readings by the estimator's own model, or by [mesh]"
+    )
+    mesh: MeshConfig = field(default_factory=MeshConfig)
+    expect: Expect = Expect()  # what the run is graded by
+    fault: tuple[Fault, ...] = key((), doc="what fails, and when")
+
+    def over(self, transport: str) -> "Scenario":
+        """The same scenario over another transport; over its own where none is named.
+
+        Raises:
+            SetupError: there is none of that name.
+        """
+        if transport and transport not in TRANSPORTS:
+            raise SetupError(f"no transport '{transport}'; there are {', '.join(TRANSPORTS)}")
+        return replace(self, transport=transport) if transport else self
+
+
+def shipped() -> dict[str, Path]:
+    """The shipped scenarios by name."""
+    place = Path(str(resources.files("taxeld_hil") / "scenarios"))
+    return {path.stem: path for path in sorted(place.glob("*.toml"))}
+
+
+def load(name: str) -> Scenario:
+    """A shipped scenario's name, or a path.
+
+    Raises:
+        SetupError: no such scenario, or faults in it.
+    """
+    for path in (shipped().get(name), Path(name)):
+        if path is not None and path.is_file():
+            return toml_tables.parse(Scenario, path.read_text(encoding="utf-8"), str(path))
+    names = ", ".join(shipped())
+    raise SetupError(f"no scenario '{name}'; shipped are {names}, or give a TOML file")

@@ -1,0 +1,142 @@
+"""How deep a solid presses each taxel of a soft skin around a rigid link.
+
+Each point of the skin gives way along its normal, as deep as the solid reaches: a ray from inside
+the link outwards first meets the solid at a depth u. Beside the contact the skin's cover sags by
+exp(−s/λ) of u at a distance s, like a membrane on springs. A taxel reads the mean over its
+electrode. The solid is not filled: a wall may be thinner than the press is deep.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Floats, Poses
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
+from taxeld_hil.world.solids import Solid
+
+LATTICE_M = (0.002, 0.003)  # around and along, of the skin's points beside the electrodes'
+MARGIN_M = 0.008  # of skin around the taxels that is simulated
+LAYER_M = 0.008  # how deep the skin can give way
+STEP_M = 0.001  # along a ray
+PATCH_M = 0.012  # of skin, of which one distance can show that it is out of reach
+LEAST_SHARE = 0.02  # of a press: what sags less is left out
+ELECTRODE = np.vstack([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3)])
+ELECTRODE_RADII = np.sqrt(7.0 / 12.0)  # to the outer six points: as far on the mean as a disc's
+
+
+class MeshSkin:
+    """The indentation of a skin's M taxels, vectorised over the skin's points."""
+
+    def __init__(self, solid: Solid, layout: Layout, taxel_radius_m: float, sag_m: float) -> None:
+        self._solid = solid
+        self._taxels = len(layout)
+        angle = np.arctan2(layout.position_m[:, 1], layout.position_m[:, 0])
+        radius = np.hypot(layout.position_m[:, 0], layout.position_m[:, 1])
+        spots = ELECTRODE if taxel_radius_m else ELECTRODE[:1]
+        spread = ELECTRODE_RADII * taxel_radius_m * spots
+        self._spots = len(spots)
+        on_taxel = np.stack([
+            (angle[:, None] + spread[:, 0] / radius[:, None]).ravel(),
+            (layout.position_m[:, 2, None] + spread[:, 1]).ravel(),
+            np.repeat(radius, len(spots)),
+        ])  # fmt: skip
+        between = _lattice(angle, layout.position_m[:, 2], radius) if sag_m else np.empty((3, 0))
+        phi, z, r = np.concatenate([on_taxel, between], axis=1)
+        self._normal = np.stack([np.cos(phi), np.sin(phi)])
+        self._point = np.stack([r * self._normal[0], r * self._normal[1], z])
+        self._near, self._share = _sagging(self._point, len(on_taxel[0]), sag_m)
+        self._patch, self._middle, self._widest_m = _patches(self._point, phi * r)
+        self._depths = np.arange(0.0, LAYER_M + 0.5 * STEP_M, STEP_M)
+        self._reach = solid.size + float(radius.max())
+
+    def indentation(self, seen: Poses) -> Floats:
+        """(M,) [m] of each taxel, the object at `seen` (3,) in the sensor frame."""
+        deepest = np.zeros(self._taxels * self._spots)
+        middle = se2.apply(seen, self._solid.centre[None])[0]
+        if np.hypot(*middle) < self._reach:
+            at, depth = self._met(seen)
+            np.maximum.at(deepest, self._near.take(at, axis=0), self._share.take(at, axis=0)
+                          * depth[:, None])  # fmt: skip
+        return np.asarray(deepest.reshape(self._taxels, self._spots).mean(axis=1))
+
+    def _met(self, seen: Poses) -> tuple[NDArray[np.intp], Floats]:
+        """Indices (k,) of the skin's points that the solid presses, and how deep (k,) [m]."""
+        c, s = np.cos(seen[2]), np.sin(seen[2])
+        turn = np.array([[c, s], [-s, c]])
+        nothing = np.empty(0, dtype=np.intp), np.empty(0)
+        apart = self._solid.distance(_seen(self._middle, seen, turn))
+        if apart.min() > self._widest_m:
+            return nothing
+        near = np.flatnonzero((apart < self._widest_m + LAYER_M).take(self._patch))
+        point = _seen(self._point[:, near], seen, turn)
+        gap = self._solid.distance(point)
+        if gap.min() > 0.0:  # no point of the undeformed surface is inside the solid
+            return nothing
+        able = np.flatnonzero(gap <= LAYER_M)
+        close, point = near[able], point[:, able]
+        inwards = -(turn @ self._normal[:, close])
+        way = point[:, :, None] + np.concatenate(
+            [inwards[:, :, None] * self._depths, np.zeros((1, len(close), len(self._depths)))]
+        )
+        distance = self._solid.distance(way.reshape(3, -1)).reshape(len(close), -1)
+        inside = distance <= 0.0
+        hit = np.flatnonzero(inside.any(axis=1))
+        deepest = len(self._depths) - 1 - inside[hit, ::-1].argmax(axis=1)
+        within = distance[hit, deepest]
+        beyond = distance[hit, np.minimum(deepest + 1, len(self._depths) - 1)]
+        part = within / np.where(beyond > within, within - beyond, 1.0)
+        return close[hit], self._depths[deepest] + STEP_M * np.clip(part, 0.0, 1.0)
+
+
+def _seen(point: Floats, seen: Poses, turn: Floats) -> Floats:
+    """Points (3, n) of the sensor in the frame of an object at `seen`, turned by `turn` (2, 2)."""
+    return np.vstack([turn @ (point[:2] - seen[:2, None]), point[2:]])
+
+
+def _patches(point: Floats, around: Floats) -> tuple[NDArray[np.intp], Floats, float]:
+    """Points (3, n) in patches: the patch of each (n,), the patches' middles (3, p), and no point's
+    distance from its middle is more than the last."""
+    tile = np.floor(np.stack([around, point[2]]) / PATCH_M)
+    _, patch = np.unique(tile, axis=1, return_inverse=True)
+    count = np.bincount(patch)
+    middle = np.stack([np.bincount(patch, row) / count for row in point])
+    widest = float(np.linalg.norm(point - middle[:, patch], axis=0).max())
+    return patch, middle, widest
+
+
+def _lattice(angle: Floats, z: Floats, radius: Floats) -> Floats:
+    """(3, n) angle, height and radius of points of the skin, all around each taxel."""
+    mean = float(radius.mean())
+    steps = int(2.0 * np.pi * mean / LATTICE_M[0])
+    heights = np.arange(z.min() - MARGIN_M, z.max() + MARGIN_M + 1e-9, LATTICE_M[1])
+    phi, height = (a.ravel() for a in np.meshgrid(np.arange(steps) * 2.0 * np.pi / steps, heights))
+    nearest = np.empty(len(phi), dtype=np.intp)
+    gap = np.empty(len(phi))
+    for start in range(0, len(phi), 1024):
+        part = slice(start, start + 1024)
+        around = mean * se2.wrap(phi[part, None] - angle)
+        apart = np.hypot(around, height[part, None] - z)
+        nearest[part], gap[part] = apart.argmin(axis=1), apart.min(axis=1)
+    kept = gap < MARGIN_M
+    return np.stack([phi[kept], height[kept], radius[nearest[kept]]])
+
+
+def _sagging(point: Floats, spots: int, sag_m: float) -> tuple[NDArray[np.intp], Floats]:
+    """For each of the skin's points (3, n) the spots on electrodes that sag with it, padded: their
+    indices (n, k), below `spots`, and the share (n, k) of its depth by which they do."""
+    if not sag_m:
+        return np.arange(spots)[:, None], np.ones((spots, 1))
+    reach = -np.log(LEAST_SHARE) * sag_m
+    n = point.shape[1]
+    pairs = []
+    for start in range(0, n, 256):
+        apart = np.linalg.norm(point[:, start : start + 256, None] - point[:, None, :spots], axis=0)
+        row, spot = np.nonzero(apart < reach)
+        pairs.append((row + start, spot, np.exp(-apart[row, spot] / sag_m)))
+    row, spot, share = (np.concatenate(column) for column in zip(*pairs, strict=True))
+    count = np.bincount(row, minlength=n)
+    rank = np.arange(len(row)) - (np.cumsum(count) - count)[row]
+    near = np.zeros((n, int(count.max())), dtype=np.intp)
+    shares = np.zeros(near.shape)
+    near[row, rank], shares[row, rank] = spot, share
+    return near, shares

@@ -1,0 +1,114 @@
+"""The robot's path: around the object, in to a press, out again; poses by linear interpolation."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Poses
+from taxeld.model import contacts, se2
+from taxeld.model.observation import ObservationModel
+from taxeld_hil.scenario.scenario import Scenario
+
+TRAVEL_M_S = 0.25
+APPROACH_M_S = 0.1
+PRESS_M_S = 0.02
+STANDOFF_M = 0.03  # between the skin and the object's farthest reach, while travelling
+SLOW_FROM_M = 0.01  # before the touch
+YAW_SPREAD_RAD = 0.5
+ARC_STEP_RAD = 0.1
+MARCH_M = 0.0005
+TOUCH = 0.1  # least activation of a press: a corner between two columns may give none,
+TRIES = 20  # and so many places are tried
+
+
+@dataclass(frozen=True, slots=True)
+class RobotPath:
+    """Waypoints of the sensor in the world; the yaw is not wrapped."""
+
+    t: NDArray[np.float64]  # (W,) seconds from the start
+    pose: Poses  # (W, 3)
+
+    @property
+    def end(self) -> Poses:
+        x, y, theta = self.pose[-1]
+        return np.array([x, y, se2.wrap(theta)])
+
+    @property
+    def duration_s(self) -> float:
+        return float(self.t[-1])
+
+    def at(self, t: float) -> Poses:
+        if t >= self.duration_s:
+            return self.end
+        x, y, theta = (np.interp(t, self.t, column) for column in self.pose.T)
+        return np.array([x, y, se2.wrap(np.float64(theta))])
+
+
+def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -> RobotPath:
+    """A path that touches the object from all sides, in turn, at random offsets and depths."""
+    rng = np.random.default_rng(seed)
+    scene = model.scene
+    centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
+    circle = scene.size + model.layout.radius_m + STANDOFF_M
+    start = rng.uniform(-np.pi, np.pi)
+    poses: list[list[float]] = []
+    times: list[float] = []
+    now, yaw, before = 0.0, 0.0, start
+    for k in range(scenario.contacts):
+        angle = start + 2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / scenario.contacts
+        yaw_to = yaw + rng.uniform(-YAW_SPREAD_RAD, YAW_SPREAD_RAD)
+        for _ in range(TRIES):
+            depth = rng.uniform(scenario.press_min_m, scenario.press_max_m)
+            offset = rng.uniform(-0.7, 0.7) * scene.size
+            line = _approach(model, truth, centre, angle, offset, circle, depth)
+            if _strongest(model, truth, np.array([*line[2], yaw_to])) > TOUCH:
+                break
+        arc = np.linspace(before, angle, 2 + int(abs(angle - before) / ARC_STEP_RAD))
+        around = centre + circle * np.column_stack([np.cos(arc), np.sin(arc)])
+        legs = [(p, TRAVEL_M_S) for p in around] + [
+            (line[0], TRAVEL_M_S), (line[1], APPROACH_M_S), (line[2], PRESS_M_S),
+            (line[2], 0.0), (line[1], PRESS_M_S), (line[0], APPROACH_M_S),
+            (around[-1], TRAVEL_M_S),
+        ]  # fmt: skip
+        for i, (point, speed) in enumerate(legs):
+            gap = float(np.linalg.norm(point - poses[-1][:2])) if poses else 0.0
+            now += gap / speed if speed else scenario.hold_s
+            turned = yaw + (yaw_to - yaw) * min(1.0, i / len(arc))
+            poses.append([*point, turned])
+            times.append(now)
+        yaw, before = yaw_to, angle
+    return RobotPath(np.array(times), np.array(poses))
+
+
+def _strongest(model: ObservationModel, truth: Poses, sensor: Poses) -> float:
+    """The strongest activation with the sensor there."""
+    return float(model.activation(se2.compose(se2.inverse(sensor), truth)[None]).max())
+
+
+def _approach(
+    model: ObservationModel,
+    truth: Poses,
+    centre: NDArray[np.float64],
+    angle: float,
+    offset: float,
+    circle: float,
+    depth: float,
+) -> NDArray[np.float64]:
+    """(3, 2) points of a straight approach: where it begins, where it slows, where it presses.
+
+    An offset at which the sensor would miss the object is reduced.
+    """
+    inwards = -np.array([np.cos(angle), np.sin(angle)])
+    sideways = np.array([-inwards[1], inwards[0]])
+    far = np.sqrt(max(circle**2 - offset**2, 0.0))
+    way = np.arange(0.0, far, MARCH_M)
+    points = centre + offset * sideways - far * inwards + way[:, None] * inwards
+    sensor = np.column_stack([points, np.zeros(len(points))])
+    seen = se2.compose(se2.inverse(sensor), truth[None])
+    gap = contacts.clearance(model.scene, model.layout.radius_m, seen)
+    deep = np.flatnonzero(gap < -depth)
+    if not len(deep):
+        return _approach(model, truth, centre, angle, 0.7 * offset, circle, depth)
+    slow = np.flatnonzero(gap < SLOW_FROM_M)[0]
+    return np.asarray(points[[0, slow, deep[0]]])

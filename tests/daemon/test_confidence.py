@@ -1,0 +1,94 @@
+"""What confirms, refutes and doubts a belief, and the status that follows from it."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from taxeld.estimator import particles as pf
+from taxeld.estimator.confidence import AGREEING, SEARCHED, Confidence, status
+from taxeld.estimator.estimate import Status
+from taxeld.estimator.particles import Belief
+from taxeld.model.observation import ObservationModel
+
+Change = Callable[[Confidence], None]
+
+
+def belief(x: float = 0.0, sd: float = 0.001) -> Belief:
+    poses = np.random.default_rng(0).standard_normal((100, 3)) * sd + [x, 0.0, 0.0]
+    return pf.equal(poses, np.empty((100, 0)))
+
+
+@pytest.fixture
+def confidence(box_model: ObservationModel) -> Confidence:
+    """Of a narrow belief that two contacts and enough samples have left where it was."""
+    made = Confidence.of(belief(), box_model.scene)
+    for contact in (1, 2):
+        made.learned(belief(), SEARCHED // 2, contact, contact, in_doubt=False)
+    return made
+
+
+def test_a_narrow_belief_that_stays_is_converged(confidence: Confidence) -> None:
+    assert status(confidence, 2) is Status.CONVERGED
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda c: c.learned(belief(0.1), 50, 3, 3, in_doubt=False), Status.AMBIGUOUS),
+        (lambda c: c.learned(belief(sd=0.1), 50, 3, 3, in_doubt=False), Status.SEARCHING),
+        (lambda c: c.learned(belief(), 50, 3, 3, in_doubt=True), Status.AMBIGUOUS),
+        (lambda c: c.revisited(belief(0.1), 50), Status.AMBIGUOUS),
+        (lambda c: c.moved(belief()), Status.AMBIGUOUS),
+        (lambda c: c.judged(doubt=True), Status.INCONSISTENT),
+        (lambda c: c.learned(belief(), 0, 0, 2, in_doubt=False), Status.CONVERGED),
+        (lambda c: c.revisited(belief(), 50), Status.CONVERGED),
+    ],
+    ids=[
+        "contact moved it", "contact widened it", "contact ended a doubt", "search moved it",
+        "object was pushed", "contact is in doubt", "silence left it", "search left it",
+    ],
+)  # fmt: skip
+def test_what_takes_a_converged_belief_back(
+    confidence: Confidence, change: Change, expected: Status
+) -> None:
+    change(confidence)
+    assert status(confidence, 3) is expected
+
+
+def test_one_contact_confirms_once(confidence: Confidence) -> None:
+    confidence.learned(belief(0.1), SEARCHED, 3, 3, in_doubt=False)
+    for _ in range(3):
+        confidence.learned(belief(0.1), SEARCHED, 3, 3, in_doubt=False)
+    assert status(confidence, 3) is Status.AMBIGUOUS
+    confidence.learned(belief(0.1), 0, 4, 4, in_doubt=False)
+    assert status(confidence, 4) is Status.CONVERGED
+
+
+def test_a_belief_that_few_samples_have_searched_is_not_converged(confidence: Confidence) -> None:
+    confidence.learned(belief(0.1), 50, 3, 3, in_doubt=False)
+    confidence.learned(belief(0.1), SEARCHED - 1, 4, 4, in_doubt=False)
+    assert status(confidence, 4) is Status.AMBIGUOUS
+    confidence.revisited(belief(0.1), 1)
+    assert status(confidence, 4) is Status.CONVERGED
+
+
+def test_once_contacts_contradict_each_other_more_must_agree(confidence: Confidence) -> None:
+    confidence.refuted = True
+    for contact in range(3, 7):
+        remembered = contact - 2  # the refuted ones were dropped
+        confidence.learned(belief(), 50, contact, remembered, in_doubt=False)
+        enough = remembered >= AGREEING
+        assert status(confidence, contact) is (Status.CONVERGED if enough else Status.AMBIGUOUS)
+
+
+def test_doubts_are_counted_in_a_row(confidence: Confidence) -> None:
+    for doubt, expected in ((True, 1), (True, 2), (False, 0), (True, 1)):
+        confidence.judged(doubt=doubt)
+        assert (confidence.doubt, confidence.doubted) == (doubt, expected)
+
+
+def test_before_any_contact_and_where_blind_nothing_else_counts(confidence: Confidence) -> None:
+    confidence.judged(doubt=True)
+    assert status(confidence, 0) is Status.SEARCHING
+    assert status(confidence, 2, blind=True) is Status.BLIND

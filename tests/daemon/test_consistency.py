@@ -1,0 +1,47 @@
+"""How far the belief may deviate from what is remembered before it is refuted."""
+
+import numpy as np
+import pytest
+
+from taxeld.estimator import consistency
+from taxeld.estimator import particles as pf
+from taxeld.estimator.memory import Memory
+from taxeld.estimator.prior import Prior
+from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.symmetry import PoseMetric
+
+AT = np.zeros((1, 3))
+
+
+def prior(model: ObservationModel) -> Prior:
+    poses = np.random.default_rng(0).standard_normal((500, 3)) * [0.003, 0.003, 0.05]
+    weight = np.full(500, 1.0 / 500)
+    metric = PoseMetric(model.scene)
+    return Prior(metric, poses, weight, metric.modes(poses, weight, 0.05, 5, 64))
+
+
+@pytest.mark.parametrize(("deviance", "refuted"), [(9.5, False), (10.5, True)])
+def test_a_prior_may_be_left_as_far_as_a_silent_scan(
+    box_model: ObservationModel, deviance: float, refuted: bool
+) -> None:
+    known = prior(box_model)
+    memory = Memory(box_model, Noise(), known)
+    taxels = len(box_model.layout)
+    memory.add(Observation(AT[0], np.zeros(taxels), np.ones(taxels, dtype=np.bool_)))
+    remembered = np.array([[known.ceiling - deviance, memory.ceiling[0] - deviance]])
+    belief = pf.equal(AT, remembered)
+    assert consistency.refutes_prior(memory, belief) is refuted
+    assert bool(consistency.excess(memory, belief)[0] > 0.0) is refuted
+
+
+def test_without_a_prior_there_is_none_to_refute(box_model: ObservationModel) -> None:
+    memory = Memory(box_model, Noise())
+    assert not consistency.refutes_prior(memory, pf.equal(AT, np.empty((1, 0))))
+
+
+def test_a_prior_is_a_term_and_not_a_scan(box_model: ObservationModel) -> None:
+    memory = Memory(box_model, Noise(), prior(box_model))
+    assert (len(memory), memory.terms) == (0, 1)
+    assert memory.explain(AT).shape == (1, 1)
+    assert memory.of_scans(memory.explain(AT)).shape == (1, 0)
+    assert memory.only(np.ones(0, dtype=np.bool_), prior=False).terms == 0

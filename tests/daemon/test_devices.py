@@ -1,0 +1,345 @@
+"""Devices that take nothing, are not there, or belong to somebody else: the loop goes on."""
+
+import contextlib
+import errno
+import fcntl
+import logging
+import os
+import resource
+import select
+import termios
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+import serial
+from can.interfaces.virtual import VirtualBus
+
+from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.source import outbox as outboxes
+from taxeld.source.devices import AwayError
+from taxeld.source.outbox import Outbox, Unit
+from taxeld.source.recorder import Recorder
+from taxeld.source.sources import LiveSource, open_source
+from taxeld_protocol.cyskin import Command
+from taxeld_protocol.modules import wired
+from taxeld_protocol.serial_link import SerialReader
+from tests.virtual_hub import VirtualHub
+
+SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
+MODULES = wired(SKIN.uid.tolist())
+CHANNELS = sum(module.channels for module in MODULES)
+DEADLINE_S = 20.0
+TICK_S = 0.01
+
+
+class FarEnd:
+    """The other end of a pseudo-terminal, which reads when it is told to."""
+
+    def __init__(self) -> None:
+        self._fd, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(self._fd, False)
+        os.set_blocking(slave, False)
+        self.device, self._slave = os.ttyname(slave), slave
+
+    def fill(self) -> None:
+        """What the host wrote before takes all the room there is, also what the kernel makes."""
+        for _ in range(10):
+            with contextlib.suppress(BlockingIOError):
+                while True:
+                    os.write(self._slave, bytes(4096))
+            time.sleep(0.01)
+
+    def read(self) -> bytes:
+        data = b""
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                data += os.read(self._fd, 65536)
+        return data
+
+    def close(self) -> None:
+        os.close(self._fd)
+        os.close(self._slave)
+
+
+@pytest.fixture
+def far_end() -> Iterator[FarEnd]:
+    made = FarEnd()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def no_waiting(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """From the call on, whoever waits for a descriptor fails the test."""
+    real = select.select
+
+    def spy(r: Any, w: Any, x: Any, timeout: float | None = None) -> Any:
+        assert timeout == 0, f"waited for {timeout} s"
+        return real(r, w, x, timeout)
+
+    def drain(_: int) -> None:
+        raise AssertionError("waited for a line to be empty")
+
+    def start() -> None:
+        monkeypatch.setattr(select, "select", spy)
+        monkeypatch.setattr(termios, "tcdrain", drain)
+
+    return start
+
+
+def live(config: SourceConfig, recorder: Recorder | None = None) -> LiveSource:
+    source = open_source(config, SKIN, recorder, wait=True)
+    assert isinstance(source, LiveSource)
+    return source
+
+
+def until(source: LiveSource, true: Callable[[], bool], serve: Callable[[], object]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not true():
+        assert time.monotonic() < deadline
+        serve()
+        source.poll(time.monotonic())
+        time.sleep(0.002)
+
+
+@pytest.mark.parametrize(
+    ("kind", "framing"), [("serial", "native"), ("serial", "slcan"), ("can", "native")]
+)
+def test_a_line_whose_far_end_stops_reading_makes_no_tick_wait(
+    far_end: FarEnd, no_waiting: Callable[[], None], kind: str, framing: str
+) -> None:
+    config = SourceConfig(kind=kind, interface="slcan", framing=framing, channel=far_end.device)
+    source = open_source(config, SKIN)
+    far_end.fill()
+    no_waiting()
+    for tick in range(2000):
+        source.poll(tick * TICK_S)
+    assert 30 <= source.counters.unsent <= 3 * 2000 * TICK_S / 0.5
+    assert source.counters.lost == 0
+    source.close()
+
+
+def test_requests_go_out_again_and_whole_once_the_far_end_reads(far_end: FarEnd) -> None:
+    source = open_source(SourceConfig(kind="serial", channel=far_end.device), SKIN)
+    source.poll(0.0)
+    far_end.read()
+    far_end.fill()
+    for tick in range(100, 1000):
+        source.poll(tick * TICK_S)
+    reader = SerialReader()
+    reader.feed(far_end.read() + b"\0", 0.0)
+    damaged = reader.counters.crc_errors + reader.counters.length_errors
+    packets = []
+    for tick in range(1000, 1200):
+        source.poll(tick * TICK_S)
+        packets += reader.feed(far_end.read(), 0.0)
+    assert packets[0].command == Command.DISCOVERY_PING
+    assert reader.counters.crc_errors + reader.counters.length_errors == damaged
+    source.close()
+
+
+class Narrow:
+    """A device that takes so many bytes, and then nothing until it has room again."""
+
+    def __init__(self) -> None:
+        self.room = 0
+        self.taken = b""
+
+    @staticmethod
+    def pack(command: int, payload: bytes) -> list[Unit]:
+        return [Unit(None, bytes([command]) * 4 + payload)]
+
+    def put(self, unit: Unit) -> Unit | None:
+        if not self.room:
+            raise BlockingIOError
+        part = unit.line[: self.room]
+        self.taken += part
+        self.room -= len(part)
+        return unit._replace(line=unit.line[len(part) :]) if len(part) < len(unit.line) else None
+
+
+def test_a_request_that_has_begun_is_finished_and_one_that_is_too_old_is_dropped() -> None:
+    device = Narrow()
+    outbox = Outbox(device)
+    outbox.add((1, b""), 0.0)
+    outbox.add((2, b""), 0.0)
+    device.room = 3
+    outbox.flush(0.0)
+    outbox.flush(outboxes.PATIENCE_S + 0.1)
+    assert outbox.dropped == 1
+    outbox.add((3, b""), 1.0)
+    device.room = 100
+    outbox.flush(1.0)
+    assert device.taken == b"\1\1\1\1\3\3\3\3"
+    assert not outbox
+
+
+def test_no_more_than_so_many_requests_wait() -> None:
+    device = Narrow()
+    outbox = Outbox(device)
+    for _ in range(1000):
+        outbox.add((1, b""), 0.0)
+    assert outbox.dropped == 1000 - outboxes.MOST
+    device.room = 10_000
+    outbox.flush(0.0)
+    assert len(device.taken) == 4 * outboxes.MOST
+
+
+def test_a_can_bus_that_is_full_gets_its_requests_when_it_has_room_and_only_those_are_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    full = True
+    real = VirtualBus.send
+
+    def send(self: Any, message: can.Message, timeout: float | None = None) -> None:
+        if full:
+            raise can.CanOperationError("Transmit buffer full")
+        real(self, message, timeout)
+
+    monkeypatch.setattr(VirtualBus, "send", send)
+    with (
+        Recorder(tmp_path, moves=False) as recorder,
+        can.Bus(interface="virtual", channel="full") as bus,
+    ):
+        source = live(SourceConfig(kind="can", interface="virtual", channel="full"), recorder)
+        source.poll(0.0)
+        source.poll(0.1)
+        assert (recorder.counters.frames, source.counters.unsent) == (0, 0)
+        full = False
+        source.poll(0.2)
+        source.close()
+        heard = 0
+        while bus.recv(0.0) is not None:
+            heard += 1
+    assert heard == recorder.counters.frames >= 3
+
+
+def test_a_device_that_is_not_there_yet_is_waited_for_with_one_line(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "taxeld")
+    source = live(SourceConfig(kind="serial", channel=str(tmp_path / "skin")))
+    for tick in range(500):
+        assert source.poll(tick * TICK_S) == []
+    assert source.counters.unopened >= 4
+    assert "it is not there" in source.waits_for
+    (record,) = caplog.records
+    assert record.getMessage() == f"{source.waits_for}; waiting for it"
+    hub = VirtualHub(tmp_path / "skin", MODULES, native=True)
+    until(
+        source,
+        lambda: source.wire.decoder.counters.scans >= 2,
+        lambda: hub.serve(time.monotonic(), lambda _: [7] * CHANNELS),
+    )
+    assert source.waits_for == ""
+    assert "is open" in caplog.records[-1].getMessage()
+    source.close()
+    hub.unplug()
+
+
+@pytest.mark.parametrize(("kind", "interface"), [("serial", "socketcan"), ("can", "slcan")])
+def test_a_line_that_another_process_has_locked_is_waited_for(
+    far_end: FarEnd, kind: str, interface: str
+) -> None:
+    config = SourceConfig(kind=kind, interface=interface, channel=far_end.device)
+    other = os.open(far_end.device, os.O_RDWR | os.O_NOCTTY)
+    fcntl.flock(other, fcntl.LOCK_EX)
+    source = live(config)
+    source.poll(1.0)
+    assert "another process has it open" in source.waits_for
+    os.close(other)
+    source.poll(10.0)
+    assert source.waits_for == ""
+    source.close()
+
+
+def test_who_does_not_wait_hears_of_a_missing_device_at_once(tmp_path: Path) -> None:
+    with pytest.raises(AwayError, match=r"^source\.channel: cannot open .*plugged in\?\)$"):
+        open_source(SourceConfig(kind="serial", channel=str(tmp_path / "skin")), SKIN)
+
+
+def refuse(*_: object, **__: object) -> int:
+    raise PermissionError(errno.EACCES, "Permission denied")
+
+
+def test_what_only_a_person_can_mend_is_not_waited_for(
+    tmp_path: Path, far_end: FarEnd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "file"
+    file.touch()
+    for config, line in (
+        (SourceConfig(kind="serial", channel=str(file)), "it is no serial line"),
+        (SourceConfig(kind="serial", channel=str(tmp_path)), "it is a directory"),
+        (SourceConfig(kind="can", interface="no_such", channel="x"), "source.interface: "),
+        (SourceConfig(kind="can", interface="slcan", channel="x@fast"), "a line speed"),
+    ):
+        with pytest.raises(SetupError, match=line):
+            live(config)
+    monkeypatch.setattr("serial.serialposix.os.open", refuse)
+    with pytest.raises(SetupError, match="permission denied; is this user in the group"):
+        live(SourceConfig(kind="serial", channel=far_end.device))
+
+
+def test_a_line_that_goes_while_it_is_being_opened_is_waited_for(
+    far_end: FarEnd, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its driver's complaint is then no OSError."""
+
+    def gone(*_: object) -> None:
+        raise termios.error(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr("serial.serialposix.termios.tcsetattr", gone)
+    source = live(SourceConfig(kind="serial", channel=far_end.device))
+    assert "Input/output error" in source.waits_for
+    source.close()
+
+
+def test_a_device_that_comes_and_goes_all_day_fills_no_log(
+    far_end: FarEnd, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    caplog.set_level(logging.INFO, "taxeld")
+    source = live(SourceConfig(kind="serial", channel=far_end.device))
+
+    def gone(*_: object) -> bytes:
+        raise serial.SerialException("unplugged")
+
+    monkeypatch.setattr(serial.Serial, "read", gone)
+    for second in range(1000):
+        source.poll(float(second))
+    assert source.counters.lost >= 300
+    assert 10 <= len(caplog.records) <= 10 + 1000 / 30 + 1
+    source.close()
+
+
+def test_a_device_is_opened_again_though_all_descriptors_are_taken(tmp_path: Path) -> None:
+    hub = VirtualHub(tmp_path / "skin", MODULES, native=True)
+    source = live(SourceConfig(kind="serial", channel=hub.device))
+    hub.unplug()
+    until(source, lambda: source.counters.lost == 1, lambda: None)
+    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (1200, limits[1]))
+    taken: list[int] = []
+    try:
+        with contextlib.suppress(OSError):
+            while True:
+                taken.append(os.open(os.devnull, os.O_RDONLY))
+        for _ in range(2):
+            os.close(taken.pop())
+        hub.plug()  # takes two
+        for second in range(2000, 2010):
+            source.poll(float(second) + time.monotonic())
+    finally:
+        for fd in taken:
+            os.close(fd)
+        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+    assert source.counters.reopened == 1
+    source.close()
+    hub.unplug()

@@ -1,0 +1,61 @@
+"""The sensor's poses over time: which are taken, and what is told of a moment between them."""
+
+import pytest
+
+from taxeld.pipeline.poses import BACK_MAX, PoseTrack
+
+
+def test_a_pose_that_jumped_is_not_mixed_with_its_neighbours() -> None:
+    """Between a right pose and a wrong one lie places that look right and are not."""
+    track = PoseTrack(max_age_s=0.2)
+    for t, x in ((1.00, 0.3), (1.01, 2.3), (1.02, 0.3)):
+        track.add(t, x, 0.0, 0.0)
+    placed = [track.at(t) for t in (1.004, 1.006, 1.014, 1.016)]
+    assert [pose[0] for pose in placed if pose is not None] == [0.3, 2.3, 2.3, 0.3]
+
+
+def test_a_robot_whose_clock_is_set_back_is_followed() -> None:
+    track = PoseTrack(max_age_s=0.2)
+    for k in range(20):
+        track.add(1e4 + 0.01 * k, 0.0, 0.0, 0.0)
+    for k in range(BACK_MAX):
+        assert track.at(500.0 + 0.01 * k) is None
+        track.add(500.0 + 0.01 * k, 1.0, 0.0, 0.0)
+    assert track.latest_t == pytest.approx(500.0 + 0.01 * (BACK_MAX - 1))
+    assert (track.rejected, track.begun_again) == (BACK_MAX - 1, 1)
+
+
+def test_a_pose_from_far_ahead_does_not_silence_the_robot() -> None:
+    track = PoseTrack(max_age_s=0.2)
+    track.add(1e9, 0.0, 0.0, 0.0)
+    for k in range(BACK_MAX):
+        track.add(500.0 + 0.01 * k, 1.0, 0.0, 0.0)
+    assert track.at(500.1) is not None
+
+
+def test_a_pose_that_is_stamped_in_the_future_costs_no_other_pose() -> None:
+    track = PoseTrack(max_age_s=0.2)
+    for k in range(20):
+        now = 500.0 + 0.01 * k
+        track.add(now, 0.3, 0.0, 0.0, now)
+        track.add(now + 3600.0, 0.3, 0.0, 0.0, now)
+    assert (track.taken, track.rejected, track.from_the_future) == (20, 20, 20)
+    assert track.at(500.19) is not None
+
+
+@pytest.mark.parametrize("far", [(1e9, 0.0), (0.0, -1e9), (10.01, 0.0)])
+def test_a_pose_that_the_robot_cannot_reach_is_not_taken(far: tuple[float, float]) -> None:
+    track = PoseTrack(max_age_s=0.2, within_m=10.0)
+    track.add(1.00, 10.0, -10.0, 0.0)
+    track.add(1.01, *far, 0.0)
+    assert track.latest_t == 1.0
+    assert (track.taken, track.rejected, track.far) == (1, 1, 1)
+
+
+def test_stray_poses_from_the_past_do_not_clear_the_track() -> None:
+    track = PoseTrack(max_age_s=0.2)
+    for k in range(1000):
+        track.add(1000.0 + 0.01 * k, 0.0, 0.0, 0.0)
+        track.add(900.0 + 0.01 * k, 1.0, 0.0, 0.0)
+    assert track.begun_again == 0
+    assert track.rejected == 1000

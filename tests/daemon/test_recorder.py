@@ -1,0 +1,313 @@
+"""What a recording leaves behind, however it ends: killed, with a full disk, or before it began."""
+
+import errno
+import logging
+import os
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from taxeld.cli import main
+from taxeld.config.tables import SkinConfig
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.source import recorder as recorders
+from taxeld.source import session
+from taxeld.source.recorder import Recorder
+from taxeld.source.session import Chunk, Session
+from taxeld_protocol import slcan
+from taxeld_protocol.frames import Frame, parse_log_line
+from taxeld_protocol.modules import wired
+from tests.virtual_hub import VirtualHub
+
+MODULES = wired(layouts.load(SkinConfig().layout).uid.tolist())
+CHANNELS = sum(module.channels for module in MODULES)
+DEADLINE_S = 30.0
+SMALL_DISK = 30_000  # bytes a file may have, in place of a disk that is nearly full
+
+
+@pytest.fixture(params=[False, True], ids=["slcan", "native"])
+def hub(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[VirtualHub]:
+    with VirtualHub(tmp_path / "skin", MODULES, native=request.param) as made:
+        yield made
+
+
+def configuration(place: Path, hub: VirtualHub) -> Path:
+    """Of a daemon on the hub: frames of a CAN adapter, or bytes of a serial line."""
+    kind = 'kind = "serial"' if hub.native else 'kind = "can"\ninterface = "slcan"'
+    path = place / "config.toml"
+    path.write_text(
+        f'[source]\n{kind}\nchannel = "{hub.device}"\nperiod_ms = 10\n[scene]\nbundle = "box"\n'
+        f'[skin]\nbaseline_scans = 2\n[filter]\nproposal = "manifold"\n'
+        f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
+        f'[control]\nendpoint = "ipc://{place}/control"\n',
+        encoding="utf-8",
+    )
+    return path
+
+
+def taxeld(*arguments: str | Path, disk: int | None = None) -> subprocess.Popen[str]:
+    """A command, whose files may not grow beyond `disk` bytes."""
+
+    def limit() -> None:
+        if disk is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (disk, disk))
+
+    return subprocess.Popen(
+        [sys.executable, "-m", "taxeld.cli", *map(str, arguments)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit,  # noqa: PLW1509
+    )  # fmt: skip
+
+
+def serve(hub: VirtualHub, until: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not until():
+        assert time.monotonic() < deadline
+        hub.serve(time.monotonic(), lambda k: [k + 1] * CHANNELS)
+        time.sleep(0.002)
+
+
+def recorded_bytes(out: Path) -> int:
+    """As they went over the wire; those of the host's few requests as well."""
+    if (out / session.SERIAL).exists():
+        return (out / session.SERIAL).stat().st_size
+    if not (out / session.FRAMES).exists():
+        return 0
+    lines = (out / session.FRAMES).read_text(encoding="ascii").splitlines()
+    return sum(len(slcan.encode(frame)) for line in lines if (frame := parse_log_line(line)))
+
+
+def test_a_recorder_that_is_killed_leaves_what_it_heard_but_for_the_last_moment(
+    tmp_path: Path, hub: VirtualHub
+) -> None:
+    out = tmp_path / "session"
+    process = taxeld("record", "--out", out, configuration(tmp_path, hub))
+    try:
+        serve(hub, lambda: hub.scans >= 22)
+        sent = hub.written
+        serve(hub, lambda: recorded_bytes(out) >= sent)  # what waits is written while more comes
+    finally:
+        process.kill()
+        process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == -signal.SIGKILL
+    replayed = taxeld("replay", out)
+    printed, errors = replayed.communicate(timeout=DEADLINE_S)
+    assert replayed.returncode == 0
+    assert len(printed.splitlines()) >= 20
+    assert errors.startswith(f"{out}: the recording was cut; ")
+    assert errors.count("\n") == 1
+
+
+def test_a_full_disk_ends_a_recording_with_one_line_and_status_1(
+    tmp_path: Path, hub: VirtualHub
+) -> None:
+    out = tmp_path / "session"
+    process = taxeld("record", "--out", out, configuration(tmp_path, hub), disk=SMALL_DISK)
+    try:
+        serve(hub, lambda: process.poll() is not None)
+    finally:
+        process.kill()
+        printed, errors = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 1
+    assert (
+        errors
+        == f"{out}: the recording has ended ({os.strerror(errno.EFBIG)}); it replays up to here\n"
+    )
+    assert printed.startswith(f"{out}: ")
+    replayed = taxeld("replay", out)
+    printed, errors = replayed.communicate(timeout=DEADLINE_S)
+    assert replayed.returncode == 0
+    assert len(printed.splitlines()) > 10
+    assert errors.count("\n") == 1
+
+
+def test_a_device_that_cannot_be_opened_leaves_no_directory_behind(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    hub = VirtualHub(tmp_path / "skin", MODULES, native=True)
+    config = configuration(tmp_path, hub)
+    hub.unplug()
+    out = tmp_path / "a" / "session"
+    for _ in range(2):
+        assert main(["record", "--out", str(out), str(config)]) == 2
+        assert "source.channel: cannot open" in capsys.readouterr().err
+        assert sorted(tmp_path.iterdir()) == [config]
+
+
+def test_a_recording_of_nothing_leaves_what_was_there_before(tmp_path: Path) -> None:
+    place, config = tmp_path / "s", tmp_path / "config.toml"
+    config.write_text("[source]\n", encoding="utf-8")
+    place.mkdir()
+    (place / "notes").touch()
+    with Recorder(place, moves=True, config=config):
+        assert (place / session.CONFIG).read_bytes() == config.read_bytes()
+    assert [path.name for path in place.iterdir()] == ["notes"]
+
+
+def test_a_directory_that_cannot_be_written_to_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with (
+        pytest.raises(SetupError, match="cannot be made"),
+        Recorder(tmp_path / "file" / "s", moves=False),
+    ):
+        pass
+
+
+def frame(number: int) -> Frame:
+    return Frame(float(number), 0x101, bytes(8))
+
+
+class Disk:
+    """A file's `write`, in a disk that can hang or be full."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.free = 10**9
+        self.moves = threading.Event()
+        self.moves.set()
+        monkeypatch.setattr(recorders, "FileIO", self._file)
+
+    def _file(self, path: Path, mode: str) -> "File":
+        return File(path, mode, self)
+
+
+class File(recorders.FileIO):
+    def __init__(self, path: Path, mode: str, disk: Disk) -> None:
+        super().__init__(path, mode)
+        self.disk = disk
+
+    def write(self, data: bytes) -> int:  # type: ignore[override]
+        assert self.disk.moves.wait(DEADLINE_S)
+        taken = min(len(data), self.disk.free)
+        if not taken:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.disk.free -= taken
+        return int(super().write(data[:taken]))
+
+
+def wait(until: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not until():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_a_full_disk_ends_the_recording_and_not_who_records(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    disk = Disk(monkeypatch)
+    caplog.set_level(logging.WARNING)
+    with Recorder(tmp_path / "s", moves=False) as recorder:
+        recorder.take(frame(0))
+        wait(lambda: recorder.counters.frames == 1)
+        disk.free = 70  # one line and a half
+        for number in range(1, 6):
+            recorder.take(frame(number))
+        wait(lambda: recorder.counters.failed)
+        recorder.take(frame(6))
+    assert recorder.counters.dropped == 6
+    assert len(caplog.messages) == 1
+    assert "No space left on device" in caplog.messages[0]
+    assert session.read(tmp_path / "s") == Session([frame(0), frame(1)], [])
+
+
+def test_a_disk_that_hangs_costs_records_and_never_the_caller(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(monkeypatch)
+    monkeypatch.setattr(recorders, "WAITING_BYTES", 100_000)
+    with Recorder(tmp_path / "s", moves=False) as recorder:
+        disk.moves.clear()
+        for number in range(2000):
+            recorder.take(frame(number))  # in this thread, which the disk would stop for ever
+        dropped = recorder.counters.dropped
+        disk.moves.set()
+        wait(lambda: recorder.counters.frames + dropped == 2000)
+        recorder.take(frame(3000))
+    assert 1000 < dropped < 2000
+    assert session.read(tmp_path / "s").items[-1] == frame(3000)
+
+
+def test_what_a_line_brings_is_bounded_by_its_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(monkeypatch)
+    with Recorder(tmp_path / "s", moves=False) as recorder:
+        disk.moves.clear()
+        for number in range(300):
+            recorder.take(Chunk(float(number), bytes(65_536)))
+        assert recorder.counters.dropped > 50
+        disk.moves.set()
+
+
+def test_all_that_is_recorded_is_synced_and_so_are_the_names_of_the_files(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: set[str] = set()
+    real = os.fsync
+
+    def fsync(descriptor: int) -> None:
+        synced.add(Path(f"/proc/self/fd/{descriptor}").readlink().name)
+        real(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    monkeypatch.setattr(recorders, "SYNC_S", 0.0)
+    with Recorder(tmp_path / "s", moves=True) as recorder:
+        recorder.take(Chunk(1.0, b"\x00"))
+        wait(lambda: {session.SERIAL, session.SERIAL_TIMES, session.POSES} <= synced)
+    assert {session.ABOUT, "s", tmp_path.name} <= synced
+
+
+def test_a_daemon_records_while_it_runs_and_outlives_a_full_disk(
+    tmp_path: Path, hub: VirtualHub
+) -> None:
+    out = tmp_path / "session"
+    config = configuration(tmp_path, hub)
+    process = taxeld("run", "--record", out, config, disk=SMALL_DISK)
+    try:
+        serve(hub, lambda: hub.written > 3 * SMALL_DISK)
+        sent = hub.scans
+        serve(hub, lambda: hub.scans > sent + 50)
+        status = taxeld("status", "--json", config)
+        serve(hub, lambda: status.poll() is not None)
+        assert '"failed": true' in status.communicate(timeout=DEADLINE_S)[0]
+    finally:
+        process.terminate()
+        _, errors = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 0
+    assert (
+        errors
+        == f"{out}: the recording has ended ({os.strerror(errno.EFBIG)}); it replays up to here\n"
+    )
+    assert session.read(out).items
+
+
+def test_what_a_daemon_recorded_replays_as_many_scans_as_it_took(
+    tmp_path: Path, hub: VirtualHub, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "session"
+    process = taxeld("run", "--record", out, configuration(tmp_path, hub))
+    try:
+        serve(hub, lambda: hub.scans >= 30)
+        sent = hub.written
+        serve(hub, lambda: recorded_bytes(out) >= sent)
+    finally:
+        process.terminate()
+        _, errors = process.communicate(timeout=DEADLINE_S)
+    assert (process.returncode, errors) == (0, "")
+    assert main(["replay", str(out)]) == 0
+    assert len(capsys.readouterr().out.splitlines()) >= 30
+
+
+def test_a_replay_is_not_recorded_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    config = tmp_path / "config.toml"
+    config.write_text('[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n', "utf-8")
+    assert main(["run", "--record", str(tmp_path / "s"), str(config)]) == 2
+    assert "is a recording already" in capsys.readouterr().err
+    assert not (tmp_path / "s").exists()

@@ -1,0 +1,53 @@
+"""A recorded session replays to the bytes that it always gave: what is tidied up changes nothing.
+
+Bytes depend on how the processor and the C library round, so both are held fixed; where that cannot
+be had the test is skipped. Who changes what the estimator does, on purpose, writes the new digests
+here and says so.
+"""
+
+import hashlib
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+SESSION = Path(__file__).parent / "session"  # four contacts of a mug, over a native serial line
+FIXED = {
+    "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
+    "OPENBLAS_CORETYPE": "Haswell",
+    "OPENBLAS_NUM_THREADS": "1",
+}
+DIGESTS = {
+    'proposal = "table"': "7709673095bb77d8",
+    'proposal = "manifold"\ninjection = "paper"': "c03890b4f729ca51",
+    'proposal = "table"\nmotion = "push"': "f977dae4a43054b1",
+    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "f316069ad0ddba1e",
+}
+
+
+def same_rounding() -> bool:
+    cpu = Path("/proc/cpuinfo")
+    return (
+        platform.machine() == "x86_64"
+        and platform.libc_ver() == ("glibc", "2.36")
+        and np.__version__.startswith("2.4.")
+        and " avx2 " in cpu.read_text(encoding="ascii", errors="replace")
+    )
+
+
+@pytest.mark.skipif(not same_rounding(), reason="another processor, C library or numpy")
+@pytest.mark.parametrize(("filter_keys", "digest"), DIGESTS.items())
+def test_a_recorded_session_gives_the_bytes_it_gave_before(
+    tmp_path: Path, filter_keys: str, digest: str
+) -> None:
+    text = (SESSION / "config.toml").read_text(encoding="utf-8")
+    config = tmp_path / "config.toml"
+    config.write_text(f"{text}{filter_keys}\n", encoding="utf-8")
+    command = [sys.executable, "-m", "taxeld.cli", "replay", str(SESSION), "--config", str(config)]
+    done = subprocess.run(command, capture_output=True, check=True, env=os.environ | FIXED)
+    assert done.stdout.count(b"\n") == 254
+    assert hashlib.sha256(done.stdout).hexdigest()[:16] == digest

@@ -1,0 +1,260 @@
+"""A session that was cut anywhere replays up to its last whole record, and one of another time is
+read by what its format says."""
+
+import json
+import logging
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from taxeld.cli import main
+from taxeld.commands.replay import open_pipeline, outcomes
+from taxeld.config.file import parse
+from taxeld.config.tables import Config, SensorPoseConfig
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld.proposals import bundle
+from taxeld.proposals.bundle import Bundle
+from taxeld.service.loop import Daemon
+from taxeld.source import session
+from taxeld.source.recorder import Recorder
+from taxeld.source.session import Chunk
+from taxeld.stream import messages
+from taxeld_protocol import cyskin, serial_link, slcan
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.modules import wired
+from taxeld_protocol.virtual_ihb import VirtualIhb
+
+SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+SKIN = layouts.load(SPEC)
+MODULES = wired(SKIN.uid.tolist())
+CHANNELS = sum(module.channels for module in MODULES)
+PERIOD_S = 0.05
+SOURCES = {
+    "can": 'kind = "can"\nchannel = "can0"',
+    "native": 'kind = "serial"\nchannel = "tty"',
+    "slcan": 'kind = "serial"\nchannel = "tty"\nframing = "slcan"',
+}
+INPUT = {session.FRAMES, session.SERIAL, session.SERIAL_TIMES, session.ABOUT}
+
+
+@cache
+def box() -> Bundle:
+    return bundle.load("box", SKIN, 0.005)
+
+
+def config_of(transport: str) -> Config:
+    return parse(
+        f'[source]\n{SOURCES[transport]}\n[scene]\nbundle = "box"\n[skin]\nbaseline_scans = 2\n'
+        '[filter]\nproposal = "manifold"\nparticles = 50\nparticles_max = 50\ninjected = 20\n'
+        '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
+    )
+
+
+def sent(transport: str) -> Iterator[Frame | Chunk]:
+    """Idle, touched and idle scans, as they come over the wire; a line is read in odd pieces."""
+    hub, rng = VirtualIhb(MODULES), np.random.default_rng(0)
+    for scan in range(12):
+        counts = 1000 + rng.normal(0.0, 20.0, CHANNELS)
+        counts[36:44] += 8000.0 * (4 <= scan < 9)
+        line = b""
+        for command, payload in hub.sensor_data(counts.astype(int).tolist()):
+            frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + scan * PERIOD_S)
+            if transport == "can":
+                yield from frames
+            elif transport == "slcan":
+                line += b"".join(map(slcan.encode, frames))
+            else:
+                line += serial_link.encode(command, payload, ihb=1)
+        for start in range(0, len(line), 97):
+            t = 100.0 + scan * PERIOD_S + 1e-5 * start
+            yield Chunk(t, line[start : start + 97])
+
+
+def record(place: Path, transport: str) -> None:
+    with Recorder(place, moves=True) as recorder:
+        for item in sent(transport):
+            recorder.take(item)
+        for k in range(70):
+            recorder.pose(99.9 + 0.01 * k, 0.001 * k, -0.002, 0.01 * k)
+
+
+def estimates(place: Path, transport: str) -> list[str]:
+    config = config_of(transport)
+    pipeline = Pipeline(config, box().model, box().untimed(config.filter))
+    return [
+        json.dumps(
+            messages.estimate(o.estimate, seq=seq, valid=pipeline.freshness.is_valid(o.estimate))
+        )
+        for seq, o in enumerate(outcomes(place, pipeline))
+    ]
+
+
+@pytest.fixture(scope="module", params=list(SOURCES))
+def recorded(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[str, Path, list[str]]:
+    """A transport, a session over it, and the estimates of that."""
+    place = tmp_path_factory.mktemp("sessions") / "whole"
+    record(place, request.param)
+    whole = estimates(place, request.param)
+    assert len(whole) == 12
+    assert json.loads(whole[-1])["contacts"] == 1
+    return request.param, place, whole
+
+
+@given(data=st.data())
+@settings(
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_a_session_that_is_cut_at_any_byte_of_any_file_replays_to_where_it_was_cut(
+    recorded: tuple[str, Path, list[str]],
+    caplog: pytest.LogCaptureFixture,
+    data: st.DataObject,
+) -> None:
+    transport, place, whole = recorded
+    copy = place.with_name("cut")
+    shutil.rmtree(copy, ignore_errors=True)
+    shutil.copytree(place, copy)
+    names = sorted(path.name for path in place.iterdir())
+    cuts = data.draw(st.lists(st.sampled_from(names), min_size=1, unique=True))
+    lost = 0
+    for name in cuts:
+        content = (place / name).read_bytes()
+        keep = data.draw(st.integers(0, len(content)))
+        (copy / name).write_bytes(content[:keep])
+        lost += len(content) - keep
+    caplog.clear()
+    found = estimates(copy, transport)
+    if set(cuts) <= INPUT:
+        assert found == whole[: len(found)]
+    assert len(found) <= len(whole)
+    assert len(caplog.messages) == bool(lost)
+
+
+def test_a_cut_costs_the_end_alone(recorded: tuple[str, Path, list[str]]) -> None:
+    """Three quarters of the frames, or of the bytes, or of the rows, give that share of scans."""
+    transport, place, whole = recorded
+    for name in {session.FRAMES, session.SERIAL, session.SERIAL_TIMES}:
+        if not (place / name).exists():
+            continue
+        copy = place.with_name("three quarters")
+        shutil.copytree(place, copy)
+        content = (place / name).read_bytes()
+        (copy / name).write_bytes(content[: 3 * len(content) // 4])
+        found = estimates(copy, transport)
+        shutil.rmtree(copy)
+        assert found == whole[: len(found)]
+        assert 8 <= len(found) <= 9
+
+
+def test_a_number_that_was_cut_is_no_number(tmp_path: Path) -> None:
+    path = tmp_path / session.POSES
+    path.write_text("t,x,y,theta\n1.0,0.1,0.2,0.3\n2.0,0.1,0.2,0.312", encoding="ascii")
+    assert session.read_poses(path) == [(1.0, 0.1, 0.2, 0.3)]
+
+
+def test_zeros_that_a_power_cut_left_at_the_end_are_no_record(tmp_path: Path) -> None:
+    """As file systems do that have stored a file's length before what is in it."""
+    record(tmp_path, "can")
+    whole = session.read(tmp_path)
+    for name in (session.FRAMES, session.POSES, session.ABOUT):
+        with (tmp_path / name).open("ab") as file:
+            file.write(bytes(4096))
+    assert session.read(tmp_path) == whole
+
+
+@pytest.mark.parametrize(
+    ("name", "row"), [(session.FRAMES, b"(1.0) can0 1"), (session.POSES, b"1.5,0.2")]
+)
+def test_damage_that_is_not_at_the_end_is_an_error_with_its_line(
+    tmp_path: Path, name: str, row: bytes
+) -> None:
+    record(tmp_path, "can")
+    lines = (tmp_path / name).read_bytes().splitlines(keepends=True)
+    (tmp_path / name).write_bytes(b"".join([*lines[:7], row, b"\n", *lines[7:]]))
+    with pytest.raises(SetupError, match=f"{name}: line 8 is "):
+        session.read(tmp_path)
+
+
+def test_a_whole_session_says_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO)
+    record(tmp_path, "native")
+    session.read(tmp_path)
+    assert caplog.messages == []
+
+
+def test_a_session_without_a_version_is_read_as_the_first(tmp_path: Path) -> None:
+    record(tmp_path, "native")
+    before = session.read(tmp_path)
+    (tmp_path / session.ABOUT).unlink()
+    assert session.read(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    ("about", "fault"),
+    [("version = 2\n", "is of version 2"), ("version\n", "damaged"), ('bytes = "9"\n', "damaged")],
+)
+def test_a_session_of_a_newer_version_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], about: str, fault: str
+) -> None:
+    record(tmp_path, "can")
+    (tmp_path / session.ABOUT).write_text(about, encoding="ascii")
+    config = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
+    (tmp_path / session.CONFIG).write_text(config, encoding="utf-8")
+    assert main(["replay", str(tmp_path)]) == 2
+    printed, errors = capsys.readouterr()
+    assert printed == ""
+    assert errors.startswith(f"{tmp_path}/{session.ABOUT}: {fault}")
+    assert errors.count("\n") == 1
+
+
+def test_recorded_poses_are_used_whatever_the_configuration_says_of_an_endpoint(
+    tmp_path: Path,
+) -> None:
+    record(tmp_path, "can")
+    config = config_of("can")
+    without = replace(config, sensor_pose=SensorPoseConfig())
+    found = [
+        [outcome.sensor for outcome in outcomes(tmp_path, open_pipeline(tmp_path, settings_))]
+        for settings_ in (config, without)
+    ]
+    seen = [pose for pose in found[1] if pose is not None]
+    assert np.ptp([pose[0] for pose in seen]) > 0.01
+    np.testing.assert_equal(found[0], found[1])
+
+
+def test_where_no_pose_was_recorded_the_sensor_stands_still(tmp_path: Path) -> None:
+    with Recorder(tmp_path, moves=False) as recorder:
+        for item in sent("can"):
+            recorder.take(item)
+    pipeline = open_pipeline(tmp_path, config_of("can"))
+    assert all(o.sensor is None or not o.sensor.any() for o in outcomes(tmp_path, pipeline))
+    assert pipeline.estimate.contacts == 1
+
+
+def test_a_daemon_that_replays_uses_the_recorded_poses(tmp_path: Path) -> None:
+    record(tmp_path, "can")
+    config = parse(
+        f'[source]\nkind = "replay"\npath = "{tmp_path}"\n[scene]\nbundle = "box"\n'
+        '[skin]\nbaseline_scans = 2\n[filter]\nproposal = "manifold"\n'
+        '[publish]\nendpoints = []\n[control]\nendpoint = ""\n'
+    )
+    daemon = Daemon(config)
+    until = time.monotonic() + 20.0
+    while not daemon.source.finished and time.monotonic() < until:
+        daemon.tick(time.monotonic())
+        time.sleep(0.005)
+    daemon.close()
+    assert daemon.source.finished
+    assert daemon.pipeline.poses.taken > 50
+    assert daemon.pipeline.estimator.counters.scans > 5

@@ -1,0 +1,128 @@
+"""Signals to a real daemon: none ends it but those that should, and those end it in order."""
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from taxeld.service.signals import IGNORED, Signals
+
+from .test_cli import configuration
+from .test_notify import environ
+
+DEADLINE_S = 60.0
+
+
+class Running:
+    """A daemon that is ready, and the lines it has logged."""
+
+    def __init__(self, place: Path) -> None:
+        self.config = configuration(place, "source", "kind", '"can"')
+        self.write('[log]\nlevel = "info"\n')
+        self._log = (place / "log").open("w+", encoding="utf-8")
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+            manager.bind(str(place / "notify"))
+            manager.settimeout(DEADLINE_S)
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "taxeld.cli", "run", str(self.config)],
+                stderr=self._log, env={**os.environ, **environ(manager)},
+            )  # fmt: skip
+            assert manager.recv(4096) == b"READY=1"
+
+    def write(self, tables: str) -> None:
+        text = self.config.read_text(encoding="utf-8").split("[log]")[0]
+        if "virtual" not in text:
+            text = text.replace("[source]\n", '[source]\ninterface = "virtual"\nchannel = "s"\n')
+        self.config.write_text(text + tables, encoding="utf-8")
+
+    def log(self) -> list[str]:
+        self._log.flush()
+        return Path(self._log.name).read_text(encoding="utf-8").splitlines()
+
+    def wait(self, what: Callable[[list[str]], bool]) -> list[str]:
+        deadline = time.monotonic() + DEADLINE_S
+        while not what(self.log()):
+            assert time.monotonic() < deadline, self.log()
+            assert self.process.poll() is None, self.process.returncode
+            time.sleep(0.01)
+        return self.log()
+
+    def send(self, number: int) -> None:
+        self.process.send_signal(number)
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self._log.close()
+
+
+@pytest.fixture
+def daemon(tmp_path: Path) -> Iterator[Running]:
+    made = Running(tmp_path)
+    yield made
+    made.close()
+
+
+def test_no_signal_ends_a_daemon_but_those_that_should(daemon: Running) -> None:
+    for number in (*IGNORED, signal.SIGHUP, signal.SIGUSR1, signal.SIGPIPE):
+        daemon.send(number)
+    lines = daemon.wait(lambda lines: sum(": ignored" in line for line in lines) == len(IGNORED))
+    # the stacks that SIGUSR1 writes at once may begin in the middle of a line
+    assert any("signal SIGUSR2: ignored" in line for line in lines)
+    daemon.send(signal.SIGTERM)
+    assert daemon.process.wait(DEADLINE_S) == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])
+def test_who_ends_a_daemon_ends_it_in_order(daemon: Running, number: int) -> None:
+    daemon.send(number)
+    assert daemon.process.wait(DEADLINE_S) == 0
+    assert daemon.log() == []
+
+
+def test_usr1_says_where_the_daemon_is_and_what_it_knows(daemon: Running) -> None:
+    daemon.send(signal.SIGUSR1)
+    lines = daemon.wait(lambda lines: any(line.startswith("health: ") for line in lines))
+    assert any("service/loop.py" in line or "service/ticker.py" in line for line in lines)
+    health = next(line for line in lines if line.startswith("health: "))
+    estimate = next(line for line in lines if line.startswith("estimate: "))
+    assert json.loads(health.removeprefix("health: "))["loop"]["ticks"] >= 1
+    assert "map" in json.loads(estimate.removeprefix("estimate: "))
+
+
+def test_hup_takes_the_log_level_and_names_what_needs_a_restart(daemon: Running) -> None:
+    daemon.write('[log]\nlevel = "debug"\n[filter]\nseed = 7\n')
+    daemon.send(signal.SIGHUP)
+    (line,) = daemon.wait(bool)
+    assert line == (
+        f"{daemon.config}: read anew, log.level is debug; "
+        "a restart is needed for what changed in filter"
+    )
+
+
+def test_hup_on_a_configuration_with_a_fault_changes_nothing(daemon: Running) -> None:
+    daemon.write('[log]\nlevel = "loud"\n')
+    daemon.send(signal.SIGHUP)
+    (line,) = daemon.wait(bool)
+    assert line.startswith("log.level: must be one of")
+    assert line.endswith("; going on as before")
+
+
+def test_handlers_are_as_before_once_the_daemon_has_ended() -> None:
+    before = {number: signal.getsignal(number) for number in (*IGNORED, signal.SIGTERM)}
+    with Signals() as signals:
+        signals.stop_by(lambda: None)
+        signal.raise_signal(signal.SIGUSR2)
+        signal.raise_signal(signal.SIGALRM)
+        signal.raise_signal(signal.SIGALRM)
+        acted: list[str] = []
+        signals.serve({signal.SIGALRM: lambda: acted.append("alarm")})
+    assert acted == ["alarm"]
+    assert {number: signal.getsignal(number) for number in before} == before

@@ -1,0 +1,71 @@
+"""A virtual hub behind one of the harness's pseudo-terminals, served by the test itself."""
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Self
+
+from taxeld_hil.rig.ledger import Unit
+from taxeld_hil.rig.ports import NativePort, SlcanPort
+from taxeld_protocol import cyskin, serial_link, slcan
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.modules import Module
+from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
+
+Counts = Sequence[int | None]
+
+
+class VirtualHub:
+    """A hub on SLCAN, or on the native link, behind a device name that outlives its terminals."""
+
+    def __init__(
+        self, link: Path, modules: Sequence[Module], *, native: bool = False, short_id: int = 1
+    ) -> None:
+        self.ihb = VirtualIhb(modules, short_id=short_id)
+        self.port = NativePort(link) if native else SlcanPort(link, lambda _: None)
+        self.native = native
+        self.device = str(link)
+        self.scans = 0  # that were sent,
+        self.written = 0  # and bytes
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.unplug()
+
+    def unplug(self) -> None:
+        """Take the device away at once, and its power."""
+        self.port.close()
+        self.ihb.reboot()
+
+    def plug(self) -> None:
+        self.port.set_plugged(True)
+
+    def serve(self, now: float, counts: Callable[[int], Counts]) -> None:
+        """Answer the host; where a scan is due, send the counts of that number."""
+        self.answer(now)
+        if self.ihb.due(now):
+            self.scan(counts(self.scans))
+
+    def answer(self, t: float) -> None:
+        """Take the host's requests and answer them."""
+        for packet in self.port.take(t):
+            self.send(self.ihb.answer(packet))
+        self.port.flush()
+
+    def scan(self, counts: Counts) -> None:
+        """Send one scan, whether it is due or not."""
+        self.scans += 1
+        self.send(self.ihb.sensor_data(counts))
+
+    def send(self, answers: Iterable[Answer]) -> None:
+        for command, payload in answers:
+            for item in self.items(command, payload):
+                if self.port.is_open and self.port.send(Unit(item, None)):
+                    self.written += len(item if isinstance(item, bytes) else slcan.encode(item))
+
+    def items(self, command: int, payload: bytes) -> Sequence[Frame | bytes]:
+        """A packet as it goes over the wire."""
+        if self.native:
+            return [serial_link.encode(command, payload, ihb=self.ihb.short_id)]
+        return cyskin.to_frames(command, payload, ihb=self.ihb.short_id, t=0.0)

@@ -1,0 +1,124 @@
+"""Parts of all pictures: colours, legends, axes, labels that do not collide, and the file."""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from io import BytesIO
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+from PIL import Image
+
+from taxeld_training.jobs.rows import Point
+
+Limits = tuple[Point, Point]  # of x, of y
+Style = tuple[str, str]  # colour, marker
+
+# Okabe and Ito's colours, for colour-blind readers; grey replaces their yellow, which is too pale
+COLOURS = (
+    "#0072B2", "#D55E00", "#009E73", "#E69F00", "#888888", "#CC79A7", "#000000", "#56B4E9",
+)  # fmt: skip
+MARKERS = ("o", "s", "^", "D", "v", "P", ">")  # with eight colours: 56 pairs before one repeats
+FIRST = (  # the same style in every picture
+    "density", "ddpm", "ddim", "dpm", "table", "manifold", "projection", "exact", "paper",
+)  # fmt: skip
+LEGEND = 0.8  # entries an inch
+DPI = 120
+
+
+def styles(names: Iterable[str]) -> dict[str, Style]:
+    """A colour and a marker for each name, in the order of a legend."""
+    wanted = set(names)
+    order = [*FIRST, *sorted(wanted - set(FIRST))]
+    pairs = ((COLOURS[i % len(COLOURS)], MARKERS[i % len(MARKERS)]) for i in range(len(order)))
+    return {name: pair for name, pair in zip(order, pairs, strict=True) if name in wanted}
+
+
+def legend(figure: Figure, style: Mapping[str, Style], where: str) -> None:
+    """The markers' names, above ("upper") or below ("lower") all axes."""
+    handles = [
+        Line2D([], [], color=colour, marker=marker, ls="none", ms=6, label=name)
+        for name, (colour, marker) in style.items()
+    ]
+    lines = math.ceil(len(handles) / (LEGEND * figure.get_figwidth()))
+    figure.legend(
+        handles=handles, loc=f"outside {where} center", ncols=-(-len(handles) // lines),
+        fontsize=9, frameon=False, handletextpad=0.3, columnspacing=1.5,
+    )  # fmt: skip
+
+
+def plain(axes: Axes, size: float) -> None:
+    """No box, a faint grid, tick labels of `size` points."""
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.tick_params(labelsize=size)
+    axes.grid(color="0.92", lw=0.6)
+    axes.set_axisbelow(True)
+
+
+def log_ticks(axis: Axis, multiples: Sequence[float]) -> None:
+    """Ticks at these multiples of powers of ten, as plain numbers."""
+    axis.set_major_locator(LogLocator(subs=multiples, numticks=20))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def limits(points: Sequence[Point]) -> Limits:
+    """Of logarithmic axes that hold all finite values, with room for labels below and left."""
+    x, y = zip(*points, strict=True)
+    return _widened(x, 0.16, 0.05), _widened(y, 0.12, 0.06)
+
+
+def _widened(values: Sequence[float], before: float, after: float) -> Point:
+    logs = [math.log(value) for value in values if math.isfinite(value)]
+    low, high = min(logs), max(logs)
+    return math.exp(low - before * (high - low)), math.exp(high + after * (high - low))
+
+
+def beside(axes: Axes, labels: Sequence[tuple[str, Point]]) -> None:
+    """Write labels below and left of points that fall from left to right, where nothing else is.
+
+    A label that would meet one further left moves down and is tied to its point by a line. The
+    figure must have been laid out.
+    """
+    scale = 72.0 / axes.figure.dpi
+    left = axes.get_window_extent().x0 * scale
+    taken: list[tuple[float, float]] = []  # right edge, bottom
+    for text, point in labels:
+        x, y = axes.transData.transform(point) * scale
+        measured = axes.annotate(text, point, fontsize=8)
+        box = measured.get_window_extent()
+        measured.remove()
+        width, height = box.width * scale, box.height * scale
+        right = max(x - 5.0, left + width + 2.0)
+        top = min([y - 1.0, *(below - 1.5 for at, below in taken if at > right - width - 4.0)])
+        taken.append((right, top - height))
+        tie = {
+            "arrowstyle": "-",
+            "color": "0.5",
+            "lw": 0.7,
+            "relpos": (1.0, 0.5),
+            "shrinkA": 1.0,
+            "shrinkB": 3.0,
+        }
+        note = axes.annotate(
+            text, point, (right - x, top - y), textcoords="offset points", ha="right", va="top",
+            fontsize=8, zorder=5, bbox={"fc": "white", "ec": "none", "pad": 0.5},
+            arrowprops=tie if top < y - 9.0 else None,
+        )  # fmt: skip
+        note.set_in_layout(False)
+
+
+def save(figure: Figure, path: Path, palette: bool = False) -> None:
+    """Write a picture, with a palette of 256 colours if its many faint lines would compress badly;
+    the same figure gives the same bytes."""
+    written = BytesIO()
+    figure.savefig(written, dpi=DPI, format="png", metadata={"Software": None})
+    if palette:
+        # by coverage, so that a rare colour stays what it is
+        image = Image.open(written).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
+        written = BytesIO()
+        image.save(written, format="png", optimize=True)
+    path.write_bytes(written.getvalue())

@@ -1,0 +1,225 @@
+"""The sampler experiments' pictures: cost against distance, samplers side by side, dead taxels."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from taxeld.errors import SetupError
+from taxeld_training.charts import picture
+from taxeld_training.charts.picture import Limits, Style
+from taxeld_training.jobs.rows import (
+    Point,
+    Row,
+    Spread,
+    costs,
+    gap,
+    label,
+    mean_of,
+    means,
+    object_name,
+    spread_of,
+)
+
+ACROSS = 5  # small panels
+PAPER_MS = 15.0
+AIM = 2.0  # times the floor
+GAP = "distance to exact posterior / floor"
+NAMES = {
+    "add_mm": "ADD [mm]",
+    "add_sym_mm": "ADD up to symmetry [mm]",
+    "add_s_mm": "ADD-S [mm]",
+    "contact_residual_mm": "contact residual [mm]",
+    "observation_residual": "observation residual",
+}
+LINE: dict[str, Any] = {"color": "0.45", "lw": 0.9, "zorder": 1}
+
+
+def pareto(points: Sequence[Point]) -> list[int]:
+    """Indices of the points (cost, distance) that no other dominates, cheapest first.
+
+    A point dominates another if it is worse in neither and better in one. Points that are not
+    finite are left out.
+    """
+    finite = [i for i, point in enumerate(points) if all(map(math.isfinite, point))]
+    front: list[int] = []
+    for i in sorted(finite, key=points.__getitem__):
+        last = points[front[-1]] if front else (math.inf, math.inf)
+        if points[i][1] < last[1] or points[i] == last:
+            front.append(i)
+    return front
+
+
+def frontier(rows: Sequence[Row], columns: int, path: Path) -> None:
+    """Cost against distance to the exact posterior on skins of `columns` columns: the mean over all
+    objects above, each object below. A sampler that was not run on all of them stays off the front
+    of the mean.
+
+    Raises:
+        SetupError: no row of that many columns is complete.
+    """
+    found = costs(rows, columns)
+    if not found:
+        raise SetupError(f"frontier: no complete row of {columns} columns")
+    family = picture.styles(row["proposal"] for row in rows)
+    style = {label(row): family[row["proposal"]] for row in rows}
+    eager_ms = mean_of(rows, columns, "ms_eager_ddpm100")
+    points = [point for of in found.values() for point in of.values()]
+    limits = picture.limits([*points, (PAPER_MS, AIM), (eager_ms, 1.0)])
+    mean, partial = means(found)
+
+    below = -(-len(found) // ACROSS) if len(found) > 1 else 0
+    figure = Figure(figsize=(10.0, 5.2 + 1.8 * below), layout="constrained")
+    grid = figure.add_gridspec(1 + below, ACROSS, height_ratios=[4.6, *[1.75] * below])
+    top = figure.add_subplot(grid[0, :])
+    front = _cloud(top, mean, style, limits, partial)
+    _levels(top, named=True)
+    _times(top, eager_ms, limits)
+    what = f"mean of {len(found)} objects" if below else object_name(next(iter(found)))
+    note = "; hollow: not run on all" if partial else ""
+    title = f"{columns} columns, {what}\nlabels: steps × width{note}"
+    top.set_title(title, loc="left", fontsize=9, pad=6)
+    top.set_xlabel("time of 100 samples on one thread [ms]", fontsize=9)
+    top.set_ylabel(GAP, fontsize=9)
+    for i, name in enumerate(sorted(found) if below else ()):
+        axes = figure.add_subplot(grid[1 + i // ACROSS, i % ACROSS])
+        _cloud(axes, found[name], style, limits, set(), small=True)
+        _levels(axes, named=i % ACROSS == ACROSS - 1)
+        axes.set_title(object_name(name), fontsize=8, pad=3)
+        axes.tick_params(labelleft=i % ACROSS == 0, labelbottom=i + ACROSS >= len(found))
+    shown = {style[name] for name in mean}
+    picture.legend(figure, {k: v for k, v in family.items() if v in shown}, "lower")
+    figure.draw_without_rendering()  # lays the axes out
+    picture.beside(top, [(name, mean[name]) for name in front])
+    picture.save(figure, path)
+
+
+def proposals(rows: Sequence[Row], path: Path, measure: str = "add_mm") -> None:
+    """A measure of each sampler's samples by object and columns: median, best and worst."""
+    what = f"{NAMES.get(measure, measure)}: median, best to worst"
+    _dodged(rows, lambda row: spread_of(row.get(measure)), what, path)
+
+
+def posterior_gap(rows: Sequence[Row], path: Path) -> None:
+    """Each sampler's distance to the exact posterior, of the floor, by object and columns."""
+    _dodged(rows, gap, GAP, path, log=True)
+
+
+def damage(rows: Sequence[Row], path: Path) -> None:
+    """Distance to the exact posterior by the share of dead taxels: one panel an object, one line a
+    proposal, the floor below."""
+    objects = sorted({str(row["object"]) for row in rows})
+    proposals = list(dict.fromkeys(str(row["proposal"]) for row in rows))
+    style = picture.styles(proposals)
+    figure = Figure(figsize=(4.2 * len(objects), 3.4), layout="constrained")
+    for at, name in enumerate(objects):
+        axes = figure.add_subplot(1, len(objects), at + 1)
+        mine = [row for row in rows if row["object"] == name]
+        for proposal in proposals:
+            points = [
+                (r["dead_share"], r["energy_distance"]) for r in mine if r["proposal"] == proposal
+            ]
+            colour, marker = style[proposal]
+            axes.plot(*zip(*points, strict=True), color=colour, marker=marker, label=proposal)
+        floor = sorted({(row["dead_share"], row["energy_floor"]) for row in mine})
+        axes.plot(*zip(*floor, strict=True), color="black", ls=":", label="floor")
+        axes.set(title=name, xlabel="share of dead taxels", yscale="log")
+        if at == 0:
+            axes.set_ylabel("energy distance to the exact posterior")
+            axes.legend(fontsize=8)
+    picture.save(figure, path)
+
+
+def _cloud(
+    axes: Axes, points: Mapping[str, Point], style: Mapping[str, Style], limits: Limits,
+    partial: set[str], small: bool = False,
+) -> list[str]:  # fmt: skip
+    """Draw the points and the front of those that are not partial; → its labels."""
+    for name, (x, y) in points.items():
+        colour, marker = style[name]
+        fill, layer = ("white", 6) if name in partial else (colour, 3)  # labels: between the two
+        axes.plot(x, y, marker, ms=3.5 if small else 6.5, color=colour, mfc=fill, zorder=layer)
+    whole = [name for name in points if name not in partial]
+    front = [whole[i] for i in pareto([points[name] for name in whole])]
+    if front:
+        xs, ys = zip(*[points[name] for name in front], strict=True)
+        axes.step([*xs, limits[0][1]], [*ys, ys[-1]], where="post", color="0.35", lw=1.1, zorder=2)
+    axes.loglog()
+    axes.set(xlim=limits[0], ylim=limits[1])
+    for axis in (axes.xaxis, axes.yaxis):
+        picture.log_ticks(axis, (1.0,) if small else (1.0, 2.0, 5.0))
+    picture.plain(axes, 7 if small else 8)
+    axes.axvline(PAPER_MS, ls=":", **LINE)
+    return front
+
+
+def _levels(axes: Axes, named: bool) -> None:
+    """The floor and the aim, with their names at the right."""
+    for y, text, dashes in ((1.0, "floor", "-"), (AIM, "aim", "--")):
+        axes.axhline(y, ls=dashes, **LINE)
+        if named:
+            axes.annotate(
+                text, (1.0, y), (4, 0), xycoords=("axes fraction", "data"),
+                textcoords="offset points", va="center", fontsize=8,
+            )  # fmt: skip
+
+
+def _times(axes: Axes, eager_ms: float, limits: Limits) -> None:
+    """The paper's time and that of its sampler here, named above the axes."""
+    notes = [(PAPER_MS, "Marić et al. 2025: 15 ms on 8 cores")]
+    if math.isfinite(eager_ms):
+        axes.axvline(eager_ms, ls=":", **LINE)
+        notes.append((eager_ms, f"eager DDPM of 100 steps here: {eager_ms:.0f} ms"))
+    middle = math.sqrt(limits[0][0] * limits[0][1])
+    for line, (x, text) in enumerate(sorted(notes)):
+        axes.annotate(
+            text, (x, 1.0), (0, 3 + 12 * line), xycoords=("data", "axes fraction"),
+            textcoords="offset points", va="bottom", ha="right" if x > middle else "left",
+            fontsize=8,
+        )  # fmt: skip
+
+
+def _dodged(
+    rows: Sequence[Row], value: Callable[[Row], Spread], what: str, path: Path, log: bool = False
+) -> None:
+    """Panels by object; in each, columns across and the samplers beside each other."""
+    style = picture.styles(row["proposal"] for row in rows)
+    objects = sorted({row["object"] for row in rows})
+    columns = sorted({row["columns"] for row in rows})
+    across = min(ACROSS, len(objects))
+    down = -(-len(objects) // across)
+    size = (10.0 if across > 2 else 6.0, 0.9 + (2.5 if across > 2 else 3.2) * down)
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
+    for axes in panels.flat[len(objects) :]:
+        axes.set_axis_off()
+    shift = dict(zip(style, np.linspace(-0.38, 0.38, len(style) + 2)[1:-1], strict=True))
+    for i, (name, axes) in enumerate(zip(objects, panels.flat, strict=False)):
+        axes.set_title(object_name(name), fontsize=9, pad=3)
+        picture.plain(axes, 8)
+        axes.grid(visible=False, axis="x")
+        for at in range(0, len(columns), 2):
+            axes.axvspan(at - 0.5, at + 0.5, color="0.96", lw=0, zorder=0)
+        for row in (row for row in rows if row["object"] == name):
+            colour, marker = style[row["proposal"]]
+            x = columns.index(row["columns"]) + shift[row["proposal"]]
+            median, best, worst = value(row)
+            axes.plot([x, x], [best, worst], color=colour, lw=1.2, alpha=0.6)
+            axes.plot(x, median, marker, color=colour, ms=4.0)
+        axes.set_xticks(range(len(columns)), [str(n) for n in columns])
+        axes.set_xlim(-0.5, len(columns) - 0.5)
+        axes.tick_params(labelbottom=i + across >= len(objects))
+        if log:
+            axes.set_yscale("log")
+            picture.log_ticks(axes.yaxis, (1.0, 2.0, 5.0))
+            _levels(axes, named=(i + 1) % across == 0)
+    if not log:
+        panels[0, 0].set_ylim(bottom=0.0)
+    figure.supxlabel("columns of taxels", fontsize=9)
+    figure.supylabel(what, fontsize=9)
+    picture.legend(figure, style, "upper")
+    picture.save(figure, path)

@@ -1,0 +1,142 @@
+"""Cells of the filter's experiments: trials of one method under the same conditions, as jobs.
+
+A cell's trials are run and remembered in blocks of seeds. A later run with more trials adds to
+those of a run with fewer, and two experiments share the cells that they have in common.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
+from taxeld_training.filters import follow, trained
+from taxeld_training.filters.conditions import Conditions
+from taxeld_training.filters.follow import Method, TouchResult
+from taxeld_training.filters.trained import DENSITY
+from taxeld_training.filters.trials import Trial
+from taxeld_training.jobs.jobs import Job
+from taxeld_training.jobs.options import Options, run_jobs
+from taxeld_training.jobs.rows import GRID
+from taxeld_training.objects.setting import Setting, ring
+
+COLUMNS = 16
+TOUCHES = 8
+BLOCK, GRID_BLOCK = 25, 5  # seeds a job; a trial of the grid filter takes seconds
+SEEDS_APART = 100_000  # from the first trial of one --seed to that of the next
+QUICK_UPDATES = 0.02
+
+Results = list[list[TouchResult]]  # of each trial, one a touch
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A method's trials with an object on a skin."""
+
+    setting: Setting
+    method: Method
+    conditions: Conditions = field(default_factory=Conditions)
+    touched: str = ""  # object of the trials; empty: the setting's, which the filter assumes
+
+    @property
+    def name(self) -> str:
+        plain = Conditions()
+        given = {f.name: getattr(self.conditions, f.name) for f in fields(plain)}
+        changed = [f"{k}={value:g}" for k, value in given.items() if value != getattr(plain, k)]
+        parts = ["trials", self.setting.name, self.method.name, *changed, self.touched]
+        return "-".join(part for part in parts if part)
+
+
+def setting_of(name: str, columns: int, options: Options) -> Setting:
+    """An object on a ring of `columns`; a quick run trains its density for less long."""
+    updates = QUICK_UPDATES if options.quick else options.effort
+    return Setting(name, ring(columns), columns, updates=updates, seed=options.seed)
+
+
+def chosen(methods: Sequence[Method], proposals: Sequence[str]) -> list[Method]:
+    """The methods with one of `proposals`; all methods if none is named.
+
+    Raises:
+        SetupError: no method has such a proposal.
+    """
+    known = dict.fromkeys(method.proposal for method in methods)
+    for name in proposals:
+        if name not in known:
+            raise SetupError(f"--groups: no '{name}' here; there are {', '.join(known)}")
+    return [method for method in methods if not proposals or method.proposal in proposals]
+
+
+def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Results]:
+    """Results of cells, of as many trials of each as given, or as time allows.
+
+    Densities are trained first. Then every cell gets a first block of trials before any gets a
+    second one; the grid filter, which takes longest, comes last.
+    """
+    counts = dict(wanted)
+    files = _train({cell.setting for cell in counts if cell.method.proposal == DENSITY}, options)
+    todo: list[tuple[int, Cell, Job]] = []
+    for cell, count in counts.items():
+        density = cell.method.proposal == DENSITY
+        if density and cell.setting not in files:
+            continue
+        file = files[cell.setting] if density else ""
+        block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
+        for first in range(0, count, block):
+            seeds = (SEEDS_APART * options.seed + first, min(block, count - first))
+            arguments = (cell, *seeds, follow.code(cell.method.proposal))
+            todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))
+    todo.sort(key=lambda each: (each[1].method.proposal == GRID, each[0]))
+    done = run_jobs([job for _, _, job in todo], options)
+    found: dict[Cell, Results] = {cell: [] for cell in counts}
+    for _, cell, job in todo:
+        found[cell] += [[_read(*touch) for touch in trial] for trial in done[job.name] or []]
+    return {cell: results for cell, results in found.items() if results}
+
+
+def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[Any]]:
+    """Results of the trials of `count` seeds, with the density of `file`, as JSON has them.
+
+    `code` is part of the job's key alone.
+    """
+    del code
+    model = trained.model_of(cell.setting)
+    other = replace(cell.setting, object=cell.touched or cell.setting.object)
+    touched = trained.model_of(other)
+    proposal = None
+    if cell.method.proposal != GRID:
+        proposal = trained.proposal_of(cell.method.proposal, cell.setting, file)
+    return [
+        [
+            (_rounded(touch.map_mm), _rounded(touch.mean_mm), touch.status, touch.particles)
+            for touch in follow.follow(
+                Trial(touched, seed, TOUCHES, cell.conditions), cell.method, model, proposal
+            )
+        ]
+        for seed in range(first, first + count)
+    ]
+
+
+def _train(settings: Iterable[Setting], options: Options) -> dict[Setting, str]:
+    """The file of each setting's density, "" where one is shipped. A setting is left out where
+    time ran out before its training."""
+    settings = sorted(settings, key=lambda setting: setting.name)
+    todo = trained.trainings(settings, options.memory.resolve())
+    done = run_jobs(list(todo.values()), options) if todo else {}
+    files = {setting: "" for setting in settings if setting not in todo}
+    return files | {each: job.beside[0] for each, job in todo.items() if done[job.name]}
+
+
+def _rounded(error_mm: float) -> float | None:
+    return round(error_mm, 4) if math.isfinite(error_mm) else None
+
+
+def _read(
+    map_mm: float | None, mean_mm: float | None, status: int | None, particles: int
+) -> TouchResult:
+    return TouchResult(
+        math.nan if map_mm is None else map_mm,
+        math.nan if mean_mm is None else mean_mm,
+        None if status is None else Status(status),
+        particles,
+    )

@@ -1,0 +1,123 @@
+"""Conditions of a trial: how skin, robot and world differ from what the estimator assumes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taxeld.arrays import Bools, Floats, Poses
+from taxeld.model import contacts, se2
+from taxeld.model.observation import ObservationModel
+
+SILENT = 4.0  # standard deviations of noise under which a reading is 0
+MODULE = 10  # taxels
+SIDE_RAD = np.pi / 4.0  # a side reaches this far in both directions
+TWIN_GAP_M = 0.01  # between the object and the one beside it
+TWIN_STEP_M = 0.002  # in which that gap is searched
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What holds in a trial; the defaults are what the estimator assumes."""
+
+    sigma: float = 0.02  # sd of an activation
+    gain_cv: float = 0.17  # spread of the taxels' gains
+    dead_share: float = 0.0  # of the taxels, scattered, known to be dead
+    dead_modules: int = 0  # runs of ten taxels, known to be dead
+    stuck: int = 0  # taxels that always read `stuck_at`, not known to
+    stuck_at: float = 1.0
+    drift: float = 0.0  # of a taxel's baseline by the last touch, up or down, at most
+    depth: float = 1.0  # of the deepest press, in δ_max
+    sensor_sd_m: float = 0.0  # error of the reported sensor pose, drawn anew each touch
+    sensor_sd_rad: float = 0.0
+    kidnapped_after: int = 0  # touches, after which the object is put elsewhere; 0: never
+    pushed_m: float = 0.0  # between two touches, all along one line
+    pushed_rad: float = 0.0
+    both: int = 0  # touches that press a second object of the same kind, beside it, as well
+    one_side: bool = False  # all touches come from one quarter of the directions
+    scans: int = 3  # of a press
+    slip_m: float = 0.0  # sd of the sensor's place in each of them
+
+
+class TrialSkin:
+    """The skin of one trial: its gains and faults last throughout."""
+
+    def __init__(self, given: Conditions, gain: Floats, rng: np.random.Generator) -> None:
+        taxels = len(gain)
+        self._given = given
+        self._gain = gain
+        self._offset = given.drift * rng.uniform(-1.0, 1.0, taxels)
+        self._stuck = rng.permutation(taxels)[: given.stuck]
+        self.live = np.ones(taxels, dtype=np.bool_)
+        self.live[rng.permutation(taxels)[: round(given.dead_share * taxels)]] = False
+        for module in rng.permutation(-(-taxels // MODULE))[: given.dead_modules]:
+            self.live[module * MODULE : (module + 1) * MODULE] = False
+
+    def read(self, h: Floats, elapsed: float, rng: np.random.Generator) -> Floats:
+        """Activations z (M,) for true ones h (M,), after a share `elapsed` of the trial."""
+        given = self._given
+        z = self._gain * h + elapsed * self._offset + given.sigma * rng.standard_normal(len(h))
+        z = np.where(z < SILENT * given.sigma, 0.0, np.minimum(z, 1.0))
+        z[self._stuck] = given.stuck_at
+        return np.where(self.live, z, 0.0)
+
+
+def places(given: Conditions, start: Poses, touches: int, rng: np.random.Generator) -> Poses:
+    """(touches, 3) poses of the object during each touch; it is pushed in between."""
+    along, turned = rng.uniform(-np.pi, np.pi), rng.choice([-1.0, 1.0])
+    step = [
+        given.pushed_m * np.cos(along), given.pushed_m * np.sin(along), turned * given.pushed_rad
+    ]  # fmt: skip
+    return np.asarray(start + np.arange(touches)[:, None] * np.array(step))
+
+
+def reported(given: Conditions, sensor: Poses, error: Poses) -> Poses:
+    """The sensor pose (3,) that the robot reports; `error` (3,) in standard deviations."""
+    sd = np.array([given.sensor_sd_m, given.sensor_sd_m, given.sensor_sd_rad])
+    return sensor + sd * error if sd.any() else sensor
+
+
+class Side:
+    """Presses from one side of the object."""
+
+    def __init__(self, model: ObservationModel, rng: np.random.Generator) -> None:
+        self._centre = model.scene.centre
+        self.angle = float(rng.uniform(-np.pi, np.pi))
+
+    def accepts(self, poses: Poses) -> Bools:
+        """(N,) whether the skin is on that side of the object at `poses` (N, 3)."""
+        ax, ay = contacts.axis_in_object(poses)
+        angle = np.arctan2(ay - self._centre[1], ax - self._centre[0])
+        return np.asarray(np.abs(se2.wrap(angle - self.angle)) <= SIDE_RAD)
+
+
+class Twin:
+    """A second object of the same kind, close to the first."""
+
+    def __init__(self, model: ObservationModel, rng: np.random.Generator) -> None:
+        self._model = model
+        direction, yaw = rng.uniform(-np.pi, np.pi, 2)
+        self.pose = _beside(model, direction, yaw)  # (3,) in the first one's frame
+
+    def activation(self, poses: Poses) -> Floats:
+        """(N, M) of the twin alone, with the first object at `poses` (N, 3), sensor frame."""
+        return self._model.activation(se2.compose(poses, self.pose))
+
+    def is_clear(self, poses: Poses, depth_m: float) -> Bools:
+        """(N,) whether the skin presses the twin no deeper than `depth_m`."""
+        seen = se2.compose(poses, self.pose)
+        gap = contacts.clearance(self._model.scene, self._model.layout.radius_m, seen)
+        return np.asarray(gap >= -depth_m)
+
+
+def _beside(model: ObservationModel, direction: float, yaw: float) -> Poses:
+    """The farthest pose (3,) in a direction, turned by `yaw`, at which an object is `TWIN_GAP_M`
+    from the one at the origin."""
+    scene = model.scene
+    outline = se2.apply(np.array([0.0, 0.0, yaw]), scene.outline - scene.centre)
+    along = np.array([np.cos(direction), np.sin(direction)])
+    apart = np.arange(2.0 * scene.size + 2.0 * TWIN_GAP_M, 0.0, -TWIN_STEP_M)
+    points = outline + scene.centre + apart[:, None, None] * along
+    gap = scene.clearance(points[..., 0], points[..., 1])[0].min(axis=1)
+    centre = scene.centre + apart[int((gap <= TWIN_GAP_M).argmax())] * along
+    corner = centre - se2.apply(np.array([0.0, 0.0, yaw]), scene.centre[None])[0]
+    return np.array([*corner, yaw])

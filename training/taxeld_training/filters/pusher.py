@@ -1,0 +1,110 @@
+"""An object that is touched while it stands, and then pushed along: a quasi-static world.
+
+The object lies on a table and gives way when the skin presses deeper than its friction resists.
+Its motion is that of an ellipsoidal limit surface under a contact with Coulomb friction. The
+contact sticks while the force that sticking needs is inside the friction cone; otherwise it slips
+along the cone's edge (Lynch, Maekawa & Tanie 1992). The filter knows neither the friction nor the
+true spread of the load.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from taxeld.arrays import Floats, Poses
+from taxeld.model import contacts, se2
+from taxeld.model.activation import Activation
+from taxeld.model.observation import ObservationModel
+from taxeld_training.filters.conditions import Conditions, TrialSkin
+from taxeld_training.filters.trials import BETWEEN_S, SCAN_S, Moment, Trial
+
+TOUCHES = 6  # before the push
+PATH_M = 0.25  # of the sensor in contact
+STEP_M = 0.002  # between two scans
+DEPTH_M = 0.003  # of the skin, at which the object's friction gives way
+FRICTION = 0.4
+LIMIT, LIMIT_SPREAD = 0.6, 0.2  # the load's spread in the outline's mean radius, ± this share
+OFF_CENTRE = 0.3  # of that radius: distance of the push from the centre, at most
+STANDOFF_M = 0.06
+SETTLING = 4  # steps of projection that end the overlap
+
+
+@dataclass(frozen=True)
+class PushedTrial:
+    """`TOUCHES` presses of the object, then a push along a straight line."""
+
+    model: ObservationModel
+    seed: int
+
+    def __iter__(self) -> Iterator[Moment]:
+        model, rng = self.model, np.random.default_rng((self.seed, 2))
+        for scan in Trial(model, self.seed, TOUCHES):
+            yield scan
+        truth, t = scan.truth, scan.activation.t + BETWEEN_S
+        given = Conditions()
+        gain = np.maximum(1.0 + given.gain_cv * rng.standard_normal(len(model.layout)), 0.1)
+        skin = TrialSkin(given, gain, rng)
+        radius_m = model.scene.mean_radius
+        limit_m = LIMIT * radius_m * rng.uniform(1.0 - LIMIT_SPREAD, 1.0 + LIMIT_SPREAD)
+        heading, yaw = rng.uniform(-np.pi, np.pi, 2)
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        aside = np.array([-ahead[1], ahead[0]]) * rng.uniform(-OFF_CENTRE, OFF_CENTRE) * radius_m
+        centre = se2.compose(truth, np.array([*model.scene.centre, 0.0]))[:2]
+        at = centre + aside - (model.scene.size + model.layout.radius_m + STANDOFF_M) * ahead
+        path_m, way_m = 0.0, 0.0
+        while path_m < PATH_M and way_m < 2.0 * PATH_M + 4.0 * model.scene.size:
+            before = np.array([*at, yaw])
+            at = at + STEP_M * ahead
+            way_m += STEP_M
+            sensor = np.array([*at, yaw])
+            truth = gave_way(model, truth, before, sensor, limit_m)
+            h = model.activation(se2.compose(se2.inverse(sensor), truth)[None])[0]
+            path_m += STEP_M if h.any() else 0.0
+            activation = Activation(t, skin.read(h, 0.0, rng), skin.live)
+            yield Moment(TOUCHES, activation, sensor, truth)
+            t += SCAN_S
+
+
+def gave_way(
+    model: ObservationModel, pose: Poses, before: Poses, after: Poses, limit_m: float
+) -> Poses:
+    """The object's pose (3,) once the sensor has moved from one pose (3,) to another."""
+    moved = after[:2] - before[:2]
+    for _ in range(SETTLING):
+        ax, ay = contacts.axis_in_object(se2.compose(se2.inverse(after), pose)[None])
+        clearance, gx, gy = (float(value[0]) for value in model.scene.clearance(ax, ay))
+        too_deep = model.layout.radius_m - clearance - DEPTH_M
+        if too_deep <= 0.0:
+            break
+        c, s = np.cos(pose[2]), np.sin(pose[2])
+        inwards = -np.array([c * gx - s * gy, s * gx + c * gy])
+        centre = se2.compose(pose, np.array([*model.scene.centre, 0.0]))[:2]
+        arm = after[:2] + clearance * inwards - centre
+        across = np.array([-arm[1], arm[0]]) / limit_m
+        force = _stuck(too_deep * inwards + moved - (moved @ inwards) * inwards, across)
+        sideways = force - (force @ inwards) * inwards
+        if np.linalg.norm(sideways) > FRICTION * (force @ inwards):
+            edge = inwards + FRICTION * sideways / np.linalg.norm(sideways)
+            force = edge * too_deep / ((edge + across * (across @ edge)) @ inwards)
+        pose = _moved(model, pose, force, float(across @ force) / limit_m)
+        moved = np.zeros(2)
+    return pose
+
+
+def travel(start: Poses, end: Poses) -> tuple[float, float]:
+    """Distance [m] and turn [rad] from one pose (3,) to another."""
+    gap = se2.compose(se2.inverse(start), end)
+    return float(np.hypot(gap[0], gap[1])), float(abs(gap[2]))
+
+
+def _stuck(wanted: Floats, across: Floats) -> Floats:
+    """The force (2,) under which the contact moves by `wanted` (2,) without slipping."""
+    return np.asarray(wanted - across * (across @ wanted) / (1.0 + across @ across))
+
+
+def _moved(model: ObservationModel, pose: Poses, by: Floats, turn: float) -> Poses:
+    centre = se2.compose(pose, np.array([*model.scene.centre, 0.0]))[:2] + by
+    turned = np.array([0.0, 0.0, pose[2] + turn])
+    at = centre - se2.compose(turned, np.array([*model.scene.centre, 0.0]))[:2]
+    return np.array([*at, se2.wrap(turned[2])])

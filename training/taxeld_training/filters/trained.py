@@ -1,0 +1,89 @@
+"""Proposals for the filter experiments: analytic ones, and a density, shipped or trained once.
+
+A trained density is kept as a file beside the experiments' results.
+"""
+
+import time
+from collections.abc import Iterable
+from dataclasses import replace
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.proposal import Proposal
+from taxeld.proposals import bundle
+from taxeld.proposals.analytic import ANALYTIC
+from taxeld.proposals.sampler import Sampler
+from taxeld_training.jobs import jobs
+from taxeld_training.jobs.jobs import Job
+from taxeld_training.models import export, variants
+from taxeld_training.models.dataset import simulate
+from taxeld_training.models.variants import MODELS
+from taxeld_training.objects.setting import DEPTH_MAX_M, Setting
+
+DENSITY = "density"
+VARIANT = MODELS["density-64"]
+
+
+@lru_cache(maxsize=8)
+def shipped(setting: Setting) -> bundle.Bundle | None:
+    """The bundle of the setting's object and skin, if one is shipped."""
+    layout = layouts.load(setting.skin)
+    for path in sorted(Path(str(resources.files("taxeld") / "bundles")).iterdir()):
+        try:
+            found = bundle.load(path.name, layout, DEPTH_MAX_M)
+        except SetupError:  # no bundle, or of another skin
+            continue
+        if found.info["object"] == setting.object:
+            return found
+    return None
+
+
+@lru_cache(maxsize=8)
+def model_of(setting: Setting) -> ObservationModel:
+    """The same instance each time: models are compared by identity."""
+    found = shipped(setting)
+    return setting.model() if found is None else found.model
+
+
+def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
+    """By name; a density that is not shipped is taken from `file`."""
+    model = model_of(setting)
+    if name in ANALYTIC:
+        return ANALYTIC[name](model)
+    found = shipped(setting)
+    if found is not None:
+        return found.proposal(name)
+    return Sampler.read(Path(file), model.layout, name)
+
+
+def trainings(settings: Iterable[Setting], memory: Path) -> dict[Setting, Job]:
+    """A job for each density that is not shipped; `beside` its arguments is the file it makes."""
+    found = {}
+    for setting in settings:
+        if shipped(setting) is None:
+            job = Job(f"{DENSITY}-{setting.name}", train, (setting,))
+            file = memory / f"{job.key}.onnx"
+            found[setting] = replace(job, beside=(str(file),))
+            if not file.is_file():
+                jobs.forget(job, memory)
+    return found
+
+
+def train(setting: Setting, file: str) -> dict[str, float]:
+    """Train the setting's density and keep it in `file`."""
+    start = time.monotonic()
+    model = model_of(setting)
+    variant = variants.trained_with(VARIANT, setting.updates, seed=setting.seed)
+    touches = simulate(model, variant.training.contacts, np.random.default_rng(setting.seed))
+    network = variants.fit(variant, model, Noise(), touches)
+    (sampler,) = variants.samplers(variant, network).values()
+    part = Path(file).with_suffix(".part")
+    gap = export.export(sampler, len(model.layout), part, variant.describe())
+    part.replace(file)
+    return {"seconds": time.monotonic() - start, "differs": gap}

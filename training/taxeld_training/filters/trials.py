@@ -1,0 +1,145 @@
+"""Trials: a seeded sequence of touches of an object, as the estimator meets them.
+
+Each touch has a random side and depth: the skin approaches along the contact's normal, presses,
+holds and leaves. Wire and skin processing are left out, so that thousands of trials are affordable.
+Each taxel has a gain of its own, the same throughout a trial. `Conditions` add what else may be
+amiss. They draw from a generator of their own, so a seed has the same touches under all conditions
+but those that choose among touches.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Poses
+from taxeld.errors import SetupError
+from taxeld.model import contacts, se2
+from taxeld.model.activation import Activation
+from taxeld.model.observation import ObservationModel
+from taxeld_training.filters.conditions import Conditions, Side, TrialSkin, Twin, places, reported
+
+PLACE_M = 0.15  # the object is within ± this of the origin, at any yaw
+MIN_ACTIVATION = 0.1  # of the strongest taxel in a press
+APPROACH_M = (0.03, 0.01, 0.002)  # clearances of the scans before a press
+SCAN_S = 0.05
+BETWEEN_S = 1.0  # touches
+BATCH, PAIR_BATCH = 64, 4096  # poses drawn to choose presses from
+BATCHES_MAX = 1000  # of poses, without enough presses among them
+
+Accepts = Callable[[Poses], NDArray[np.bool_]]
+
+
+class Moment(NamedTuple):
+    """One scan of a trial."""
+
+    touch: int  # index of the touch it belongs to
+    activation: Activation
+    sensor: Poses  # (3,) in the world, as the robot reports it
+    truth: Poses  # (3,) of the object in the world
+    twin: Poses | None = None  # (3,) of a second object of the same kind
+
+
+@dataclass(frozen=True)
+class Trial:
+    """`touches` presses of the object of `model`."""
+
+    model: ObservationModel
+    seed: int
+    touches: int = 8
+    conditions: Conditions = field(default_factory=Conditions)
+
+    def __iter__(self) -> Iterator[Moment]:
+        model, given = self.model, self.conditions
+        rng = np.random.default_rng(self.seed)
+        extra = np.random.default_rng((self.seed, 1))  # for what the conditions add
+        start = _placed(rng)
+        gain = np.maximum(1.0 + given.gain_cv * rng.standard_normal(len(model.layout)), 0.1)
+        skin = TrialSkin(given, gain, extra)
+        truths = places(given, start, self.touches, extra)
+        if given.kidnapped_after:
+            truths[given.kidnapped_after :] += _placed(extra) - start
+        twin = Twin(model, extra) if given.both else None
+        wanted = self._presses(twin, rng, extra)
+        t = 0.0
+        for touch, (press, truth) in enumerate(zip(wanted, truths, strict=True)):
+            path = approach(model, press)
+            slips = given.slip_m * extra.standard_normal((given.scans, 3)) * (1.0, 1.0, 0.0)
+            error = extra.standard_normal(3)
+            twin_pose = None if twin is None else se2.compose(truth, twin.pose)
+            for pose in (*path, *(press + slips), path[-2]):
+                h = model.activation(pose[None])[0]
+                if twin is not None:
+                    h = np.maximum(h, twin.activation(pose[None])[0])
+                z = skin.read(h, (touch + 1) / self.touches, rng)
+                sensor = reported(given, se2.compose(truth, se2.inverse(pose)), error)
+                yield Moment(touch, Activation(t, z, skin.live), sensor, truth, twin_pose)
+                t += SCAN_S
+            t += BETWEEN_S
+
+    def _presses(
+        self, twin: Twin | None, rng: np.random.Generator, extra: np.random.Generator
+    ) -> Poses:
+        """(touches, 3) presses as the conditions demand them."""
+        model, given, count = self.model, self.conditions, self.touches
+        if given.one_side:
+            return presses(model, count, rng, given.depth, Side(model, extra).accepts)
+        if twin is None:
+            return presses(model, count, rng, given.depth)
+
+        def clear(poses: Poses, depth_m: float) -> NDArray[np.bool_]:
+            """(N,) whether the approach, too, presses the twin no deeper."""
+            kept = twin.is_clear(poses, depth_m)
+            kept[kept] = [
+                bool(twin.is_clear(approach(model, pose), depth_m).all()) for pose in poses[kept]
+            ]
+            return kept
+
+        def alone(poses: Poses) -> NDArray[np.bool_]:
+            return clear(poses, 0.0)
+
+        def both(poses: Poses) -> NDArray[np.bool_]:
+            pressed = twin.activation(poses).max(axis=1) > MIN_ACTIVATION
+            pressed[pressed] = clear(poses[pressed], given.depth * model.depth_max_m)
+            return np.asarray(pressed)
+
+        found = presses(model, count, rng, given.depth, alone)
+        pairs = presses(model, given.both, extra, given.depth, both, PAIR_BATCH)
+        found[extra.permutation(count)[: given.both]] = pairs
+        return found
+
+
+def presses(
+    model: ObservationModel, count: int, rng: np.random.Generator, depth: float = 1.0,
+    accepts: Accepts | None = None, batch: int = BATCH,
+) -> Poses:  # fmt: skip
+    """(count, 3) poses of the object in the sensor frame that press the skin up to `depth` δ_max
+    deep and that `accepts` lets pass.
+
+    Raises:
+        SetupError: such poses hardly exist.
+    """
+    found = np.empty((0, 3))
+    deepest_m = depth * model.depth_max_m
+    for _ in range(BATCHES_MAX):
+        made = contacts.synthesise(model.scene, model.layout.radius_m, deepest_m, batch, rng)
+        pose = made.pose[model.activation(made.pose).max(axis=1) > MIN_ACTIVATION]
+        found = np.concatenate([found, pose if accepts is None else pose[accepts(pose)]])
+        if len(found) >= count:
+            return found[:count]
+    raise SetupError("a trial's touches hardly exist: the skin misses the object there")
+
+
+def approach(model: ObservationModel, press: Poses) -> Poses:
+    """Poses (A, 3) before the press (3,): the skin backed off along the contact's normal."""
+    ax, ay = contacts.axis_in_object(press[None])
+    clearance, gx, gy = model.scene.clearance(ax, ay)
+    away = model.layout.radius_m - clearance + np.array(APPROACH_M)
+    return contacts.pose_of_axis(ax + away * gx, ay + away * gy, press[2])
+
+
+def _placed(rng: np.random.Generator) -> Poses:
+    most = np.array([PLACE_M, PLACE_M, np.pi])
+    return np.asarray(rng.uniform(-most, most))

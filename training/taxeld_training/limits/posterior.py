@@ -1,0 +1,91 @@
+"""The exact posterior p(pose | taxels) by importance weights, and the distance of samples to it.
+
+Simulated contacts under the sampler's own prior (the bank) are weighted by the likelihood of the
+reading. No honest sampler beats this limit. On a layout with rotation symmetry each stored contact
+is used in the turns that bring its strongest taxel to that of the reading, or beside it.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Floats, Poses
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
+from taxeld.model.observation import Noise
+from taxeld_training.models.dataset import Touches
+
+
+@dataclass(frozen=True)
+class Draws:
+    """Samples (n, 3) of the posterior in the sensor frame, and its effective bank size."""
+
+    pose: Poses
+    ess: float
+
+
+class ExactPosterior:
+    """p(pose | z) over a bank of touches.
+
+    A touch presses few taxels, so the bank keeps its pressed taxels alone. For all others the
+    likelihood is that of a silent taxel, the same in every touch.
+    """
+
+    def __init__(self, bank: Touches, layout: Layout, noise: Noise) -> None:
+        self.noise = noise
+        self.layout = layout
+        self._pose = bank.pose
+        self._sector = layout.sector[bank.activation.argmax(axis=1)]
+        self._row, self._taxel = np.nonzero(bank.activation)
+        self._h = bank.activation[self._row, self._taxel].astype(np.float64)
+        order = len(layout.turns)
+        self._back = layout.turns[-np.arange(order) % order]
+
+    def sample(self, z: Floats, live: NDArray[np.bool_], n: int, rng: np.random.Generator) -> Draws:
+        """`n` draws with replacement, by importance weight, for z (M,) and live (M,)."""
+        order = len(self.layout.turns)
+        target = self.layout.sector[np.where(live, z, -1.0).argmax()]
+        # noise moves the strongest taxel, but hardly ever farther than to a neighbour
+        offsets = range(order) if order <= 3 else (-1, 0, 1)
+        log_w, turn = [], []
+        for offset in offsets:
+            by = (self._sector - target - offset) % order
+            log_w.append(self._log_weights(z, live, by))
+            turn.append(by)
+        weights = np.concatenate(log_w)
+        weights = np.exp(weights - weights.max())
+        weights /= weights.sum()
+        pick = rng.choice(len(weights), n, p=weights)
+        angle = -2.0 * np.pi * np.concatenate(turn)[pick] / order
+        zero = np.zeros(n)
+        turned = np.stack([zero, zero, angle], axis=1)
+        pose = se2.compose(turned, self._pose[pick % len(self._pose)])
+        return Draws(pose, float(1.0 / np.sum(weights**2)))
+
+    def _log_weights(self, z: Floats, live: NDArray[np.bool_], by: NDArray[np.int64]) -> Floats:
+        """Log-likelihood (B,) of z for every stored contact, turned by −2π·by/order, by (B,)."""
+        silent = np.where(live, self.noise.log_density(z, np.zeros(1)), 0.0)
+        # turning a stored contact by −k is the same as turning z by +k
+        at = self._back[by[self._row], self._taxel]
+        gain = (self.noise.log_density(z[at], self._h) - silent[at]) * live[at]
+        return np.asarray(silent.sum() + np.bincount(self._row, gain, len(by)))
+
+
+def energy_distance(a: Poses, b: Poses, length_m: float) -> float:
+    """2 E|A−B| − E|A−A'| − E|B−B'| between pose sets (n, 3), a radian as far as `length_m`.
+
+    In units of `length_m`. Zero only for equal distributions (Székely & Rizzo).
+    """
+    pa, pb = embed(a, length_m), embed(b, length_m)
+    return float(2.0 * _mean_gap(pa, pb) - _mean_gap(pa, pa) - _mean_gap(pb, pb))
+
+
+def embed(poses: Poses, length_m: float) -> Floats:
+    """Poses (n, 3) → (n, 4), whose Euclidean distance counts a radian as far as `length_m`."""
+    x, y, theta = poses.T
+    return np.column_stack([x / length_m, y / length_m, np.cos(theta), np.sin(theta)])
+
+
+def _mean_gap(a: Floats, b: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(a[:, None] - b[None], axis=-1).mean())

@@ -1,0 +1,123 @@
+"""A sampler's distance to the exact posterior and its cost, as bundle.json states them."""
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Poses
+from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.proposal import Proposal
+from taxeld_training.limits.posterior import ExactPosterior, energy_distance
+from taxeld_training.models.dataset import simulate
+
+SAMPLES = 100
+BANK = 1_000_000
+LIMIT_ESS = 50.0  # readings with a smaller effective bank are left out
+TIMED_CALLS = 30
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Readings with draws of their exact posteriors, made once and used for every sampler."""
+
+    truth: list[Poses]  # (3,) each
+    z: list[NDArray[np.float64]]  # (M,) each
+    live: list[NDArray[np.bool_]]  # (M,) each
+    exact: list[Poses]  # (2 · SAMPLES, 3) each: one half to measure to, one for the floor
+    ess: list[float]  # of the bank, for each reading
+    length_m: float
+    left_out: int
+    bank: int
+    ms: float  # CPU time of one exact posterior
+
+    @property
+    def floor(self) -> float:
+        """Mean energy distance of two sets of exact draws; no sampler can be expected nearer."""
+        return float(np.mean([
+            energy_distance(e[SAMPLES:], e[:SAMPLES], self.length_m) for e in self.exact
+        ]))  # fmt: skip
+
+    @property
+    def error(self) -> float:
+        """Monte Carlo error of an expectation under the exact draws, in posterior standard
+        deviations: the median over readings of 1/√ESS."""
+        return float(np.median(1.0 / np.sqrt(self.ess)))
+
+
+def reference(
+    model: ObservationModel, noise: Noise, readings: int, rng: np.random.Generator,
+    *, dead: float = 0.0, bank: int = BANK,
+) -> Reference:  # fmt: skip
+    """Exact posteriors of `readings` simulated readings, a share `dead` of the taxels dead in
+    each. Dead taxels are drawn again where no live one is pressed."""
+    posterior = ExactPosterior(simulate(model, bank, rng), model.layout, noise)
+    touches = simulate(model, readings, rng)
+    kept = Reference([], [], [], [], [], model.scene.size, 0, bank, 0.0)
+    start = time.thread_time()
+    for pose, h in zip(touches.pose, touches.activation, strict=True):
+        z = noise.draw(h.astype(np.float64), rng)
+        live = rng.random(len(z)) >= dead
+        while not (h * live).any():
+            live = rng.random(len(z)) >= dead
+        z = np.where(live, z, 0.0)
+        draws = posterior.sample(z, live, 2 * SAMPLES, rng)
+        if draws.ess < LIMIT_ESS:
+            continue
+        kept.truth.append(pose)
+        kept.z.append(z)
+        kept.live.append(live)
+        kept.exact.append(draws.pose)
+        kept.ess.append(draws.ess)
+    return Reference(
+        kept.truth, kept.z, kept.live, kept.exact, kept.ess,
+        kept.length_m, readings - len(kept.z), bank, (time.thread_time() - start) / readings * 1e3,
+    )  # fmt: skip
+
+
+def save(to: Reference, path: Path) -> None:
+    """Write a reference to a file."""
+    arrays = {name: np.array(getattr(to, name)) for name in Reference.__dataclass_fields__}
+    np.savez_compressed(path, allow_pickle=False, **arrays)
+
+
+def load(path: Path) -> Reference:
+    """A reference that `save` wrote."""
+    with np.load(path, allow_pickle=False) as kept:
+        return Reference(
+            truth=list(kept["truth"]),
+            z=list(kept["z"]),
+            live=list(kept["live"]),
+            exact=list(kept["exact"]),
+            ess=list(kept["ess"]),
+            length_m=float(kept["length_m"]),
+            left_out=int(kept["left_out"]),
+            bank=int(kept["bank"]),
+            ms=float(kept["ms"]),
+        )
+
+
+def distance(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:
+    """Mean energy distance of SAMPLES samples to the exact draws."""
+    return float(np.mean([
+        energy_distance(proposal.propose(z, live, SAMPLES, rng), exact[:SAMPLES], to.length_m)
+        for z, live, exact in zip(to.z, to.live, to.exact, strict=True)
+    ]))  # fmt: skip
+
+
+def cost_ms(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:
+    """Median CPU time [ms] of a call for SAMPLES samples on this thread, the first left out."""
+    order = [k % len(to.z) for k in range(TIMED_CALLS + 1)]
+    spent = [call_ms(proposal, to.z[i], to.live[i], rng) for i in order]
+    return float(np.median(spent[1:]))
+
+
+def call_ms(
+    proposal: Proposal, z: NDArray[np.float64], live: NDArray[np.bool_], rng: np.random.Generator
+) -> float:
+    """CPU time [ms] of one call for SAMPLES samples on this thread."""
+    start = time.thread_time_ns()
+    proposal.propose(z, live, SAMPLES, rng)
+    return (time.thread_time_ns() - start) / 1e6

@@ -1,0 +1,181 @@
+"""The inverse observation model of Marić et al. 2025: a DDPM over poses conditioned on the taxels.
+
+The network predicts v = √ᾱ ε − √(1 − ᾱ) x (Salimans & Ho 2022). This is a noise predictor with
+other parameters, which stays well conditioned with few steps. x are whitened poses in the frame of
+the model: pose coordinates (the paper's) or contact coordinates.
+"""
+
+import math
+from enum import StrEnum
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from taxeld_training.models.base import (
+    AnyFrame,
+    AnyView,
+    Model,
+    NetworkConfig,
+    parameters_of,
+    standard,
+)
+from taxeld_training.models.frames import rotated
+
+FOURIER_OCTAVES = 4
+REPEATS = 4  # noise levels for each encoded reading in training, as its encoder costs most
+
+
+def cosine_alpha_bar(steps: int) -> Tensor:
+    """ᾱ_t for t = 1..steps of the cosine schedule (Nichol & Dhariwal 2021, eq. 17)."""
+    t = torch.linspace(0.0, 1.0, steps + 1, dtype=torch.float64)
+    f = torch.cos((t + 0.008) / 1.008 * math.pi / 2.0) ** 2
+    return (f[1:] / f[0]).clamp(min=1e-5)
+
+
+def noise_levels(total: int, steps: int) -> list[int]:
+    """The `steps` of `total` noise levels to visit, falling. They are denser towards clean data,
+    where the sharp coordinates (direction and depth of a touch) are determined."""
+    times = [round((total - 1) * (1.0 - i / (steps - 0.5)) ** 1.5) for i in range(steps)]
+    for i in reversed(range(steps - 1)):
+        times[i] = max(times[i], times[i + 1] + 1)
+    return times
+
+
+class PoseNetwork(Model):
+    """A 4-layer feed-forward network (B, 4) → (B, 4) on Fourier features of a whitened pose. The
+    touch's code shifts every hidden layer."""
+
+    mean: Tensor  # (4,) and
+    scale: Tensor  # (4,) of the frame's features
+
+    def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
+        super().__init__(config, view, frame)
+        w, e = config.width, config.encoder_width
+        self.context = nn.Linear(e, 3 * w)
+        self.first = nn.Linear(4 * (1 + 2 * FOURIER_OCTAVES), w)
+        self.second = nn.Linear(w, w)
+        self.third = nn.Linear(w, w)
+        self.out = nn.Linear(w, 4)
+        self.register_buffer("mean", torch.zeros(4))
+        self.register_buffer("scale", torch.ones(4))
+        each = (self.first, self.second, self.third, self.out)
+        self.multiply_adds_each = sum(parameters_of(layer) for layer in each)
+        self.multiply_adds = view.multiply_adds + parameters_of(self) - self.multiply_adds_each
+
+    def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
+        _, angle = self.view(z, live)
+        mean, scale = standard(self.frame.features(self.frame.turned(coordinates, angle)))
+        self.mean.copy_(mean)
+        self.scale.copy_(scale)
+
+    def whitened(self, coordinates: Tensor, angle: Tensor) -> Tensor:
+        """Coordinates (B, 3) → whitened features (B, 4) of the touch turned by −angle."""
+        features = self.frame.features(self.frame.turned(coordinates, angle))
+        return (features - self.mean) / self.scale
+
+    def poses(self, whitened: Tensor, angle: Tensor) -> Tensor:
+        """The inverse, to poses (B, 4)."""
+        return rotated(self.frame.decode(whitened * self.scale + self.mean), angle)
+
+    def run(self, x: Tensor, shift: Tensor) -> Tensor:
+        """x (B, 4), shift (B or 1, 3 W) → (B, 4)."""
+        angle = torch.cat([x * (0.5 * math.pi * 2**k) for k in range(FOURIER_OCTAVES)], dim=-1)
+        features = torch.cat([x, torch.sin(angle), torch.cos(angle)], dim=-1)
+        a, b, c = shift.chunk(3, dim=-1)
+        hidden = functional.silu(self.first(features) + a)
+        hidden = hidden + functional.silu(self.second(hidden) + b)
+        hidden = hidden + functional.silu(self.third(hidden) + c)
+        value: Tensor = self.out(hidden)
+        return value
+
+
+class Denoiser(PoseNetwork):
+    """v(x_t, touch, t)."""
+
+    alpha_bar: Tensor  # (T,)
+
+    def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
+        super().__init__(config, view, frame)
+        self.time = nn.Embedding(config.steps, 3 * config.width)
+        self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
+        nn.init.normal_(self.time.weight, std=0.1)
+
+    def loss(self, z: Tensor, live: Tensor, coordinates: Tensor) -> Tensor:
+        code, angle = self.encode(z, live)
+        clean = self.whitened(coordinates, angle).repeat(REPEATS, 1)
+        context = self.context(code).repeat(REPEATS, 1)
+        n = len(clean)
+        # one t a row, stratified over the batch, which lowers the variance
+        t = (torch.randperm(n, device=clean.device) * self.config.steps) // n
+        alpha_bar = self.alpha_bar[t, None]
+        noise = torch.randn_like(clean)
+        noisy = alpha_bar.sqrt() * clean + (1.0 - alpha_bar).sqrt() * noise
+        target = alpha_bar.sqrt() * noise - (1.0 - alpha_bar).sqrt() * clean
+        return functional.mse_loss(self.run(noisy, context + self.time(t)), target)
+
+
+class Solver(StrEnum):
+    """How the reverse process is integrated."""
+
+    DDPM = "ddpm"  # ancestral, all T steps
+    DDIM = "ddim"  # Song et al. 2021, η = 0
+    DPM = "dpm"  # DPM-Solver++ 2M (Lu et al. 2022): second order, of the data prediction
+
+
+class DiffusionSampler(nn.Module):
+    """The whole reverse process as one graph, with its noise as an input."""
+
+    time: Tensor  # (steps, 3 W) the denoiser's embeddings of the noise levels visited
+
+    def __init__(self, denoiser: Denoiser, solver: Solver, steps: int) -> None:
+        super().__init__()
+        total = denoiser.config.steps
+        if solver is Solver.DDPM and steps != total:
+            raise ValueError(f"ancestral sampling takes all {total} steps")
+        self.model, self.solver, self.steps = denoiser, solver, steps
+        self.family = str(solver)
+        self.alpha_bar: list[float] = denoiser.alpha_bar.tolist()  # constants of the graph
+        self.times = noise_levels(total, steps)
+        self.noise_steps = steps if solver is Solver.DDPM else 1
+        self.register_buffer("time", denoiser.time.weight.detach()[self.times].clone())
+
+    def forward(self, z: Tensor, live: Tensor, noise: Tensor) -> Tensor:
+        """z, live (1, M), noise (noise_steps, S, 4) → poses (S, 4): x, y, cos θ, sin θ."""
+        net = self.model
+        code, angle = net.encode(z, live)
+        context = net.context(code)
+        x, last = noise[0], None
+        for i, t in enumerate(self.times):
+            now = self.alpha_bar[t]
+            before = self.alpha_bar[self.times[i + 1]] if i + 1 < self.steps else 1.0
+            v = net.run(x, context + self.time[i])
+            clean = (math.sqrt(now) * x - math.sqrt(1.0 - now) * v).clamp(-4.0, 4.0)
+            if self.solver is Solver.DDPM:
+                x = _ancestral(x, clean, now, before, noise[i + 1] if before < 1.0 else None)
+            else:
+                ahead = clean
+                if self.solver is Solver.DPM and last is not None and before < 1.0:
+                    ahead = clean + self._curvature(i) * (clean - last)
+                epsilon = (x - math.sqrt(now) * ahead) / math.sqrt(1.0 - now)
+                x = math.sqrt(before) * ahead + math.sqrt(1.0 - before) * epsilon
+                last = clean
+        return net.poses(x, angle)
+
+    def _curvature(self, i: int) -> float:
+        """1 / 2r of DPM-Solver++ 2M at step i, from the lengths of its steps in log-SNR."""
+        half_log_snr = [
+            0.5 * math.log(self.alpha_bar[t] / (1.0 - self.alpha_bar[t])) for t in self.times
+        ]
+        step = half_log_snr[i + 1] - half_log_snr[i]
+        return 0.5 * step / (half_log_snr[i] - half_log_snr[i - 1])
+
+
+def _ancestral(x: Tensor, clean: Tensor, now: float, before: float, noise: Tensor | None) -> Tensor:
+    """x_{t−1} given x_t and the predicted x_0 (Ho et al. 2020, eq. 6 and 7)."""
+    alpha = now / before
+    keep = math.sqrt(alpha) * (1.0 - before) / (1.0 - now)
+    mean = math.sqrt(before) * (1.0 - alpha) / (1.0 - now) * clean + keep * x
+    if noise is None:
+        return mean
+    return mean + math.sqrt((1.0 - before) / (1.0 - now) * (1.0 - alpha)) * noise

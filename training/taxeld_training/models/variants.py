@@ -1,0 +1,126 @@
+"""Variants of the models, by their parts, for `build` and the experiments."""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from taxeld.model.observation import Noise, ObservationModel
+from taxeld_training.models import views
+from taxeld_training.models.base import AnyFrame, AnyView, Model, NetworkConfig
+from taxeld_training.models.dataset import Touches
+from taxeld_training.models.density import ContactDensity
+from taxeld_training.models.diffusion import Denoiser, DiffusionSampler, Solver
+from taxeld_training.models.export import AnySampler
+from taxeld_training.models.frames import ContactFrame, PoseFrame
+from taxeld_training.models.generator import Generator
+from taxeld_training.models.train import TrainConfig, train
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One model: family, sizes, view of the touch, frame of the pose, and its training."""
+
+    family: str  # density | diffusion | generator
+    network: NetworkConfig
+    training: TrainConfig
+    view: str = "best"  # best | plain
+    frame: str = "contact"  # contact | pose
+    samplers: tuple[tuple[Solver, int], ...] = ()  # of a diffusion
+
+    @property
+    def kind(self) -> str:
+        """The proposal's name in the daemon."""
+        return "ddpm" if self.family == "diffusion" else self.family
+
+    def describe(self) -> dict[str, Any]:
+        """For a file's metadata: what the trained model depends on."""
+        return {key: value for key, value in asdict(self).items() if key != "samplers"}
+
+
+def density(width: int = 64, encoder_width: int = 256, encoder_depth: int = 5) -> Variant:
+    """One pass; `width` is that of the layers that run once a hypothesis."""
+    network = NetworkConfig(width, encoder_width, encoder_depth)
+    return Variant("density", network, TrainConfig(updates=12_000))
+
+
+def generator(width: int = 128) -> Variant:
+    """One pass, trained by the energy score."""
+    return Variant("generator", NetworkConfig(width), TrainConfig(updates=4_000))
+
+
+def diffusion(
+    width: int = 128,
+    samplers: tuple[tuple[Solver, int], ...] = ((Solver.DDPM, 100),),
+) -> Variant:  # fmt: skip
+    """As many steps as a solver takes; in contact coordinates."""
+    training = TrainConfig(updates=10_000)
+    return Variant("diffusion", NetworkConfig(width, 160), training, samplers=samplers)
+
+
+def paper() -> Variant:
+    """Marić et al. 2025: 10⁴ contacts, T = 100, symmetry not used. They do not state their width;
+    it is 256 here."""
+    return Variant(
+        "diffusion", NetworkConfig(256, 256, encoder_depth=1),
+        TrainConfig(contacts=10_000), view="plain", frame="pose",
+        samplers=((Solver.DDPM, 100),),
+    )  # fmt: skip
+
+
+MODELS: dict[str, Variant] = {  # those that the experiments compare
+    "density-64": density(64),
+    "density-16": density(16, 48, 2),
+    "diffusion-128": diffusion(
+        samplers=(
+            (Solver.DPM, 4), (Solver.DPM, 10), (Solver.DDIM, 10), (Solver.DPM, 20),
+            (Solver.DDPM, 100),
+        )
+    ),
+    "paper": paper(),
+    "generator-128": generator(128),
+}  # fmt: skip
+
+
+def trained_with(
+    variant: Variant, effort: float, contacts: int | None = None, seed: int | None = None
+) -> Variant:
+    """The variant with a share of its updates, and at most its own number of contacts."""
+    own = variant.training
+    training = replace(
+        own,
+        updates=max(2, round(own.updates * effort)),
+        contacts=min(contacts or own.contacts, own.contacts),
+        seed=own.seed if seed is None else seed,
+    )
+    return replace(variant, training=training)
+
+
+def fit(variant: Variant, model: ObservationModel, noise: Noise, touches: Touches) -> Model:
+    """The trained model of a variant, on its share of `touches`."""
+    count = variant.training.contacts
+    mine = Touches(touches.pose[:count], touches.activation[:count], touches.dropped_share)
+    return train(lambda: _make(variant, model), variant.training, mine, noise)
+
+
+def samplers(variant: Variant, trained: Model) -> dict[str, AnySampler]:
+    """The samplers that run the trained model, by name."""
+    if isinstance(trained, Denoiser):
+        return {
+            f"{solver}-{steps}": DiffusionSampler(trained, solver, steps)
+            for solver, steps in variant.samplers
+        }
+    assert isinstance(trained, ContactDensity | Generator)  # noqa: S101
+    return {f"{variant.family}-{variant.network.width}": trained}
+
+
+def _make(variant: Variant, model: ObservationModel) -> Model:
+    view: AnyView = views.best(model.layout)
+    if variant.view == "plain":
+        view = views.Plain(model.layout)
+    frame: AnyFrame = PoseFrame() if variant.frame == "pose" else ContactFrame(model)
+    if isinstance(frame, ContactFrame) and variant.family == "density":
+        return ContactDensity(variant.network, view, frame)
+    if variant.family == "generator":
+        made = Generator(variant.network, view, frame)
+        made.length_m = model.scene.size
+        return made
+    return Denoiser(variant.network, view, frame)

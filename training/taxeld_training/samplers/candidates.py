@@ -1,0 +1,151 @@
+"""The samplers of a bundle: trained, exported, measured, and put in the daemon's order.
+
+Several models are trained. All of them and the analytic proposals are measured against the exact
+posterior. The daemon runs by default the cheapest one that is as good as the best, so that a simple
+object, such as a can, does not cost what a power drill costs.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import joblib
+import numpy as np
+import torch
+
+from taxeld.model.observation import Noise, ObservationModel
+from taxeld.proposals.analytic import ANALYTIC
+from taxeld.proposals.sampler import Sampler
+from taxeld_training.limits import quality
+from taxeld_training.models import export, variants
+from taxeld_training.models.base import Model
+from taxeld_training.models.dataset import Touches, simulate
+from taxeld_training.models.variants import Variant
+
+MEASURED_READINGS = 48
+TOLERANCE = 1.15  # a proposal is as good as the best up to this factor of its distance
+VARIANTS = (variants.density(64), variants.diffusion(), variants.density(16, 48, 2))
+
+Progress = Callable[[str, float], None]  # stage, share of it that is done
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """The models to be trained, and what their samplers are measured with."""
+
+    variants: tuple[Variant, ...] = VARIANTS
+    noise: Noise = field(default_factory=Noise)
+    bank: int = quality.BANK
+    workers: int = 2
+    seed: int = 0
+
+
+def make(
+    model: ObservationModel, given: Candidates, folder: Path, progress: Progress
+) -> dict[str, Any]:
+    """Train the candidates, export them into `folder` and measure them; → the part of bundle.json
+    about samplers."""
+    rng = np.random.default_rng(given.seed)
+    touches = simulate(model, max(v.training.contacts for v in given.variants), rng)
+    progress("contacts", 1.0)
+    trained = _train(given, model, touches, progress)
+    to = quality.reference(model, given.noise, MEASURED_READINGS, rng, bank=given.bank)
+    progress("exact posterior", 1.0)
+    samplers: list[dict[str, Any]] = []
+    for done, (variant, network) in enumerate(trained, 1):
+        samplers += _samplers(variant, network, given, model, folder, to)
+        progress("samplers", done / len(trained))
+    analytic = {name: _measured(make(model), to, given.seed) for name, make in ANALYTIC.items()}
+    choice = choose({s["name"]: s for s in samplers} | analytic, TOLERANCE)
+    return {
+        "contacts_dropped_share": touches.dropped_share,
+        "noise": asdict(given.noise),
+        "samplers": sorted(samplers, key=lambda s: choice["order"].index(s["name"])),
+        "analytic": analytic,
+        "energy_floor": to.floor,
+        "auto": choice["order"],
+        "choice": choice["why"],
+        "measured": (
+            f"mean energy distance of {quality.SAMPLES} samples to as many exact draws over "
+            f"{len(to.z)} simulated readings ({to.left_out} left out: effective bank under "
+            f"{quality.LIMIT_ESS:g} of {to.bank}), turns weighed at {to.length_m:.4f} m; "
+            f"the exact draws' own error is {to.error:.3f} posterior sd; ms is CPU time for "
+            f"{quality.SAMPLES} samples on one thread"
+        ),
+    }
+
+
+def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str, Any]:
+    """The order in which the daemon prefers proposals {name: {energy_distance, ms}}, and why.
+
+    The cheapest whose distance is within `tolerance` times the best comes first; the others follow
+    by distance.
+    """
+    best = min(candidates, key=lambda name: candidates[name]["energy_distance"])
+    limit = tolerance * candidates[best]["energy_distance"]
+    good = [name for name, c in candidates.items() if c["energy_distance"] <= limit]
+    first = min(good, key=lambda name: candidates[name]["ms"])
+    rest = sorted(candidates.keys() - {first}, key=lambda n: candidates[n]["energy_distance"])
+    chosen, nearest = candidates[first], candidates[best]
+    why = (
+        f"{first} is the cheapest ({chosen['ms']:.2f} ms) within {tolerance:g} × the least "
+        f"distance to the exact posterior ({nearest['energy_distance']:.4f}, {best}, "
+        f"{nearest['ms']:.2f} ms)"
+    )
+    return {"order": [first, *rest], "why": why}
+
+
+def _train(
+    given: Candidates, model: ObservationModel, touches: Touches, progress: Progress
+) -> list[tuple[Variant, Model]]:
+    """Train all variants in parallel, one thread each, in their own order."""
+    jobs = (
+        joblib.delayed(_fit)(variant, model, given.noise, touches) for variant in given.variants
+    )
+    done: list[Model] = []
+    workers = min(given.workers, len(given.variants))
+    parallel = joblib.Parallel(workers, return_as="generator", mmap_mode="c")
+    for network in parallel(jobs):
+        done.append(network)
+        progress("training", len(done) / len(given.variants))
+    return list(zip(given.variants, done, strict=True))
+
+
+def _fit(variant: Variant, model: ObservationModel, noise: Noise, touches: Touches) -> Model:
+    torch.set_num_threads(1)
+    return variants.fit(variant, model, noise, touches)
+
+
+def _samplers(
+    variant: Variant, network: Model, given: Candidates, model: ObservationModel, folder: Path,
+    to: quality.Reference,
+) -> Sequence[dict[str, Any]]:  # fmt: skip
+    """Export the samplers of a trained model into `folder`, measure and describe each."""
+    found = []
+    for name, sampler in variants.samplers(variant, network).items():
+        path = folder / f"{name}.onnx"
+        metadata = variant.describe() | {
+            "noise": asdict(given.noise),
+            "layout": model.layout.digest,
+            "normalisation": {k: getattr(network, k).tolist() for k in ("mean", "scale")},
+        }
+        export.export(sampler, len(model.layout), path, metadata)
+        found.append({
+            "name": name,
+            "kind": variant.kind,
+            "file": path.name,
+            "steps": sampler.steps,
+            "width": network.config.width,
+            "flops": export.flops(sampler, quality.SAMPLES),
+            **_measured(Sampler.read(path, model.layout, variant.kind), to, given.seed),
+        })  # fmt: skip
+    return found
+
+
+def _measured(proposal: Any, to: quality.Reference, seed: int) -> dict[str, float]:
+    rng = np.random.default_rng(seed)
+    return {
+        "energy_distance": quality.distance(proposal, to, rng),
+        "ms": quality.cost_ms(proposal, to, rng),
+    }
