@@ -7,11 +7,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import zmq
 
 from taxeld.stream.door import Door
-from taxeld.stream.hoard import GROWTH_BYTES, LOOK_S, Hoard
+from taxeld.stream.hoard import GROWTH_BYTES, LOOK_S, OWN_S, Hoard, _allocated
 from taxeld.stream.sockets import open_socket
 
 from .conftest import Sockets
@@ -20,6 +21,7 @@ GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(16) + bytes(32)
 READY = b"\x05READY\x0bSocket-Type" + struct.pack(">I", 3)
 MORE = (b"\x01\xf0" + b"x" * 240) * 500  # frames of 240 bytes, of which none is the last
 MOST_SENT = 8 * GROWTH_BYTES
+COMES = 8
 
 
 def served(sockets: Sockets, place: Path, kind: int) -> tuple[zmq.Socket[Any], str]:
@@ -43,9 +45,9 @@ def hello(endpoint: str, kind: bytes = b"SUB") -> kernel.socket:
     return peer
 
 
-def pour(peer: kernel.socket, server: zmq.Socket[Any], hoard: Hoard) -> int:
+def pour(peer: kernel.socket, server: zmq.Socket[Any], hoard: Hoard, now_s: float = 0.0) -> int:
     """Send until it is disconnected; → how many bytes that took."""
-    sent, now_s = 0, 0.0
+    sent = 0
     try:
         while sent < MOST_SENT:
             sent += peer.send(MORE)
@@ -70,9 +72,42 @@ def test_whose_message_never_ends_is_disconnected_and_nobody_else(
     time.sleep(0.1)
     hoard.look(-1.0)
     with hello(endpoint, b"SUB" if kind == zmq.XPUB else b"REQ") as peer:
-        assert pour(peer, server, hoard) > GROWTH_BYTES / 2
+        assert pour(peer, server, hoard) > GROWTH_BYTES / 4
     assert hoard.hung_up == 1
     assert not lost.poll(100)
+
+
+def test_who_comes_again_each_time_gathers_no_more_than_who_comes_once(
+    sockets: Sockets, tmp_path: Path
+) -> None:
+    server, endpoint = served(sockets, tmp_path, zmq.XPUB)
+    hoard = Hoard([endpoint])
+    sockets.callback(hoard.close)
+    hoard.look(-1.0)
+    before = _allocated()
+    for again in range(COMES):
+        with hello(endpoint) as peer:
+            pour(peer, server, hoard, now_s=10.0 * again)
+        deadline = time.monotonic() + 30.0
+        while _allocated() > before + GROWTH_BYTES / 2:  # ZeroMQ lets go of it by itself
+            assert time.monotonic() < deadline
+            assert not server.poll(1)
+    assert hoard.hung_up == COMES
+
+
+def test_memory_that_nobody_sends_is_the_processs_own(sockets: Sockets, tmp_path: Path) -> None:
+    _, endpoint = served(sockets, tmp_path, zmq.XPUB)
+    hoard = Hoard([endpoint])
+    sockets.callback(hoard.close)
+    hoard.look(0.0)
+    own = np.ones(2 * GROWTH_BYTES, np.uint8)
+    with hello(endpoint) as peer:
+        hoard.look(1.0)
+        hoard.look(1.0 + OWN_S)
+        peer.send(b"\x00")  # a frame that has begun
+        hoard.look(2.0 + OWN_S)
+    assert hoard.hung_up == 0
+    assert own.all()
 
 
 def test_looking_takes_no_descriptors(sockets: Sockets, tmp_path: Path) -> None:
@@ -81,7 +116,7 @@ def test_looking_takes_no_descriptors(sockets: Sockets, tmp_path: Path) -> None:
     sockets.callback(hoard.close)
     hoard.look(0.0)
     before = len(os.listdir("/proc/self/fd"))  # noqa: PTH208
-    hoard._allowed = 0.0
+    hoard._resident, hoard._least = 0.0, -2.0 * GROWTH_BYTES
     hoard.look(1.0)
     assert hoard.hung_up == 0
     assert len(os.listdir("/proc/self/fd")) == before  # noqa: PTH208

@@ -97,6 +97,15 @@ def test_usr1_says_where_the_daemon_is_and_what_it_knows(daemon: Running) -> Non
     assert "map" in json.loads(estimate.removeprefix("estimate: "))
 
 
+def test_usr1_ends_no_daemon_however_often_it_comes(daemon: Running) -> None:
+    for _ in range(1000):
+        daemon.send(signal.SIGUSR1)
+        assert daemon.process.poll() is None
+        time.sleep(0.0005)
+    daemon.send(signal.SIGTERM)
+    assert daemon.process.wait(DEADLINE_S) == 0
+
+
 def test_hup_takes_the_log_level_and_names_what_needs_a_restart(daemon: Running) -> None:
     daemon.write('[log]\nlevel = "debug"\n[filter]\nseed = 7\n')
     daemon.send(signal.SIGHUP)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "hostile.py"
-GROWN_MAX_MB = 300.0  # however fast it is sent
+GROWN_MAX_MB = 200.0  # however fast it is sent
 ANSWER_TICKS = 500  # of a hundred a second; `taxeld status` asks again for two seconds
 NEAR_M = 0.05
 ATTACKS = [

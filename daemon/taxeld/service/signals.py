@@ -1,9 +1,9 @@
 """Signals: each is noted when it comes and acted upon between two ticks; none kills unawares.
 
 TERM, INT and QUIT end the daemon, HUP reads the configuration anew, USR1 logs what the daemon knows
-and where it is, which is written at once, so that it shows where a loop hangs. XCPU comes to a
-real-time thread that does not pause (`LimitRTTIME=`): it says where, and ends the process. The
-others that would end a process are logged and ignored.
+and where it is, which is written before the tick has ended, so that it shows where a loop hangs.
+XCPU comes to a real-time thread that does not pause (`LimitRTTIME=`): it says where, and ends the
+process. The others that would end a process are logged and ignored.
 """
 
 import faulthandler
@@ -41,12 +41,10 @@ class Signals:
     def __enter__(self) -> Self:
         for number in (signal.SIGHUP, signal.SIGUSR1, *IGNORED):
             self._before[number] = signal.signal(number, self._note)
-        faulthandler.register(signal.SIGUSR1, file=STDERR, all_threads=True, chain=True)
         faulthandler.register(signal.SIGXCPU, file=STDERR, all_threads=True, chain=True)
         return self
 
     def __exit__(self, *_: object) -> None:
-        faulthandler.unregister(signal.SIGUSR1)
         faulthandler.unregister(signal.SIGXCPU)
         for number, handler in self._before.items():
             signal.signal(number, handler)
@@ -66,8 +64,13 @@ class Signals:
                 log.warning("signal %s: ignored", _name(number))
 
     def _note(self, number: int, _: FrameType | None) -> None:
-        if number not in self._noted:
-            self._noted.append(number)
+        if number in self._noted:
+            return
+        self._noted.append(number)
+        if number == signal.SIGUSR1:
+            # here and not by `faulthandler.register`, which looks at the stacks in the midst of a
+            # step of Python's, when they can be half made, and so may end the process
+            faulthandler.dump_traceback(STDERR, all_threads=True)
 
 
 def reload(path: Path, config: Config) -> None:

@@ -20,8 +20,10 @@ from pathlib import Path
 from taxeld.config import endpoints
 from taxeld.stream.sockets import borrowed
 
-LOOK_S = 0.05
-GROWTH_BYTES = 32 << 20  # by more than that, and whoever is sending is hung up on
+LOOK_S = 0.01
+STEP_BYTES = 1 << 20  # of the process: a look at that is cheap, and at what is allocated is not
+GROWTH_BYTES = 32 << 20  # of what is allocated: by more, and whoever is sending is hung up on
+OWN_S = 1.0  # where nobody has been sending for so long, it is the daemon's own
 TRIM_S = 1.0  # after that ZeroMQ has let go of what they sent, and the kernel gets it back
 PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 LOCKED = 1 | 2 | 4  # MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT: as `service.realtime` has it
@@ -36,7 +38,8 @@ class Hoard:
         self.hung_up = 0  # peers
         self._places = {_place(endpoint) for endpoint in served}
         self._file = os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
-        self._allowed = math.inf  # it follows the least that there was: what grows is seen from it
+        self._resident = self._least = math.inf  # then, and the least that has been allocated
+        self._own_s = math.inf
         self._next_s, self._trim_s = -math.inf, math.inf
 
     def look(self, now_s: float) -> None:
@@ -47,21 +50,26 @@ class Hoard:
         if now_s >= self._trim_s:
             self._trim_s = math.inf
             threading.Thread(target=_give_back, daemon=True).start()
-        resident = self._resident()
-        if resident < self._allowed:
-            self._allowed = min(self._allowed, resident + GROWTH_BYTES)
+        resident = int(os.pread(self._file, 100, 0).split()[1]) * PAGE_BYTES
+        if resident < self._resident + STEP_BYTES and self._resident < math.inf:
+            self._resident = min(self._resident, resident)
+            return
+        allocated = _allocated() or resident
+        self._least = min(self._least, allocated)
+        if allocated < self._least + GROWTH_BYTES:
+            self._resident, self._own_s = resident, math.inf
             return
         found = sum(map(self._hang_up, _descriptors()))
-        self._allowed = resident + GROWTH_BYTES
         self.hung_up += found
         if found:
+            self._own_s = math.inf
             self._trim_s = min(self._trim_s, now_s + TRIM_S)
+        self._own_s = min(self._own_s, now_s + OWN_S)
+        if now_s >= self._own_s:
+            self._least = allocated
 
     def close(self) -> None:
         os.close(self._file)
-
-    def _resident(self) -> int:
-        return int(os.pread(self._file, 100, 0).split()[1]) * PAGE_BYTES
 
     def _hang_up(self, number: int) -> bool:
         """Whether the descriptor is a connection to one of our endpoints that has more to read."""
@@ -77,6 +85,26 @@ class Hoard:
         except OSError:  # no socket, one that listens, or none any more
             return False
         return True
+
+
+class _Allocated(ctypes.Structure):
+    """What `mallinfo2` of the GNU C library answers, from its version 2.33 on."""
+
+    _fields_ = (
+        *((name, ctypes.c_size_t) for name in ("arena", "ordblks", "smblks", "hblks", "hblkhd")),
+        *((name, ctypes.c_size_t) for name in ("usmblks", "fsmblks", "uordblks", "fordblks")),
+        ("keepcost", ctypes.c_size_t),
+    )
+
+
+def _allocated() -> int:
+    """Bytes that are in use, without those that are free and the process's still; 0 if unknown."""
+    ask = getattr(ctypes.CDLL(None), "mallinfo2", None)
+    if ask is None:
+        return 0
+    ask.restype = _Allocated
+    told = ask()
+    return int(told.uordblks + told.hblkhd)
 
 
 def _give_back() -> None:
