@@ -17,6 +17,7 @@ from taxeld.stream.server import (
     HANDSHAKE_S,
     READ_BYTES,
     SPARE,
+    WRITES_PER_LOOK,
     Peer,
     PeerCounters,
     Server,
@@ -203,6 +204,22 @@ def test_what_a_peer_does_not_fetch_waits_for_it_up_to_a_bound(hall: Hall) -> No
             heard += said[:1]
         hall.look()
     assert heard == [b"%d" % n for n in range(1, sent + 1)], "in their order, and whole"
+
+
+def test_who_begins_to_fetch_again_is_sent_a_few_at_a_time(hall: Hall) -> None:
+    slow = hall.caller()
+    hall.until_ready(1)
+    (peer,) = hall.server._peers.values()
+    while not peer.queue:
+        hall.server.send(peer, bytes(10_000))
+    peer.queue.extend([b"x"] * 100)
+    while slow.recv(1 << 20, kernel.MSG_DONTWAIT | kernel.MSG_PEEK):
+        slow.recv(1 << 20)
+        waiting = len(peer.queue)
+        hall.look()
+        assert waiting - len(peer.queue) <= WRITES_PER_LOOK
+        if not peer.queue:
+            return
 
 
 def test_a_ping_is_answered(hall: Hall) -> None:

@@ -25,12 +25,13 @@ ACCEPTS_PER_LOOK = 16
 READS_PER_LOOK = 32  # peers
 STEPS_PER_LOOK = 64  # messages of all, and commands of the protocol
 READ_BYTES = 4096
+WRITES_PER_LOOK = 8  # messages of each peer that had to wait
 PEERS_MAX = 256
 CROWD = 32  # connections of a process; where all are taken, the one with most of them gives way
 SPARE = 16  # descriptors that are left to the rest of the daemon
 SAY_S = 60.0  # without anybody turned away, after which it is said again
 HANDSHAKE_S = 5.0  # who has not said by then who it is, is let go
-DOOR_S = 1.0  # between looks at the socket file
+DOOR_S = 0.2  # between looks at the socket file
 IN, OUT, GONE = select.EPOLLIN, select.EPOLLOUT, select.EPOLLHUP | select.EPOLLERR
 CREDENTIALS = struct.Struct("3i")  # process, user, group
 log = logging.getLogger(__name__)
@@ -277,12 +278,14 @@ class Server:
             return len(data)
 
     def _flush(self, peer: Peer) -> None:
-        while peer.queue:
+        for _ in range(WRITES_PER_LOOK):
+            if not peer.queue:
+                break
             data = peer.queue.popleft()
             sent = self._sent(peer, data)
             if sent < len(data):
                 peer.queue.appendleft(memoryview(data)[sent:])
-                return
+                break
         self._watch(peer)
 
     def _watch(self, peer: Peer) -> None:
