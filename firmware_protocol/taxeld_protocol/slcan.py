@@ -34,11 +34,6 @@ def encode(frame: Frame) -> bytes:
     return f"{head}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
 
 
-def open_commands(bitrate: int, listen_only: bool) -> bytes:
-    """What a host writes to an adapter: close, set the rate, open."""
-    return b"C\r" + BITRATES[bitrate] + (b"\rL\r" if listen_only else b"\rO\r")
-
-
 def split(buffer: bytes) -> tuple[list[bytes], bytes]:
     """Whole lines without their CR, and the rest; a line that BEL ended keeps it. Of one that is
     too long enough is kept to know it by, so that its end is not taken for a line of its own

@@ -51,7 +51,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     for module in (
         "taxeld_hil.acceptance.accept", "taxeld_hil.acceptance.acquire",
-        "taxeld.source.devices", "can.interfaces.slcan",
+        "taxeld.source.lines", "taxeld.source.slcan_device",
     ):  # fmt: skip
         monkeypatch.setattr(f"{module}.time", made)
     return made
