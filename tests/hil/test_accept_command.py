@@ -225,6 +225,7 @@ def test_without_an_answer_discovery_fails_and_names_what_to_check(
         ("slcan:/dev/nothing", [], "plugged in"),
         ("serial:/dev/nothing", [], "plugged in"),
         ("serial:/dev/nothing@fast", [], "'fast' is no baud rate"),
+        ("slcan:/dev/nothing@fast", [], "'fast' is no baud rate; use slcan:/dev/nothing@115200"),
         ("serial:/dev/nothing@99999999999999999999", [], "is no baud rate"),
         ("no_such:x", [], "driver installed"),
         ("can0", [], "use can:can0"),
