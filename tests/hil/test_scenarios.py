@@ -105,7 +105,7 @@ def test_in_real_time_nothing_is_lost_without_being_counted(rough: Path, transpo
     grade = json.loads((rough / transport / "grade.json").read_text(encoding="utf-8"))
     assert [law for law in grade["laws"] if not law["holds"]] == []
     assert grade["ledger"]["hosts"] == 2
-    assert grade["ledger"]["fates"]["scans"] > 100
+    assert grade["ledger"]["fates"]["scans"] > 20  # since the last start, which may take seconds
     injected = [row for row in grade["faults"] if row["injected"]]
     assert len(injected) == (4 if transport == "slcan" else 3)  # the native link has no adapter
     for row in injected:
