@@ -61,7 +61,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     recorded = session.read(directory)
     if not recorded.items:  # cut before the first
         return
-    decoder = dialects.listener(pipeline.config.source, pipeline.skin.layout)
+    decoder = dialects.listener(pipeline.config.source, pipeline.skin.layout, recorded.items)
     wire = Wire(pipeline.config.source, decoder)
     before = 0, recorded.items[0].t
     # as in the daemon, a scan is taken when its last frame is there, and so are the poses
