@@ -1,6 +1,7 @@
 """iCub skin through the daemon: bring-up, a CAN source, the layout, `taxeld decode`."""
 
 import json
+import os
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,13 +15,15 @@ from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig, SourceConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.skin.skin import Skin
 from taxeld.source.sources import open_source
 from taxeld_protocol import icub
-from taxeld_protocol.decoder import Scan
+from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.icub import CHANNELS
+from taxeld_protocol.modules import ABSENT_UID
 from taxeld_protocol.virtual_icub import VirtualBoard
 from tests.daemon.virtual_part import (
     BOARDS,
@@ -32,6 +35,9 @@ from tests.daemon.virtual_part import (
     skin_layout,
 )
 
+ROOT = Path(__file__).parents[2]
+SHARED = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared"))
+POSITIONS = SHARED / "data" / "icub_positions"
 MINIMAL = """
 source = {{ kind = "{kind}", dialect = "icub", channel = "x"{more} }}
 skin.full_scale_counts = {counts}
@@ -103,6 +109,20 @@ def test_every_taxel_of_the_layout_is_heard_from_boards_that_behave_as_the_firmw
     assert len(late) == pytest.approx(2 * 50, abs=4)
     bus.close()
     assert not any(board.running for board in boards.boards.values())
+
+
+@pytest.mark.skipif(not POSITIONS.is_dir(), reason="iCub's positions are not beside this checkout")
+@pytest.mark.parametrize("name", ["left_forearm_mesh", "right_leg_upper"])
+def test_every_row_of_an_official_file_that_is_a_taxel_comes(name: str) -> None:
+    skin = layouts.load(str(POSITIONS / f"{name}.txt"))
+    boards = tuple(range(8, 8 + int(skin.uid.max()) // 256 + 1))
+    bus = Bus(settings(name, boards=boards), Boards(*boards), skin)
+    heard: set[int] = set()
+    for scan in bus.run(3.0):
+        uids = [uid for module in scan.table for uid in module.uids]
+        heard |= {uid for uid, count in zip(uids, scan.counts, strict=True) if count != MISSING}
+    bus.close()
+    assert heard - {ABSENT_UID} == set(skin.uid.tolist())
 
 
 def test_boards_that_are_not_named_are_found_and_what_is_missing_is_said(
