@@ -53,7 +53,7 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
     """
     if config.dialect == "icub":
         if config.listen_only:
-            return Dialect(listener(config, layout), None, icub.to_frames)
+            return Dialect(icub_part.listened(config, layout), None, icub.to_frames)
         part = icub_part.of(layout)
         boards = part.named(config.boards)
         skin = IcubDecoder(boards, part.taxels)
@@ -61,22 +61,26 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
         return Dialect(skin, start, icub.to_frames)
     to_frames = partial(cyskin.to_frames, ihb=BROADCAST)
     if config.listen_only:
-        return Dialect(listener(config, layout), None, to_frames)
+        return Dialect(_listener(config, layout), None, to_frames)
     # who asks the hubs for their modules must not guess them
     decoder = Decoder(period_s=config.period_ms / 1000.0)
     return Dialect(decoder, BringUp(decoder, config.period_ms), to_frames)
 
 
-def listener(
-    config: SourceConfig, layout: Layout, recorded: Sequence[Frame | Chunk] = ()
+def replayed(
+    config: SourceConfig, layout: Layout, recorded: Sequence[Frame | Chunk], what: str
 ) -> ScanDecoder:
-    """The decoder of the configured dialect for frames of a skin that something else started;
-    `recorded`: all of them, where they are known.
+    """The decoder of the configured dialect for a recording, which `what` names.
 
     Raises:
         SetupError: the layout needs more boards than are configured, or nothing tells them.
     """
     if config.dialect == "icub":
-        return icub_part.listener(config, layout, recorded)
+        return icub_part.replayed(config, layout, recorded, what)
+    return _listener(config, layout)
+
+
+def _listener(config: SourceConfig, layout: Layout) -> Decoder:
+    """For frames of a CySkin that something else started."""
     modules = wired(layout.uid.tolist())
     return Decoder(lambda _: modules, config.period_ms / 1000.0)

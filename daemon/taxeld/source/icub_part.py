@@ -39,6 +39,13 @@ class Part(NamedTuple):
             )
         return boards[:needed]
 
+    def untold(self, why: str) -> str:
+        """That nothing tells which boards these are, and what to do about it."""
+        return (
+            f"source.boards: must name the {len(self.triangles)} boards of {self.name}, in the "
+            f"order of its positions file: {why}"
+        )
+
     def mismatch(self, boards: Sequence[int]) -> str:
         """That so many boards answer, and what to do about it."""
         return (
@@ -68,35 +75,43 @@ def of(layout: Layout) -> Part:
     return Part(layout.name, tuple(triangles), taxels)
 
 
-def listener(
-    config: SourceConfig, layout: Layout, recorded: Sequence[Frame | Chunk]
-) -> IcubDecoder:
-    """The decoder for frames of boards that something else started.
+def listened(config: SourceConfig, layout: Layout) -> IcubDecoder:
+    """The decoder for boards that something else starts.
 
     Raises:
-        SetupError: neither the configuration nor an answer in `recorded` tells which they are.
+        SetupError: the configuration does not tell which they are.
     """
     part = of(layout)
-    boards = part.named(config.boards) or _answering(config, part, recorded)
+    boards = part.named(config.boards)
+    if not boards:
+        raise SetupError(part.untold("with listen_only none is asked"))
     return IcubDecoder(boards, part.taxels)
 
 
-def _answering(
-    config: SourceConfig, part: Part, recorded: Sequence[Frame | Chunk]
-) -> tuple[int, ...]:
+def replayed(
+    config: SourceConfig, layout: Layout, recorded: Sequence[Frame | Chunk], what: str
+) -> IcubDecoder:
+    """The decoder for a recording, which `what` names.
+
+    Raises:
+        SetupError: neither the configuration nor an answer in it tells which the boards are.
+    """
+    part = of(layout)
+    boards = part.named(config.boards) or _answering(config, recorded)
+    if not boards:
+        raise SetupError(part.untold(f"{what} has no board's answer"))
+    if len(boards) != len(part.triangles):
+        raise SetupError(f"source.boards: {part.mismatch(boards)}")
+    return IcubDecoder(boards, part.taxels)
+
+
+def _answering(config: SourceConfig, recorded: Sequence[Frame | Chunk]) -> tuple[int, ...]:
+    """The skin boards whose answers a recording has."""
     skin = IcubDecoder()
     wire = Wire(config, skin)
     for item in recorded:
         wire.take(item, item.t)
-    boards = tuple(sorted(a.board for a in skin.answered.values() if a.is_skin))
-    if len(boards) == len(part.triangles):
-        return boards
-    if boards:
-        raise SetupError(f"source.boards: {part.mismatch(boards)}")
-    raise SetupError(
-        f"source.boards: must name the {len(part.triangles)} boards of {part.name}, in the order "
-        "of its positions file, where none is asked (listen_only, or a recording without answers)"
-    )
+    return tuple(sorted(answer.board for answer in skin.answered.values() if answer.is_skin))
 
 
 def listing(boards: Sequence[int]) -> str:

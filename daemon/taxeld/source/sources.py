@@ -96,7 +96,7 @@ def open_source(
         recorded = session.read(Path(config.path))
         if not recorded.items:
             raise SetupError(f"source.path: {config.path} was cut before its first frame")
-        wire = Wire(config, dialects.listener(config, layout, recorded.items))
+        wire = Wire(config, dialects.replayed(config, layout, recorded.items, config.path))
         return ReplaySource(recorded, wire, on_pose)
     return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
 
