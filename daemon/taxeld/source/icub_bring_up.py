@@ -4,7 +4,7 @@ Pure: the time and what the decoder has heard in, requests out. A request is the
 the command to it. After its first bring-up a board that sends is left alone, as configuring it
 makes it calibrate itself anew: under a touch, that would hide the touch.
 
-Commands to a board are spaced out: the older one takes the last of those that wait first.
+Commands to a board are spaced out: of those that wait, an MTB obeys the last first.
 """
 
 import math
@@ -22,7 +22,7 @@ SETTLE_S = 1.0  # no further board may answer for so long before those that did 
 ANSWER_S = 0.3  # that an answer may take
 PAUSE_S = 0.05  # after a command
 CALIBRATION_S = 0.4  # and two periods: what a board takes over triangles
-PATIENCE_S = 3.0  # silence is spoken of after so long
+PATIENCE_S = 3.0  # silence is spoken of after so long; a board's, beyond its bring-up
 
 CURE = (
     "see that they have power and are on this bus; those behind an Ethernet board (EMS) cannot be "
@@ -47,6 +47,10 @@ class _Board:
     is_set_up: bool = False  # all steps were taken before
     # without an answer: it may be too old for the question, or have come up amidst the steps
     is_blind: bool = False
+
+    def is_silent(self, now_s: float) -> bool:
+        """For longer than its steps take."""
+        return now_s >= self.heard_s + PATIENCE_S + sum(pause_s for _, pause_s in self.steps)
 
     def listen(self, now_s: float) -> None:
         """It speaks: leave it alone for as long as it does."""
@@ -180,7 +184,7 @@ class IcubBringUp:
 
     def _silent(self, now_s: float) -> str:
         """Which boards send nothing, though they were brought up."""
-        silent = [board for board in self._boards if now_s >= board.heard_s + PATIENCE_S]
+        silent = [board for board in self._boards if board.is_silent(now_s)]
         if not silent:
             return ""
         if not any(board.answer for board in silent):
