@@ -93,10 +93,10 @@ def open_source(
         SetupError: the device or session cannot be opened.
     """
     if config.kind == "replay":
-        wire = Wire(config, dialects.listener(config, layout))
         recorded = session.read(Path(config.path))
         if not recorded.items:
             raise SetupError(f"source.path: {config.path} was cut before its first frame")
+        wire = Wire(config, dialects.replayed(config, layout, recorded.items, config.path))
         return ReplaySource(recorded, wire, on_pose)
     return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
 
@@ -176,6 +176,7 @@ class LiveSource:
             for scan in scans:
                 self._bring_up.on_scan(scan.ihb, now_s)
             requests += self._bring_up.due(now_s)
+            self._heed(self._bring_up.waits_for, now_s)
         for request in requests:
             outbox.add(request, now_s)
         self._flush(outbox, now_s)
@@ -239,6 +240,16 @@ class LiveSource:
         if reason != self.waits_for:
             self.waits_for = reason
             self._say(logging.WARNING, f"{reason}; waiting for it", now_s)
+
+    def _heed(self, line: str, now_s: float) -> None:
+        """Say what the skin lacks, once."""
+        if line != self.waits_for:
+            self.waits_for = line
+            self._say(
+                logging.WARNING if line else logging.INFO,
+                line or "source.boards: all of them send",
+                now_s,
+            )
 
     def _say(self, level: int, line: str, now_s: float) -> None:
         """Log a line, unless there were too many of late."""
