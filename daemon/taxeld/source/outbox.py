@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 from taxeld.source.bring_up import Request
 from taxeld_protocol.frames import Frame
 
-MOST = 128  # requests that wait; an iCub part's bring-up is 28
+MOST = 128  # requests that wait; an iCub bus is asked by 14
 PATIENCE_S = 0.5  # of a request: by then the bring-up has asked anew
 
 

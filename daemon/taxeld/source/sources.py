@@ -95,10 +95,10 @@ def open_source(
         SetupError: the device or session cannot be opened.
     """
     if config.kind == "replay":
-        wire = Wire(config, dialects.listener(config, layout))
         recorded = session.read(Path(config.path))
         if not recorded.items:
             raise SetupError(f"source.path: {config.path} was cut before its first frame")
+        wire = Wire(config, dialects.replayed(config, layout, recorded.items, config.path))
         return ReplaySource(recorded, wire, on_pose)
     return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
 
@@ -176,6 +176,8 @@ class LiveSource:
             outbox.add_all(bring_up.due(now_s), now_s)
         device.tend(now_s)
         self._follow(device, outbox, now_s)
+        lacks = "" if bring_up is None else bring_up.waits_for
+        self._heed(device.waits_for or lacks, now_s)
         self._flush(outbox, now_s)
         return scans
 
@@ -191,13 +193,6 @@ class LiveSource:
             self._say(logging.WARNING, line, now_s)
         if noticed.silences:
             outbox.clear()  # what still streams behind it is not to be set up anew
-        if device.waits_for and not self.waits_for:
-            self._say(logging.WARNING, device.waits_for, now_s)
-        elif self.waits_for and not device.waits_for:
-            self._say(
-                logging.INFO, f"source.channel: frames come again, after: {self.waits_for}", now_s
-            )
-        self.waits_for = device.waits_for
 
     def _hear(self, device: Device) -> list[Heard]:
         heard: list[Heard] = []
@@ -257,6 +252,16 @@ class LiveSource:
         if reason != self.waits_for:
             self.waits_for = reason
             self._say(logging.WARNING, f"{reason}; waiting for it", now_s)
+
+    def _heed(self, line: str, now_s: float) -> None:
+        """Say what is missing, once, and that it has come."""
+        if line == self.waits_for:
+            return
+        before, self.waits_for = self.waits_for, line
+        if line:
+            self._say(logging.WARNING, line, now_s)
+        else:
+            self._say(logging.INFO, f"is mended: {before}", now_s)
 
     def _say(self, level: int, line: str, now_s: float) -> None:
         """Log a line, unless there were too many of late."""
