@@ -87,14 +87,12 @@ class SlcanDevice(SerialLine):
     def tend(self, now_s: float) -> None:
         """Open the channel, and open it again once nothing comes from it."""
         self._now_s = now_s
-        due = self._adapter.due(now_s)
-        if due.startswith(CLOSE):
-            self._set_line()
-            self._commands = b""  # of an opening that the line has not taken
-        self._commands += due
+        if due := self._adapter.due(now_s):
+            self._add(due)
         if self._commands and not self._begun:
             self._commands = self._commands[self._write(self._commands) :]
-        self._notice()
+        if self._adapter.refused or self._adapter.silences:
+            self._notice()
 
     def pack(self, command: int, payload: bytes) -> list[Unit]:
         frames = self._to_frames(command, payload)
@@ -116,6 +114,12 @@ class SlcanDevice(SerialLine):
             time.sleep(min(wait_s, LEAVE_S))
             os.write(self._port.fileno(), self._adapter.closing())
         super().close(wait_s)
+
+    def _add(self, commands: bytes) -> None:
+        if commands.startswith(CLOSE):
+            self._set_line()
+            self._commands = b""  # of an opening that the line has not taken
+        self._commands += commands
 
     def _notice(self) -> None:
         adapter, noticed = self._adapter, self.noticed
