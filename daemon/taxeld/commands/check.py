@@ -10,6 +10,7 @@ from taxeld.proposals import bundle, choice
 from taxeld.service import metrics
 from taxeld.source import dialects, session
 from taxeld.source.session import Items
+from taxeld.source.slcan_device import adapter_line
 from taxeld.stream import curve
 
 SYS_NET = Path("/sys/class/net")
@@ -72,7 +73,8 @@ def _source(source: SourceConfig) -> tuple[Items, list[str]]:
         if source.kind == "replay":
             return session.read(Path(source.path)).items, []
         if source.kind == "serial" or source.interface == "slcan":
-            device = Path(source.channel.split("@")[0])
+            is_bus = source.kind == "can"
+            device = Path(adapter_line(source.channel)[0] if is_bus else source.channel)
             if not device.exists():
                 raise SetupError(f"source.channel: no device {device}; is it plugged in?")
         elif source.interface == "socketcan" and not (SYS_NET / source.channel).exists():

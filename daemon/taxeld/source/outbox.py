@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 from taxeld.source.bring_up import Request
@@ -57,6 +58,11 @@ class Outbox:
         if len(self._waiting) >= MOST:
             self._drop()
         self._waiting.append((now_s + PATIENCE_S, request))
+
+    def add_all(self, requests: Iterable[Request], now_s: float) -> None:
+        """Queue some, in their order."""
+        for request in requests:
+            self.add(request, now_s)
 
     def clear(self) -> None:
         """Drop what has not begun."""
