@@ -45,6 +45,7 @@ class TrialSkin:
         taxels = len(gain)
         self._given = given
         self._gain = gain
+        self.floor = SILENT * given.sigma
         self._offset = given.drift * rng.uniform(-1.0, 1.0, taxels)
         self._stuck = rng.permutation(taxels)[: given.stuck]
         self.live = np.ones(taxels, dtype=np.bool_)
@@ -56,7 +57,7 @@ class TrialSkin:
         """Activations z (M,) for true ones h (M,), after a share `elapsed` of the trial."""
         given = self._given
         z = self._gain * h + elapsed * self._offset + given.sigma * rng.standard_normal(len(h))
-        z = np.where(z < SILENT * given.sigma, 0.0, np.minimum(z, 1.0))
+        z = np.where(z < self.floor, 0.0, np.minimum(z, 1.0))
         z[self._stuck] = given.stuck_at
         return np.where(self.live, z, 0.0)
 

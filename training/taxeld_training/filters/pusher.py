@@ -61,7 +61,7 @@ class PushedTrial:
             truth = gave_way(model, truth, before, sensor, limit_m)
             h = model.activation(se2.compose(se2.inverse(sensor), truth)[None])[0]
             path_m += STEP_M if h.any() else 0.0
-            activation = Activation(t, skin.read(h, 0.0, rng), skin.live)
+            activation = Activation(t, skin.read(h, 0.0, rng), skin.live, skin.floor)
             yield Moment(TOUCHES, activation, sensor, truth)
             t += SCAN_S
 

@@ -75,7 +75,8 @@ class Trial:
                     h = np.maximum(h, twin.activation(pose[None])[0])
                 z = skin.read(h, (touch + 1) / self.touches, rng)
                 sensor = reported(given, se2.compose(truth, se2.inverse(pose)), error)
-                yield Moment(touch, Activation(t, z, skin.live), sensor, truth, twin_pose)
+                reading = Activation(t, z, skin.live, skin.floor)
+                yield Moment(touch, reading, sensor, truth, twin_pose)
                 t += SCAN_S
             t += BETWEEN_S
 
