@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
 
 from taxeld.cli import main
@@ -17,7 +18,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals import bundle, choice, seal
+from taxeld.proposals import bundle, choice, sampler, seal
 from taxeld.proposals.analytic import Projection, Table, check_contacts
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
@@ -231,6 +232,94 @@ def test_a_broken_sampler_is_found_though_another_is_preferred(
     assert f"{name}.onnx: unusable sampler" in fault(configuration(box), capsys)
 
 
+def rename_input(model: onnx.ModelProto) -> None:
+    model.graph.input[0].name = "touch"
+
+
+def fix_samples(model: onnx.ModelProto) -> None:
+    model.graph.input[2].type.tensor_type.shape.dim[1].dim_value = 100
+
+
+def widen(model: onnx.ModelProto) -> None:
+    for given in model.graph.input[:2]:
+        given.type.tensor_type.shape.dim[1].dim_value = 79
+
+
+def of_another_layout(model: onnx.ModelProto) -> None:
+    (entry,) = (entry for entry in model.metadata_props if entry.key == "layout")
+    entry.value = json.dumps("77")
+
+
+@pytest.mark.parametrize("name", ["density-64", "ddpm-100"])
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (rename_input, "its inputs are not z, live and noise"),
+        (fix_samples, "its noise is not (steps, any number of samples, 4)"),
+        (widen, "it is not for a skin of 80 taxels"),
+        (
+            of_another_layout,
+            "it is for the layout 77, not for cylinder:rows=5,columns=16,radius_m=",
+        ),
+    ],
+)
+def test_a_sampler_of_another_form_or_skin_is_found_whether_it_would_be_opened_or_not(
+    box: Path, capsys: pytest.CaptureFixture[str], name: str,
+    change: Callable[[onnx.ModelProto], None], said: str,
+) -> None:  # fmt: skip
+    path = box / f"{name}.onnx"
+    model = onnx.load(path)
+    change(model)
+    onnx.save(model, path)
+    reseal(box)
+    err = fault(configuration(box), capsys)
+    assert err.startswith(f"{path}: unusable sampler ({said}")
+
+
+@pytest.mark.parametrize("keep", [0.2, 0.999])
+def test_a_sampler_that_was_cut_short_is_found_though_another_is_preferred(
+    box: Path, capsys: pytest.CaptureFixture[str], keep: float
+) -> None:
+    path = box / "ddpm-100.onnx"
+    data = path.read_bytes()
+    path.write_bytes(data[: int(keep * len(data))])
+    reseal(box)
+    assert "ddpm-100.onnx: unusable sampler (it is cut short)" in fault(configuration(box), capsys)
+
+
+def test_check_opens_what_run_opens_and_nothing_that_auto_cannot_come_to(
+    box: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[int] = []
+    whole = sampler._session
+
+    def counted(graph: bytes) -> Any:
+        opened.append(len(graph))
+        return whole(graph)
+
+    monkeypatch.setattr(sampler, "_session", counted)
+    config = configuration(box)
+    assert main(["check", str(config)]) == 0
+    sizes = [(box / name).stat().st_size for name in ("density-64.onnx", "density-16.onnx")]
+    assert opened == sizes
+    opened.clear()
+    assert main(["run", str(config)]) == 0
+    assert opened == sizes
+    assert capsys.readouterr().err == ""
+
+
+def test_auto_comes_to_no_sampler_that_takes_more_than_one_before_it(skin_of_box: Layout) -> None:
+    loaded = bundle.load("box", skin_of_box, DEPTH_MAX_M)
+    order = ["density-16", "table", "ddpm-100", "density-64", "manifold"]
+    loaded = replace(loaded, info=loaded.info | {"auto": order})
+    assert loaded.choices == ["density-16", "table", "manifold"]
+    assert loaded.cheaper("ddpm-100") == ["density-16"]
+    loaded = replace(loaded, info=loaded.info | {"auto": order[::-1]})
+    assert loaded.choices == ["manifold", "density-64", "table", "density-16"]
+    assert loaded.cheaper("ddpm-100") == ["density-64", "density-16"]
+    assert loaded.cheaper("density-16") == []
+
+
 def test_a_bundle_for_another_skin_is_named_with_its_own(
     box: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -265,8 +354,7 @@ def test_a_run_opens_all_that_it_may_draw_from(skin_of_box: Layout) -> None:
             "table": {"proposal": "table"},
         }.items()
     }  # fmt: skip
-    everything = {"density-64", "ddpm-100", "density-16", "table", "manifold", "projection"}
-    assert opened["auto"] == everything
+    assert opened["auto"] == {"density-64", "density-16", "table", "manifold", "projection"}
     assert opened["ddpm"] == {"ddpm-100", "density-64", "density-16", "table"}
     assert opened["16"] == {"density-16", "table"}
     assert opened["table"] == {"table"}

@@ -122,6 +122,12 @@ def test_any_bytes_are_a_sampler_or_one_line(data: bytes) -> None:
     used_or_refused(lambda: Sampler(data, loaded().model.layout, "density", NOWHERE))
 
 
+@settings(max_examples=100, deadline=None)
+@given(damaged("ddpm-100.onnx") | st.binary(max_size=100))
+def test_any_bytes_are_looked_at_without_opening_them_or_one_line(data: bytes) -> None:
+    used_or_refused(lambda: Sampler.check(data, loaded().model.layout, NOWHERE))
+
+
 @settings(max_examples=200, deadline=None)
 @given(damaged("bundle.json") | st.binary(max_size=100))
 def test_any_bytes_are_a_bundle_json_or_one_line(data: bytes) -> None:

@@ -1,13 +1,11 @@
 """`physics = "mesh"`: a solid against a soft skin, with the skin's hysteresis, creep and drift."""
 
-import json
-
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals import bundle
+from taxeld.proposals import bundle, manifest, seal
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world import meshes
 from taxeld_hil.world.electronics import Foam, ThermalDrift, condenser, coupling
@@ -19,9 +17,10 @@ def solid_of(name: str, layout: Layout) -> Solid:
     """The solid that the bundle `name` was made of, at the bundle's height.
 
     Raises:
-        SetupError: its mesh cannot be found or read.
+        SetupError: the bundle is damaged, or its mesh cannot be found or read.
     """
-    info = json.loads((bundle.find(name) / "bundle.json").read_text(encoding="utf-8"))
+    path = bundle.find(name) / manifest.NAME
+    info = manifest.parse(seal.read(path), path)
     height = float(info["height_m"])
     reach = float(np.abs(layout.position_m[:, 2]).max()) + MARGIN_M + LAYER_M
     return meshes.load(str(info["object"]), height, reach)
