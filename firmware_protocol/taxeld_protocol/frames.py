@@ -13,12 +13,9 @@ class Frame(NamedTuple):
     extended: bool = False
 
 
-class LogLine(NamedTuple):
-    """One line of a candump log: the frame, or None where the line is none."""
-
-    number: int  # counted from 1
-    frame: Frame | None
-
+# What a log holds: the interface that it was heard on, and the frame; None is one that carries
+# nothing for a skin: remote, error and FD frames
+Logged = tuple[str, Frame | None]
 
 # candump -L: "(1700000000.123456) can0 101#431A000027102711", ids of 8 digits are extended. The
 # digits of a time are bounded: no clock has more, and no float holds 400
