@@ -118,7 +118,7 @@ def _decode(args: argparse.Namespace) -> int:
     modules = None
     if args.config:
         modules = wired(layouts.read(load(args.config).skin.layout).uid.tolist())
-    for line in decode(args.log, modules, args.dialect):
+    for line in decode(args.log, modules, args.dialect, args.interface):
         print(line)
     return 0
 
@@ -203,10 +203,11 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("config", type=Path, metavar="CONFIG")
     check.set_defaults(command=_check)
 
-    decode = commands.add_parser("decode", help="candump log → a JSON line a scan, then counters")
-    decode.add_argument("log", type=Path, metavar="LOG")
+    decode = commands.add_parser("decode", help="a log → a JSON line a scan, then counters")
+    decode.add_argument("log", type=Path, metavar="LOG", help="of candump and others, serial.bin")
     decode.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
     decode.add_argument("--config", type=Path, help="whose layout gives the module table")
+    decode.add_argument("--interface", default="", help="of a log of several: the skin's")
     decode.set_defaults(command=_decode)
 
     replay = commands.add_parser("replay", help="session → a JSON line an estimate")

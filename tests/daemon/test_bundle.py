@@ -82,6 +82,14 @@ def flip(path: Path, at: float) -> None:
     path.write_bytes(data)
 
 
+def unpacking(path: Path) -> None:
+    """Flip a bit where zlib itself finds it, in the first bytes of what is packed."""
+    data = bytearray(path.read_bytes())
+    name, extra = int.from_bytes(data[26:28], "little"), int.from_bytes(data[28:30], "little")
+    data[30 + name + extra] ^= 0x06  # the kind of the first block
+    path.write_bytes(data)
+
+
 def rewrite(box: Path, **values: Any) -> None:
     """Replace arrays of the scene."""
     with np.load(box / "scene.npz") as npz:
@@ -121,6 +129,9 @@ def test_a_missing_file_is_found(box: Path, capsys: pytest.CaptureFixture[str], 
         (scene_with(centre=[np.nan, 0.0]), "centre is not finite"),
         (scene_with(origin=[0.0, np.inf]), "origin is not finite"),
         (scene_with(origin=["here", "there"]), "origin is no array"),
+        (scene_with(origin=[np.nan, 0.0]), "origin is not finite"),
+        (scene_with(centre=[0.0, 0.0, 0.0]), "centre has the shape (3,)"),
+        (lambda box: unpacking(box / "scene.npz"), "unreadable scene (Error -3 while decompress"),
         (scene_with(cell=np.nan), "cell is not within"),
         (scene_with(symmetry=10**9), "symmetry is not within"),
         (scene_with(cell=[1.0, 2.0]), "unreadable scene"),
@@ -174,6 +185,8 @@ def first(key: str, value: object) -> Callable[[dict[str, Any]], object]:
         (lambda info: info.update(depth_max_m=float("nan")), "NaN is no number"),
         (lambda info: info.update(depth_max_m=10**400), "depth_max_m is missing or no number"),
         (lambda info: info.update(object="a\nb"), "object is missing"),
+        (lambda info: info.update(object="mug " * 1000), "object is missing"),
+        (lambda info: info.update(height_m=[[]]), "height_m is missing"),
         (lambda info: info.update(layout=[]), "layout needs"),
         (lambda info: info.update(layout={"name": "a\nb", "digest": ""}), "layout needs"),
         (lambda info: info.update(samplers={}), "samplers is missing"),

@@ -209,6 +209,11 @@ def test_a_recording_hears_such_a_robot_and_ends(tmp_path: Path) -> None:
             lambda keys: (keys / "clients" / "b.key").write_text('public-key = "short"'),
             "b.key is no certificate",
         ),
+        (lambda keys: (keys / "robot.key").write_text("public-key"), "robot.key is no certificate"),
+        (
+            lambda keys: (keys / "robot.key").write_text(f'public-key = "{"#" * 40}"'),
+            "robot.key is no certificate",
+        ),
     ],
 )
 def test_keys_that_cannot_be_used_are_one_line(

@@ -202,7 +202,15 @@ def test_a_session_without_a_version_is_read_as_the_first(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     ("about", "fault"),
-    [("version = 2\n", "is of version 2"), ("version\n", "damaged"), ('bytes = "9"\n', "damaged")],
+    [
+        ("version = 2\n", "is of version 2"),
+        ("version\n", "damaged"),
+        ('bytes = "9"\n', "damaged"),
+        (f"bytes = {'9' * 400}\n", "damaged"),
+        (f"bytes = {'9' * 5000}\n", "damaged"),
+        (f"version = 0x{'f' * 9999}\n", "damaged"),
+        ("frames = " + "[" * 100_000 + "\n", "damaged"),
+    ],
 )
 def test_a_session_of_a_newer_version_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], about: str, fault: str
