@@ -24,6 +24,8 @@ Request = tuple[int, bytes]
 class BringUp:
     """Decides what to send to get scans and to keep them coming."""
 
+    waits_for = ""
+
     def __init__(self, decoder: Decoder, period_ms: int) -> None:
         self._decoder = decoder
         self._period_ms = period_ms

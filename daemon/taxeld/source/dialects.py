@@ -1,14 +1,15 @@
 """The skins' protocols: for each, what reads its frames, what starts it and how requests travel."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from typing import NamedTuple, Protocol
 
 from taxeld.config.tables import SourceConfig
-from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
+from taxeld.source import icub_part
 from taxeld.source.bring_up import BringUp, Request
 from taxeld.source.icub_bring_up import IcubBringUp
+from taxeld.source.session import Chunk
 from taxeld_protocol import cyskin, icub
 from taxeld_protocol.cyskin import BROADCAST, Packet
 from taxeld_protocol.decoder import Decoder, ScanDecoder
@@ -19,6 +20,8 @@ from taxeld_protocol.modules import wired
 
 class Starter(Protocol):
     """A bring-up: decides what to send to get scans and to keep them coming."""
+
+    waits_for: str  # what the skin must do before all of it is there, in a line; or empty
 
     def restart(self) -> None: ...
 
@@ -46,39 +49,38 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
     """The configured dialect for a skin that is there.
 
     Raises:
-        SetupError: the layout needs more boards than are configured.
+        SetupError: the layout needs more boards than are configured, or nothing can tell them.
     """
     if config.dialect == "icub":
-        boards = _boards(config, layout)
-        part = IcubDecoder(boards)
-        start = None if config.listen_only else IcubBringUp(part, boards, config.period_ms)
-        return Dialect(part, start, icub.to_frames)
+        if config.listen_only:
+            return Dialect(icub_part.listened(config, layout), None, icub.to_frames)
+        part = icub_part.of(layout)
+        boards = part.named(config.boards)
+        skin = IcubDecoder(boards, part.taxels)
+        start = IcubBringUp(skin, part, boards, config.period_ms, config.skin_type)
+        return Dialect(skin, start, icub.to_frames)
     to_frames = partial(cyskin.to_frames, ihb=BROADCAST)
     if config.listen_only:
-        return Dialect(listener(config, layout), None, to_frames)
+        return Dialect(_listener(config, layout), None, to_frames)
     # who asks the hubs for their modules must not guess them
     decoder = Decoder(period_s=config.period_ms / 1000.0)
     return Dialect(decoder, BringUp(decoder, config.period_ms), to_frames)
 
 
-def listener(config: SourceConfig, layout: Layout) -> ScanDecoder:
-    """The decoder of the configured dialect for frames of a skin that something else started.
+def replayed(
+    config: SourceConfig, layout: Layout, recorded: Sequence[Frame | Chunk], what: str
+) -> ScanDecoder:
+    """The decoder of the configured dialect for a recording, which `what` names.
 
     Raises:
-        SetupError: the layout needs more boards than are configured.
+        SetupError: the layout needs more boards than are configured, or nothing tells them.
     """
     if config.dialect == "icub":
-        return IcubDecoder(_boards(config, layout))
+        return icub_part.replayed(config, layout, recorded, what)
+    return _listener(config, layout)
+
+
+def _listener(config: SourceConfig, layout: Layout) -> Decoder:
+    """For frames of a CySkin that something else started."""
     modules = wired(layout.uid.tolist())
     return Decoder(lambda _: modules, config.period_ms / 1000.0)
-
-
-def _boards(config: SourceConfig, layout: Layout) -> tuple[int, ...]:
-    """Those of the configured iCub boards that the layout's taxels hang on."""
-    needed = (int(layout.uid.max()) >> 4) // icub.TRIANGLES + 1
-    if needed > len(config.boards):
-        raise SetupError(
-            f"source.boards: names {len(config.boards)}, but {layout.name} has the triangles of "
-            f"{needed}; add the missing"
-        )
-    return config.boards[:needed]
