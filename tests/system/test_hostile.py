@@ -19,6 +19,7 @@ ATTACKS = [
     "a flood that exits, ipc",
     "idle connections, tcp",
     "idle connections, ipc",
+    "a crowd, tcp",
     "unique subscriptions, tcp",
     "unique subscriptions, ipc",
     "endless message, tcp",
@@ -34,6 +35,7 @@ ATTACKS = [
     "a reader tares in a loop",
     "socket files removed",
     "signals to the daemon",
+    "signals to the relay",
 ]
 
 Row = dict[str, Any]
@@ -50,6 +52,13 @@ def rows(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Row]:
 
 def test_every_attack_in_short_form_is_judged(rows: dict[str, Row]) -> None:
     assert list(rows) == ATTACKS
+
+
+def test_an_attacker_reaches_what_it_attacks(rows: dict[str, Row]) -> None:
+    """`did`: what a process of its own has done; a robot that errs, and signals, are none."""
+    did = {attack: row["did"] for attack, row in rows.items() if row["did"] is not None}
+    assert len(did) > len(ATTACKS) / 2
+    assert [attack for attack, counts in did.items() if not sum(counts.values())] == []
 
 
 @pytest.mark.parametrize("attack", ATTACKS)
