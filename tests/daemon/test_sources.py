@@ -19,7 +19,7 @@ from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 from tests.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
@@ -83,7 +83,7 @@ def test_the_native_serial_link_brings_the_skin_up() -> None:
     tty.setraw(slave)
     os.set_blocking(master, False)
     source = open_source(SourceConfig(kind="serial", channel=os.ttyname(slave)), SKIN)
-    hub, requests = VirtualIhb(MODULES), SerialReader()
+    hub, requests = VirtualIhb(MODULES, phase=Phase.MODULES), SerialReader()
 
     def serve(k: int) -> None:
         try:

@@ -21,7 +21,7 @@ from taxeld.source.dialects import ToFrames
 from taxeld.source.outbox import Unit
 from taxeld.source.session import Chunk
 from taxeld_protocol import serial_link, slcan
-from taxeld_protocol.cyskin import BROADCAST
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER
 from taxeld_protocol.frames import Frame
 
 logging.getLogger("can").addHandler(logging.NullHandler())  # what goes wrong is said once, here
@@ -135,7 +135,9 @@ class CanDevice:
     def put(self, unit: Unit) -> None:
         assert unit.frame is not None  # noqa: S101  (as packed)
         message = can.Message(
-            arbitration_id=unit.frame.can_id, data=unit.frame.data, is_extended_id=False
+            arbitration_id=unit.frame.can_id,
+            data=unit.frame.data,
+            is_extended_id=unit.frame.extended,
         )
         try:
             self._bus.send(message, timeout=0.0)
@@ -172,6 +174,8 @@ class SerialDevice:
     def pack(self, command: int, payload: bytes) -> list[Unit]:
         if self._slcan:  # a recording of a line holds what was read from it alone
             return [Unit(None, slcan.encode(f)) for f in self._to_frames(command, payload)]
+        if command == LEAVE_BOOTLOADER:  # a hub that speaks this link runs its application
+            return []
         return [Unit(None, serial_link.encode(command, payload, ihb=BROADCAST))]
 
     def put(self, unit: Unit) -> Unit | None:

@@ -30,6 +30,8 @@ class Starter(Protocol):
 
     def stop(self) -> list[Request]: ...
 
+    def news(self) -> list[str]: ...
+
 
 ToFrames = Callable[[int, bytes], list[Frame]]
 

@@ -176,6 +176,8 @@ class LiveSource:
             for scan in scans:
                 self._bring_up.on_scan(scan.ihb, now_s)
             requests += self._bring_up.due(now_s)
+            for line in self._bring_up.news():
+                self._say(logging.INFO, line, now_s)
         for request in requests:
             outbox.add(request, now_s)
         self._flush(outbox, now_s)

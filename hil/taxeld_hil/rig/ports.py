@@ -20,9 +20,10 @@ import can
 from taxeld.errors import SetupError
 from taxeld_hil.rig.ledger import Unit
 from taxeld_protocol import slcan
-from taxeld_protocol.cyskin import Packet, Reassembler
+from taxeld_protocol.cyskin import Packet
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import SerialReader
+from taxeld_protocol.virtual_ihb import HubLink
 
 READ_BYTES = 65536
 OUTBOX_BYTES = 65536  # beyond what the kernel takes: some tenths of a second of a saturated bus
@@ -129,7 +130,7 @@ class SlcanPort(_Terminal):
     def __init__(self, link: Path, on_frame: Callable[[Frame], None]) -> None:
         """`on_frame` is called with each frame of the host's."""
         self._rest = b""
-        self._requests = Reassembler()
+        self._requests = HubLink()
         self._on_frame = on_frame
         super().__init__(link)
 
@@ -175,7 +176,7 @@ class CanPort:
         """Raises SetupError where there is no such interface."""
         self.is_open = False
         self._on_frame = on_frame
-        self._requests = Reassembler()
+        self._requests = HubLink()
         try:
             self._bus = can.Bus(interface="socketcan", channel=interface)
         except (can.CanError, OSError) as error:
@@ -189,7 +190,8 @@ class CanPort:
         with contextlib.suppress(can.CanError, OSError):  # a bus that is down has no frames
             # not `recv`, whose time-out is taken from a wall clock that may be set back
             while message := self._bus._recv_internal(0.0)[0]:
-                frame = Frame(t, message.arbitration_id, bytes(message.data))
+                extended = message.is_extended_id
+                frame = Frame(t, message.arbitration_id, bytes(message.data), extended)
                 self._on_frame(frame)
                 packets.append(self._requests.feed(frame))
         self.is_open = self.is_open or bool(packets)
