@@ -16,7 +16,6 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import session
-from taxeld_protocol.modules import wired
 
 USAGE_ERROR, FAILED = 2, 1
 DONE = {
@@ -113,11 +112,13 @@ def _check(args: argparse.Namespace) -> int:
 
 def _decode(args: argparse.Namespace) -> int:
     from taxeld.commands.decode import decode
+    from taxeld.source import module_order
 
-    modules = None
+    listed = None
     if args.config:
-        modules = wired(layouts.read(load(args.config).skin.layout).uid.tolist())
-    for line in decode(args.log, modules, args.dialect):
+        config = load(args.config)
+        listed = module_order.given(config.source, layouts.read(config.skin.layout))
+    for line in decode(args.log, listed, args.dialect):
         print(line)
     return 0
 
@@ -205,7 +206,7 @@ def _parser() -> argparse.ArgumentParser:
     decode = commands.add_parser("decode", help="candump log → a JSON line a scan, then counters")
     decode.add_argument("log", type=Path, metavar="LOG")
     decode.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
-    decode.add_argument("--config", type=Path, help="whose layout gives the module table")
+    decode.add_argument("--config", type=Path, help="whose source.modules is the module table")
     decode.set_defaults(command=_decode)
 
     replay = commands.add_parser("replay", help="session → a JSON line an estimate")

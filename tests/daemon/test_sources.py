@@ -24,6 +24,7 @@ from tests.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())
+LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
 CHANNELS = sum(module.channels for module in MODULES)
 DEADLINE_S = 20.0
 
@@ -59,7 +60,9 @@ def test_slcan_on_a_pseudo_terminal_brings_the_skin_up(hub: VirtualHub) -> None:
 
 
 def test_damaged_slcan_lines_cost_only_themselves(hub: VirtualHub) -> None:
-    settings = SourceConfig(kind="can", interface="slcan", channel=hub.device, listen_only=True)
+    settings = SourceConfig(
+        kind="can", interface="slcan", channel=hub.device, listen_only=True, modules=LISTED
+    )
     source = open_source(settings, SKIN)
     noise = [b"t1ZZ8junk\r", b"\xff\xfe\r", b"t\r", b"T123\r", b"\x07", b"tttt\r"]
 
@@ -106,7 +109,9 @@ def test_the_native_serial_link_brings_the_skin_up() -> None:
 
 
 def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
-    settings = SourceConfig(kind="can", interface="virtual", channel="foreign", listen_only=True)
+    settings = SourceConfig(
+        kind="can", interface="virtual", channel="foreign", listen_only=True, modules=LISTED
+    )
     source = open_source(settings, SKIN)
     hub = VirtualIhb(MODULES)
     with can.Bus(interface="virtual", channel="foreign") as bus:
@@ -166,7 +171,7 @@ def test_a_session_is_replayed_at_its_own_pace(tmp_path: Path) -> None:
             frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + k)
             lines += [format_log_line(frame) for frame in frames]
     (tmp_path / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
-    source = open_source(SourceConfig(kind="replay", path=str(tmp_path)), SKIN)
+    source = open_source(SourceConfig(kind="replay", path=str(tmp_path), modules=LISTED), SKIN)
     assert [len(source.poll(now)) for now in (50.0, 50.5, 51.0, 51.9, 52.1)] == [1, 0, 1, 0, 1]
 
 

@@ -9,6 +9,7 @@ from taxeld.layout import read as layouts
 from taxeld.proposals import bundle, choice
 from taxeld.service import metrics
 from taxeld.source import dialects, session
+from taxeld.source.module_order import Recorded
 from taxeld.stream import curve
 
 SYS_NET = Path("/sys/class/net")
@@ -23,7 +24,7 @@ def faults(config: Config) -> list[str]:
         found.append(str(error))
     else:
         try:
-            dialects.listener(config.source, skin)
+            dialects.live(config.source, skin)
             loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
             choice.open_all(loaded, config.filter)
         except SetupError as error:
@@ -55,7 +56,9 @@ def faults(config: Config) -> list[str]:
 
 def _source(source: SourceConfig) -> None:
     if source.kind == "replay":
-        session.read(Path(source.path))
+        recorded = session.read(Path(source.path))
+        if source.dialect == "cyskin":
+            Recorded(source, recorded.items, source.path).check()
     elif source.kind == "serial" or source.interface == "slcan":
         device = Path(source.channel.split("@")[0])
         if not device.exists():

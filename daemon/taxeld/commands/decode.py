@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from taxeld.errors import SetupError
+from taxeld.source.module_order import Given, missing
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
 from taxeld_protocol.frames import Frame, LogLine, parse_log_line
@@ -12,17 +13,15 @@ from taxeld_protocol.icub_decoder import IcubDecoder
 from taxeld_protocol.modules import NAMES, Module
 
 
-def decode(
-    path: Path, modules: Sequence[Module] | None = None, dialect: str = "cyskin"
-) -> Iterator[str]:
+def decode(path: Path, given: Given | None = None, dialect: str = "cyskin") -> Iterator[str]:
     """The log's scans and a last line {"stats": …}.
 
     The module table of a CySkin hub is what its DECLARE and DETAILS answers say, wherever in the
-    log they stand; else `modules`; else full modules of twelve channels, as many as its packets
-    reach. That of an iCub board is the triangles that it sends.
+    log they stand; else what `given` lists; without it, full modules of twelve channels, as many as
+    its packets reach. That of an iCub board is the triangles that it sends.
 
     Raises:
-        SetupError: the log is unreadable or holds no frame at all.
+        SetupError: the log is unreadable or holds no frame at all, or `given` has none of its hubs.
     """
     frames: list[Frame] = []
     bad_lines = 0
@@ -37,7 +36,7 @@ def decode(
     if dialect == "icub":
         decoder = IcubDecoder()
     else:
-        tables = _tables(frames, modules)
+        tables = _tables(frames, given, path)
         decoder = Decoder(lambda ihb: tables.get(ihb, ()))
     for frame in frames:
         yield from map(_line, decoder.feed(frame)[1])
@@ -56,7 +55,7 @@ def _log_lines(path: Path) -> Iterator[LogLine]:
         raise SetupError(f"{path}: unreadable log ({error.strerror})") from None
 
 
-def _tables(frames: list[Frame], modules: Sequence[Module] | None) -> dict[int, Sequence[Module]]:
+def _tables(frames: list[Frame], given: Given | None, path: Path) -> dict[int, Sequence[Module]]:
     """The module table of each hub of the log."""
     decoder = Decoder()
     reached: dict[int, int] = {}  # channels of full modules that each hub's packets run through
@@ -69,7 +68,10 @@ def _tables(frames: list[Frame], modules: Sequence[Module] | None) -> dict[int, 
     tables: dict[int, Sequence[Module]] = {}
     for ihb, channels in reached.items():
         full = [Module(NAMES)] * -(-channels // NAMES)
-        tables[ihb] = decoder.table(ihb).modules or modules or full
+        elsewhere = full if given is None else given.of(ihb)
+        tables[ihb] = decoder.table(ihb).modules or elsewhere
+    if tables and not any(tables.values()):
+        raise SetupError(missing(f"hub {next(iter(tables))} of {path}"))
     return tables
 
 

@@ -7,14 +7,16 @@ from typing import NamedTuple, Protocol
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
+from taxeld.source import module_order
 from taxeld.source.bring_up import BringUp, Request
 from taxeld.source.icub_bring_up import IcubBringUp
+from taxeld.source.module_order import Listening, Recorded
+from taxeld.source.session import Items
 from taxeld_protocol import cyskin, icub
 from taxeld_protocol.cyskin import BROADCAST, Packet
 from taxeld_protocol.decoder import Decoder, ScanDecoder
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.icub_decoder import IcubDecoder
-from taxeld_protocol.modules import wired
 
 
 class Starter(Protocol):
@@ -42,6 +44,7 @@ class Dialect(NamedTuple):
     decoder: ScanDecoder
     bring_up: Starter | None  # None: never send
     to_frames: ToFrames  # a request as CAN frames
+    listening: Listening | None = None  # to a skin that something else starts
 
 
 def live(config: SourceConfig, layout: Layout) -> Dialect:
@@ -57,22 +60,24 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
         return Dialect(part, start, icub.to_frames)
     to_frames = partial(cyskin.to_frames, ihb=BROADCAST)
     if config.listen_only:
-        return Dialect(listener(config, layout), None, to_frames)
+        decoder = Decoder(module_order.given(config, layout).of, config.period_ms / 1000.0)
+        return Dialect(decoder, None, to_frames, Listening(decoder))
     # who asks the hubs for their modules must not guess them
     decoder = Decoder(period_s=config.period_ms / 1000.0)
     return Dialect(decoder, BringUp(decoder, config.period_ms), to_frames)
 
 
-def listener(config: SourceConfig, layout: Layout) -> ScanDecoder:
-    """The decoder of the configured dialect for frames of a skin that something else started.
+def replayed(config: SourceConfig, layout: Layout, items: Items, what: str) -> ScanDecoder:
+    """The decoder of the configured dialect for a recording, which `what` names; while it decodes
+    it raises SetupError where nothing tells the modules.
 
     Raises:
         SetupError: the layout needs more boards than are configured.
     """
     if config.dialect == "icub":
         return IcubDecoder(_boards(config, layout))
-    modules = wired(layout.uid.tolist())
-    return Decoder(lambda _: modules, config.period_ms / 1000.0)
+    module_order.given(config, layout)
+    return Decoder(Recorded(config, items, what).of, config.period_ms / 1000.0)
 
 
 def _boards(config: SourceConfig, layout: Layout) -> tuple[int, ...]:

@@ -66,6 +66,11 @@ class Source(Protocol):
         """What must come before anything can, in a line; empty where nothing must."""
         ...
 
+    @property
+    def fault(self) -> str:
+        """What makes all that comes useless, in a line; empty where nothing does."""
+        ...
+
     def poll(self, now_s: float) -> list[Scan]:
         """Scans that have arrived; `now_s` is monotonic."""
         ...
@@ -93,11 +98,11 @@ def open_source(
         SetupError: the device or session cannot be opened.
     """
     if config.kind == "replay":
-        wire = Wire(config, dialects.listener(config, layout))
         recorded = session.read(Path(config.path))
         if not recorded.items:
             raise SetupError(f"source.path: {config.path} was cut before its first frame")
-        return ReplaySource(recorded, wire, on_pose)
+        decoder = dialects.replayed(config, layout, recorded.items, config.path)
+        return ReplaySource(recorded, Wire(config, decoder), on_pose)
     return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
 
 
@@ -117,10 +122,11 @@ class LiveSource:
     ) -> None:
         self.wire = Wire(config, dialect.decoder)
         self.counters = SourceCounters()
-        self.waits_for = ""
+        self.waits_for = self.fault = ""
         self._open: Callable[[], Device] = lambda: device(config, dialect.to_frames)
         self._recorder = recorder
         self._bring_up = dialect.bring_up
+        self._listening = dialect.listening
         self._device: Device | None = None
         self._outbox: Outbox | None = None
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
@@ -172,6 +178,8 @@ class LiveSource:
         for _ in range(device.foreign):
             self.wire.decoder.drop_foreign()
         device.noise = device.foreign = 0
+        if self._listening is not None:
+            self.fault = self._listening.fault(now_s)
         if self._bring_up is not None:
             for scan in scans:
                 self._bring_up.on_scan(scan.ihb, now_s)
@@ -255,7 +263,7 @@ class LiveSource:
 class ReplaySource:
     """A recorded session at the pace it was recorded, its times moved to now."""
 
-    waits_for = ""
+    waits_for = fault = ""
 
     def __init__(self, recorded: Session, wire: Wire, on_pose: OnPose | None) -> None:
         self.wire = wire
