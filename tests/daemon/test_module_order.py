@@ -1,6 +1,7 @@
 """Which taxel is which, where no DECLARE was heard: as listed, as told elsewhere, or refused."""
 
 import json
+import math
 import subprocess
 import sys
 import time
@@ -244,10 +245,10 @@ def live(place: Path, hub: VirtualHub, more: str = "") -> Path:
     return path
 
 
-def serve(hub: VirtualHub, process: subprocess.Popen[str], scans: int = 0) -> None:
-    """Until the process has ended, or so many scans were sent."""
+def serve(hub: VirtualHub, process: subprocess.Popen[str], most: float = math.inf) -> None:
+    """Until the process has ended, or so many bytes have been sent to it."""
     deadline = time.monotonic() + DEADLINE_S
-    while process.poll() is None and not 0 < scans <= hub.scans:
+    while process.poll() is None and hub.written < most:
         assert time.monotonic() < deadline
         hub.serve(time.monotonic(), lambda _: UIDS)
         time.sleep(0.002)
@@ -257,7 +258,7 @@ def test_record_lists_the_modules_and_a_listener_reads_by_that_list(tmp_path: Pa
     out = tmp_path / "session"
     with VirtualHub(tmp_path / "skin", MODULES) as hub:
         process = start("record", "--out", out, live(tmp_path, hub))
-        serve(hub, process, 20)
+        serve(hub, process, 10_000)
         process.terminate()
         printed, errors = process.communicate(timeout=DEADLINE_S)
     assert errors == ""
@@ -276,7 +277,7 @@ def test_a_daemon_that_cannot_know_the_order_ends_and_a_recording_goes_on(
         hub.ihb.phase, hub.ihb.auto_sync = Phase.RUNNING, True
         config = live(tmp_path, hub, "listen_only = true")
         process = start(command, *(["--out", out] if command == "record" else []), config)
-        serve(hub, process, 20 if command == "record" else 0)
+        serve(hub, process, 10_000 if command == "record" else math.inf)
         process.terminate()
         printed, errors = process.communicate(timeout=DEADLINE_S)
     if command == "record":
