@@ -198,12 +198,12 @@ class BringUp:
         self._found.add(short_id)
         self._answered.add(short_id)
         if packet.ihb != short_id:
-            self._unsure.add(short_id)
             self._misnamed |= {packet.ihb, short_id}
         else:
             self._is_named(short_id)
             if self._step in (Step.REST, Step.STREAM):  # it was another host that asked
                 return []
+        self._unsure.add(short_id)
         return [_request(Command.DISCOVERY_RECV_ID, uid=uid, short_id=short_id)]
 
     def _is_named(self, short_id: int) -> None:
