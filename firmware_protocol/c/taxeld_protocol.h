@@ -504,13 +504,20 @@ int taxeld_reassembler_feed(taxeld_reassembler *reassembler, const taxeld_frame 
     return TAXELD_WAITING;
 }
 
+/* TAXELD_COBS_MAX without a division, which small cores have to call a function for: exact up to
+ * TAXELD_COBS_DATA_MAX. */
+static size_t taxeld__cobs_max(size_t n)
+{
+    return n + (size_t)((uint32_t)n * 66053u >> 24) + 1u;
+}
+
 int taxeld_cobs_encode(uint8_t *out, size_t room, const uint8_t *data, size_t n)
 {
     size_t code_at = 0, at = 1;
 
     if (n > TAXELD_COBS_DATA_MAX)
         return TAXELD_E_ARGUMENT;
-    if (room < TAXELD_COBS_MAX(n))
+    if (room < taxeld__cobs_max(n))
         return TAXELD_E_ROOM;
     for (size_t i = 0; i < n; i++) {
         if (data[i])
@@ -561,7 +568,7 @@ int taxeld_serial_encode(uint8_t *out, size_t room, const uint8_t *packet, size_
 
     if (status != TAXELD_GOOD)
         return status;
-    if (room < TAXELD_COBS_MAX(n) + 1)
+    if (room < taxeld__cobs_max(n) + 1)
         return TAXELD_E_ROOM;
     plain[0] = ihb;
     memcpy(plain + 1, packet, n - 3);
