@@ -135,6 +135,24 @@ def test_a_listener_without_a_list_decodes_nothing_and_says_what_is_missing() ->
     assert "taxeld record" in faults[-1]
 
 
+def test_a_module_that_told_nothing_of_itself_costs_its_own_taxels_alone(tmp_path: Path) -> None:
+    hub = VirtualIhb(MODULES)
+    declare, first, _, *rest = told(hub)  # the second module's details are lost
+    answers = frames(hub, [declare, first, *rest])
+    source, device = listener()
+    heard = [scan(hub, 0.05 * k) for k in range(100)]
+    device.frames = answers
+    for k, frames_of_scan in enumerate(heard):
+        device.frames += frames_of_scan
+        [got] = source.poll(0.05 * k)
+        assert source.fault == ""
+    assert [module.sui for module in got.table] == [
+        None if i == 1 else module.sui for i, module in enumerate(MODULES)
+    ]
+    log(tmp_path, [*answers, *heard[0]])
+    assert main(["check", str(configuration(tmp_path))]) == 0
+
+
 def test_a_strange_packet_does_not_end_a_listener_that_hears_its_skin() -> None:
     source, device = listener()
     hub, stranger = VirtualIhb(MODULES), VirtualIhb(MODULES, short_id=9)

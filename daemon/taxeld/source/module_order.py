@@ -82,7 +82,7 @@ class Recorded:
         wire = Wire(self._config, decoder)
         for item in self._items:
             wire.take(item, item.t)
-        return complete(decoder)
+        return _told(decoder)
 
 
 def given(config: SourceConfig, layout: Layout) -> Given:
@@ -114,7 +114,7 @@ class Listening:
         counters = self._decoder.counters
         if self._can or not (counters.undeclared or counters.scans):
             return ""
-        self._can = bool(complete(self._decoder))
+        self._can = bool(_told(self._decoder))
         if self._since_s is None:
             self._since_s = now_s
         if self._can or now_s - self._since_s < UNPLACED_S:  # the host may be asking just now
@@ -125,6 +125,12 @@ class Listening:
 def complete(decoder: Decoder) -> dict[int, list[Module]]:
     """The modules of the hubs that told all of them, by short id."""
     return {ihb: hub.table.modules for ihb, hub in decoder.hubs.items() if hub.table.detailed}
+
+
+def _told(decoder: Decoder) -> dict[int, list[Module]]:
+    """The modules of the hubs that told any: one that is silent about itself is without taxels."""
+    tables = {ihb: hub.table.modules for ihb, hub in decoder.hubs.items()}
+    return {ihb: t for ihb, t in tables.items() if any(m.sui is not None for m in t)}
 
 
 def missing(hub: str) -> str:
