@@ -26,11 +26,17 @@ class VirtualHub:
     """A hub on SLCAN, or on the native link, behind a device name that outlives its terminals."""
 
     def __init__(
-        self, link: Path, modules: Sequence[Module], *, native: bool = False, short_id: int = 1
+        self,
+        link: Path,
+        modules: Sequence[Module],
+        *,
+        native: bool = False,
+        short_id: int = 1,
+        adapter: str = "plain",
     ) -> None:
         phase = Phase.MODULES if native else Phase.BOOTLOADER  # that link is the application's
         self.ihb = VirtualIhb(modules, short_id=short_id, phase=phase)
-        self.port = NativePort(link) if native else SlcanPort(link, lambda _: None)
+        self.port = NativePort(link) if native else SlcanPort(link, lambda _: None, adapter)
         self.native = native
         self.device = str(link)
         self.scans = 0  # that were sent,

@@ -103,10 +103,11 @@ def _relay(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> int:
     from taxeld.commands import check
 
-    faults = check.faults(load(args.config))
+    config = load(args.config)
+    faults = check.faults(config)
     if faults:
         raise ConfigError(faults)
-    print(f"{args.config}: fine")
+    print("\n".join([f"{args.config}: fine", *(f"note: {line}" for line in check.notes(config))]))
     return 0
 
 

@@ -98,7 +98,7 @@ class VirtualIhb:
         if self._sync_once:
             self._sync_once = False
             return True
-        if not self.auto_sync:
+        if not self.auto_sync or self.phase < Phase.RUNNING:
             self._next_s = None
             return False
         if self._next_s is None:

@@ -135,7 +135,7 @@ def test_modules_may_take_their_time_to_start() -> None:
     assert bus.scans > 50
 
 
-def test_a_hub_in_its_bootloader_is_told_of_once_and_again_where_it_stays() -> None:
+def test_a_hub_in_its_bootloader_is_told_of_once_and_waited_for_where_it_stays() -> None:
     class Stuck(VirtualIhb):
         def answer(self, packet: Packet) -> list[Answer]:
             starts = packet.command == Command.MODULE_PROGRAM_END
@@ -143,12 +143,15 @@ def test_a_hub_in_its_bootloader_is_told_of_once_and_again_where_it_stays() -> N
 
     stuck, good = Stuck(wired(UIDS), uid=7), VirtualIhb(wired(UIDS), uid=8)
     bus = Bus(stuck)
-    bus.run(0.0, 60.0)
-    assert [line.split(" (")[0] for line in bus.news] == [
-        "hub 1 answers from its bootloader, as after power-on; it is led out",
-        "hub 1 stays in its bootloader: power it anew; if that does not help, its modules lack "
-        "their firmware",
-    ]
+    bus.run(0.0, 5.0)
+    assert bus.news == ["hub 1 answers from its bootloader, as after power-on; it is led out"]
+    assert bus.bring_up.waits_for == ""
+    bus.run(5.0, 60.0)
+    assert len(bus.news) == 1
+    assert bus.bring_up.waits_for.startswith("hub 1 stays in its bootloader: power it anew")
+    bus.hubs = [VirtualIhb(wired(UIDS), uid=7)]
+    bus.run(60.0, 63.0)
+    assert bus.bring_up.waits_for == ""
     bus = Bus(good)
     bus.run(0.0, 60.0)
     assert len(bus.news) == 1

@@ -5,6 +5,7 @@ import pytest
 from taxeld.config.tables import SkinConfig, SourceConfig
 from taxeld.layout import read as layouts
 from taxeld.source import dialects
+from taxeld.source.device import Noticed
 from taxeld.source.dialects import ToFrames
 from taxeld.source.outbox import Unit
 from taxeld.source.sources import LiveSource
@@ -17,9 +18,10 @@ SKIN = layouts.load(SkinConfig().layout)
 class Bus:
     """A device whose other end is the conversation."""
 
-    noise = foreign = 0
+    waits_for = ""
 
     def __init__(self, to_frames: ToFrames) -> None:
+        self.noticed = Noticed()
         self._to_frames = to_frames
         self.heard: list[Frame] = []
         self.said: list[Frame] = []
@@ -27,6 +29,9 @@ class Bus:
     def read(self) -> list[Frame]:
         heard, self.heard = self.heard, []
         return heard
+
+    def tend(self, now_s: float) -> None:
+        """It needs nothing."""
 
     def pack(self, command: int, payload: bytes) -> list[Unit]:
         return [Unit(frame) for frame in self._to_frames(command, payload)]

@@ -23,7 +23,7 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import outbox as outboxes
-from taxeld.source.devices import AwayError
+from taxeld.source.device import AwayError
 from taxeld.source.outbox import Outbox, Unit
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import LiveSource, open_source

@@ -16,7 +16,7 @@ from taxeld.config.tables import SkinConfig, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import dialects, module_order
-from taxeld.source.devices import Device
+from taxeld.source.device import Device, Noticed
 from taxeld.source.module_order import UNPLACED_S
 from taxeld.source.outbox import Unit
 from taxeld.source.sources import LiveSource
@@ -78,9 +78,10 @@ def is_right(scans: Sequence[Scan]) -> bool:
 class Heard(Device):
     """A device that has heard what it is given, and is never spoken to."""
 
-    noise = foreign = 0
+    waits_for = ""
 
     def __init__(self) -> None:
+        self.noticed = Noticed()
         self.frames: list[Frame] = []
 
     def read(self) -> list[Frame]:

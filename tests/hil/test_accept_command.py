@@ -54,7 +54,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     for module in (
         "taxeld_hil.acceptance.accept", "taxeld_hil.acceptance.acquire",
-        "taxeld.source.devices", "can.interfaces.slcan",
+        "taxeld.source.lines", "taxeld.source.slcan_device",
     ):  # fmt: skip
         monkeypatch.setattr(f"{module}.time", made)
     return made
@@ -256,6 +256,7 @@ def test_without_an_answer_discovery_fails_and_names_what_to_check(
         ("slcan:/dev/nothing", [], "plugged in"),
         ("serial:/dev/nothing", [], "plugged in"),
         ("serial:/dev/nothing@fast", [], "'fast' is no baud rate"),
+        ("slcan:/dev/nothing@fast", [], "'fast' is no baud rate; use slcan:/dev/nothing@115200"),
         ("serial:/dev/nothing@99999999999999999999", [], "is no baud rate"),
         ("no_such:x", [], "driver installed"),
         ("can0", [], "use can:can0"),

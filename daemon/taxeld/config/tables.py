@@ -20,7 +20,7 @@ def _bit_rate(value: int) -> str | None:
 
 
 def _boards(boards: tuple[int, ...]) -> str | None:
-    if boards and len(set(boards)) == len(boards) and all(b in icub.BOARDS for b in boards):
+    if len(set(boards)) == len(boards) and all(b in icub.BOARDS for b in boards):
         return None
     first, last = icub.BOARDS[0], icub.BOARDS[-1]
     return f"must be different boards of {first}..{last}, not {list(boards)}"
@@ -56,6 +56,12 @@ def _module(entry: tuple[int, ...]) -> str | None:
     return None
 
 
+def _skin_type(value: int) -> str | None:
+    if value in icub.SKIN_TYPES:
+        return None
+    return f"must be one of {', '.join(map(str, icub.SKIN_TYPES))}, not {value}"
+
+
 @dataclass(frozen=True, slots=True)
 class SkinConfig:
     layout: str = key(
@@ -85,7 +91,10 @@ class SourceConfig:
     kind: str = key(check=one_of("can", "serial", "replay"), doc="where frames come from")
     dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol")
     boards: tuple[int, ...] = key(
-        tuple(icub.BOARDS), _boards, "dialect icub: the part's boards, in its layout's order"
+        (), _boards, "dialect icub: the part's boards, in its layout's order; empty: they are asked"
+    )
+    skin_type: int = key(
+        icub.SKIN_TYPE, _skin_type, "dialect icub: how boards make up for their temperature"
     )
     interface: str = key("socketcan", doc="kind can: any python-can interface")
     channel: str = key("", doc="kind can: can0, a device; kind serial: the device")

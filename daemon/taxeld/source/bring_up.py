@@ -43,7 +43,10 @@ class Step(IntEnum):
 class BringUp:
     """Decides what to send to get scans and to keep them coming."""
 
+    waits_for = ""
+
     def __init__(self, decoder: Decoder, period_ms: int) -> None:
+        self.waits_for = ""  # what must come before all scans can, in a line
         self._decoder = decoder
         self._period_ms = period_ms
         self._patience_s = SILENT_PERIODS * period_ms / 1000.0
@@ -68,7 +71,7 @@ class BringUp:
         self._begin()
 
     def news(self) -> list[str]:
-        """What an operator should know of, since last asked."""
+        """What has happened since last asked, a line each."""
         news, self._news = self._news, []
         return news
 
@@ -90,7 +93,7 @@ class BringUp:
     def due(self, now_s: float) -> Iterable[Request]:
         """The requests to send now."""
         self._now_s = now_s
-        self._note_stuck()
+        self.waits_for = self._stuck()
         if self._step in (Step.REST, Step.STREAM):
             speaking = self._speaking()
             if speaking and speaking >= {*self._scan_s, *self._found, *self._unsure}:
@@ -232,14 +235,15 @@ class BringUp:
                 f"hub {packet.ihb} answers from its bootloader, as after power-on; it is led out"
             )
 
-    def _note_stuck(self) -> None:
+    def _stuck(self) -> str:
+        """A line on a hub that stays in its bootloader; empty where none does."""
         for ihb, since_s in self._cold.items():
             if self._now_s - since_s >= STUCK_S:
-                self._cold[ihb] = math.inf  # said once
-                self._news.append(
+                return (
                     f"hub {ihb} stays in its bootloader: power it anew; if that does not help, its "
                     "modules lack their firmware"
                 )
+        return ""
 
 
 def _request(command: Command, **fields: int) -> Request:

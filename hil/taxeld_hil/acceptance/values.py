@@ -65,6 +65,8 @@ class Link:
     undecodable: int = 0  # reads that the CAN driver could not decode
     unsent: int = 0
     lost: int = 0  # times the device went away
+    silences: int = 0  # times an SLCAN adapter fell silent
+    refused: int = 0  # lines that it refused
 
     @classmethod
     def of(cls, source: Source) -> Self:
@@ -80,6 +82,8 @@ class Link:
             undecodable=counters.noise,
             unsent=counters.unsent,
             lost=counters.lost,
+            silences=counters.silences,
+            refused=counters.refused,
         )
 
     def since(self, before: "Link") -> "Link":

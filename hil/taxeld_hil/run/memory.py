@@ -3,7 +3,7 @@
 from typing import Any
 
 from taxeld.errors import SetupError
-from taxeld.source.devices import LostError
+from taxeld.source.device import LostError, Noticed
 from taxeld.source.outbox import Unit
 from taxeld.source.session import Chunk
 from taxeld_hil.rig.rig import Rig
@@ -58,9 +58,11 @@ class MemoryLine:
 class MemoryDevice:
     """The daemon's end of the wire."""
 
+    waits_for = ""
+
     def __init__(self, line: MemoryLine) -> None:
         """Raises SetupError where it is not plugged in."""
-        self.noise = self.foreign = 0
+        self.noticed = Noticed()
         self._line = line
         if not line.is_plugged:
             raise SetupError("unplugged")
@@ -70,6 +72,9 @@ class MemoryDevice:
         if not self._line.is_plugged:
             raise LostError
         return self._line.take()
+
+    def tend(self, now_s: float) -> None:
+        """A wire needs nothing."""
 
     @staticmethod
     def pack(command: int, payload: bytes) -> list[Unit]:

@@ -19,7 +19,7 @@ SKIN_KINDS = ("module_dead", "taxel_stuck", "saturated", "baseline_jump")
 KINDS = (
     "dropped", "duplicated", "reordered", "corrupted", "late", "flooded",
     *SKIN_KINDS,
-    "reboot", "unplugged",
+    "reboot", "unplugged", "adapter_closed",
     "pose_silent", "pose_frozen", "pose_late", "pose_jumping",
     "subscriber_dead", "daemon_killed",
 )  # fmt: skip
