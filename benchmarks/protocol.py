@@ -123,7 +123,10 @@ def plain_decoder(frames: list[Frame]) -> list[list[int]]:
 def saturated() -> list[tuple[str, float, float | None]]:
     """Ten seconds of a saturated bus through python-can, in one process."""
     skin = layouts.load("cylinder:rows=30,columns=20,radius_m=0.1,pitch_m=0.01")
-    config = SourceConfig(kind="can", interface="virtual", channel="bench", listen_only=True)
+    listed = tuple((module.sui or 0, module.mask) for module in MODULES)
+    config = SourceConfig(
+        kind="can", interface="virtual", channel="bench", listen_only=True, modules=listed
+    )
     source = open_source(config, skin)
     frames = scan_frames(10 * SATURATED_FRAMES_S // 174)
     a_tick = SATURATED_FRAMES_S // 100

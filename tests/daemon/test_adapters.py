@@ -23,10 +23,12 @@ from taxeld_hil.rig.ports import SlcanPort
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
 from taxeld_protocol.slcan import BITRATES, SlcanReader
+from taxeld_protocol.virtual_ihb import Phase
 from tests.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())
+LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
 COUNTS = list(range(1, 1 + sum(module.channels for module in MODULES)))
 DEADLINE_S = 20.0
 
@@ -117,10 +119,10 @@ def test_the_skin_behind_each_kind_of_adapter_is_brought_up_and_left_stopped_and
 def test_listening_only_nothing_is_sent_to_the_bus_and_the_adapter_is_told_so(
     opened: Opened, kind: str, bus: bool
 ) -> None:
-    skin = opened(kind, bus, listen_only=True)
+    skin = opened(kind, bus, listen_only=True, modules=LISTED)
     sent: list[Frame] = []
     skin.port._on_frame = sent.append
-    skin.hub.ihb.auto_sync = True  # something else has started it
+    skin.hub.ihb.phase, skin.hub.ihb.auto_sync = Phase.RUNNING, True  # something else started it
     skin.scans()
     assert skin.adapter.is_silent
     skin.close()

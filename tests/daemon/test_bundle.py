@@ -44,7 +44,7 @@ def configuration(box: Path, name: str | None = None) -> Path:
     (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
     path = place / "config.toml"
     path.write_text(
-        f'[source]\nkind = "replay"\npath = "{place}"\n'
+        f'[source]\nkind = "replay"\npath = "{place}"\nmodules = [[1, 0xFFF]]\n'
         f"[scene]\nbundle = {json.dumps(name or str(box))}\n"
         '[publish]\nendpoints = []\n[control]\nendpoint = ""\n',
         encoding="utf-8",

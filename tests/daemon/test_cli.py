@@ -15,7 +15,7 @@ from taxeld_protocol import cyskin
 from ..firmware_protocol.test_cyskin import GOLDEN_REQUESTS, GOLDEN_SCAN
 
 TABLES = {
-    "source": {"kind": '"replay"', "path": '"."'},
+    "source": {"kind": '"replay"', "path": '"."', "modules": "[[1, 0xFFF]]"},
     "scene": {"bundle": '"box"'},
     "publish": {"endpoints": "[]"},
     "control": {"endpoint": '""'},

@@ -19,6 +19,7 @@ from taxeld.errors import SetupError
 from taxeld.source.logs.files import LogFile
 from taxeld.source.logs.formats import are_differences
 from taxeld.source.logs.text import Damage
+from taxeld.source.module_order import Given
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld_protocol import cyskin, serial_link, slcan
@@ -213,7 +214,7 @@ def test_the_bytes_of_a_recorded_serial_line_are_decoded_with_their_times(
             for at in range(0, len(line), 50):
                 recorder.take(Chunk(START_S + 0.05 * scan + 1e-6 * at, line[at : at + 50]))
     log = tmp_path / "session" / "serial.bin"
-    modules = list(decode(log, MODULES))
+    modules = list(decode(log, Given([(m.sui, m.mask) for m in MODULES])))
     scans, stats = [json.loads(line) for line in modules[:-1]], json.loads(modules[-1])["stats"]
     assert [scan["modules"] for scan in scans] == counts()
     assert [scan["t"] for scan in scans] == pytest.approx(

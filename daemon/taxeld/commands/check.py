@@ -29,7 +29,7 @@ def faults(config: Config) -> list[str]:
             if config.source.kind != "replay":
                 dialects.live(config.source, skin)
             elif not away:
-                dialects.replayed(config.source, skin, recorded, config.source.path)
+                dialects.check_recording(config.source, skin, recorded, config.source.path)
             loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
             choice.open_all(loaded, config.filter)
         except SetupError as error:

@@ -6,7 +6,9 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
+from taxeld.errors import SetupError
 from taxeld.source.logs.files import LogFile, Pass
+from taxeld.source.module_order import Given, missing
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
 from taxeld_protocol.icub_decoder import IcubDecoder
@@ -16,27 +18,24 @@ log = logging.getLogger(__name__)
 
 
 def decode(
-    path: Path,
-    modules: Sequence[Module] | None = None,
-    dialect: str = "cyskin",
-    interface: str = "",
+    path: Path, given: Given | None = None, dialect: str = "cyskin", interface: str = ""
 ) -> Iterator[str]:
     """The log's scans and a last line {"stats": …}; `interface`: whose frames, of several.
 
     The module table of a CySkin hub is what its DECLARE and DETAILS answers say, wherever in the
-    log they stand; else `modules`; else full modules of twelve channels, as many as its packets
-    reach. That of an iCub board is the triangles that it sends.
+    log they stand; else what `given` lists; without it, full modules of twelve channels, as many as
+    its packets reach. That of an iCub board is the triangles that it sends.
 
     Raises:
-        SetupError: the log is unreadable or has no frame at all, or it is not clear of which
-            interface.
+        SetupError: the log is unreadable or has no frame at all, it is not clear of which
+            interface, or `given` has none of its hubs.
     """
     with LogFile(path) as log_file:
         log_file.check(interface)
 
         @cache  # and only for a hub that streams before it has declared its modules
         def tables() -> dict[int, Sequence[Module]]:
-            return _tables(log_file, interface, modules)
+            return _tables(log_file, interface, given)
 
         known = Decoder(lambda ihb: tables().get(ihb, ()))
         decoder: ScanDecoder = IcubDecoder() if dialect == "icub" else known
@@ -52,9 +51,7 @@ def decode(
         )  # fmt: skip
 
 
-def _tables(
-    log_file: LogFile, interface: str, modules: Sequence[Module] | None
-) -> dict[int, Sequence[Module]]:
+def _tables(log_file: LogFile, interface: str, given: Given | None) -> dict[int, Sequence[Module]]:
     """The module table of each hub of the log."""
     decoder = Decoder()
     reached: dict[int, int] = {}  # channels of full modules that each hub's packets run through
@@ -66,7 +63,10 @@ def _tables(
     tables: dict[int, Sequence[Module]] = {}
     for ihb, channels in reached.items():
         full = [Module(NAMES)] * -(-channels // NAMES)
-        tables[ihb] = decoder.table(ihb).modules or modules or full
+        elsewhere = full if given is None else given.of(ihb)
+        tables[ihb] = decoder.table(ihb).modules or elsewhere
+    if tables and not any(tables.values()):
+        raise SetupError(missing(f"hub {next(iter(tables))} of {log_file.path}"))
     return tables
 
 

@@ -56,7 +56,8 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     """What each scan of a session led to.
 
     Raises:
-        SetupError: the session cannot be read, or nothing tells which boards it is of.
+        SetupError: the session cannot be read, or nothing tells the order of its modules, or which
+            boards it is of.
     """
     recorded = session.read(directory)
     if not recorded.items:  # cut before the first

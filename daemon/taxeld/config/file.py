@@ -58,6 +58,8 @@ def parse(text: str, name: str = "configuration") -> Config:
 def _check_source(source: SourceConfig, faults: list[str]) -> None:
     if source.kind in ("can", "serial") and not source.channel:
         faults.append(f"source.channel: is required for kind '{source.kind}'")
+    if source.modules and source.dialect != "cyskin":
+        faults.append("source.modules: is of dialect cyskin; icub names its boards")
     if source.kind == "replay" and not source.path:
         faults.append("source.path: is required for kind 'replay'")
 

@@ -145,5 +145,6 @@ def _describe(kind: Any) -> str:
     if get_origin(kind) is tuple:
         inner = get_args(kind)
         size = "" if inner[-1] is Ellipsis else f" of {len(inner)}"
-        return f"a list{size} ({inner[0].__name__})"
+        of = _describe(inner[0]) if get_origin(inner[0]) is tuple else inner[0].__name__
+        return f"a list{size} ({of})"
     return {str: "a string", int: "an integer", float: "a number", bool: "true or false"}[kind]

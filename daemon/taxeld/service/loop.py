@@ -16,6 +16,7 @@ from typing import Any
 import zmq
 
 from taxeld.config.tables import Config
+from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.pipeline.pipeline import Outcome, Pipeline
@@ -134,7 +135,11 @@ class Daemon:
 
     def run(self, between: Callable[[], None] = lambda: None) -> None:
         """Tick until `stop`, or to the end of a replayed session; `between` is called between two
-        ticks."""
+        ticks.
+
+        Raises:
+            SetupError: nothing that the source hears can be used.
+        """
         notifier = Notifier()
         try:
             warm_up(self.pipeline.estimator.model, self.pipeline.ladder, self.config.filter)
@@ -157,6 +162,8 @@ class Daemon:
             opened = self.source.counters.unopened + self.source.counters.reopened
             collector.tick(now, opened, pressed=self.pipeline.skin.touched)
             between()
+            if self.source.fault:
+                raise SetupError(self.source.fault)
             if self.source.finished:
                 break
 

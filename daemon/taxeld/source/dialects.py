@@ -1,21 +1,21 @@
 """The skins' protocols: for each, what reads its frames, what starts it and how requests travel."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from functools import partial
 from typing import NamedTuple, Protocol
 
 from taxeld.config.tables import SourceConfig
 from taxeld.layout.layout import Layout
-from taxeld.source import icub_part
+from taxeld.source import icub_part, module_order
 from taxeld.source.bring_up import BringUp, Request
 from taxeld.source.icub_bring_up import IcubBringUp
-from taxeld.source.session import Chunk
+from taxeld.source.module_order import Listening, Recorded
+from taxeld.source.session import Items
 from taxeld_protocol import cyskin, icub
 from taxeld_protocol.cyskin import BROADCAST, Packet
 from taxeld_protocol.decoder import Decoder, ScanDecoder
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.icub_decoder import IcubDecoder
-from taxeld_protocol.modules import wired
 
 
 class Starter(Protocol):
@@ -33,6 +33,8 @@ class Starter(Protocol):
 
     def stop(self) -> list[Request]: ...
 
+    def news(self) -> list[str]: ...
+
 
 ToFrames = Callable[[int, bytes], list[Frame]]
 
@@ -43,6 +45,7 @@ class Dialect(NamedTuple):
     decoder: ScanDecoder
     bring_up: Starter | None  # None: never send
     to_frames: ToFrames  # a request as CAN frames
+    listening: Listening | None = None  # to a skin that something else starts
 
 
 def live(config: SourceConfig, layout: Layout) -> Dialect:
@@ -61,26 +64,32 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
         return Dialect(skin, start, icub.to_frames)
     to_frames = partial(cyskin.to_frames, ihb=BROADCAST)
     if config.listen_only:
-        return Dialect(_listener(config, layout), None, to_frames)
+        decoder = Decoder(module_order.given(config, layout).of, config.period_ms / 1000.0)
+        return Dialect(decoder, None, to_frames, Listening(decoder))
     # who asks the hubs for their modules must not guess them
     decoder = Decoder(period_s=config.period_ms / 1000.0)
     return Dialect(decoder, BringUp(decoder, config.period_ms), to_frames)
 
 
-def replayed(
-    config: SourceConfig, layout: Layout, recorded: Sequence[Frame | Chunk], what: str
-) -> ScanDecoder:
-    """The decoder of the configured dialect for a recording, which `what` names.
+def replayed(config: SourceConfig, layout: Layout, items: Items, what: str) -> ScanDecoder:
+    """The decoder of the configured dialect for a recording, which `what` names. CySkin's raises
+    SetupError while it decodes, where nothing tells the modules.
 
     Raises:
         SetupError: the layout needs more boards than are configured, or nothing tells them.
     """
     if config.dialect == "icub":
-        return icub_part.replayed(config, layout, recorded, what)
-    return _listener(config, layout)
+        return icub_part.replayed(config, layout, items, what)
+    module_order.given(config, layout)
+    return Decoder(Recorded(config, items, what).of, config.period_ms / 1000.0)
 
 
-def _listener(config: SourceConfig, layout: Layout) -> Decoder:
-    """For frames of a CySkin that something else started."""
-    modules = wired(layout.uid.tolist())
-    return Decoder(lambda _: modules, config.period_ms / 1000.0)
+def check_recording(config: SourceConfig, layout: Layout, items: Items, what: str) -> None:
+    """Whether `replayed` can decode the first scan of a recording.
+
+    Raises:
+        SetupError: nothing tells how.
+    """
+    replayed(config, layout, items, what)
+    if config.dialect == "cyskin":
+        Recorded(config, items, what).check()

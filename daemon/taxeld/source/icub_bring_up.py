@@ -93,6 +93,11 @@ class IcubBringUp:
         """These boards send none."""
         return []
 
+    @staticmethod
+    def news() -> list[str]:
+        """Nothing: what is silent shows in the counters."""
+        return []
+
     def on_scan(self, ihb: int, now_s: float) -> None:
         """Not needed: `due` looks at what the decoder has had from each board."""
 

@@ -15,7 +15,7 @@ from taxeld.source.opening import busy, unopened
 from taxeld.source.outbox import Unit
 from taxeld.source.session import Chunk
 from taxeld_protocol import serial_link
-from taxeld_protocol.cyskin import BROADCAST
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER
 
 BYTES_PER_POLL = 65536
 SPEEDS = range(1200, 12_000_001)  # bit/s
@@ -102,4 +102,6 @@ class SerialDevice(SerialLine):
     @staticmethod
     def pack(command: int, payload: bytes) -> list[Unit]:
         # a recording of a line holds what was read from it alone
+        if command == LEAVE_BOOTLOADER:  # a hub that speaks this link runs its application
+            return []
         return [Unit(None, serial_link.encode(command, payload, ihb=BROADCAST))]

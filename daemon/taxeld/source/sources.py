@@ -68,6 +68,11 @@ class Source(Protocol):
         """What must come before anything can, in a line; empty where nothing must."""
         ...
 
+    @property
+    def fault(self) -> str:
+        """What makes all that comes useless, in a line; empty where nothing does."""
+        ...
+
     def poll(self, now_s: float) -> list[Scan]:
         """Scans that have arrived; `now_s` is monotonic."""
         ...
@@ -119,10 +124,11 @@ class LiveSource:
     ) -> None:
         self.wire = Wire(config, dialect.decoder)
         self.counters = SourceCounters()
-        self.waits_for = ""
+        self.waits_for = self.fault = ""
         self._open: Callable[[], Device] = lambda: device(config, dialect.to_frames)
         self._recorder = recorder
         self._bring_up = dialect.bring_up
+        self._listening = dialect.listening
         self._device: Device | None = None
         self._outbox: Outbox | None = None
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
@@ -174,6 +180,10 @@ class LiveSource:
             for scan in scans:
                 bring_up.on_scan(scan.ihb, now_s)
             outbox.add_all(bring_up.due(now_s), now_s)
+            for line in bring_up.news():
+                self._say(logging.INFO, line, now_s)
+        if self._listening is not None:
+            self.fault = self._listening.fault(now_s)
         device.tend(now_s)
         self._follow(device, outbox, now_s)
         lacks = "" if bring_up is None else bring_up.waits_for
@@ -276,7 +286,7 @@ class LiveSource:
 class ReplaySource:
     """A recorded session at the pace it was recorded, its times moved to now."""
 
-    waits_for = ""
+    waits_for = fault = ""
 
     def __init__(self, recorded: Session, wire: Wire, on_pose: OnPose | None) -> None:
         self.wire = wire

@@ -18,6 +18,7 @@ from taxeld_hil.acceptance.taxels import failing, noisy, thresholds
 from taxeld_hil.acceptance.values import Press, Received
 
 TEXT, JSON, PICTURE = "report.txt", "report.json", "report.png"
+MODULES = "modules.toml"
 SECONDS_MIN = 5.0  # 100 scans at the usual rate: what stands still needs half of that
 SECONDS_MAX = 600.0  # all scans are held
 
@@ -71,6 +72,9 @@ def _write(report: Report, out: Path, say: Say) -> None:
     out.mkdir(parents=True, exist_ok=True)  # a recording of nothing has left none
     (out / TEXT).write_text(report.text, encoding="utf-8")
     (out / JSON).write_text(report.json, encoding="utf-8")
+    if report.modules:
+        (out / MODULES).write_text(report.modules, encoding="utf-8")
+        say(f"the hub's modules are listed in {out / MODULES}, for source.modules")
     try:
         from taxeld_hil.acceptance.draw import draw  # noqa: PLC0415  (of the extra `view`)
     except ImportError as error:

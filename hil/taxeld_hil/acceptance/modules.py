@@ -61,6 +61,13 @@ def _silence(received: Received) -> Finding:
             f"refused {link.refused} lines, and nothing came from it",
             "it is said above which: its firmware must know them; else give it another",
         )
+    if link.bootloader:
+        return Finding(
+            "the hub",
+            f"answers from its bootloader ({link.bootloader} ×), and does not leave it",
+            "power it anew; if it stays there, its modules lack their firmware, which the vendor's "
+            "tool loads",
+        )
     if link.packets:
         return Finding(
             "the bus",

@@ -22,9 +22,10 @@ from taxeld.source.holders import TIOCGEXCL
 from taxeld_hil.rig.adapters import Adapter
 from taxeld_hil.rig.ledger import Unit
 from taxeld_protocol import slcan
-from taxeld_protocol.cyskin import Packet, Reassembler
+from taxeld_protocol.cyskin import Packet
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import SerialReader
+from taxeld_protocol.virtual_ihb import HubLink
 
 READ_BYTES = 65536
 OUTBOX_BYTES = 65536  # beyond what the kernel takes: some tenths of a second of a saturated bus
@@ -154,7 +155,7 @@ class SlcanPort(_Terminal):
         """`on_frame` is called with each frame of the host's; `kind`: of `adapters.KINDS`."""
         self.adapter = Adapter(kind)
         self._rest = b""
-        self._requests = Reassembler()
+        self._requests = HubLink()
         self._on_frame = on_frame
         self._has_host = False
         super().__init__(link)
@@ -216,7 +217,7 @@ class CanPort:
         """Raises SetupError where there is no such interface."""
         self.is_open = False
         self._on_frame = on_frame
-        self._requests = Reassembler()
+        self._requests = HubLink()
         try:
             self._bus = can.Bus(interface="socketcan", channel=interface)
         except (can.CanError, OSError) as error:

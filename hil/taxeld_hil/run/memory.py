@@ -78,11 +78,10 @@ class MemoryDevice:
 
     @staticmethod
     def pack(command: int, payload: bytes) -> list[Unit]:
-        return [Unit(None, bytes((command,)) + payload)]
+        return [Unit(None, command.to_bytes(2) + payload)]  # LEAVE_BOOTLOADER fills no byte
 
     def put(self, unit: Unit) -> None:
-        command, *payload = unit.line
-        self._line.ask(command, bytes(payload))
+        self._line.ask(int.from_bytes(unit.line[:2]), unit.line[2:])
 
     def close(self, wait_s: float = 0.0) -> None:
         """Nothing is held open."""

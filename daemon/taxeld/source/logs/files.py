@@ -40,7 +40,7 @@ class LogFile:
 
     def __init__(self, path: Path) -> None:
         """Raises SetupError where it is unreadable, or no log."""
-        self._path = path
+        self.path = path
         self._kept = ExitStack()  # files that go with this
         self._format: Format | None = None  # of a text log
         with ExitStack() as undone, self._readable():
@@ -71,14 +71,14 @@ class LogFile:
             with self._readable():
                 found = self._interfaces(damage)
             if not found:
-                raise SetupError(f"{self._path}: has no frame; {damage.first or KNOWN}")
+                raise SetupError(f"{self.path}: has no frame; {damage.first or KNOWN}")
         names = ", ".join(sorted(found - {""})[:NAMED_MOST])
         if interface and interface not in found:
             cure = f"it has those of {names}" if names else "it names no interface; leave this out"
-            raise SetupError(f"--interface: {self._path} has no frame of {interface}; {cure}")
+            raise SetupError(f"--interface: {self.path} has no frame of {interface}; {cure}")
         if not interface and len(found - {""}) > 1:
             raise SetupError(
-                f"{self._path}: has frames of several interfaces, {names}; name the skin's with "
+                f"{self.path}: has frames of several interfaces, {names}; name the skin's with "
                 "--interface"
             )
 
@@ -102,7 +102,7 @@ class LogFile:
     def chunks(self, damage: Damage) -> Iterator[Chunk]:
         """The bytes of a serial line. Raises SetupError where they are unreadable."""
         with self._readable(), self._open(damage) as file:
-            yield from serial.chunks(file, serial.times(self._path), damage)
+            yield from serial.chunks(file, serial.times(self.path), damage)
 
     def _interfaces(self, damage: Damage) -> set[str]:
         """Whose frames the log has, "" for those of no named one."""
@@ -117,7 +117,7 @@ class LogFile:
             head = file.read(BLOCK)
         for begin, cure in NOT_READ.items():
             if head.startswith(begin):
-                raise SetupError(f"{self._path}: {cure}")
+                raise SetupError(f"{self.path}: {cure}")
         for begin, kind in BINARY.items():
             if head.startswith(begin):
                 if self._is_packed:  # these are read here and there
@@ -131,19 +131,19 @@ class LogFile:
         with self._open() as file:
             framing = serial.told(file)
         if framing is None:
-            raise SetupError(f"{self._path}: has no frame; {KNOWN}")
+            raise SetupError(f"{self.path}: has no frame; {KNOWN}")
         return framing
 
     def _in_place(self) -> Path:
         """The file, or one with what comes through a pipe."""
-        if self._path.is_fifo():
-            with self._path.open("rb") as file:
+        if self.path.is_fifo():
+            with self.path.open("rb") as file:
                 return self._copied(file)
-        if self._path.exists() and not self._path.is_file():
+        if self.path.exists() and not self.path.is_file():
             raise SetupError(
-                f"{self._path}: is no file; of a session, name its frames.log or serial.bin"
+                f"{self.path}: is no file; of a session, name its frames.log or serial.bin"
             )
-        return self._path
+        return self.path
 
     def _copied(self, file: Readable) -> Path:
         copy = Path(self._kept.enter_context(tempfile.TemporaryDirectory(prefix="taxeld-"))) / "log"
@@ -167,7 +167,7 @@ class LogFile:
             yield
         except OSError as error:
             reason = error.strerror or error
-            raise SetupError(f"{self._path}: unreadable log ({reason})") from None
+            raise SetupError(f"{self.path}: unreadable log ({reason})") from None
 
 
 class _Packed:
