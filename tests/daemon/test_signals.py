@@ -106,6 +106,20 @@ def test_usr1_ends_no_daemon_however_often_it_comes(daemon: Running) -> None:
     assert daemon.process.wait(DEADLINE_S) == 0
 
 
+def test_signals_that_come_all_at_once_end_no_daemon(daemon: Running) -> None:
+    daemon.send(signal.SIGSTOP)
+    for number in (*IGNORED, signal.SIGHUP, signal.SIGUSR1, signal.SIGPIPE):
+        daemon.send(number)
+    daemon.send(signal.SIGCONT)
+    daemon.wait(lambda lines: sum(": ignored" in line for line in lines) == len(IGNORED))
+
+
+def test_a_loop_that_does_not_pause_says_where_it_is_and_ends(daemon: Running) -> None:
+    daemon.send(signal.SIGXCPU)
+    assert daemon.process.wait(DEADLINE_S) == -signal.SIGXCPU
+    assert any("service/ticker.py" in line or "service/loop.py" in line for line in daemon.log())
+
+
 def test_hup_takes_the_log_level_and_names_what_needs_a_restart(daemon: Running) -> None:
     daemon.write('[log]\nlevel = "debug"\n[filter]\nseed = 7\n')
     daemon.send(signal.SIGHUP)

@@ -4,6 +4,10 @@ TERM, INT and QUIT end the daemon, HUP reads the configuration anew, USR1 logs w
 and where it is, which is written before the tick has ended, so that it shows where a loop hangs.
 XCPU comes to a real-time thread that does not pause (`LimitRTTIME=`): it says where, and ends the
 process. The others that would end a process are logged and ignored.
+
+All handlers are Python's own, which run between two of its steps. `faulthandler.register` is not
+used: it looks at stacks that may be half made, and gives all handlers a small stack of their own,
+which a few signals at once overflow; either ends the process.
 """
 
 import faulthandler
@@ -41,11 +45,10 @@ class Signals:
     def __enter__(self) -> Self:
         for number in (signal.SIGHUP, signal.SIGUSR1, *IGNORED):
             self._before[number] = signal.signal(number, self._note)
-        faulthandler.register(signal.SIGXCPU, file=STDERR, all_threads=True, chain=True)
+        self._before[signal.SIGXCPU] = signal.signal(signal.SIGXCPU, _end)
         return self
 
     def __exit__(self, *_: object) -> None:
-        faulthandler.unregister(signal.SIGXCPU)
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
@@ -68,8 +71,6 @@ class Signals:
             return
         self._noted.append(number)
         if number == signal.SIGUSR1:
-            # here and not by `faulthandler.register`, which looks at the stacks in the midst of a
-            # step of Python's, when they can be half made, and so may end the process
             faulthandler.dump_traceback(STDERR, all_threads=True)
 
 
@@ -94,6 +95,13 @@ def dump(state: Mapping[str, object]) -> None:
     """Log what the daemon knows, a line a part."""
     for name, part in state.items():
         log.warning("%s: %s", name, json.dumps(part, default=str))
+
+
+def _end(number: int, _: FrameType | None) -> None:
+    """Say where the process is, and have it end by the signal."""
+    faulthandler.dump_traceback(STDERR, all_threads=True)
+    signal.signal(number, signal.SIG_DFL)
+    signal.raise_signal(number)
 
 
 def _name(number: int) -> str:
