@@ -75,7 +75,7 @@ class _Hub:
     """A hub's table, and the scan under way."""
 
     table: ModuleTable = field(default_factory=ModuleTable)
-    asked: bool = False  # whether a table was looked for elsewhere than on the wire
+    asked: bool = False  # whether it streams, and its table was looked for where the wire lacks it
     walk_version: int = -1  # of the table that the walk below was made from
     walk: tuple[Module, ...] = ()
     first: list[int] = field(default_factory=list)  # channel of the scan that each module begins at
@@ -186,9 +186,10 @@ class Decoder:
         if not payload:
             return []  # the host's request
         hub = self._hub(packet.ihb)
-        if not hub.asked and not hub.table.detailed and self._assumed is not None:
+        if self._assumed is not None and not hub.asked:
             hub.asked = True
-            self._assume(hub, self._assumed(packet.ihb))
+            if not hub.table.detailed:
+                self._assume(hub, self._assumed(packet.ihb))
         if not hub.table.declared:
             self.counters.undeclared += 1
             return []

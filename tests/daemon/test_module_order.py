@@ -229,6 +229,19 @@ def test_decode_with_a_configuration_reads_by_its_list_or_refuses(
         assert errors.startswith(f"source.modules: hub 1 of {path} streams")
 
 
+@pytest.mark.parametrize("source", ["", f"modules = {json.dumps(LISTED)}"])
+def test_check_tells_a_listener_without_a_list_when_it_must_be_started(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str
+) -> None:
+    with VirtualHub(tmp_path / "skin", MODULES) as hub:
+        config = live(tmp_path, hub, f"listen_only = true\n{source}")
+        assert main(["check", str(config)]) == 0
+    notes = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: ")]
+    assert [note.startswith("note: source.modules: lists none") for note in notes] == (
+        [] if source else [True]
+    )
+
+
 def test_decode_without_a_configuration_takes_full_modules(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

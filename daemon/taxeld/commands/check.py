@@ -14,6 +14,10 @@ from taxeld.source.slcan_device import adapter_line
 from taxeld.stream import curve
 
 SYS_NET = Path("/sys/class/net")
+MODULES_TO_COME = (
+    "source.modules: lists none, so taxeld must listen already when the skin is started, to hear "
+    "which modules its hub has"
+)
 
 
 def faults(config: Config) -> list[str]:
@@ -59,8 +63,10 @@ def faults(config: Config) -> list[str]:
 def notes(config: Config) -> list[str]:
     """What no check can see, one line each."""
     source = config.source
-    if source.dialect != "icub" or source.kind == "replay":
+    if source.kind == "replay":
         return []
+    if source.dialect != "icub":
+        return [MODULES_TO_COME] if source.listen_only and not source.modules else []
     return [
         f"source.channel: the boards must hang on {source.channel} itself; behind an Ethernet "
         "board (EMS), as on most iCubs, they cannot be reached over CAN"
