@@ -18,6 +18,7 @@ import numpy as np
 from packaging.requirements import Requirement
 
 import adapter
+import decoding
 import escapes
 import fuzzing
 import protocol
@@ -42,7 +43,8 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the figures there as well")
     parser.add_argument("--no-demo", action="store_true", help="leave the real-time demo out")
     args = parser.parse_args()
-    told = (*protocol.rows(), *escapes.rows(), *adapter.rows(), *fuzzing.rows())
+    told = (*protocol.rows(), *escapes.rows(), *adapter.rows())
+    told += (*decoding.rows(), *fuzzing.rows())
     wire = [row(*figures) for figures in told]
     served = [row(*figures) for figures in streams.rows()]
     process = [row(*figures) for figures in service.rows()]

@@ -1,12 +1,13 @@
 """The one exception that reaches a user: a fault in what was asked for or configured."""
 
-MOST = 1000  # characters of a message
+HEAD, TAIL = 700, 300  # characters of a message that are kept: what and where, and the cure
 
 
 def one_line(text: str) -> str:
     """Text of any origin as a line that can be printed."""
-    shown = "".join(c if c.isprintable() else "?" for c in text[:MOST])
-    return shown + "…" if len(text) > MOST else shown
+    if len(text) > HEAD + TAIL:
+        text = f"{text[:HEAD]} … {text[-TAIL:]}"
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 class SetupError(Exception):

@@ -169,28 +169,35 @@ class Reassembler:
         """The packet that this frame completes, if it does and the packet is good."""
         counters = self.counters
         counters.frames += 1
-        kind, ihb = frame.can_id & ASSEMBLY_MASK, frame.can_id & SHORT_ID_MASK
-        if frame.extended or kind not in (FIRST, MIDDLE, LAST, SINGLE):
-            counters.foreign += 1
-            return None
-        if kind in (FIRST, SINGLE):
-            cut_short = self._partial.pop(ihb, None)
-            if cut_short is not None:
-                self._drop_length(cut_short.frames)
-            partial = _Partial(frame.t, bytearray(), 0)
-        else:
-            found = self._partial.pop(ihb, None)
-            if found is None:
+        _, can_id, data, extended = frame
+        kind, ihb = can_id & ASSEMBLY_MASK, can_id & SHORT_ID_MASK
+        if kind == MIDDLE and not extended:  # most frames are
+            partial = self._partial.get(ihb)
+            if partial is None:
                 counters.orphan += 1
                 return None
-            partial = found
-        partial.data += frame.data
-        partial.frames += 1
-        if kind in (LAST, SINGLE):
-            return self._deliver(ihb, partial)
-        if partial.frames >= MAX_FRAGMENTS:
-            self._drop_length(partial.frames)
+            partial.data += data
+            partial.frames += 1
+            if partial.frames >= MAX_FRAGMENTS:
+                del self._partial[ihb]
+                self._drop_length(partial.frames)
             return None
+        if extended or kind not in (FIRST, LAST, SINGLE):
+            counters.foreign += 1
+            return None
+        partial = self._partial.pop(ihb, None)
+        if kind == LAST:
+            if partial is None:
+                counters.orphan += 1
+                return None
+            partial.data += data
+            partial.frames += 1
+            return self._deliver(ihb, partial)
+        if partial is not None:
+            self._drop_length(partial.frames)  # cut short by this one
+        partial = _Partial(frame.t, bytearray(data), 1)
+        if kind == SINGLE:
+            return self._deliver(ihb, partial)
         self._partial[ihb] = partial
         return None
 
