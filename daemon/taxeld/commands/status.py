@@ -67,7 +67,7 @@ def _device(source: dict[str, Any], waits_for: str | None) -> str:
     """`waits_for`: None where it is not known, as a relay's answers come without."""
     in_vain = f"{source.get('unopened', 0)} attempts to open it failed"
     if waits_for or source.get("waiting"):
-        return f"waited for, {in_vain}: {waits_for or 'the log of the daemon says why'}"
+        return f"waiting, {waits_for or 'the log of the daemon says for what'}; {in_vain}"
     return f"lost {source['lost']} times, {in_vain}, {source['unsent']} requests unsent"
 
 

@@ -293,7 +293,7 @@ class Daemon:
         return messages.health(seq, t, parts)
 
     def state(self) -> dict[str, Any]:
-        """What was last published of the estimate and of health, and why there is no device."""
+        """What was last published of the estimate and of health, and what must come."""
         return {
             "estimate": self._estimate_sent,
             "health": self._health_sent,
