@@ -77,8 +77,8 @@ class Unit:
         return sh(f"systemctl show -P {key} {self.name}")
 
     def leave_memory(self, mb: int) -> None:
-        """Until it ends, MemoryMax= is so much more than what it has now and cannot give back; less
-        of it, and that is the end."""
+        """Until it ends, MemoryMax= is so much more than what it has and cannot give back; it ends
+        at once where that is less."""
         group = Path(f"/sys/fs/cgroup{self.show('ControlGroup')}")
         limit = group / "memory.max"
         assert limit.read_text("ascii").strip() == self.show("MemoryMax")  # of the unit as it is
