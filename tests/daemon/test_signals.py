@@ -114,9 +114,10 @@ def test_signals_that_come_all_at_once_end_no_daemon(daemon: Running) -> None:
     daemon.wait(lambda lines: sum(": ignored" in line for line in lines) == len(IGNORED))
 
 
-def test_a_loop_that_does_not_pause_says_where_it_is_and_ends(daemon: Running) -> None:
-    daemon.send(signal.SIGXCPU)
-    assert daemon.process.wait(DEADLINE_S) == -signal.SIGXCPU
+@pytest.mark.parametrize("number", [signal.SIGXCPU, signal.SIGABRT])
+def test_a_loop_that_does_not_pause_says_where_it_is_and_ends(daemon: Running, number: int) -> None:
+    daemon.send(number)
+    assert daemon.process.wait(DEADLINE_S) == -number
     assert any("service/ticker.py" in line or "service/loop.py" in line for line in daemon.log())
 
 

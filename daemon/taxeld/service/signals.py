@@ -2,12 +2,13 @@
 
 TERM, INT and QUIT end the daemon, HUP reads the configuration anew, USR1 logs what the daemon knows
 and where it is, which is written before the tick has ended, so that it shows where a loop hangs.
-XCPU comes to a real-time thread that does not pause (`LimitRTTIME=`): it says where, and ends the
-process. The others that would end a process are logged and ignored.
+XCPU comes to a real-time thread that does not pause (`LimitRTTIME=`), and ABRT from a watchdog that
+waits in vain: either says where the process is, and ends it. The others that would end a process
+are logged and ignored.
 
-All handlers are Python's own, which run between two of its steps. `faulthandler.register` is not
-used: it looks at stacks that may be half made, and gives all handlers a small stack of their own,
-which a few signals at once overflow; either ends the process.
+All handlers are Python's own, which run between two of its steps. `faulthandler.register` and
+`enable` are not used: they look at stacks that may be half made, and give all handlers a small
+stack of their own, which a few signals at once overflow; either ends the process.
 """
 
 import faulthandler
@@ -45,7 +46,8 @@ class Signals:
     def __enter__(self) -> Self:
         for number in (signal.SIGHUP, signal.SIGUSR1, *IGNORED):
             self._before[number] = signal.signal(number, self._note)
-        self._before[signal.SIGXCPU] = signal.signal(signal.SIGXCPU, _end)
+        for number in (signal.SIGXCPU, signal.SIGABRT):
+            self._before[number] = signal.signal(number, _end)
         return self
 
     def __exit__(self, *_: object) -> None:
