@@ -12,12 +12,12 @@ import trimesh
 from numpy.typing import NDArray
 
 from taxeld.estimator.estimate import Status
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.proposals.analytic import Table
 from taxeld_training.cli import main
 from taxeld_training.filters import cells, follow, trained
 from taxeld_training.filters.cells import Cell
-from taxeld_training.filters.conditions import Conditions
+from taxeld_training.filters.conditions import SILENT, Conditions
 from taxeld_training.filters.follow import Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.options import Options
@@ -194,8 +194,8 @@ def test_the_grid_learns_from_the_estimators_scans(
         def __len__(self) -> int:
             return sum(contacts)
 
-        def update(self, sensor: object, z: object, live: object, *, touched: bool) -> None:
-            del sensor, z, live
+        def update(self, scan: Observation, *, touched: bool) -> None:
+            assert scan.floor == SILENT * Noise().sigma  # under which a trial's skin reads nothing
             contacts.append(touched)
 
         def estimate(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
