@@ -96,12 +96,14 @@ def test_who_comes_again_each_time_gathers_no_more_than_who_comes_once(
 
 
 def test_memory_that_nobody_sends_is_the_processs_own(sockets: Sockets, tmp_path: Path) -> None:
-    _, endpoint = served(sockets, tmp_path, zmq.XPUB)
+    server, endpoint = served(sockets, tmp_path, zmq.XPUB)
     hoard = Hoard([endpoint])
     sockets.callback(hoard.close)
     hoard.look(0.0)
-    own = np.ones(2 * GROWTH_BYTES, np.uint8)
+    greeted = sockets.keep(server.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED))
     with hello(endpoint) as peer:
+        assert greeted.poll(10_000), "until then it is sending"
+        own = np.ones(2 * GROWTH_BYTES, np.uint8)
         hoard.look(1.0)
         hoard.look(1.0 + OWN_S)
         peer.send(b"\x00")  # a frame that has begun
