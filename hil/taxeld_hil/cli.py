@@ -153,6 +153,10 @@ def _physics(args: argparse.Namespace) -> int:
 
     if args.touches:
         return _touches(args, progress)
+    if args.curves:
+        return _curves(args, progress)
+    if args.fit is not None:
+        return _fit(args, progress)
     from taxeld_hil.experiment.physics_experiment import Plan, experiment
 
     plan = Plan.quick if args.quick else Plan
@@ -180,6 +184,31 @@ def _touches(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
     path = experiment(plan, args.out, args.memory, args.workers, progress)
     print(path)
     for line in lines(read(path)):
+        print(line)
+    return 0
+
+
+def _curves(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
+    from taxeld_hil.experiment import curves
+
+    names = tuple(args.skin or ("typical", "poor", "stiff"))
+    skins = args.seeds or (curves.QUICK_SKINS if args.quick else curves.SKINS)
+    paths = list(curves.experiment(names, skins, args.out, progress))
+    for line in (*map(str, paths), *curves.lines(paths[0])):
+        print(line)
+    return 0
+
+
+def _fit(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
+    from taxeld_hil.experiment import insole
+
+    fits = insole.fit(args.fit)
+    if not fits:
+        progress(f"{args.fit}: no recordings (*.mat) there; nothing is fitted")
+        return 0
+    args.out.mkdir(parents=True, exist_ok=True)
+    insole.write(args.out / "insole.json", fits)
+    for line in (str(args.out / "insole.json"), *insole.lines(fits)):
         print(line)
     return 0
 
@@ -261,12 +290,19 @@ def _add_measurements(commands: Commands) -> None:
     accept.set_defaults(command=_accept)
 
     physics = commands.add_parser("physics", help="the estimator's model beside a soft skin's")
-    physics.add_argument(
+    other = physics.add_mutually_exclusive_group()
+    other.add_argument(
         "--touches", action="store_true", help="instead: ten touches a run, and what comes of them"
+    )
+    other.add_argument(
+        "--curves", action="store_true", help="instead: the named skins beside recordings' bands"
+    )
+    other.add_argument(
+        "--fit", type=Path, metavar="DATA", help="instead: what recordings of an insole (*.mat) say"
     )
     physics.add_argument("--object", action="append", metavar="BUNDLE", help="default: box and mug")
     physics.add_argument(
-        "--skin", action="append", metavar="SKIN", help="of --touches; default: typical and poor"
+        "--skin", action="append", metavar="SKIN", help="of --touches and --curves"
     )
     physics.add_argument("--workers", type=int, default=2, help="of --touches, a thread each")
     physics.add_argument(
@@ -274,7 +310,7 @@ def _add_measurements(commands: Commands) -> None:
         help="runs of --touches, from which one cut short goes on (default %(default)s)",
     )  # fmt: skip
     physics.add_argument("--contacts", type=int, metavar="N", help="an object, to compare readings")
-    physics.add_argument("--seeds", type=int, metavar="N", help="runs of the demo's path a kind")
+    physics.add_argument("--seeds", type=int, metavar="N", help="runs of each kind; skins drawn")
     physics.add_argument("--seed", type=int, help="of the contacts")
     physics.add_argument("--noise-sigma", type=float, metavar="SD", help="default: the daemon's")
     physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")

@@ -4,22 +4,27 @@ A fingertip presses a taxel for a second and leaves; then pressure rises and fal
 them. Every skin has drawn its own taxels, and each taxel is pressed once.
 """
 
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
+from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld_hil.scenario.mesh_config import TYPICAL, MeshConfig
-from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.scenario.scenario import Scenario, load
 from taxeld_hil.world.electronics import Response
 from taxeld_hil.world.foam import Foam
 from taxeld_hil.world.mesh_physics import MeshPhysics
 from taxeld_hil.world.mesh_skin import MeshSkin
 from taxeld_hil.world.spread import drawn
 
+SKINS, QUICK_SKINS = 150, 5
 FULL_M, FULL_COUNTS = 0.005, 20_000.0
 TIP_M = 0.008  # a fingertip's radius,
 PRESS_M = 0.002  # how deep it presses,
@@ -34,6 +39,9 @@ DENSE = "cylinder:rows=7,columns=63,radius_m=0.04,pitch_m=0.004"  # 4 mm apart, 
 APART_M = np.arange(0.004, 0.0241, 0.004)
 LEVELS = np.linspace(0.0, 1.0, 101)  # of pressure,
 LOOP_FROM = 0.2  # from which on a loop is looked at
+
+
+Say = Callable[[str], None]
 
 
 class Band(NamedTuple):
@@ -94,6 +102,62 @@ class Curves(NamedTuple):
     gain: Floats  # (S·M,)
     noise_counts: Floats  # (S·M,)
     idle_counts: Floats  # (S·M,)
+
+
+def experiment(names: tuple[str, ...], skins: int, out: Path, say: Say) -> Iterator[Path]:
+    """`skins` of each name, as `curves.json` and `curves.png` in the directory `out`.
+
+    Raises:
+        SetupError: with the JSON written, nothing to draw with.
+    """
+    base = load("demo")
+    found = {}
+    for name in names:
+        found[name] = measured(base.on(name), skins)
+        say(f"{name}: {skins} skins")
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / "curves.json"
+    rows = [
+        {"skin": name, **{k: _short(v) for k, v in row.items()}}
+        for name, each in found.items()
+        for row in figures(each)
+    ]
+    text = ",\n  ".join(json.dumps(row) for row in rows)
+    of = {name: {k: _short(v) for k, v in asdict(base.on(name).skin).items()} for name in names}
+    path.write_text(
+        f'{{\n "skins": {json.dumps(of)},\n "figures": [\n  {text}\n ]\n}}\n', encoding="utf-8"
+    )
+    yield path
+    try:
+        from taxeld_hil.experiment import curves_chart  # noqa: PLC0415  # the picture alone needs it
+    except ImportError:
+        cure = "pip install 'taxeld[view]'"
+        raise SetupError(f"curves.png: drawing needs matplotlib; {cure}") from None
+    curves_chart.draw(found, out / "curves.png")
+    yield out / "curves.png"
+
+
+def lines(path: Path) -> Iterator[str]:
+    """Such a JSON file's figures as a Markdown table, a column a skin."""
+    rows = json.loads(path.read_text(encoding="utf-8"))["figures"]
+    names = list(dict.fromkeys(row["skin"] for row in rows))
+    yield "| measured on public recordings | band | " + " | ".join(names) + " |"
+    yield "|---" * (len(names) + 2) + "|"
+    for band in BANDS:
+        same = [row for row in rows if (row["name"], row["at"], row["quantile"])
+                == (band.name, band.at, band.quantile)]  # fmt: skip
+        cells = [f"{row['measured']:.4g}" for row in same]
+        yield f"| {_title(band)} | {band.low:g} … {band.high:g} | " + " | ".join(cells) + " |"
+
+
+def _title(band: Band) -> str:
+    where = {"residue": f", {band.at:g} s after", "sag": f", {1e3 * band.at:g} mm away"}
+    unit = {"noise": "counts", "idle": "counts"}.get(band.name, "%")
+    return f"{band.name}{where.get(band.name, '')}, {band.quantile} [{unit}]"
+
+
+def _short(value: Any) -> Any:
+    return float(f"{value:.4g}") if isinstance(value, float) else value
 
 
 def measured(scenario: Scenario, skins: int, seed: int = 0) -> Curves:

@@ -37,7 +37,7 @@ class MeshConfig:
     sag_m: tuple[float, float] = key(
         (0.0019, 0.006), spread(0.02), "the cover sags by 1/e so far beside a press"
     )
-    bend: float = key(0.11, between(-0.9, 0.9), "the response is h + bend·h(1 − h) on average")
+    bend: float = key(0.065, between(-0.9, 0.9), "the response is h + bend·h(1 − h) on average")
     onset: tuple[float, float] = key(
         (0.85, 2.8), spread(10), "how much steeper a taxel's own response begins"
     )
