@@ -43,8 +43,7 @@ class PushedTrial:
             yield scan
         truth, t = scan.truth, scan.activation.t + BETWEEN_S
         given = Conditions()
-        gain = np.maximum(1.0 + given.gain_cv * rng.standard_normal(len(model.layout)), 0.1)
-        skin = TrialSkin(given, gain, rng)
+        skin = TrialSkin(given, model.layout, given.gains(len(model.layout), rng), rng)
         radius_m = model.scene.mean_radius
         limit_m = LIMIT * radius_m * rng.uniform(1.0 - LIMIT_SPREAD, 1.0 + LIMIT_SPREAD)
         heading, yaw = rng.uniform(-np.pi, np.pi, 2)
@@ -61,7 +60,7 @@ class PushedTrial:
             truth = gave_way(model, truth, before, sensor, limit_m)
             h = model.activation(se2.compose(se2.inverse(sensor), truth)[None])[0]
             path_m += STEP_M if h.any() else 0.0
-            activation = Activation(t, skin.read(h, 0.0, rng), skin.live)
+            activation = Activation(t, skin.read(h, t, 0.0, rng), skin.live)
             yield Moment(TOUCHES, activation, sensor, truth)
             t += SCAN_S
 
