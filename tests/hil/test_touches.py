@@ -166,9 +166,19 @@ def test_the_command_goes_on_from_what_it_remembers(
     assert "| stiff, box |" in second.out
 
 
-def test_a_skin_that_is_not_soft_is_refused(
+def test_wrong_options_are_refused_with_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for skin, message in (("marble", "no skin 'marble'"), ("scene", "--skin scene: no soft skin")):
-        assert cli.main(["physics", "--touches", "--skin", skin, "--out", str(tmp_path)]) == 2
-        assert capsys.readouterr().err.startswith(message)
+    (tmp_path / "file").touch()
+    for option, value, message in (
+        ("--skin", "marble", "no skin 'marble'"),
+        ("--skin", "scene", "--skin scene: no soft skin"),
+        ("--object", "party", "scene.bundle: no bundle 'party'"),
+        ("--seeds", "-1", "--seeds and --workers must be at least 1"),
+        ("--workers", "0", "--seeds and --workers must be at least 1"),
+        ("--memory", str(tmp_path / "file" / "m"), f"--memory: {tmp_path / 'file' / 'm'}: "),
+    ):
+        assert cli.main(["physics", "--touches", option, value, "--out", str(tmp_path)]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(message)
+        assert error.count("\n") == 1

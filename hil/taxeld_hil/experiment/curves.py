@@ -108,8 +108,10 @@ def experiment(names: tuple[str, ...], skins: int, out: Path, say: Say) -> Itera
     """`skins` of each name, as `curves.json` and `curves.png` in the directory `out`.
 
     Raises:
-        SetupError: with the JSON written, nothing to draw with.
+        SetupError: there is no such skin; or, with the JSON written, nothing to draw with.
     """
+    if skins < 1:
+        raise SetupError("--seeds must be at least 1")
     base = load("demo")
     found = {}
     for name in names:
@@ -146,7 +148,7 @@ def lines(path: Path) -> Iterator[str]:
     for band in BANDS:
         same = [row for row in rows if (row["name"], row["at"], row["quantile"])
                 == (band.name, band.at, band.quantile)]  # fmt: skip
-        cells = [f"{row['measured']:.4g}" for row in same]
+        cells = [f"{row['measured']:.5g}" for row in same]
         yield f"| {_title(band)} | {band.low:g} … {band.high:g} | " + " | ".join(cells) + " |"
 
 

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass, replace
 from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -45,8 +45,11 @@ def experiment(plan: Plan, out: Path, memory: Path, workers: int, say: Say) -> P
     """Measure, and write `touches.json` into the directory `out`; runs are remembered in `memory`.
 
     Raises:
-        SetupError: an object has no mesh here, or there are faults in the plan.
+        SetupError: an object has no mesh here, there are faults in the plan, or the memory cannot
+            be written.
     """
+    if plan.seeds < 1 or workers < 1:
+        raise SetupError("--seeds and --workers must be at least 1")
     base = scenario.load("demo")
     for skin in plan.skins:
         if base.on(skin).physics == "scene":
@@ -59,13 +62,12 @@ def experiment(plan: Plan, out: Path, memory: Path, workers: int, say: Say) -> P
         for skin in plan.skins
         for name in plan.objects
     ]
-    memory.parent.mkdir(parents=True, exist_ok=True)
     code = digest(plan.filter_keys)
     done = remembered(memory, code)
     todo = [each for each in wanted if each not in done]
     if len(todo) < len(wanted):
         say(f"{len(wanted) - len(todo)} of {len(wanted)} runs are remembered in {memory}")
-    with memory.open("a", encoding="utf-8") as file:
+    with _opened(memory) as file:
         for run in _played(todo, plan.filter_keys, workers):
             done[run.object, run.skin, run.seed] = run
             file.write(json.dumps({"code": code, **asdict(run)}) + "\n")
@@ -173,6 +175,15 @@ def read(path: Path) -> list[dict[str, Any]]:
     """The summary of such a file."""
     rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["summary"]
     return rows
+
+
+def _opened(memory: Path) -> IO[str]:
+    """To add runs to."""
+    try:
+        memory.parent.mkdir(parents=True, exist_ok=True)
+        return memory.open("a", encoding="utf-8")
+    except OSError as error:
+        raise SetupError(f"--memory: {memory}: {error.strerror}") from None
 
 
 def _played(todo: list[tuple[str, str, int]], filter_keys: str, workers: int) -> Iterator[TouchRun]:
