@@ -19,6 +19,8 @@ from collections import Counter
 from collections.abc import Callable
 
 SEND_S = 1.0  # a peer that takes nothing for so long is left
+OWN_FILES = 64  # descriptors
+STAY_S = 3.0  # of a crowd that is all there
 BATCH = 40  # connections at a time
 SUBSCRIPTIONS = 4000  # of each, more than a socket's buffers hold
 GREETING = b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32)
@@ -123,11 +125,43 @@ def flood_and_exit(endpoint: str, on: Clock, count: int) -> Counter[str]:
     os._exit(0)
 
 
+def allow_files(count: int) -> int:
+    """→ how many connections this process may hold, `count` at most."""
+    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    most = min(hard, count + OWN_FILES)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (most, hard))
+    return most - OWN_FILES
+
+
+def crowd(endpoint: str, on: Clock, count: int) -> Counter[str]:
+    """Every other one subscribes and leaves; the rest stay, and say nothing more."""
+    done: Counter[str] = Counter()
+    stay = allow_files(count // 2)
+    held = []
+    while on() and done["connections"] < count:
+        try:
+            peer = Peer(endpoint)
+        except OSError:
+            done["refused"] += 1
+            time.sleep(0.01)
+            continue
+        done["connections"] += 1
+        if done["connections"] % 2 and len(held) < stay:
+            held.append(peer)
+        else:
+            done["bytes"] += peer.send(frame(b"\x01/taxeld/"))
+            peer.close()
+    done["held"] = len(held)
+    until_s = time.monotonic() + STAY_S
+    while on() and time.monotonic() < until_s:
+        time.sleep(0.01)
+    return done
+
+
 def idle(endpoint: str, on: Clock, count: int) -> Counter[str]:
     """Connections that are held and say nothing more."""
     done: Counter[str] = Counter()
-    _, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (min(hard, count + 64), hard))
+    allow_files(count)
     peers = []
     while on() and len(peers) < count:
         try:
@@ -227,6 +261,7 @@ ATTACKS = {
         subscribe_and_leave,
         ask_and_leave,
         flood_and_exit,
+        crowd,
         idle,
         endless_to_stream,
         endless_to_control,

@@ -1,4 +1,4 @@
-"""The coverage-guided fuzzer's target: arbitrary bytes as frames and as lines of each link.
+"""The coverage-guided fuzzer's target on the wire: any bytes as frames and lines of each link.
 
 Nothing may raise, and what is fed is used, dropped or pending. Findings become tests.
 """

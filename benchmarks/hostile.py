@@ -154,7 +154,9 @@ ATTACKS = [
         in_short=False,
     ),
     Attack("idle connections, tcp", "idle", "tcp stream", 1100, 100, limits_files=True),
-    Attack("idle connections, ipc", "idle", "stream", 400, limits_files=True, in_short=False),
+    Attack("1 500 idle connections, tcp", "idle", "tcp stream", 1500, in_short=False),
+    Attack("idle connections, ipc", "idle", "stream", 400, 100, limits_files=True),
+    Attack("a crowd, tcp", "crowd", "tcp stream", 10_000, 200, seconds=60.0, late_s=LATE_S),
     Attack("unique subscriptions, tcp", "unique_subscriptions", "tcp stream", 100, 20),
     Attack("unique subscriptions, ipc", "unique_subscriptions", "stream", 100, 20),
     Attack("endless message, tcp", "endless_to_stream", "tcp stream", 4000, 400),
@@ -172,7 +174,7 @@ ATTACKS = [
     Attack("a reader tares in a loop", "tare", "asking", 200, 30),
     Attack("socket files removed", seconds=1.0, act=remove_sockets),
     Attack("signals to the daemon", seconds=1.0, act=signals),
-    Attack("signals to the relay", seconds=1.0, act=signals_to_relay, in_short=False),
+    Attack("signals to the relay", seconds=1.0, act=signals_to_relay),
 ]
 
 

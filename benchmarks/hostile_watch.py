@@ -26,7 +26,7 @@ TOPICS = messages.ESTIMATE, messages.TAXELS, messages.PARTICLES, messages.HEALTH
 HEADER = (
     f"{'attack':31s} {'daemon':18s} {'relay':18s} {'missed':>6s} {'tcp':>6s} {'invalid':>7s}"
     f" {'silent':>6s} {'off m':>8s} {'end m':>8s} {'own':>4s} {'ms/tick':>7s} {'MB':>6s}"
-    f" {'relay MB':>8s} {'answer':>6s} newcomer"
+    f" {'relay MB':>8s} {'answer':>6s} newcomer; what was done"
 )
 
 
@@ -50,6 +50,7 @@ class Row:
     answer_ticks: int | None  # the longest that a client waited for `status`; None: it still does
     newcomer: bool  # somebody who subscribed afterwards was served
     paused_s: float  # the longest that those who watch were held up themselves
+    did: dict[str, int] | None  # connections, messages and bytes; None: no process of its own
 
     @property
     def is_disturbed(self) -> bool:
@@ -60,11 +61,13 @@ class Row:
         missed = "all" if self.missed is None else str(self.missed)
         answer = "none" if self.answer_ticks is None else str(self.answer_ticks)
         error = "-" if self.error_m is None else f"{self.error_m:.2g}"
+        did = "".join(f" {count} {what}," for what, count in (self.did or {}).items())
         return (
             f"{self.attack:31s} {self.daemon:18s} {self.relay:18s} {missed:>6s}"
             f" {self.missed_tcp:6d} {self.invalid:7d} {self.silent_taxels:6d} {self.off_m:8.2g}"
             f" {error:>8s} {self.own_overruns:4d} {self.loop_ms:7.2f} {self.grown_mb:6.1f}"
-            f" {self.relay_grown_mb:8.1f} {answer:>6s} {'served' if self.newcomer else 'deaf'}"
+            f" {self.relay_grown_mb:8.1f} {answer:>6s} {'served' if self.newcomer else 'deaf'};"
+            f"{did}".rstrip(",;")
         )
 
 
@@ -289,7 +292,7 @@ class Account:
         self._last_cpu_s = self.daemon.loop_cpu_s() or self._last_cpu_s
         return max(self._peak_mb, self._relay_peak_mb)
 
-    def row(self, attack: str, began_s: float, newcomer: bool) -> Row:
+    def row(self, attack: str, began_s: float, newcomer: bool, did: dict[str, int] | None) -> Row:
         stream, alive = self.stream, self.daemon.is_alive
         ticks = max(1, stream.seq - self._seq)
         waits = self.client.waits
@@ -310,6 +313,7 @@ class Account:
             answer_ticks=self.client.longest if alive and not waits else None,
             newcomer=newcomer,
             paused_s=self._paused_s,
+            did=did,
         )
 
     def _fate(self, process: Process | None, began_s: float) -> str:

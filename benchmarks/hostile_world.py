@@ -1,5 +1,6 @@
 """A daemon that is attacked: its skin, its robot, its relay, and the attackers' processes."""
 
+import json
 import os
 import resource
 import socket
@@ -99,22 +100,23 @@ class World:
             fewer = min(limits[0], open_files + count // 2)
             resource.prlimit(target.pid, resource.RLIMIT_NOFILE, (fewer, limits[1]))
         began_s = time.monotonic()
-        self._attack(attack, endpoint, seconds, count, before)
+        did = self._attack(attack, endpoint, seconds, count, before)
         if attack.limits_files and target.is_alive:
             resource.prlimit(target.pid, resource.RLIMIT_NOFILE, limits)
         late_s = min(attack.late_s, SHORT_LATE_S) if short else attack.late_s
         reached = self._settle(before, late_s)
-        return before.row(attack.name, began_s, reached)
+        return before.row(attack.name, began_s, reached, did)
 
     def _attack(
         self, attack: Attack, endpoint: str, seconds: float, count: int, account: watch.Account
-    ) -> None:
+    ) -> dict[str, int] | None:
+        """→ what an attacker says that it has done; nothing of one that had to be ended."""
         until_s = time.monotonic() + seconds
         attacker = None
         if attack.program:
             program = [sys.executable, str(HERE / "attacks.py"), attack.program]
             attacker = subprocess.Popen(
-                [*program, endpoint, str(seconds), str(count)], stdout=subprocess.DEVNULL
+                [*program, endpoint, str(seconds), str(count)], stdout=subprocess.PIPE
             )
             until_s += START_S  # it counts its seconds itself, from its start on
         while time.monotonic() < until_s and account.watch() < GROWN_MAX_MB:
@@ -124,9 +126,11 @@ class World:
             if attack.act is not None and time.monotonic() >= self._next_act_s:
                 self._next_act_s = time.monotonic() + ACT_S
                 attack.act(self)
-        if attacker is not None:
-            attacker.kill()
-            attacker.wait()
+        if attacker is None:
+            return None
+        attacker.kill()
+        said = attacker.communicate()[0]
+        return json.loads(said) if said else {}
 
     def _settle(self, account: watch.Account, late_s: float) -> bool:
         """Wait for health, an answer and whatever else is late; → whether a newcomer heard."""

@@ -17,6 +17,9 @@ from pathlib import Path
 import numpy as np
 from packaging.requirements import Requirement
 
+import adapter
+import escapes
+import fuzzing
 import protocol
 import service
 import streams
@@ -39,7 +42,8 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the figures there as well")
     parser.add_argument("--no-demo", action="store_true", help="leave the real-time demo out")
     args = parser.parse_args()
-    wire = [row(*figures) for figures in protocol.rows()]
+    told = (*protocol.rows(), *escapes.rows(), *adapter.rows(), *fuzzing.rows())
+    wire = [row(*figures) for figures in told]
     served = [row(*figures) for figures in streams.rows()]
     process = [row(*figures) for figures in service.rows()]
     rows = [*installed(), *wire, *touches(), idle_tick(), *served, *process]

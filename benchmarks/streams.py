@@ -182,14 +182,16 @@ def connected(client: tuple[str, ...], place: str) -> Iterator[None]:
 
 
 def setting(place: str) -> tuple[Config, Layout, bundle.Bundle]:
+    skin = layouts.load(SCENARIO.layout)
+    listed = [[module.sui, module.mask] for module in wired(skin.uid.tolist())]
     settings = config_file.parse(
-        f'[source]\nkind = "replay"\npath = "{place}"\n[scene]\nbundle = "{SCENARIO.bundle}"\n'
+        f'[source]\nkind = "replay"\npath = "{place}"\nmodules = {listed}\n'
+        f'[scene]\nbundle = "{SCENARIO.bundle}"\n'
         f'[skin]\nlayout = "{SCENARIO.layout}"\nfull_scale_counts = {SCENARIO.full_scale_counts}\n'
         f'[sensor_pose]\nendpoint = "ipc://{place}/poses"\n'
         f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
         f'[control]\nendpoint = "ipc://{place}/control"\n'
     )
-    skin = layouts.load(settings.skin.layout)
     return settings, skin, bundle.load(SCENARIO.bundle, skin, settings.skin.full_scale_depth_m)
 
 

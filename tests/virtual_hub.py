@@ -7,21 +7,36 @@ from typing import Self
 from taxeld_hil.rig.ledger import Unit
 from taxeld_hil.rig.ports import NativePort, SlcanPort
 from taxeld_protocol import cyskin, serial_link, slcan
+from taxeld_protocol.cyskin import ALL_MODULES, BROADCAST, Command, Packet
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module
-from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
+from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 
 Counts = Sequence[int | None]
+
+
+def told(hub: VirtualIhb) -> list[Answer]:
+    """What a hub whose modules run answers to DECLARE and MODULE_DETAILS."""
+    hub.phase = Phase.RUNNING
+    asked = [(Command.DECLARE, b""), (Command.MODULE_DETAILS, bytes((ALL_MODULES,)))]
+    return [a for request in asked for a in hub.answer(Packet(0.0, BROADCAST, *request))]
 
 
 class VirtualHub:
     """A hub on SLCAN, or on the native link, behind a device name that outlives its terminals."""
 
     def __init__(
-        self, link: Path, modules: Sequence[Module], *, native: bool = False, short_id: int = 1
+        self,
+        link: Path,
+        modules: Sequence[Module],
+        *,
+        native: bool = False,
+        short_id: int = 1,
+        adapter: str = "plain",
     ) -> None:
-        self.ihb = VirtualIhb(modules, short_id=short_id)
-        self.port = NativePort(link) if native else SlcanPort(link, lambda _: None)
+        phase = Phase.MODULES if native else Phase.BOOTLOADER  # that link is the application's
+        self.ihb = VirtualIhb(modules, short_id=short_id, phase=phase)
+        self.port = NativePort(link) if native else SlcanPort(link, lambda _: None, adapter)
         self.native = native
         self.device = str(link)
         self.scans = 0  # that were sent,

@@ -16,7 +16,6 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import session
-from taxeld_protocol.modules import wired
 
 USAGE_ERROR, FAILED = 2, 1
 DONE = {
@@ -104,20 +103,23 @@ def _relay(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> int:
     from taxeld.commands import check
 
-    faults = check.faults(load(args.config))
+    config = load(args.config)
+    faults = check.faults(config)
     if faults:
         raise ConfigError(faults)
-    print(f"{args.config}: fine")
+    print("\n".join([f"{args.config}: fine", *(f"note: {line}" for line in check.notes(config))]))
     return 0
 
 
 def _decode(args: argparse.Namespace) -> int:
     from taxeld.commands.decode import decode
+    from taxeld.source import module_order
 
-    modules = None
+    listed = None
     if args.config:
-        modules = wired(layouts.read(load(args.config).skin.layout).uid.tolist())
-    for line in decode(args.log, modules, args.dialect):
+        config = load(args.config)
+        listed = module_order.given(config.source, layouts.read(config.skin.layout))
+    for line in decode(args.log, listed, args.dialect, args.interface):
         print(line)
     return 0
 
@@ -202,10 +204,11 @@ def _parser() -> argparse.ArgumentParser:
     check.add_argument("config", type=Path, metavar="CONFIG")
     check.set_defaults(command=_check)
 
-    decode = commands.add_parser("decode", help="candump log → a JSON line a scan, then counters")
-    decode.add_argument("log", type=Path, metavar="LOG")
+    decode = commands.add_parser("decode", help="a log → a JSON line a scan, then counters")
+    decode.add_argument("log", type=Path, metavar="LOG", help="of candump and others, serial.bin")
     decode.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
-    decode.add_argument("--config", type=Path, help="whose layout gives the module table")
+    decode.add_argument("--config", type=Path, help="whose source.modules is the module table")
+    decode.add_argument("--interface", default="", help="of a log of several: the skin's")
     decode.set_defaults(command=_decode)
 
     replay = commands.add_parser("replay", help="session → a JSON line an estimate")

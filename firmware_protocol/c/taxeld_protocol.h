@@ -1,7 +1,8 @@
 /* SPDX-License-Identifier: BSD-3-Clause
  *
  * taxeld_protocol.h: CySkin packets on CAN and on taxeld's serial link, for hubs (IHBs) and other
- * microcontrollers. C99 (and C++), no allocation, nothing of libc but memcpy, no global state.
+ * microcontrollers. C99 (and C++), no allocation, nothing of libc but memcpy and memset, no
+ * global state.
  *
  * In one source file define TAXELD_PROTOCOL_IMPLEMENTATION before including this; elsewhere just
  * include it. The encoded packet is the common coin: builders write one, a fragmenter turns it into
@@ -66,6 +67,7 @@ extern "C" {
 #define TAXELD_VALUES_MAX 126u /* of a SENSOR_DATA packet */
 #define TAXELD_NAMES 12u       /* T0..T11, so channels of a module at most */
 #define TAXELD_MODULES_MAX 248u
+#define TAXELD_ALL_NAMES 0xFFFu /* the mask of a module of which nothing is cut */
 
 #define TAXELD_COBS_MAX(n) ((n) + (n) / 254u + 1u)         /* room that n bytes may take encoded */
 #define TAXELD_PLAIN_MAX (1u + 2u + TAXELD_PAYLOAD_MAX + 2u) /* short id .. CRC-16 */
@@ -127,7 +129,9 @@ typedef struct {
     uint8_t data[TAXELD_FRAGMENT_BYTES];
 } taxeld_frame;
 
-/* What MODULE_DETAILS tells of a module. */
+/* What MODULE_DETAILS tells of a module. Its channels are those possible: 12, or the bits of the mask,
+ * which is what the module sends and what DECLARE has to tell. MODULE_SET_CUT_SENSORS names the taxels
+ * that are cut: mask = TAXELD_ALL_NAMES & ~cut. */
 typedef struct {
     uint32_t sui; /* serial number: a taxel's UID is sui << 4 | name */
     uint16_t mask; /* uncut taxels, LSB = T0 */
@@ -140,14 +144,17 @@ typedef struct {
 uint8_t taxeld_crc8(const uint8_t *data, size_t n);   /* 0xFB over "123456789" */
 uint16_t taxeld_crc16(const uint8_t *data, size_t n); /* 0x29B1 over "123456789" */
 
-/* Builders: the length of the packet written to `out`. */
+/* Builders: the length of the packet written to `out`. While modules are in their bootloader a hub
+ * answers DECLARE with their number alone (one byte), and MODULE_DETAILS with index and sui (five):
+ * taxeld_packet_encode makes these. */
 int taxeld_packet_encode(uint8_t *out, size_t room, uint8_t command, const uint8_t *payload,
                          size_t n);
 int taxeld_declare_encode(uint8_t *out, size_t room, const uint8_t *channels, size_t modules);
 int taxeld_details_encode(uint8_t *out, size_t room, uint8_t index, const taxeld_module *module);
 
-/* TAXELD_GOOD, TAXELD_E_LENGTH or TAXELD_E_CRC; bytes after the packet are no error. Leaves
- * packet->ihb alone, as an encoded packet does not name it. */
+/* TAXELD_GOOD, TAXELD_E_LENGTH or TAXELD_E_CRC. After the packet there may be seven bytes, as the last
+ * fragment's padding; more are of another packet, whose fragments were mixed in. Leaves packet->ihb
+ * alone, as an encoded packet does not name it. */
 int taxeld_packet_parse(taxeld_packet *packet, const uint8_t *data, size_t len);
 
 /* One scan as SENSOR_DATA packets. What it was begun with has to outlive it. */
@@ -339,7 +346,7 @@ int taxeld_details_encode(uint8_t *out, size_t room, uint8_t index, const taxeld
 
 int taxeld_packet_parse(taxeld_packet *packet, const uint8_t *data, size_t len)
 {
-    if (len <= 2 || len < data[1] + 3u)
+    if (len <= 2 || len < data[1] + 3u || len - (data[1] + 3u) >= TAXELD_FRAGMENT_BYTES)
         return TAXELD_E_LENGTH;
     if (taxeld_crc8(data, data[1] + 2u) != data[data[1] + 2u])
         return TAXELD_E_CRC;
@@ -497,13 +504,20 @@ int taxeld_reassembler_feed(taxeld_reassembler *reassembler, const taxeld_frame 
     return TAXELD_WAITING;
 }
 
+/* TAXELD_COBS_MAX without a division, which small cores have to call a function for: exact up to
+ * TAXELD_COBS_DATA_MAX. */
+static size_t taxeld__cobs_max(size_t n)
+{
+    return n + (size_t)((uint32_t)n * 66053u >> 24) + 1u;
+}
+
 int taxeld_cobs_encode(uint8_t *out, size_t room, const uint8_t *data, size_t n)
 {
     size_t code_at = 0, at = 1;
 
     if (n > TAXELD_COBS_DATA_MAX)
         return TAXELD_E_ARGUMENT;
-    if (room < TAXELD_COBS_MAX(n))
+    if (room < taxeld__cobs_max(n))
         return TAXELD_E_ROOM;
     for (size_t i = 0; i < n; i++) {
         if (data[i])
@@ -554,7 +568,7 @@ int taxeld_serial_encode(uint8_t *out, size_t room, const uint8_t *packet, size_
 
     if (status != TAXELD_GOOD)
         return status;
-    if (room < TAXELD_COBS_MAX(n) + 1)
+    if (room < taxeld__cobs_max(n) + 1)
         return TAXELD_E_ROOM;
     plain[0] = ihb;
     memcpy(plain + 1, packet, n - 3);

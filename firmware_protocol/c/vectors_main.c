@@ -360,10 +360,12 @@ static void damaged_line(taxeld_receiver *r)
     taxeld_packet_parse(&packet, bytes.data, bytes.n);
     taxeld_serial_encode(out.data, out.n, bytes.data, bytes.n, 1);
     if (bytes.n > 2) { /* so that parsing gets past the checksum */
-        bytes.data[1] = (uint8_t)below(bytes.n - 2);
+        const size_t n = bytes.n < TAXELD_PACKET_MAX ? bytes.n : TAXELD_PACKET_MAX;
+
+        bytes.data[1] = (uint8_t)(n - 3 - below(n - 2 < 8 ? n - 2 : 8));
         bytes.data[bytes.data[1] + 2] = taxeld_crc8(bytes.data, bytes.data[1] + 2u);
-        CHECK(taxeld_packet_parse(&packet, bytes.data, bytes.n) == TAXELD_GOOD);
-        CHECK(taxeld_serial_encode(out.data, out.n, bytes.data, bytes.n, 1) <= (int)out.n);
+        CHECK(taxeld_packet_parse(&packet, bytes.data, n) == TAXELD_GOOD);
+        CHECK(taxeld_serial_encode(out.data, out.n, bytes.data, n, 1) <= (int)out.n);
     }
     free(bytes.data), free(out.data);
 }

@@ -1,7 +1,8 @@
 """CySkin's command table, both ways: the fields of each request and answer, and their bytes.
 
 A payload is a map of named integers, big-endian. What a table does not list has no payload; the
-versions' answers are text, and DECLARE's answer and SENSOR_DATA have lists: they stand apart.
+versions' answers are text, and DECLARE's answer and SENSOR_DATA have lists: they stand apart. So do
+the shorter answers of a hub whose modules are in their bootloader (`modules`).
 """
 
 import struct
@@ -52,7 +53,7 @@ REQUESTS: Table = {
     Command.MODULE_CDC_SPEED: (">BB", ("module", "speed")),
     Command.MODULE_CDC_CONTROL: (">BB", ("module", "control")),
     Command.MODULE_PHASE_SHIFT: (">B", ("value",)),
-    Command.MODULE_SET_CUT_SENSORS: (">BH", ("module", "mask")),
+    Command.MODULE_SET_CUT_SENSORS: (">BH", ("module", "cut")),  # bits that are set are cut
 }
 ANSWERS: Table = {
     Command.DISCOVERY_PING: (">I", ("uid",)),

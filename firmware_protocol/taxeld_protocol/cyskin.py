@@ -18,6 +18,13 @@ FRAGMENT_BYTES = 8
 MAX_PAYLOAD = 255
 MAX_FRAGMENTS = -(-(MAX_PAYLOAD + 3) // FRAGMENT_BYTES)
 MAX_VALUES = 126  # of a SENSOR_DATA packet
+EXCESS_MAX = FRAGMENT_BYTES - 1  # bytes after a packet: the padding of its last fragment
+
+# The hub's own bootloader is no CySkin's: one frame with a 29-bit id leads every hub out of it. It
+# is "exit" of Cypress's protocol: 01, command 3B, no data, CRC-16/X-25, 17. As a request it has a
+# number that no command can have.
+LEAVE_BOOTLOADER = 0x100
+BOOTLOADER_ID, BOOTLOADER_EXIT = 0x17FFFFFF, bytes.fromhex("013B00004F6D17")
 
 
 class Command(IntEnum):
@@ -117,7 +124,9 @@ def fragment(packet: bytes, ihb: int, t: float = 0.0) -> list[Frame]:
 
 
 def to_frames(command: int, payload: bytes = b"", *, ihb: int, t: float = 0.0) -> list[Frame]:
-    """A packet as CAN frames: `fragment(encode(…))`."""
+    """A packet as CAN frames, `fragment(encode(…))`; or the frame of LEAVE_BOOTLOADER."""
+    if command == LEAVE_BOOTLOADER:
+        return [Frame(t, BOOTLOADER_ID, BOOTLOADER_EXIT, extended=True)]
     return fragment(encode(command, payload), ihb, t)
 
 
@@ -187,7 +196,9 @@ class Reassembler:
 
     def _deliver(self, ihb: int, partial: _Partial) -> Packet | None:
         data = partial.data
-        if len(data) <= 2 or len(data) < data[1] + 3:
+        # more than its padding after a packet: fragments of two packets, which the checksum of the
+        # first, in one of 256, would let pass
+        if len(data) <= 2 or not 0 <= len(data) - (data[1] + 3) <= EXCESS_MAX:
             self._drop_length(partial.frames)
             return None
         end = data[1] + 2

@@ -9,7 +9,7 @@ from typing import Protocol
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command, Packet, Reassembler
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import Module, ModuleTable
+from taxeld_protocol.modules import Module, ModuleTable, is_of_bootloader
 
 MISSING = -1  # a channel of a scan that no packet filled
 DEFAULT_PERIOD_S = 0.05  # between scans
@@ -64,6 +64,7 @@ class Counters:
     malformed: int = 0  # other packets whose payload is not what their command asks for
     unknown: int = 0  # packets of no known command, and frames of no known id
     undeclared: int = 0  # SENSOR_DATA before the module table was known
+    bootloader: int = 0  # answers of hubs whose modules are in their bootloader
     scans: int = 0
     incomplete: int = 0  # of the scans
     missed: int = 0  # that a short pause between two scans of a hub had room for
@@ -74,6 +75,7 @@ class _Hub:
     """A hub's table, and the scan under way."""
 
     table: ModuleTable = field(default_factory=ModuleTable)
+    asked: bool = False  # whether it streams, and its table was looked for where the wire lacks it
     walk_version: int = -1  # of the table that the walk below was made from
     walk: tuple[Module, ...] = ()
     first: list[int] = field(default_factory=list)  # channel of the scan that each module begins at
@@ -105,14 +107,15 @@ class Decoder:
         assumed: Callable[[int], Sequence[Module]] | None = None,
         period_s: float = DEFAULT_PERIOD_S,
     ) -> None:
-        """`assumed`: short id → the modules of a hub that streams without having declared them, as
-        when listening to a skin that was started before; nothing is assumed without it.
-        `period_s`: of the scans. When the end of one scan and the beginning of the next are lost,
-        only the pause between what is left tells that they are two."""
+        """`assumed`: short id → the modules of a hub that streams without having told them, as when
+        listening to a skin that was started before; empty where they are not known. It is asked
+        once a hub. `period_s`: of the scans. When the end of one scan and the beginning of the next
+        are lost, only the pause between what is left tells that they are two."""
         self.link = Reassembler()
         self.counters = Counters()
         self.hubs: dict[int, _Hub] = {}
         self._assumed = assumed
+        self._versions = 0  # where those of the next hub's table begin
         self._period_s = period_s
         self._gap_s = GAP_SHARE * period_s
 
@@ -122,7 +125,9 @@ class Decoder:
 
     def forget(self, ihb: int) -> None:
         """What was declared under a short id is not of the hub that has it now."""
-        self.hubs.pop(ihb, None)
+        hub = self.hubs.pop(ihb, None)
+        if hub is not None:  # who keeps what a table led to must not take the next for the same
+            self._versions = max(self._versions, hub.table.version + 1)
 
     def feed(self, frame: Frame) -> tuple[Packet | None, list[Scan]]:
         """The packet that the frame completes, and the scans that it ends: at most two."""
@@ -145,7 +150,8 @@ class Decoder:
         if command == Command.SENSOR_DATA:
             return self._sensor_data(packet)
         if packet.ihb != cyskin.BROADCAST and command in (Command.DECLARE, Command.MODULE_DETAILS):
-            table = self.hubs.setdefault(packet.ihb, _Hub()).table
+            table = self._hub(packet.ihb).table
+            self.counters.bootloader += is_of_bootloader(command, packet.payload)
             take = table.on_declare if command == Command.DECLARE else table.on_details
             if not take(packet.payload):
                 self.counters.malformed += 1
@@ -179,9 +185,11 @@ class Decoder:
         payload = packet.payload
         if not payload:
             return []  # the host's request
-        hub = self.hubs.setdefault(packet.ihb, _Hub())
-        if not hub.table.declared and self._assumed is not None:
-            hub.table = ModuleTable(list(self._assumed(packet.ihb)))
+        hub = self._hub(packet.ihb)
+        if self._assumed is not None and not hub.asked:
+            hub.asked = True
+            if not hub.table.detailed:
+                self._assume(hub, self._assumed(packet.ihb))
         if not hub.table.declared:
             self.counters.undeclared += 1
             return []
@@ -210,6 +218,18 @@ class Decoder:
         if hub.reached == hub.channels:
             self._end(packet.ihb, hub, scans)
         return scans
+
+    def _hub(self, ihb: int) -> _Hub:
+        if ihb not in self.hubs:
+            self.hubs[ihb] = _Hub(ModuleTable(version=self._versions))
+        return self.hubs[ihb]
+
+    @staticmethod
+    def _assume(hub: _Hub, modules: Sequence[Module]) -> None:
+        """Take modules that the wire did not tell, unless they contradict what it did tell."""
+        told = [module.channels for module in hub.table.modules]
+        if modules and told in ([], [module.channels for module in modules]):
+            hub.table = ModuleTable(list(modules), hub.table.version + 1)
 
     def _count_missed(self, hub: _Hub, t: float) -> None:
         """A scan begins at t: a loss of whole packets shows by nothing but the time without one."""

@@ -13,17 +13,16 @@ class Frame(NamedTuple):
     extended: bool = False
 
 
-class LogLine(NamedTuple):
-    """One line of a candump log: the frame, or None where the line is none."""
+# What a log holds: the interface that it was heard on, and the frame; None is one that carries
+# nothing for a skin: remote, error and FD frames
+Logged = tuple[str, Frame | None]
 
-    number: int  # counted from 1
-    frame: Frame | None
-
-
-# candump -L: "(1700000000.123456) can0 101#431A000027102711", ids of 8 digits are extended
+# candump -L: "(1700000000.123456) can0 101#431A000027102711", ids of 8 digits are extended. The
+# digits of a time are bounded: no clock has more, and no float holds 400
 _LINE = re.compile(
-    r"(?:\((?P<t>\d+\.\d+)\)\s+\S+\s+)?(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#"
-    r"(?P<data>(?:[0-9A-Fa-f]{2}){0,8})(?:\s+[RT])?\s*"
+    r"(?:\((?P<t>\d{1,12}\.\d{1,9})\)\s+\S+\s+)?(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#"
+    r"(?P<data>(?:[0-9A-Fa-f]{2}){0,8})(?:\s+[RT])?\s*",
+    re.ASCII,
 )
 
 

@@ -7,9 +7,13 @@ A board sends each of its triangles, in ascending order, as a head and a tail un
     tail  C0 t7 t8 t9 t10 t11 eH eL
 
 Values have 8 bits and fall with pressure, from about 240 when idle. The error word eH eL has a bit
-for each taxel out of range (4 + k for taxel k), bit 0 for a triangle that did not acknowledge and
-bit 1 for one that is not connected; the shorter tails of old firmware come without it. There is no
-counter, no time and no checksum beside CAN's own.
+for each taxel out of range (4 + k for taxel k), bit 0 where any taxel of the triangle did not
+acknowledge and bit 1 where none is connected; the shorter tails of old firmware come without it.
+There is no counter, no time and no checksum beside CAN's own.
+
+A board that is asked for its firmware (0x1C) answers under `0x200 | board << 4`, and goes on
+sending. SET_BOARD disables all its triangles, also while it sends; SET_TRIANGLES enables some, has
+the board calibrate itself and stops it, so that START comes last.
 """
 
 from enum import StrEnum
@@ -20,7 +24,7 @@ from taxeld_protocol.frames import Frame
 BOARDS = range(1, 15)
 TRIANGLES = 16  # that a board has places for
 CHANNELS = 12  # of a triangle
-THERMAL = (6, 10)  # channels that are thermal pads on every triangle
+THERMAL = (6, 10)  # channels of the common triangle that are thermal pads; a palm's are taxels
 
 COMMAND, OLD_DATA, DATA = 0x200, 0x300, 0x400
 HEAD, TAIL = 0x40, 0xC0
@@ -31,10 +35,16 @@ OUT_OF_RANGE_SHIFT = 4
 VALUE_MAX = 255
 ALL_CHANNELS = (1 << CHANNELS) - 1
 
-SET_TX_MODE, SET_BOARD, SET_TRIANGLES = 0x07, 0x4D, 0x50
+SET_TX_MODE, GET_VERSION, SET_BOARD, SET_TRIANGLES = 0x07, 0x1C, 0x4D, 0x50
 START, STOP = bytes((SET_TX_MODE, 0)), bytes((SET_TX_MODE, 1))
+ASK = bytes((GET_VERSION, 0, 0))  # for what it is; 0.0: of any version of the protocol
+ANSWER_SIZE = 8
+SKIN_BOARDS = {5: "MTB", 11: "MTB4", 16: "MTB4w", 20: "MTB4c"}  # other kinds answer as well
 PERIOD_MAX_MS = 255
-SKIN_TYPE = 0  # with temperature drift compensated on the board
+# how a board makes up for its temperature: 0 first gains, 1 palm and fingertips, 2 not at all,
+# 3 ergoCub's hand, 8 second gains
+SKIN_TYPES = (0, 1, 2, 3, 8)
+SKIN_TYPE = 8
 NO_LOAD = 0xF0  # the value that boards are asked to idle at
 SHIFT, CDC_OFFSET = 2, 0x2200  # of the firmware
 
@@ -61,6 +71,32 @@ class Half(NamedTuple):
         return self.first > 0
 
 
+class Answer(NamedTuple):
+    """What a board says of itself when it is asked."""
+
+    board: int
+    kind: int  # a key of SKIN_BOARDS, or another kind of board
+    version: tuple[int, int, int]  # of its firmware
+
+    @property
+    def is_skin(self) -> bool:
+        return self.kind in SKIN_BOARDS
+
+    def __str__(self) -> str:
+        name = SKIN_BOARDS.get(self.kind, f"a board of kind {self.kind}")
+        return f"{name} {'.'.join(map(str, self.version))}"
+
+
+def read_answer(frame: Frame) -> Answer | None:
+    """What a board answers to ASK; None for any other frame."""
+    board, data = frame.can_id >> 4 & 0xF, frame.data
+    if frame.can_id != COMMAND | board << 4 or frame.extended or board not in BOARDS:
+        return None
+    if len(data) != ANSWER_SIZE or data[0] != GET_VERSION:
+        return None
+    return Answer(board, data[1], (data[2], data[3], data[4]))
+
+
 def read(frame: Frame) -> Half | Drop:
     """The half that a frame carries, or why it carries none."""
     kind, board, triangle = frame.can_id & ~0xFF, frame.can_id >> 4 & 0xF, frame.can_id & 0xF
@@ -83,14 +119,18 @@ def read(frame: Frame) -> Half | Drop:
 
 
 def unusable(error: int) -> int:
-    """The channels whose values an error word takes back: bit k for channel k."""
-    if error & (NO_ACKNOWLEDGE | NOT_CONNECTED):
+    """The channels whose values an error word takes back: bit k for channel k.
+
+    One taxel that fails sets NO_ACKNOWLEDGE for its triangle, and its own bit: the others are fine.
+    """
+    if error & NOT_CONNECTED:
         return ALL_CHANNELS
     return error >> OUT_OF_RANGE_SHIFT
 
 
 def set_board(period_ms: int, skin_type: int = SKIN_TYPE, no_load: int = NO_LOAD) -> bytes:
-    """The command that sets a board's period [ms, 1..255] and its idle value."""
+    """The command that sets a board's period [ms, 1..255], one of SKIN_TYPES and its idle value,
+    and disables all its triangles."""
     if not 1 <= period_ms <= PERIOD_MAX_MS:
         raise ValueError(f"a period of {period_ms} ms is not 1..{PERIOD_MAX_MS}")
     return bytes((SET_BOARD, skin_type, period_ms, no_load))
@@ -105,8 +145,15 @@ def set_triangles(
     cdc_offset: int = CDC_OFFSET,
 ) -> bytes:
     """The command that sets up triangles first..last: whether they are sent, the bits that a raw
-    capacitance is shifted by, and its offset (u16)."""
+    capacitance is shifted by, and its offset (u16). The board calibrates all, and stops."""
     return bytes((SET_TRIANGLES, first, last, shift, enable)) + cdc_offset.to_bytes(2, "little")
+
+
+def runs(mask: int) -> list[tuple[int, int]]:
+    """The first and last of each unbroken row of triangles in a mask, ascending."""
+    edges = (mask << 1) ^ mask  # bit k: triangle k is in and k − 1 is not, or the reverse
+    ends = [k for k in range(TRIANGLES + 1) if edges >> k & 1]
+    return [(first, after - 1) for first, after in zip(ends[::2], ends[1::2], strict=True)]
 
 
 def to_frames(board: int, command: bytes, t: float = 0.0) -> list[Frame]:

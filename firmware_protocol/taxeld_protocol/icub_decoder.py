@@ -3,17 +3,17 @@
 The counts of a scan are `256 − value`: they rise with pressure, as CySkin's do, and are 1..256.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 
 from taxeld_protocol import icub
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.icub import CHANNELS, TRIANGLES, Drop, Half
+from taxeld_protocol.icub import CHANNELS, TRIANGLES, Answer, Drop, Half
 from taxeld_protocol.modules import ABSENT_UID, Module
 
+FORGET_SCANS = 20  # without a triangle: its board was told to send others, and all wait for it
 COUNT_OF_ZERO = 256  # the count that a value of 0, the hardest pressure, becomes
-TAXELS = icub.ALL_CHANNELS & ~sum(1 << channel for channel in icub.THERMAL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,6 +37,7 @@ class IcubCounters:
 
     scans: int = 0
     incomplete: int = 0  # of the scans
+    answers: int = 0  # of boards that were asked what they are
     # tails whose error word says so:
     no_acknowledge: int = 0
     not_connected: int = 0
@@ -55,14 +56,26 @@ class _Board:
     table: dict[int, Triangle] = field(default_factory=dict)  # by triangle, ascending
     version: int = 0
     error: dict[int, int] = field(default_factory=dict)  # a triangle's last error word
+    missed: dict[int, int] = field(default_factory=dict)  # a triangle's scans since it came last
     heard: int = 0  # halves
     halves: dict[tuple[int, int], Half] = field(default_factory=dict)  # of the scan, in wire order
     t: float = 0.0  # of its first half
 
-    def learn(self, triangle: int, sui: int) -> None:
-        table = self.table | {triangle: Triangle(CHANNELS, sui, TAXELS)}
+    def learn(self, triangle: int, sui: int, taxels: int, version: int) -> None:
+        table = self.table | {triangle: Triangle(CHANNELS, sui, taxels)}
         self.table = dict(sorted(table.items()))
-        self.version += 1
+        self.version = version
+
+    def forget_silent(self, version: int) -> bool:
+        """Whether there were triangles that have not come for long; they are known no more."""
+        for triangle in self.table:
+            came = (triangle, 0) in self.halves or (triangle, icub.HEAD_VALUES) in self.halves
+            self.missed[triangle] = 0 if came else self.missed.get(triangle, 0) + 1
+        kept = {t: module for t, module in self.table.items() if self.missed[t] < FORGET_SCANS}
+        if len(kept) == len(self.table):
+            return False
+        self.table, self.version = kept, version
+        return True
 
     def counts(self) -> tuple[int, ...]:
         """Of the scan under way, MISSING where a half is, or where the error word says so."""
@@ -83,17 +96,34 @@ class IcubDecoder:
     A board's triangles go round in ascending order, head before tail. A scan ends when every known
     triangle has both halves, or where the order steps back, which shows that halves were lost. As
     frames have no counter, the loss of one scan's end together with the next one's start cannot be
-    seen.
+    seen. A triangle that has not come in FORGET_SCANS is known no more.
     """
 
-    def __init__(self, boards: Sequence[int] = icub.BOARDS) -> None:
+    def __init__(
+        self, boards: Sequence[int] = icub.BOARDS, taxels: Mapping[int, int] | None = None
+    ) -> None:
         """`boards`: those of the part, in the order of its positions file: the triangles of board
-        `boards[i]` get the SUIs 16·i … 16·i + 15. Frames of other boards are foreign."""
+        `boards[i]` get the SUIs 16·i … 16·i + 15. Halves of other boards are foreign.
+
+        `taxels`: by SUI, which channels are taxels (bit k for channel k), none where a triangle is
+        not named; without it all twelve channels of every triangle have UIDs.
+        """
         self.counters = IcubCounters()
         self.frames = 0
         self.dropped = dict.fromkeys(Drop, 0)
-        self._first_sui = {board: TRIANGLES * i for i, board in enumerate(boards)}
+        self.answered: dict[int, Answer] = {}  # the last answer of each board
+        self._taxels = taxels
+        self._first_sui: dict[int, int] = {}
         self._boards: dict[int, _Board] = {}
+        self._tables = 0  # versions given to tables: none comes twice, whatever is assigned
+        self.assign(boards)
+
+    def assign(self, boards: Sequence[int]) -> None:
+        """Take these for the part's boards from now on; what was learned of others is forgotten."""
+        first_sui = {board: TRIANGLES * i for i, board in enumerate(boards)}
+        if first_sui != self._first_sui:
+            self._first_sui = first_sui
+            self._boards.clear()
 
     def heard(self, board: int) -> int:
         """Halves that a board has sent."""
@@ -106,6 +136,12 @@ class IcubDecoder:
 
     def feed(self, frame: Frame) -> tuple[None, list[Scan]]:
         """No packet, and the scans that the frame ends: at most two."""
+        answer = icub.read_answer(frame)
+        if answer is not None:
+            self.frames += 1
+            self.counters.answers += 1
+            self.answered[answer.board] = answer
+            return None, []
         half = icub.read(frame)
         if isinstance(half, Half) and half.board not in self._first_sui:
             half = Drop.FOREIGN
@@ -130,7 +166,7 @@ class IcubDecoder:
             "used": used,
             "dropped": {str(cause): count for cause, count in self.dropped.items()},
             "pending": 0,  # a half is used as it comes
-            "packets": used,  # halves
+            "packets": used - self.counters.answers,  # halves
             "crc_errors": 0,  # these frames have no checksum and no index of their own
             "length_errors": self.dropped[Drop.LENGTH],
             "index_errors": 0,
@@ -146,7 +182,10 @@ class IcubDecoder:
         if board.halves and place <= next(reversed(board.halves)):
             self._end(half.board, board, scans)
         if half.triangle not in board.table:
-            board.learn(half.triangle, self._first_sui[half.board] + half.triangle)
+            sui = self._first_sui[half.board] + half.triangle
+            taxels = icub.ALL_CHANNELS if self._taxels is None else self._taxels.get(sui, 0)
+            self._tables += 1
+            board.learn(half.triangle, sui, taxels, self._tables)
         if half.is_tail:
             board.error[half.triangle] = half.error
             self.counters.on_error(half.error)
@@ -163,6 +202,7 @@ class IcubDecoder:
             return
         table = tuple(board.table.values())
         scan = Scan(board.t, number, board.counts(), table, board.version)
+        self._tables += board.forget_silent(self._tables + 1)
         board.halves = {}
         self.counters.scans += 1
         self.counters.incomplete += not scan.complete

@@ -1,18 +1,29 @@
 """The module table of a hub: which channels its SENSOR_DATA walks through, and whose they are.
 
-DECLARE gives each module's channel count; MODULE_DETAILS its serial number (SUI) and the mask of
-taxels that were not cut off. Channel k of a module is the k-th set bit of that mask, bit 0 being
+DECLARE gives the number of channels that each module sends. MODULE_DETAILS gives its serial number
+(SUI) and the mask of taxels that were not cut off; its own number of channels is of those possible,
+12 of a cut module too, and says nothing about what is sent. Where no DECLARE was heard, a module
+sends as many channels as its mask has bits. Channel k is the k-th set bit of the mask, bit 0 being
 the temperature T0; a taxel's UID is `SUI << 4 | name`.
 """
 
+import struct
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, replace
 
 from taxeld_protocol import commands
 from taxeld_protocol.cyskin import Command
 
 NAMES = 12  # T0..T11
+ALL_NAMES = (1 << NAMES) - 1
 MAX_MODULES = 248
 ABSENT_UID = -1
+
+# What a hub answers while its modules are in their bootloader, and know no channels:
+BOOTLOADER_BYTES = {
+    Command.DECLARE: 1,  # the number of modules
+    Command.MODULE_DETAILS: 5,  # module u8, SUI u32
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,17 +53,35 @@ class Module:
 class ModuleTable:
     """The modules of one hub, filled from its answers; `version` changes with every change."""
 
-    modules: list[Module] = field(default_factory=list)
+    modules: list[Module] = field(default_factory=list)  # up to the first that nothing is known of
     version: int = 0
+    in_bootloader: bool = False  # whether its last answer says so
+    _size: int = 0  # how many modules there are, as far as is known
+    _counts: dict[int, int] = field(default_factory=dict)  # of channels, by DECLARE
+    _details: dict[int, Module] = field(default_factory=dict)  # channels as possible, not as sent
+
+    def __post_init__(self) -> None:
+        """`modules` that are given are as if heard."""
+        self._size = len(self.modules)
+        for i, module in enumerate(self.modules):
+            self._counts[i] = module.channels
+            if module.sui is not None:
+                self._details[i] = module
 
     @property
     def declared(self) -> bool:
         return bool(self.modules)
 
     @property
+    def complete(self) -> bool:
+        """Every module is known, and told its serial number if it has channels."""
+        known = len(self.modules) == self._size
+        return known and all(m.sui is not None for m in self.modules if m.channels)
+
+    @property
     def detailed(self) -> bool:
-        """Every module that has channels told its serial number."""
-        return self.declared and all(m.sui is not None for m in self.modules if m.channels)
+        """There are modules, and all of them are known so."""
+        return self.declared and self.complete
 
     @property
     def channels(self) -> int:
@@ -65,17 +94,22 @@ class ModuleTable:
         """
         if not payload:
             return True
-        if len(payload) < 2:
-            return False
+        if is_of_bootloader(Command.DECLARE, payload):
+            self.in_bootloader = True
+            return True
         count, first, channels = payload[0], payload[1], payload[2:]
         in_range = first + len(channels) <= count <= MAX_MODULES
         if not in_range or any(c > NAMES for c in channels):
             return False
-        modules = (self.modules + [Module(0)] * count)[:count]
+        self.in_bootloader = False
+        self._size = count
+        self._counts = {i: known for i, known in self._counts.items() if i < count}
+        self._details = {i: known for i, known in self._details.items() if i < count}
         for i, value in enumerate(channels, first):
-            if modules[i].channels != value:
-                modules[i] = Module(value)
-        self._take(modules)
+            if self._counts.get(i, value) != value:  # cut anew, or another: told before that
+                self._details.pop(i, None)
+            self._counts[i] = value
+        self._take()
         return True
 
     def on_details(self, payload: bytes) -> bool:
@@ -85,29 +119,66 @@ class ModuleTable:
         """
         if len(payload) == 1:
             return True
+        if is_of_bootloader(Command.MODULE_DETAILS, payload):
+            self.in_bootloader = True
+            return True
         fields = commands.parse_answer(Command.MODULE_DETAILS, payload)
         if fields is None:
             return False
         index = fields.pop("module")
         module = Module(**fields)
-        if index >= MAX_MODULES or module.channels > NAMES or module.mask >= 1 << NAMES:
+        if index >= MAX_MODULES or module.channels > NAMES or module.mask > ALL_NAMES:
             return False
-        modules = self.modules + [Module(0)] * (index + 1 - len(self.modules))
-        modules[index] = module
-        self._take(modules)
+        self.in_bootloader = False
+        before = self._details.get(index)
+        if before is not None and before.mask != module.mask:  # cut since it was declared
+            self._counts.pop(index, None)
+        self._size = max(self._size, index + 1)
+        self._details[index] = module
+        self._take()
         return True
 
-    def _take(self, modules: list[Module]) -> None:
+    def _take(self) -> None:
+        """Make the modules from what is known of them."""
+        modules: list[Module] = []
+        for i in range(self._size):
+            details, count = self._details.get(i), self._counts.get(i)
+            if details is not None:
+                sent = details.mask.bit_count() if count is None else count
+                modules.append(replace(details, channels=sent))
+            elif count is not None:
+                modules.append(Module(count))
+            else:
+                break  # where its channels end, and the next module's begin, is not known
         if modules != self.modules:
             self.modules = modules
             self.version += 1
 
 
-def encode_details(index: int, module: Module) -> bytes:
-    """The MODULE_DETAILS answer of a module whose serial number is known."""
+def is_of_bootloader(command: int, payload: bytes) -> bool:
+    """Whether that is an answer of a hub whose modules are in their bootloader."""
+    return BOOTLOADER_BYTES.get(command) == len(payload)  # type: ignore[call-overload,no-any-return]
+
+
+def encode_details(index: int, module: Module, *, channels: int | None = None) -> bytes:
+    """The MODULE_DETAILS answer of a module whose serial number is known; `channels` that it tells,
+    where that is not what the module sends."""
     if module.sui is None:
         raise ValueError(f"module {index} has no serial number")
-    return commands.answer(Command.MODULE_DETAILS, module=index, **asdict(module))
+    told = module if channels is None else replace(module, channels=channels)
+    return commands.answer(Command.MODULE_DETAILS, module=index, **asdict(told))
+
+
+def encode_bootloader_details(index: int, module: Module) -> bytes:
+    """The same while the module is in its bootloader."""
+    if module.sui is None:
+        raise ValueError(f"module {index} has no serial number")
+    return struct.pack(">BI", index, module.sui)
+
+
+def listed(pairs: Iterable[tuple[int, int]]) -> list[Module]:
+    """Modules by SUI and mask, in this order; each sends what its mask has."""
+    return [Module(mask.bit_count(), sui, mask) for sui, mask in pairs]
 
 
 def wired(uids: list[int]) -> list[Module]:
@@ -115,8 +186,4 @@ def wired(uids: list[int]) -> list[Module]:
     masks: dict[int, int] = {}
     for uid in uids:
         masks[uid >> 4] = masks.get(uid >> 4, 1) | 1 << (uid & 0xF)
-    empty = Module(0)
-    return [
-        replace(empty, channels=mask.bit_count(), sui=sui, mask=mask)
-        for sui, mask in sorted(masks.items())
-    ]
+    return listed(sorted(masks.items()))

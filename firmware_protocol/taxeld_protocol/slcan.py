@@ -1,7 +1,8 @@
 """SLCAN, the Lawicel ASCII form of CAN on a serial line.
 
-`t` and `T` carry data frames with 11- and 29-bit ids: id digits, one digit of length, the data,
-carriage return. An adapter answers a host's commands with CR, or BEL where it cannot.
+`t` and `T` carry data frames with 11- and 29-bit ids: id digits, one digit of length, the data, the
+time stamp of some adapters, carriage return. `r` and `R` are remote frames, and `d`, `D`, `b`, `B`
+CAN FD's of some adapters. An adapter answers a host's lines with CR, or BEL where it refuses.
 """
 
 import re
@@ -10,19 +11,21 @@ from dataclasses import dataclass, field
 from taxeld_protocol.frames import Frame
 
 CR, BEL = b"\r", b"\a"
-TIME_BYTES = 2  # an adapter may add its time stamp in ms
-MAX_LINE = 1 + 8 + 1 + 16 + 4  # of a frame, with an adapter's time stamp; anything longer is noise
+STAMP_BYTES = (0, 2, 4)  # an adapter may add its time: none, in ms, or in µs
+MAX_LINE = 1 + 8 + 1 + 16 + 8  # of a frame with the longest stamp; anything longer is noise
+ACCEPTED = (b"", b"z", b"Z")  # answers: to a command, and of some adapters to `t` and to `T`
+NO_DATA = (b"d", b"D", b"b", b"B")  # CAN FD's lines, which are longer than is kept
 
-# Lawicel's bit rate codes
+# Lawicel's bit rate codes; CANable's S7 is 750 000
 BITRATES = {
     10_000: b"S0", 20_000: b"S1", 50_000: b"S2", 100_000: b"S3", 125_000: b"S4",
     250_000: b"S5", 500_000: b"S6", 800_000: b"S7", 1_000_000: b"S8",
 }  # fmt: skip
 
-
-_LINE = re.compile(
-    rb"(?:t([0-7][0-9A-Fa-f]{2})|T([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2}){0,10})"
+_FRAME = re.compile(
+    rb"(?:t([0-7][0-9A-Fa-f]{2})|T([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2}){0,12})"
 )
+_REMOTE = re.compile(rb"(?:r[0-7][0-9A-Fa-f]{2}|R[01][0-9A-Fa-f]{7})[0-8](?:[0-9A-Fa-f]{4}){0,2}")
 
 
 def encode(frame: Frame) -> bytes:
@@ -31,38 +34,41 @@ def encode(frame: Frame) -> bytes:
     return f"{head}{len(frame.data)}{frame.data.hex().upper()}\r".encode()
 
 
-def open_commands(bitrate: int, listen_only: bool) -> bytes:
-    """What a host writes to an adapter: close, set the rate, open."""
-    return b"C\r" + BITRATES[bitrate] + (b"\rL\r" if listen_only else b"\rO\r")
-
-
 def split(buffer: bytes) -> tuple[list[bytes], bytes]:
-    """Whole lines without their CR, and the rest. Of a line that is too long enough is kept to know
-    it by, so that its end is not taken for a line of its own however the bytes are cut."""
-    *lines, rest = buffer.replace(BEL, CR).split(CR)
+    """Whole lines without their CR, and the rest; a line that BEL ended keeps it. Of one that is
+    too long enough is kept to know it by, so that its end is not taken for a line of its own
+    however the bytes are cut."""
+    *lines, rest = buffer.replace(BEL, BEL + CR).split(CR)
     return lines, rest[: MAX_LINE + 1]
 
 
 def parse(line: bytes, t: float = 0.0) -> Frame | None:
     """A line as a data frame, its time stamp passed over; None for answers and damage."""
-    match = _LINE.fullmatch(line)
+    match = _FRAME.fullmatch(line.removesuffix(BEL))
     if match is None:
         return None
     short, long, length, digits = match.groups()
     size = int(length)
     data = bytes.fromhex(digits.decode())
-    if len(data) not in (size, size + TIME_BYTES):
+    if len(data) - size not in STAMP_BYTES:
         return None
     return Frame(t, int(long or short, 16), data[:size], long is not None)
 
 
+def carries_no_data(line: bytes) -> bool:
+    """Whether it is a remote frame, or one of CAN FD."""
+    return line.startswith(NO_DATA) or _REMOTE.fullmatch(line) is not None
+
+
 @dataclass(slots=True)
 class SlcanCounters:
-    """Bytes that were fed and were no frame, answers and damage, are those not counted as used."""
+    """Bytes that were fed and were no data frame are those not counted as used."""
 
     bytes: int = 0
     used: int = 0
     frames: int = 0
+    foreign: int = 0  # remote frames, and those of CAN FD
+    noise: int = 0  # lines that are neither a frame nor an answer
 
 
 @dataclass(slots=True)
@@ -79,13 +85,28 @@ class SlcanReader:
 
     def feed(self, data: bytes, t: float) -> list[Frame]:
         """The frames that `data` completes, stamped with `t`."""
+        return self.frames(self.lines(data), t)
+
+    def lines(self, data: bytes) -> list[bytes]:
+        """The lines that `data` completes, as `split` gives them."""
         self.counters.bytes += len(data)
         lines, self._rest = split(self._rest + data)
+        return lines
+
+    def frames(self, lines: list[bytes], t: float) -> list[Frame]:
+        """The frames among such lines, stamped with `t`; the others are counted."""
+        counters = self.counters
         frames = []
         for line in lines:
             frame = parse(line, t)
             if frame is not None:
-                self.counters.used += len(line) + 1
-                self.counters.frames += 1
+                counters.used += len(line.removesuffix(BEL)) + 1
                 frames.append(frame)
+            elif line.removesuffix(BEL) in ACCEPTED:
+                continue
+            elif carries_no_data(line):
+                counters.foreign += 1
+            else:
+                counters.noise += 1
+        counters.frames += len(frames)
         return frames

@@ -1,11 +1,16 @@
-"""A virtual iCub skin board: obeys its commands and turns values into heads and tails."""
+"""A virtual iCub skin board: obeys its commands as the firmware does, and turns values into halves.
+
+It behaves as the newer board's firmware (MTB4): whatever sets triangles up stops it as well. The
+older one (MTB) goes on by itself once it has calibrated; START does no harm there.
+"""
 
 from collections.abc import Mapping, Sequence
 
 from taxeld_protocol import icub
 from taxeld_protocol.frames import Frame
 
-DEFAULT_PERIOD_MS = 40
+DEFAULT_PERIOD_MS = 50
+KIND, VERSION, PROTOCOL = 11, (1, 4, 2), (1, 0)  # an MTB4's, as it answers
 
 
 class VirtualBoard:
@@ -13,28 +18,33 @@ class VirtualBoard:
 
     def __init__(self, board: int, triangles: Sequence[int] = range(icub.TRIANGLES)) -> None:
         self.board = board
-        self.triangles = sorted(triangles)  # that are enabled
+        self.triangles = sorted(triangles)  # that are enabled; all, after power-up
         self.period_ms = DEFAULT_PERIOD_MS
+        self.skin_type = 0
         self.running = False
         self.configured = False  # until then it sends under the old ids
         self.diagnoses = True  # whether tails carry the error word
+        self.calibrations = 0
         self._next_s: float | None = None
 
-    def take(self, frame: Frame) -> None:
-        """Obey a command to this board; anything else on the bus is passed over."""
+    def take(self, frame: Frame) -> list[Frame]:
+        """Obey a command to this board; anything else on the bus is passed over. → Its answer."""
         if frame.extended or frame.can_id != icub.COMMAND | self.board:
-            return
+            return []
         match list(frame.data):
+            case [icub.GET_VERSION, major, minor]:
+                return [self._answer((major, minor), frame.t)]
             case [icub.SET_TX_MODE, mode]:
                 self.running = mode == 0
-            case [icub.SET_BOARD, _, period_ms, _] if period_ms:
-                self.period_ms = period_ms
+                self.configured |= self.running
+            case [icub.SET_BOARD, skin_type, period_ms, _] if period_ms:
+                self.skin_type, self.period_ms = skin_type & 0xF, period_ms
+                self.triangles = []
                 self.configured = True
+                self._next_s = None  # one that sends begins its period anew
             case [icub.SET_TRIANGLES, first, last, _, enable, _, _]:
-                chosen = set(range(first, min(last + 1, icub.TRIANGLES)))
-                kept = set(self.triangles)
-                self.triangles = sorted(kept | chosen if enable else kept - chosen)
-                self.configured = True
+                self._set_triangles(first, last, enable=bool(enable & 1))
+        return []
 
     def due(self, now_s: float) -> bool:
         """Whether a scan is to be sent now."""
@@ -64,3 +74,18 @@ class VirtualBoard:
             tail = bytes((icub.TAIL,)) + own[icub.HEAD_VALUES :] + word
             frames += [Frame(t, can_id, head), Frame(t, can_id, tail)]
         return frames
+
+    def _set_triangles(self, first: int, last: int, *, enable: bool) -> None:
+        if not first <= last < icub.TRIANGLES:
+            return
+        kept, chosen = set(self.triangles), set(range(first, last + 1))
+        self.triangles = sorted(kept | chosen if enable else kept - chosen)
+        self.configured = True
+        self.calibrations += 1
+        self.running = False
+
+    def _answer(self, protocol: tuple[int, int], t: float) -> Frame:
+        """To who asks what it is, for a version of the protocol."""
+        suits = protocol[0] == PROTOCOL[0] and protocol[1] <= PROTOCOL[1]
+        data = bytes((icub.GET_VERSION, KIND, *VERSION, *PROTOCOL, suits))
+        return Frame(t, icub.COMMAND | self.board << 4, data)

@@ -21,7 +21,7 @@ from taxeld_protocol.cyskin import Command, Packet, Reassembler  # noqa: E402
 from taxeld_protocol.frames import Frame, parse_log_line  # noqa: E402
 from taxeld_protocol.modules import Module, encode_details  # noqa: E402
 from taxeld_protocol.serial_link import SerialReader  # noqa: E402
-from taxeld_protocol.virtual_ihb import VirtualIhb  # noqa: E402
+from taxeld_protocol.virtual_ihb import Phase, VirtualIhb  # noqa: E402
 
 Case = dict[str, Any]
 
@@ -34,6 +34,7 @@ GOLDEN = [
     ("period 50 ms", 0xFF, 0x38, "0032", "5FF#3802003280"),
     ("auto sync on", 0xFF, 0x37, "01", "5FF#370101CE"),
     ("auto sync off", 0xFF, 0x37, "00", "5FF#370100C9"),
+    ("all but T0 and T1 of module 9 are cut", 0xFF, 0x47, "090FFC", "5FF#4703090FFCE1"),
     (
         "one module, T0..T11 = 10000..10011",
         0x01,
@@ -64,6 +65,8 @@ def _packets() -> list[tuple[str, int, int, bytes]]:
     """Name, short id, command, payload."""
     return [
         ("uid", 7, Command.UID, bytes.fromhex("C15C0001")),
+        ("modules in their bootloader: sixty", 7, Command.DECLARE, b"\x3c"),
+        ("the same: module 9's serial number", 7, Command.MODULE_DETAILS, b"\x09\x00\x00\x0d\xcf"),
         ("error: busy", 7, Command.ERROR, bytes.fromhex("3BEA")),
         ("fills one frame", 2, Command.VERSION, b"v1.00"),
         ("one byte more than a frame", 2, Command.VERSION, b"v1.001"),
@@ -119,15 +122,16 @@ def _answer_cases() -> Case:
     """DECLARE of modules with these channel counts, and MODULE_DETAILS of single modules."""
     declare = []
     for channels in ([], [12], [11, 0, 8], [12] * 248):
-        [answer] = VirtualIhb([Module(n) for n in channels]).answer(
-            Packet(0.0, 1, Command.DECLARE, b"")
-        )
+        hub = VirtualIhb([Module(n) for n in channels], phase=Phase.RUNNING)
+        [answer] = hub.answer(Packet(0.0, 1, Command.DECLARE, b""))
         declare.append({"channels": channels, "packet": _hex(cyskin.encode(*answer))})
     details = []
     for index, module in [
         (0, Module(11, 1, 0x7FF)),
         (247, Module(12, 0xFFFFFFFF, 0xFFF, 0xF0, 0x50, 2)),
         (9, Module(0, 0x01020304, 0, 0x88, 0xF0, 1)),
+        (9, Module(8, 0xDCF, 0x76D, 0x50)),  # cut; either number of channels may be told,
+        (9, Module(12, 0xDCF, 0x76D, 0x50)),  # and what it sends is 8
     ]:
         payload = encode_details(index, module)
         packet = _hex(cyskin.encode(Command.MODULE_DETAILS, payload))
@@ -138,6 +142,7 @@ def _answer_cases() -> Case:
 def _frame_cases() -> list[Case]:
     a = list(map(_text, cyskin.to_frames(Command.VERSION, b"a good packet of four frames", ihb=1)))
     b = list(map(_text, cyskin.to_frames(Command.VERSION, b"hub two, three frames", ihb=2)))
+    c = list(map(_text, cyskin.to_frames(Command.VERSION, b"hub one, three frames", ihb=1)))
     longest = list(map(_text, cyskin.to_frames(Command.VERSION, _run(255), ihb=1)))
     ping, bad_ping = "501#100080", "501#100081"
     not_full = ["101#10", "201#", "201#03AA", "401#BBCC" + _crc("1003AABBCC")]
@@ -160,6 +165,10 @@ def _frame_cases() -> list[Case]:
         "two bytes in a single": (1, ["501#1000", ping]),
         "N is more than there is": (1, ["501#1001FF", "501#10FF000000000000", ping]),
         "N is less than there is": (1, ["501#100080DEADBEEF00"]),
+        "as much after a packet as fills its fragment": (1, [*a[:3], a[3] + "00" * 1]),
+        "a last fragment after the last": (1, ["101#100080", "401#1122334455667788", ping]),
+        "seven bytes after a packet, in two fragments": (1, ["101#100080", "401#11223344556677"]),
+        "a packet's end lost, and the next one's beginning": (1, [*a[:3], *c[1:], *a]),
         "fragments that are not full": (1, not_full),
         "not complete": (0, a[:3]),
         "a command that nobody knows": (1, ["501#A50102" + _crc("A50102")]),

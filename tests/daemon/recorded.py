@@ -1,5 +1,6 @@
 """A recorded session: an idle skin that is then touched, as frames of a candump log."""
 
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,10 @@ import numpy as np
 from taxeld.config.tables import SkinConfig
 from taxeld.layout import read as layouts
 from taxeld_protocol import cyskin
+from taxeld_protocol.frames import format_log_line
 from taxeld_protocol.modules import wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
+from tests.virtual_hub import told
 
 PERIOD_S = 0.05
 IDLE_SCANS = 25  # the baseline takes 20
@@ -18,23 +21,27 @@ DEAD = 5  # a channel that never reads anything
 
 
 def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S) -> None:
-    """`frames.log` in `place`: idle, then `touches` times ten scans of touch and ten of none."""
+    """`frames.log` in `place`: idle, then `touches` times ten scans of touch and ten of none, after
+    what the hub told of its modules."""
     modules = wired(layouts.load(SkinConfig().layout).uid.tolist())
     channels = sum(module.channels for module in modules)
     rng = np.random.default_rng(0)
     ihb = VirtualIhb(modules)
-    lines = []
+    lines: list[str] = []
+
+    def log(answers: Iterable[Answer], t: float) -> None:
+        for command, payload in answers:
+            frames = cyskin.to_frames(command, payload, ihb=ihb.short_id, t=t)
+            lines.extend(map(format_log_line, frames))
+
+    log(told(ihb), 1e9)
     for scan in range(IDLE_SCANS + 20 * touches):
         t = 1e9 + scan * period_s
         counts = IDLE_COUNTS + rng.normal(0.0, NOISE, channels)
         if scan >= IDLE_SCANS and (scan - IDLE_SCANS) % 20 < 10:
             counts[PRESSED] += 8000.0
         counts[DEAD] = 0.0
-        for command, payload in ihb.sensor_data(counts.astype(int).tolist()):
-            lines += [
-                f"({t:.6f}) can0 {frame.can_id:03X}#{frame.data.hex().upper()}"
-                for frame in cyskin.to_frames(command, payload, ihb=ihb.short_id, t=t)
-            ]
+        log(ihb.sensor_data(counts.astype(int).tolist()), t)
     (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
 
 

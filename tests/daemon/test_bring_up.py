@@ -1,13 +1,15 @@
 """Bring-up against the virtual hub, on a fake clock."""
 
+import random
+
 import pytest
 
-from taxeld.source.bring_up import SHORT_IDS, BringUp, Request
-from taxeld_protocol import cyskin
-from taxeld_protocol.cyskin import BROADCAST, Command
+from taxeld.source.bring_up import SHORT_IDS, STARTING_TRIES, BringUp, Request
+from taxeld_protocol import commands, cyskin
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command, Packet
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 
 UIDS = [i // 10 + 1 << 4 | i % 10 + 1 for i in range(30)]
 
@@ -15,13 +17,18 @@ UIDS = [i // 10 + 1 << 4 | i % 10 + 1 for i in range(30)]
 class Bus:
     """Hubs and a host that talk without delay, or with a tick of it; time is what `run` says."""
 
-    def __init__(self, *hubs: VirtualIhb, late: bool = False) -> None:
+    def __init__(
+        self, *hubs: VirtualIhb, late: bool = False, period_ms: int = 20, lost: float = 0.0
+    ) -> None:
+        """`lost`: the share of packets that do not arrive."""
         self.hubs = list(hubs)
         self.late = late
+        self._lost, self._rng = lost, random.Random(0)
         self._under_way: list[tuple[int, Request]] = []
         self.walked: list[tuple[tuple[int, ...], tuple[int, ...]]] = []  # SUIs: own, of the table
         self.decoder = Decoder()
-        self.bring_up = BringUp(self.decoder, period_ms=20)
+        self.bring_up = BringUp(self.decoder, period_ms)
+        self.news: list[str] = []
         self.scans = 0
         self.sent: list[int] = []
 
@@ -33,6 +40,7 @@ class Bus:
                 self._take(ihb, answer, now)
             for request in self.bring_up.due(now):
                 self._ask(*request)
+            self.news += self.bring_up.news()
             for hub in self.hubs:
                 if hub.due(now):
                     channels = sum(module.channels for module in hub.modules)
@@ -44,10 +52,14 @@ class Bus:
         self.sent.append(command)
         packet = cyskin.Packet(0.0, BROADCAST, command, payload)
         for hub in self.hubs:
+            if self._rng.random() < self._lost:
+                continue
             for answer in hub.answer(packet):
                 self._hear(hub.short_id, answer, 0.0)
 
     def _hear(self, ihb: int, answer: Request, now: float) -> None:
+        if self._rng.random() < self._lost:
+            return
         if self.late:
             self._under_way.append((ihb, answer))
         else:
@@ -67,15 +79,145 @@ class Bus:
                     self._ask(*request)
 
 
-def test_a_hub_is_found_asked_and_started() -> None:
-    hub = VirtualIhb(wired(UIDS))
-    bus = Bus(hub)
+VENDORS_ORDER = [
+    LEAVE_BOOTLOADER, Command.DISCOVERY_PING, Command.DISCOVERY_RECV_ID, Command.DECLARE,
+    Command.MODULE_DETAILS, Command.SET_AUTO_SYNC, Command.MODULE_PROGRAM_END,
+    Command.DISCOVERY_PING, Command.DISCOVERY_RECV_ID, Command.DECLARE, Command.MODULE_DETAILS,
+    Command.SET_AUTO_SYNC_PERIOD, Command.SET_AUTO_SYNC,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("late", [False, True])
+def test_a_hub_is_found_asked_and_started_in_the_vendors_order(phase: Phase, late: bool) -> None:
+    hub = VirtualIhb(wired(UIDS), phase=phase)
+    bus = Bus(hub, late=late)
     bus.run(0.0, 2.0)
     assert hub.auto_sync
     assert hub.period_ms == 20
     assert bus.decoder.table(1).modules == hub.modules
     assert bus.scans > 80
-    assert bus.sent[:3] == [Command.DISCOVERY_PING, Command.DECLARE, Command.MODULE_DETAILS]
+    assert bus.sent == VENDORS_ORDER
+
+
+def test_a_hub_that_streams_already_is_brought_up_in_the_same_order() -> None:
+    hub = VirtualIhb(wired(UIDS), phase=Phase.RUNNING)
+    hub.auto_sync = True
+    bus = Bus(hub)
+    bus.run(0.0, 2.0)
+    assert bus.sent == VENDORS_ORDER
+    assert bus.scans > 80
+
+
+class SlowHub(VirtualIhb):
+    """Its modules take some requests for DECLARE to leave their bootloader."""
+
+    left = 0
+
+    def answer(self, packet: Packet) -> list[Answer]:
+        if packet.command == Command.MODULE_PROGRAM_END:
+            if self.phase == Phase.MODULES and not self.left:
+                self.left = STARTING_TRIES
+            return []
+        if packet.command == Command.DECLARE and self.left:
+            self.left -= 1
+            if not self.left:
+                self.phase = Phase.RUNNING
+        return super().answer(packet)
+
+
+def test_modules_may_take_their_time_to_start() -> None:
+    hub = SlowHub(wired(UIDS))
+    bus = Bus(hub)
+    bus.run(0.0, 3.0)
+    assert bus.sent.count(Command.MODULE_PROGRAM_END) == 1
+    assert bus.decoder.table(1).modules == hub.modules
+    assert bus.scans > 50
+
+
+def test_a_hub_in_its_bootloader_is_told_of_once_and_waited_for_where_it_stays() -> None:
+    class Stuck(VirtualIhb):
+        def answer(self, packet: Packet) -> list[Answer]:
+            starts = packet.command == Command.MODULE_PROGRAM_END
+            return [] if starts else super().answer(packet)
+
+    stuck, good = Stuck(wired(UIDS), uid=7), VirtualIhb(wired(UIDS), uid=8)
+    bus = Bus(stuck)
+    bus.run(0.0, 5.0)
+    assert bus.news == ["hub 1 answers from its bootloader, as after power-on; it is led out"]
+    assert bus.bring_up.waits_for == ""
+    bus.run(5.0, 60.0)
+    assert len(bus.news) == 1
+    assert bus.bring_up.waits_for.startswith("hub 1 stays in its bootloader: power it anew")
+    bus.hubs = [VirtualIhb(wired(UIDS), uid=7)]
+    bus.run(60.0, 63.0)
+    assert bus.bring_up.waits_for == ""
+    bus = Bus(good)
+    bus.run(0.0, 60.0)
+    assert len(bus.news) == 1
+    assert bus.decoder.counters.bootloader == 1 + len(wired(UIDS))
+
+
+def test_a_hub_whose_modules_do_not_answer_does_not_keep_another_from_streaming() -> None:
+    class Broken(VirtualIhb):
+        def answer(self, packet: Packet) -> list[Answer]:
+            asked = packet.command == Command.MODULE_DETAILS
+            return [] if asked else super().answer(packet)
+
+    bus = Bus(Broken(wired(UIDS[:10]), uid=7), VirtualIhb(wired(UIDS[10:20]), uid=8))
+    bus.run(0.0, 3.0)
+    before = bus.scans
+    bus.run(3.0, 13.0)
+    assert bus.scans - before > 480
+
+
+def test_a_hub_that_speaks_is_not_stopped_while_another_is_brought_up() -> None:
+    one = VirtualIhb(wired(UIDS[:10]), uid=7)
+    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=2)
+    bus = Bus(one, two)
+    bus.run(0.0, 2.0)
+    stops = bus.sent.count(Command.SET_AUTO_SYNC)
+    two.reboot()
+    assert two.phase == Phase.BOOTLOADER
+    bus.run(2.0, 5.0)
+    assert two.auto_sync
+    assert bus.sent.count(Command.SET_AUTO_SYNC) == stops + 1
+
+
+def test_a_period_longer_than_the_silence_that_is_asked_at_is_waited_for() -> None:
+    bus = Bus(VirtualIhb(wired(UIDS)), period_ms=4000)
+    bus.run(0.0, 30.0)
+    assert bus.sent == VENDORS_ORDER
+    assert bus.scans == 8
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_packets_that_are_lost_are_asked_for_again(late: bool) -> None:
+    one = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=9)
+    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=9)
+    bus = Bus(one, two, late=late, lost=0.2)
+    bus.run(0.0, 60.0)
+    bus._lost, before = 0.0, bus.scans
+    bus.run(60.0, 70.0)
+    assert (one.short_id, two.short_id) == (1, 2)
+    assert bus.scans - before > 2 * 480
+    assert [own for own, table in bus.walked if own != table] == []
+
+
+def test_the_tables_of_hubs_that_exchanged_their_ids_are_told_from_each_other() -> None:
+    """Who keeps by the version what a table led to must not take one for the other."""
+    bus = Bus()
+    table = {}
+    for hub in (VirtualIhb(wired(UIDS[:10])), VirtualIhb(wired(UIDS[10:20]))):
+        hub.phase = Phase.RUNNING
+        for command in (Command.DECLARE, Command.MODULE_DETAILS):
+            fields = {"module": 255} if command == Command.MODULE_DETAILS else {}
+            request = Packet(0.0, BROADCAST, command, commands.request(command, **fields))
+            for answer in hub.answer(request):
+                bus.decoder.on_packet(Packet(0.0, 1, *answer))
+        table[bus.decoder.table(1).version] = bus.decoder.table(1).modules
+        bus.decoder.forget(1)
+    assert len(table) == 2
 
 
 def test_once_scans_come_nothing_more_is_sent() -> None:
@@ -127,7 +269,7 @@ def test_a_hub_that_is_gone_for_good_is_called_now_and_then_and_the_other_is_hea
     bus.hubs.remove(two)
     sent, before = len(bus.sent), bus.scans
     bus.run(3.0, 33.0)
-    assert len(bus.sent) - sent <= 3 * 7
+    assert len(bus.sent) - sent <= 12 * 7
     assert bus.scans - before >= 30 * 45
 
 
@@ -158,4 +300,4 @@ def test_a_bus_that_makes_up_hubs_without_end_fills_no_table() -> None:
 def test_silence_is_asked_at_a_steady_low_rate() -> None:
     bus = Bus()
     bus.run(0.0, 10.0)
-    assert len(bus.sent) == 3 * 20
+    assert bus.sent == [LEAVE_BOOTLOADER, Command.DISCOVERY_PING] * 20

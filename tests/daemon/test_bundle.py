@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import pytest
 
 from taxeld.cli import main
@@ -17,7 +18,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals import bundle, choice, seal
+from taxeld.proposals import bundle, choice, sampler, seal
 from taxeld.proposals.analytic import Projection, Table, check_contacts
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
@@ -43,7 +44,7 @@ def configuration(box: Path, name: str | None = None) -> Path:
     (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
     path = place / "config.toml"
     path.write_text(
-        f'[source]\nkind = "replay"\npath = "{place}"\n'
+        f'[source]\nkind = "replay"\npath = "{place}"\nmodules = [[1, 0xFFF]]\n'
         f"[scene]\nbundle = {json.dumps(name or str(box))}\n"
         '[publish]\nendpoints = []\n[control]\nendpoint = ""\n',
         encoding="utf-8",
@@ -78,6 +79,14 @@ def reseal(box: Path) -> None:
 def flip(path: Path, at: float) -> None:
     data = bytearray(path.read_bytes())
     data[int(at * len(data))] ^= 0x10
+    path.write_bytes(data)
+
+
+def unpacking(path: Path) -> None:
+    """Flip a bit where zlib itself finds it, in the first bytes of what is packed."""
+    data = bytearray(path.read_bytes())
+    name, extra = int.from_bytes(data[26:28], "little"), int.from_bytes(data[28:30], "little")
+    data[30 + name + extra] ^= 0x06  # the kind of the first block
     path.write_bytes(data)
 
 
@@ -120,6 +129,9 @@ def test_a_missing_file_is_found(box: Path, capsys: pytest.CaptureFixture[str], 
         (scene_with(centre=[np.nan, 0.0]), "centre is not finite"),
         (scene_with(origin=[0.0, np.inf]), "origin is not finite"),
         (scene_with(origin=["here", "there"]), "origin is no array"),
+        (scene_with(origin=[np.nan, 0.0]), "origin is not finite"),
+        (scene_with(centre=[0.0, 0.0, 0.0]), "centre has the shape (3,)"),
+        (lambda box: unpacking(box / "scene.npz"), "unreadable scene (Error -3 while decompress"),
         (scene_with(cell=np.nan), "cell is not within"),
         (scene_with(symmetry=10**9), "symmetry is not within"),
         (scene_with(cell=[1.0, 2.0]), "unreadable scene"),
@@ -173,6 +185,8 @@ def first(key: str, value: object) -> Callable[[dict[str, Any]], object]:
         (lambda info: info.update(depth_max_m=float("nan")), "NaN is no number"),
         (lambda info: info.update(depth_max_m=10**400), "depth_max_m is missing or no number"),
         (lambda info: info.update(object="a\nb"), "object is missing"),
+        (lambda info: info.update(object="mug " * 1000), "object is missing"),
+        (lambda info: info.update(height_m=[[]]), "height_m is missing"),
         (lambda info: info.update(layout=[]), "layout needs"),
         (lambda info: info.update(layout={"name": "a\nb", "digest": ""}), "layout needs"),
         (lambda info: info.update(samplers={}), "samplers is missing"),
@@ -231,6 +245,94 @@ def test_a_broken_sampler_is_found_though_another_is_preferred(
     assert f"{name}.onnx: unusable sampler" in fault(configuration(box), capsys)
 
 
+def rename_input(model: onnx.ModelProto) -> None:
+    model.graph.input[0].name = "touch"
+
+
+def fix_samples(model: onnx.ModelProto) -> None:
+    model.graph.input[2].type.tensor_type.shape.dim[1].dim_value = 100
+
+
+def widen(model: onnx.ModelProto) -> None:
+    for given in model.graph.input[:2]:
+        given.type.tensor_type.shape.dim[1].dim_value = 79
+
+
+def of_another_layout(model: onnx.ModelProto) -> None:
+    (entry,) = (entry for entry in model.metadata_props if entry.key == "layout")
+    entry.value = json.dumps("77")
+
+
+@pytest.mark.parametrize("name", ["density-64", "ddpm-100"])
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (rename_input, "its inputs are not z, live and noise"),
+        (fix_samples, "its noise is not (steps, any number of samples, 4)"),
+        (widen, "it is not for a skin of 80 taxels"),
+        (
+            of_another_layout,
+            "it is for the layout 77, not for cylinder:rows=5,columns=16,radius_m=",
+        ),
+    ],
+)
+def test_a_sampler_of_another_form_or_skin_is_found_whether_it_would_be_opened_or_not(
+    box: Path, capsys: pytest.CaptureFixture[str], name: str,
+    change: Callable[[onnx.ModelProto], None], said: str,
+) -> None:  # fmt: skip
+    path = box / f"{name}.onnx"
+    model = onnx.load(path)
+    change(model)
+    onnx.save(model, path)
+    reseal(box)
+    err = fault(configuration(box), capsys)
+    assert err.startswith(f"{path}: unusable sampler ({said}")
+
+
+@pytest.mark.parametrize("keep", [0.2, 0.999])
+def test_a_sampler_that_was_cut_short_is_found_though_another_is_preferred(
+    box: Path, capsys: pytest.CaptureFixture[str], keep: float
+) -> None:
+    path = box / "ddpm-100.onnx"
+    data = path.read_bytes()
+    path.write_bytes(data[: int(keep * len(data))])
+    reseal(box)
+    assert "ddpm-100.onnx: unusable sampler (it is cut short)" in fault(configuration(box), capsys)
+
+
+def test_check_opens_what_run_opens_and_nothing_that_auto_cannot_come_to(
+    box: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[int] = []
+    whole = sampler._session
+
+    def counted(graph: bytes) -> Any:
+        opened.append(len(graph))
+        return whole(graph)
+
+    monkeypatch.setattr(sampler, "_session", counted)
+    config = configuration(box)
+    assert main(["check", str(config)]) == 0
+    sizes = [(box / name).stat().st_size for name in ("density-64.onnx", "density-16.onnx")]
+    assert opened == sizes
+    opened.clear()
+    assert main(["run", str(config)]) == 0
+    assert opened == sizes
+    assert capsys.readouterr().err == ""
+
+
+def test_auto_comes_to_no_sampler_that_takes_more_than_one_before_it(skin_of_box: Layout) -> None:
+    loaded = bundle.load("box", skin_of_box, DEPTH_MAX_M)
+    order = ["density-16", "table", "ddpm-100", "density-64", "manifold"]
+    loaded = replace(loaded, info=loaded.info | {"auto": order})
+    assert loaded.choices == ["density-16", "table", "manifold"]
+    assert loaded.cheaper("ddpm-100") == ["density-16"]
+    loaded = replace(loaded, info=loaded.info | {"auto": order[::-1]})
+    assert loaded.choices == ["manifold", "density-64", "table", "density-16"]
+    assert loaded.cheaper("ddpm-100") == ["density-64", "density-16"]
+    assert loaded.cheaper("density-16") == []
+
+
 def test_a_bundle_for_another_skin_is_named_with_its_own(
     box: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -265,8 +367,7 @@ def test_a_run_opens_all_that_it_may_draw_from(skin_of_box: Layout) -> None:
             "table": {"proposal": "table"},
         }.items()
     }  # fmt: skip
-    everything = {"density-64", "ddpm-100", "density-16", "table", "manifold", "projection"}
-    assert opened["auto"] == everything
+    assert opened["auto"] == {"density-64", "density-16", "table", "manifold", "projection"}
     assert opened["ddpm"] == {"ddpm-100", "density-64", "density-16", "table"}
     assert opened["16"] == {"density-16", "table"}
     assert opened["table"] == {"table"}

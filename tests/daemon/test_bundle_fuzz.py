@@ -3,34 +3,20 @@
 The digests in bundle.json catch what changes by accident. Here the parsers behind them are asked.
 """
 
-import contextlib
 import io
 import json
-from collections.abc import Callable
-from dataclasses import fields, replace
-from functools import cache
-from pathlib import Path
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxeld.config.tables import FilterConfig, SkinConfig
-from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
-from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import Scene
-from taxeld.model.symmetry import PoseMetric
-from taxeld.proposals import bundle, manifest, scene_file
-from taxeld.proposals.analytic import Manifold, Projection, check_contacts
-from taxeld.proposals.bundle import Bundle
+from taxeld.proposals import manifest, scene_file
 from taxeld.proposals.sampler import Sampler
-from taxeld.stream import messages
 
-SHIPPED = bundle.find("box")
-NOWHERE = Path("bundle")
-PROPOSALS = ("auto", "density", "ddpm", "table", "manifold", "projection")
+from ..readers import NOWHERE, SHIPPED, loaded, manifest_used, scene_used, used_or_refused
 
 json_values = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20)
@@ -40,11 +26,6 @@ json_values = st.recursive(
 )  # fmt: skip
 places = st.floats(0.0, 1.0, exclude_max=True)
 odd_numbers = st.sampled_from([np.nan, np.inf, -1.0, 0.0, 1e-300, 1e300, 1e9, 3.0])
-
-
-@cache
-def loaded() -> Bundle:
-    return bundle.load("box", layouts.load(SkinConfig().layout), 0.005)
 
 
 @st.composite
@@ -58,36 +39,10 @@ def damaged(draw: st.DrawFn, name: str) -> bytes:
     return bytes(data[: int(draw(places | st.just(1.0)) * len(data))])
 
 
-def used_or_refused(use: Callable[[], object]) -> None:
-    """Nothing else is printed: the one line is all that a user sees."""
-    said, printed = "", io.StringIO()
-    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-        try:
-            use()
-        except SetupError as error:
-            said = str(error)
-    assert said.isprintable()
-    assert len(said) < 1000
-    assert printed.getvalue() == ""
-
-
-def used(scene: Scene) -> None:
-    """All that a start computes of a scene."""
-    layout = loaded().model.layout
-    model = ObservationModel(scene, layout, 0.005)
-    check_contacts(model)
-    z, live, rng = np.eye(1, len(layout))[0], np.ones(len(layout), bool), np.random.default_rng(0)
-    for make in (Projection, Manifold):
-        assert np.isfinite(make(model).propose(z, live, 5, rng)).all()
-    assert np.isfinite(PoseMetric(scene).arm_m)
-    assert np.isfinite(scene.equivalents).all()
-    assert np.isfinite([scene.size, scene.mean_radius]).all()
-
-
 @settings(max_examples=150, deadline=None)
 @given(damaged("scene.npz"))
 def test_any_bytes_are_a_scene_or_one_line(data: bytes) -> None:
-    used_or_refused(lambda: used(scene_file.parse(data, NOWHERE)))
+    used_or_refused(lambda: scene_used(scene_file.parse(data, NOWHERE)))
 
 
 @settings(max_examples=150, deadline=None)
@@ -113,7 +68,7 @@ def test_any_arrays_are_a_scene_or_one_line(data: st.DataObject) -> None:
         arrays[name] = array
     packed = io.BytesIO()
     np.savez(packed, **arrays)  # type: ignore[arg-type]
-    used_or_refused(lambda: used(scene_file.parse(packed.getvalue(), NOWHERE)))
+    used_or_refused(lambda: scene_used(scene_file.parse(packed.getvalue(), NOWHERE)))
 
 
 @settings(max_examples=100, deadline=None)
@@ -122,10 +77,16 @@ def test_any_bytes_are_a_sampler_or_one_line(data: bytes) -> None:
     used_or_refused(lambda: Sampler(data, loaded().model.layout, "density", NOWHERE))
 
 
+@settings(max_examples=100, deadline=None)
+@given(damaged("ddpm-100.onnx") | st.binary(max_size=100))
+def test_any_bytes_are_looked_at_without_opening_them_or_one_line(data: bytes) -> None:
+    used_or_refused(lambda: Sampler.check(data, loaded().model.layout, NOWHERE))
+
+
 @settings(max_examples=200, deadline=None)
 @given(damaged("bundle.json") | st.binary(max_size=100))
 def test_any_bytes_are_a_bundle_json_or_one_line(data: bytes) -> None:
-    used_or_refused(lambda: told(manifest.parse(data, NOWHERE)))
+    used_or_refused(lambda: manifest_used(manifest.parse(data, NOWHERE)))
 
 
 @settings(max_examples=150, deadline=None)
@@ -144,15 +105,4 @@ def test_any_values_are_a_bundle_json_or_one_line(data: st.DataObject) -> None:
                 continue
             inside[key] = data.draw(json_values)
             break
-    used_or_refused(lambda: told(manifest.parse(json.dumps(info).encode(), NOWHERE)))
-
-
-def told(info: dict[str, Any]) -> None:
-    """All that is asked of bundle.json after it was read."""
-    found = replace(loaded(), info=info)
-    for name in (*PROPOSALS, *found.order):
-        used_or_refused(lambda name=name: found.cheaper(found.resolve(name)))  # type: ignore[misc]
-    for sampler in info["samplers"]:
-        assert found.resolve("auto", sampler["name"]) == sampler["name"]
-    model = found.model
-    messages.info(model.layout, model.scene, info, str(FilterConfig()))
+    used_or_refused(lambda: manifest_used(manifest.parse(json.dumps(info).encode(), NOWHERE)))

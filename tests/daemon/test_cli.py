@@ -15,7 +15,7 @@ from taxeld_protocol import cyskin
 from ..firmware_protocol.test_cyskin import GOLDEN_REQUESTS, GOLDEN_SCAN
 
 TABLES = {
-    "source": {"kind": '"replay"', "path": '"."'},
+    "source": {"kind": '"replay"', "path": '"."', "modules": "[[1, 0xFFF]]"},
     "scene": {"bundle": '"box"'},
     "publish": {"endpoints": "[]"},
     "control": {"endpoint": '""'},
@@ -142,7 +142,11 @@ def test_a_faulty_configuration_is_one_line_and_status_2(
 @pytest.mark.parametrize("command", ["check", "run", "replay"])
 @pytest.mark.parametrize(
     ("content", "fault"),
-    [("", "holds no frames"), ("(1.0) can0 101#43\n(1.0) can\n", "line 2 is no candump line")],
+    [
+        ("", "holds no frames"),
+        ("(1.0) can0 101#43\n(1.0) can\n", "line 2 is no candump line"),
+        (f"({'9' * 400}.0) can0 101#43\n", "line 1 is no candump line"),
+    ],
 )
 def test_a_damaged_log_is_one_line_and_status_2(
     place: Path, capsys: pytest.CaptureFixture[str], command: str, content: str, fault: str

@@ -6,7 +6,7 @@ from typing import get_type_hints
 
 import pytest
 
-from taxeld.config.file import parse
+from taxeld.config.file import load, parse
 from taxeld.config.tables import Config
 from taxeld.config.toml_tables import ConfigError
 
@@ -39,10 +39,41 @@ def test_a_minimal_configuration_has_every_default() -> None:
         ("[filter]\nparticles = 1.5", "filter.particles: must be an integer, not 1.5"),
         ("[filter]\ncentre_m = [1]", "filter.centre_m: must be a list of 2 (float), not [1]"),
         ("loop = 3", "loop: must be a table [loop]"),
+        ("[source]\nmodules = 7", "source.modules: must be a list (a list (int)), not 7"),
+        ("[source]\nmodules = [7]", "source.modules: must be a list (a list (int)), not [7]"),
+        (
+            "[source]\nmodules = [[7]]",
+            "source.modules: [7]: must be [SUI, mask] or [SUI, mask, hub]",
+        ),
+        ("[source]\nmodules = [[7, 0x1000]]", "source.modules: [7, 4096]: 0x1000 is no mask"),
+        ("[source]\nmodules = [[-1, 1]]", "source.modules: [-1, 1]: -1 is no serial number"),
+        ("[source]\nmodules = [[7, 1, 255]]", "source.modules: [7, 1, 255]: 255 is no short id"),
+        ("[source]\nmodules = [[7, 1], [7, 3]]", "source.modules: lists module 7 more than once"),
+        ("[source]\nmodules = [[7, 1], [8, 1, 1]]", "source.modules: must name the hub of every"),
+        (
+            "[source]\nkind = 'can'\nchannel = 'can0'\ndialect = 'icub'\nmodules = [[7, 1]]",
+            "source.modules: is of dialect cyskin; icub names its boards",
+        ),
         ("[relay]\npublish = ['tcp://0.0.0.0:1']", "relay.publish: 'tcp://0.0.0.0:1' is not local"),
         ("[relay]\ncontrol = 'tcp://*:1'", "relay.control: 'tcp://*:1' is not local"),
         ("[scene]", "scene.bundle: is required"),
         ("", "source: is required"),
+        (
+            f"[loop]\nrate_hz = {'9' * 400}",
+            "loop.rate_hz: must be a number, not so large an integer",
+        ),
+        (f"[loop]\nrate_hz = 1{'0' * 400}.0", "loop.rate_hz: must be a number, not inf"),
+        (f"[loop]\npriority = {'9' * 400}", "loop.priority: must be an integer, not so large"),
+        (f"[filter]\nseed = 0x{'f' * 9999}", "filter.seed: must be an integer, not so large"),
+        (
+            f"[filter]\ncentre_m = [0, {'9' * 400}]",
+            "filter.centre_m: must be a list of 2 (float), no",
+        ),
+        ('[loop]\n"a\\nb" = 1', "loop.a?b: unknown key"),
+        (
+            '[log]\nlevel = "lo\\nud"',
+            "log.level: must be one of debug, info, warning, error, not 'lo?",
+        ),
     ],
 )
 def test_each_fault_is_one_line_that_names_its_path(change: str, fault: str) -> None:
@@ -54,7 +85,7 @@ def test_each_fault_is_one_line_that_names_its_path(change: str, fault: str) -> 
     with pytest.raises(ConfigError) as error:
         parse(text)
     assert any(line.startswith(fault) for line in error.value.faults), error.value.faults
-    assert all("\n" not in line for line in error.value.faults)
+    assert all(line.isprintable() and len(line) < 1100 for line in error.value.faults)
 
 
 def test_all_faults_are_found_at_once() -> None:
@@ -63,9 +94,24 @@ def test_all_faults_are_found_at_once() -> None:
     assert len(error.value.faults) == 3
 
 
-def test_what_is_not_toml_is_one_line() -> None:
+@pytest.mark.parametrize(
+    "text", ["a = ", "a = " + "[" * 100_000, f"a = {'9' * 5000}", "a = '\0'", "a = 2026-13-01"]
+)
+def test_what_is_not_toml_is_one_line(text: str) -> None:
     with pytest.raises(ConfigError, match=r"^x\.toml: not TOML: [^\n]+$"):
-        parse("a = ", "x.toml")
+        parse(text, "x.toml")
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe", b"#" * 2_000_000])
+def test_a_file_that_is_no_text_or_far_too_large_is_one_line(
+    tmp_path: Path, content: bytes
+) -> None:
+    path = tmp_path / "taxeld.toml"
+    path.write_bytes(content)
+    with pytest.raises(
+        ConfigError, match=r"taxeld\.toml: (unreadable|is larger than 1000000 bytes)"
+    ):
+        load(path)
 
 
 def test_the_documented_table_is_the_codes() -> None:

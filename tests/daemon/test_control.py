@@ -1,5 +1,6 @@
 """Control: whatever a client sends, it gets an answer, and the loop gets its tick."""
 
+import contextlib
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -10,16 +11,19 @@ import pytest
 import zmq
 
 from taxeld.stream import client
-from taxeld.stream.control import DOOR_S, POLL_S, REQUESTS_PER_POLL, Control
+from taxeld.stream.control import POLL_S, REQUESTS_AT_ONCE, Control
+from taxeld.stream.server import DOOR_S
 
 from .conftest import Sockets
+from .crowd import greeted
+from .test_curve import free_port
 
 
 class Desk:
     """A control socket with a command that works and one that does not."""
 
-    def __init__(self, sockets: Sockets, place: Path) -> None:
-        self.endpoint = f"ipc://{place}/control"
+    def __init__(self, sockets: Sockets, endpoint: str) -> None:
+        self.endpoint = endpoint
         self.done, self.now = 0, 0.0
         self._sockets = sockets
         handlers = {"work": self._work, "break": self._break, "mangle": lambda: {"x": object()}}
@@ -57,8 +61,19 @@ class Desk:
 
 
 @pytest.fixture
-def desk(sockets: Sockets, tmp_path: Path) -> Desk:
-    return Desk(sockets, tmp_path)
+def local(sockets: Sockets, tmp_path: Path) -> Desk:
+    return Desk(sockets, f"ipc://{tmp_path}/control")
+
+
+@pytest.fixture
+def remote(sockets: Sockets) -> Desk:
+    return Desk(sockets, f"tcp://127.0.0.1:{free_port()}")
+
+
+@pytest.fixture(params=["local", "remote"])
+def desk(request: pytest.FixtureRequest) -> Desk:
+    made: Desk = request.getfixturevalue(request.param)
+    return made
 
 
 def test_what_is_unknown_is_named_and_counted(desk: Desk) -> None:
@@ -101,25 +116,58 @@ def test_a_flood_waits_and_others_take_turns_with_it(desk: Desk) -> None:
         assert time.monotonic() < deadline
         before = desk.control.counters.requests
         desk.poll()
-        assert desk.control.counters.requests - before <= REQUESTS_PER_POLL
+        assert desk.control.counters.requests - before <= REQUESTS_AT_ONCE
     assert desk.done < 200, "the honest one did not wait for the end of the flood"
 
 
-def test_a_message_of_very_many_frames_is_not_read_to_its_end(desk: Desk) -> None:
-    flooder = desk.client(zmq.DEALER)
+def test_requests_of_clients_that_have_left_are_not_answered(local: Desk, tmp_path: Path) -> None:
+    request = bytes.fromhex("0100000a") + msgpack.packb({"cmd": "work"})
+    with greeted(tmp_path / "control", b"REQ", 20, local.poll) as leavers:
+        for leaver in leavers:
+            with contextlib.suppress(BlockingIOError):
+                leaver.sendall(4000 * request)
+    assert local.ask(cmd="work") == {"ok": True, "done": 1}
+    for _ in range(100):
+        local.poll()
+    assert local.done == 1
+
+
+def test_who_sends_a_message_of_very_many_frames_is_hung_up_on_and_nobody_else(
+    local: Desk, sockets: Sockets
+) -> None:
+    honest, flooder = local.client(), local.client(zmq.DEALER)
+    lost = sockets.keep(flooder.get_monitor_socket(zmq.EVENT_DISCONNECTED))
+    honest.send(msgpack.packb({"cmd": "work"}))
+    local.until(honest)
     flooder.send_multipart([b"x"] * 200_000)
     deadline = time.monotonic() + 20.0
-    while not desk.control.counters.oversized:
+    while not local.control.counters.oversized:
         assert time.monotonic() < deadline
-        desk.poll()
+        local.poll()
         time.sleep(0.001)
-    assert desk.control.counters.requests == 0, "of the long one nothing is taken for a request"
-    assert desk.ask(cmd="work")["ok"]
-    assert desk.control.counters.requests == 1
+    assert lost.poll(20_000), "who sent it is still connected"
+    assert local.control.counters.requests == 1, "of the long one nothing is taken for a request"
+    honest.send(msgpack.packb({"cmd": "work"}))
+    assert local.until(honest) == {"ok": True, "done": 2}, "over the connection that it had"
 
 
-def test_who_asks_meanwhile_asks_again_by_itself(desk: Desk) -> None:
-    """`taxeld status` beside a client whose message costs everybody the connection."""
+def test_over_tcp_a_message_of_very_many_frames_is_not_read_to_its_end(remote: Desk) -> None:
+    flooder = remote.client(zmq.DEALER)
+    flooder.send_multipart([b"x"] * 200_000)
+    deadline = time.monotonic() + 20.0
+    while not remote.control.counters.oversized:
+        assert time.monotonic() < deadline
+        remote.poll()
+        time.sleep(0.001)
+    assert remote.control.counters.requests == 0, "of the long one nothing is taken for a request"
+    assert remote.ask(cmd="work")["ok"]
+    assert remote.control.counters.requests == 1
+
+
+@pytest.mark.parametrize("kind", ["local", "remote"])
+def test_who_asks_meanwhile_is_answered(kind: str, request: pytest.FixtureRequest) -> None:
+    """`taxeld status` beside a client whose message costs all of a relay's the connection."""
+    desk: Desk = request.getfixturevalue(kind)
     flooder = desk.client(zmq.DEALER)
     flooder.send_multipart([b"x"] * 200_000)
     with ThreadPoolExecutor(1) as pool:
@@ -130,9 +178,9 @@ def test_who_asks_meanwhile_asks_again_by_itself(desk: Desk) -> None:
     assert answer.result() == {"ok": True, "done": desk.done}
 
 
-def test_a_socket_file_that_vanished_is_bound_again(desk: Desk, tmp_path: Path) -> None:
-    assert desk.ask(cmd="work")["ok"]
+def test_a_socket_file_that_vanished_is_bound_again(local: Desk, tmp_path: Path) -> None:
+    assert local.ask(cmd="work")["ok"]
     (tmp_path / "control").unlink()
-    desk.now += DOOR_S
-    assert desk.ask(cmd="work")["ok"]
-    assert desk.control.counters.bound_again == 1
+    local.now += DOOR_S
+    assert local.ask(cmd="work")["ok"]
+    assert local.control.counters.bound_again == 1

@@ -128,8 +128,17 @@ def test_only_the_holder_of_an_authorised_key_hears_anything(
     assert not plain.poll(0)
     assert not misled.poll(0)
     assert guard.refused > 0
+    deadline = time.monotonic() + 20.0
+    while (parts := known.recv_multipart())[0] != messages.HEALTH or not told(parts[1]):
+        assert time.monotonic() < deadline, "what the relay passes on does not say so"
+        assert hears(both, known)
     assert hears(both, subscriber(sockets, f"ipc://{tmp_path}/stream")), "ipc stays plain"
     assert hears(both, known)
+
+
+def told(health: bytes) -> int:
+    refused: int = msgpack.unpackb(health)["keys_refused"]
+    return refused
 
 
 def ask(both: Both, *args: Any, **more: Any) -> dict[str, Any] | None:
@@ -199,6 +208,11 @@ def test_a_recording_hears_such_a_robot_and_ends(tmp_path: Path) -> None:
         (
             lambda keys: (keys / "clients" / "b.key").write_text('public-key = "short"'),
             "b.key is no certificate",
+        ),
+        (lambda keys: (keys / "robot.key").write_text("public-key"), "robot.key is no certificate"),
+        (
+            lambda keys: (keys / "robot.key").write_text(f'public-key = "{"#" * 40}"'),
+            "robot.key is no certificate",
         ),
     ],
 )

@@ -23,7 +23,7 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import outbox as outboxes
-from taxeld.source.devices import AwayError
+from taxeld.source.device import AwayError
 from taxeld.source.outbox import Outbox, Unit
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import LiveSource, open_source
@@ -240,7 +240,7 @@ def test_a_device_that_is_not_there_yet_is_waited_for_with_one_line(
         lambda: hub.serve(time.monotonic(), lambda _: [7] * CHANNELS),
     )
     assert source.waits_for == ""
-    assert "is open" in caplog.records[-1].getMessage()
+    assert sum("is open" in message for message in caplog.messages) == 1
     source.close()
     hub.unplug()
 

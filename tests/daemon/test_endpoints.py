@@ -36,7 +36,7 @@ BEYOND = [
 NONE_AT_ALL = [
     "tcp://127.0.0.1", "tcp://:9872", "tcp://127.0.0.1:*", "tcp://127.0.0.1:0", "9872", "udp://x:1",
     "tcp://127.0.0.1:99999", "inproc://a", "ipc://run/taxeld", "ipc://*", "ipc://@abstract",
-    f"ipc:///{'x' * 107}",
+    f"ipc:///{'x' * 107}", f"tcp://127.0.0.1:{'9' * 5000}",
 ]  # fmt: skip
 
 

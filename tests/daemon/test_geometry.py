@@ -10,6 +10,7 @@ from taxeld.estimator.memory import Memory
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
+from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.proposals import scene_file
 
@@ -135,15 +136,35 @@ def test_a_dead_taxel_says_nothing(box_model: ObservationModel) -> None:
 
 def test_one_wrong_taxel_costs_a_bounded_amount() -> None:
     noise = Noise(outliers=0.01)
-    worst = noise.log_density(np.array([1.0]), np.array([0.0]))
-    assert np.isclose(worst, np.log(0.01), atol=1e-6)
+    for z, h in ((1.0, 0.0), (0.5, 0.0), (0.0, 1.0)):
+        worst = noise.log_density(np.array([z]), np.array([h]))
+        assert np.isclose(worst, np.log(0.01 / 3.0), atol=0.1)
 
 
-def test_a_reading_integrates_to_one() -> None:
-    noise, z = Noise(), np.linspace(-4, 5, 200_001)
-    for h in (0.0, 0.3, 1.0):
-        gauss = (np.exp(noise.log_density(z, np.full(1, h))) - noise.outliers) / 0.99
-        assert np.isclose(np.trapezoid(gauss, z), 1.0, atol=1e-3)
+def test_readings_of_nothing_of_full_scale_and_between_are_all_there_are() -> None:
+    noise, z = Noise(outliers=0.0), np.linspace(FLOOR, 1.0, 100_001)[1:-1]
+    for h in (0.0, 0.02, 0.3, 1.0):
+        density = np.exp(noise.log_density(np.array([0.0, 1.0, *z]), np.full(1, h)))
+        assert np.isclose(density[0] + density[1] + np.trapezoid(density[2:], z), 1.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("h", [0.0, 0.02, 0.06, 0.3, 0.95, 1.0])
+def test_nothing_and_full_scale_are_as_likely_as_they_are_drawn(h: float) -> None:
+    noise = Noise(outliers=0.0)
+    drawn = noise.draw(np.full(100_000, h), np.random.default_rng(0))
+    for z in (0.0, 1.0):
+        likely = float(np.exp(noise.log_density(np.array([z]), np.array([h])))[0])
+        assert np.mean(drawn == z) == pytest.approx(likely, abs=0.005)
+
+
+def test_a_higher_floor_makes_silence_say_less() -> None:
+    noise, h = Noise(), np.array([0.0, 0.05, 0.1, 0.2])
+    low, high = (noise.log_density(np.zeros(1), h, floor) for floor in (0.01, 0.15))
+    assert low[0] - low[2] > 5.0
+    assert high[0] - high[2] < 0.2 < high[0] - high[3]
+    assert noise.log_density(np.array([0.1]), h, residue=0.1)[0] > (
+        noise.log_density(np.array([0.1]), h)[0] + 3.0
+    )
 
 
 def test_projected_contacts_press_as_deep_as_asked(disc_model: ObservationModel) -> None:

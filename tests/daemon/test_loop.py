@@ -77,6 +77,24 @@ def plain(value: object) -> bool:
     return isinstance(value, (bool, int, float))
 
 
+@pytest.mark.parametrize("time_of", ["9" * 400, "9" * 5000, "[" * 2000])
+def test_a_daemon_starts_without_a_skin_state_that_is_damaged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, time_of: str
+) -> None:
+    state = tmp_path / "skin.json"
+    state.write_text(f'{{"version": 1, "t": {time_of}}}', encoding="ascii")
+    before = state.read_bytes()
+    daemon = Daemon(parse(settings(tmp_path) + f'[skin]\nstate_dir = "{tmp_path}"\n'))
+    try:
+        daemon.tick(time.monotonic())
+        assert daemon.kept.counters.refused == 1
+        (line,) = [line for line in caplog.messages if "skin.json" in line]
+        assert line.startswith(f"{state}: not used, it is ")
+    finally:
+        daemon.close()
+    assert state.read_bytes() == before
+
+
 def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Path) -> None:
     with zmq.Context() as context:
         for _ in range(2):

@@ -30,6 +30,7 @@ from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.daemon.recorded import configuration, write_session
 from tests.daemon.simulated_skin import SimulatedSkin
+from tests.virtual_hub import told
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(SPEC)
@@ -301,11 +302,14 @@ def test_whatever_arrives_whenever_is_counted_and_never_raises(
 def recorded(box: Bundle, place: Path, by: float = 0.0) -> None:
     """The story as a session, with a clock that is set near its middle."""
     hub = VirtualIhb(list(SimulatedSkin(SKIN).modules))
+    answers = told(hub)
     with Recorder(place, moves=True) as recorder:
         for arrival, event in story(box):
             later = by if arrival > START_S + 1.9 else 0.0
             if isinstance(event, Scan):
-                for command, payload in hub.sensor_data(list(event.counts)):
+                answers += hub.sensor_data(list(event.counts))
+                while answers:
+                    command, payload = answers.pop(0)
                     for frame in cyskin.to_frames(command, payload, ihb=1, t=arrival + later):
                         recorder.take(frame)
             else:

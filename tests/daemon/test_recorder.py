@@ -30,6 +30,7 @@ from tests.virtual_hub import VirtualHub
 MODULES = wired(layouts.load(SkinConfig().layout).uid.tolist())
 CHANNELS = sum(module.channels for module in MODULES)
 DEADLINE_S = 30.0
+STARTED = "hub 1 answers from its bootloader, as after power-on; it is led out\n"
 SMALL_DISK = 30_000  # bytes a file may have, in place of a disk that is nearly full
 
 
@@ -281,10 +282,8 @@ def test_a_daemon_records_while_it_runs_and_outlives_a_full_disk(
         process.terminate()
         _, errors = process.communicate(timeout=DEADLINE_S)
     assert process.returncode == 0
-    assert (
-        errors
-        == f"{out}: the recording has ended ({os.strerror(errno.EFBIG)}); it replays up to here\n"
-    )
+    ended = f"the recording has ended ({os.strerror(errno.EFBIG)}); it replays up to here"
+    assert errors == f"{STARTED}{out}: {ended}\n"
     assert session.read(out).items
 
 
@@ -300,7 +299,7 @@ def test_what_a_daemon_recorded_replays_as_many_scans_as_it_took(
     finally:
         process.terminate()
         _, errors = process.communicate(timeout=DEADLINE_S)
-    assert (process.returncode, errors) == (0, "")
+    assert (process.returncode, errors) == (0, STARTED)
     assert main(["replay", str(out)]) == 0
     assert len(capsys.readouterr().out.splitlines()) >= 30
 

@@ -22,10 +22,10 @@ FIXED = {
     "OPENBLAS_NUM_THREADS": "1",
 }
 DIGESTS = {
-    'proposal = "table"': "7709673095bb77d8",
-    'proposal = "manifold"\ninjection = "paper"': "c03890b4f729ca51",
-    'proposal = "table"\nmotion = "push"': "f977dae4a43054b1",
-    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "f316069ad0ddba1e",
+    'proposal = "table"': "acef83c2a357803e",
+    'proposal = "manifold"\ninjection = "paper"': "ffcd74a792e83c26",
+    'proposal = "table"\nmotion = "push"': "1a8ff07d8ae7cadc",
+    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "52d25d9eb5dd4df3",
 }
 
 

@@ -33,6 +33,7 @@ from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.virtual_hub import told
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(SPEC)
@@ -61,13 +62,15 @@ def config_of(transport: str) -> Config:
 
 
 def sent(transport: str) -> Iterator[Frame | Chunk]:
-    """Idle, touched and idle scans, as they come over the wire; a line is read in odd pieces."""
+    """What a hub tells of its modules, and idle, touched and idle scans, as they come over the
+    wire; a line is read in odd pieces."""
     hub, rng = VirtualIhb(MODULES), np.random.default_rng(0)
     for scan in range(12):
         counts = 1000 + rng.normal(0.0, 20.0, CHANNELS)
         counts[36:44] += 8000.0 * (4 <= scan < 9)
         line = b""
-        for command, payload in hub.sensor_data(counts.astype(int).tolist()):
+        answers = [*([] if scan else told(hub)), *hub.sensor_data(counts.astype(int).tolist())]
+        for command, payload in answers:
             frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + scan * PERIOD_S)
             if transport == "can":
                 yield from frames
@@ -202,7 +205,15 @@ def test_a_session_without_a_version_is_read_as_the_first(tmp_path: Path) -> Non
 
 @pytest.mark.parametrize(
     ("about", "fault"),
-    [("version = 2\n", "is of version 2"), ("version\n", "damaged"), ('bytes = "9"\n', "damaged")],
+    [
+        ("version = 2\n", "is of version 2"),
+        ("version\n", "damaged"),
+        ('bytes = "9"\n', "damaged"),
+        (f"bytes = {'9' * 400}\n", "damaged"),
+        (f"bytes = {'9' * 5000}\n", "damaged"),
+        (f"version = 0x{'f' * 9999}\n", "damaged"),
+        ("frames = " + "[" * 100_000 + "\n", "damaged"),
+    ],
 )
 def test_a_session_of_a_newer_version_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], about: str, fault: str

@@ -13,17 +13,19 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source.devices import CanDevice
+from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
-from taxeld_protocol.frames import format_log_line
+from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from taxeld_protocol.virtual_ihb import Answer, HubLink, Phase, VirtualIhb
 from tests.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())
+LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
 CHANNELS = sum(module.channels for module in MODULES)
 DEADLINE_S = 20.0
 
@@ -59,7 +61,9 @@ def test_slcan_on_a_pseudo_terminal_brings_the_skin_up(hub: VirtualHub) -> None:
 
 
 def test_damaged_slcan_lines_cost_only_themselves(hub: VirtualHub) -> None:
-    settings = SourceConfig(kind="can", interface="slcan", channel=hub.device, listen_only=True)
+    settings = SourceConfig(
+        kind="can", interface="slcan", channel=hub.device, listen_only=True, modules=LISTED
+    )
     source = open_source(settings, SKIN)
     noise = [b"t1ZZ8junk\r", b"\xff\xfe\r", b"t\r", b"T123\r", b"\x07", b"tttt\r"]
 
@@ -83,7 +87,7 @@ def test_the_native_serial_link_brings_the_skin_up() -> None:
     tty.setraw(slave)
     os.set_blocking(master, False)
     source = open_source(SourceConfig(kind="serial", channel=os.ttyname(slave)), SKIN)
-    hub, requests = VirtualIhb(MODULES), SerialReader()
+    hub, requests = VirtualIhb(MODULES, phase=Phase.MODULES), SerialReader()
 
     def serve(k: int) -> None:
         try:
@@ -105,8 +109,48 @@ def test_the_native_serial_link_brings_the_skin_up() -> None:
     os.close(slave)
 
 
+def test_a_cold_hub_on_a_can_bus_is_led_out_of_its_bootloader_by_a_frame_of_29_bits(
+    tmp_path: Path,
+) -> None:
+    """And the recording has it as candump would."""
+    settings = SourceConfig(kind="can", interface="virtual", channel="cold")
+    hub, link = VirtualIhb(MODULES), HubLink()
+    with (
+        can.Bus(interface="virtual", channel="cold") as bus,
+        Recorder(tmp_path / "session", moves=False) as recorder,
+    ):
+        source = open_source(settings, SKIN, recorder)
+
+        def serve(k: int) -> None:
+            answers: list[Answer] = []
+            while message := bus.recv(0.0):
+                heard = Frame(
+                    0.0, message.arbitration_id, bytes(message.data), message.is_extended_id
+                )
+                request = link.feed(heard)
+                answers += [] if request is None else hub.answer(request)
+            if hub.due(time.monotonic()):
+                answers += hub.sensor_data(counts(k))
+            for command, payload in answers:
+                for frame in cyskin.to_frames(command, payload, ihb=hub.short_id):
+                    bus.send(
+                        can.Message(
+                            arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
+                        )
+                    )
+
+        assert hub.phase == Phase.BOOTLOADER
+        scans = scans_until(source, serve, 2)
+        assert [list(scan.counts) for scan in scans[:2]] == [counts(0), counts(1)]
+        source.close()
+    log = (tmp_path / "session" / "frames.log").read_text(encoding="ascii").splitlines()
+    assert log[0].endswith(" can0 17FFFFFF#013B00004F6D17")
+
+
 def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
-    settings = SourceConfig(kind="can", interface="virtual", channel="foreign", listen_only=True)
+    settings = SourceConfig(
+        kind="can", interface="virtual", channel="foreign", listen_only=True, modules=LISTED
+    )
     source = open_source(settings, SKIN)
     hub = VirtualIhb(MODULES)
     with can.Bus(interface="virtual", channel="foreign") as bus:
@@ -166,7 +210,7 @@ def test_a_session_is_replayed_at_its_own_pace(tmp_path: Path) -> None:
             frames = cyskin.to_frames(command, payload, ihb=1, t=100.0 + k)
             lines += [format_log_line(frame) for frame in frames]
     (tmp_path / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
-    source = open_source(SourceConfig(kind="replay", path=str(tmp_path)), SKIN)
+    source = open_source(SourceConfig(kind="replay", path=str(tmp_path), modules=LISTED), SKIN)
     assert [len(source.poll(now)) for now in (50.0, 50.5, 51.0, 51.9, 52.1)] == [1, 0, 1, 0, 1]
 
 

@@ -1,8 +1,10 @@
 """Deadlines, on a fake clock."""
 
+from itertools import pairwise
+
 import pytest
 
-from taxeld.service.ticker import Ticker
+from taxeld.service.ticker import REST_S, Ticker
 
 
 class FakeClock:
@@ -49,3 +51,19 @@ def test_what_is_left_of_a_tick_is_counted_down_below_nothing() -> None:
     assert ticker.left_s() == pytest.approx(0.01)
     clock.now += 0.015
     assert ticker.left_s() == pytest.approx(-0.005)
+
+
+def test_in_slow_ticks_others_have_their_turn_and_the_rate_is_kept() -> None:
+    clock, turns = FakeClock(), list[float]()
+    ticker = Ticker(2.0, clock, clock.sleep, turns.append)
+    assert [ticker.wait() for _ in range(4)] == pytest.approx([0.5, 1.0, 1.5, 2.0])
+    assert max(b - a for a, b in pairwise([0.0, *turns, 2.0])) <= 3.0 * REST_S + 1e-9
+    assert ticker.missed == 0
+
+
+def test_in_fast_ticks_nobody_has() -> None:
+    clock, turns = FakeClock(), list[float]()
+    ticker = Ticker(100.0, clock, clock.sleep, turns.append)
+    for _ in range(10):
+        ticker.wait()
+    assert turns == []

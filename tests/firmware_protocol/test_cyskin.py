@@ -5,6 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld_protocol.cyskin import (
+    FRAGMENT_BYTES,
+    LEAVE_BOOTLOADER,
     MAX_FRAGMENTS,
     Packet,
     Reassembler,
@@ -52,6 +54,30 @@ def test_golden_requests_are_encoded_and_decoded(line: str, packet: tuple[int, s
     command, payload = packet[0], bytes.fromhex(packet[1])
     assert [f[1:3] for f in to_frames(command, payload, ihb=0xFF)] == [golden(line)[1:3]]
     assert Reassembler().feed(golden(line)) == Packet(0.0, 0xFF, command, payload)
+
+
+def test_the_frame_that_ends_the_bootloader_is_the_published_one() -> None:
+    """As the vendor's library sends it; its last bytes are a CRC-16/X-25 of Cypress's protocol."""
+    [frame] = to_frames(LEAVE_BOOTLOADER, ihb=0xFF, t=2.0)
+    assert frame == Frame(2.0, 0x17FFFFFF, bytes.fromhex("013B00004F6D17"), extended=True)
+    assert format_log_line(frame).endswith(" 17FFFFFF#013B00004F6D17")
+    crc = 0xFFFF
+    for byte in frame.data[:4]:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ 0x8408 if crc & 1 else crc >> 1
+    assert (crc ^ 0xFFFF).to_bytes(2, "big") == frame.data[4:6]
+    assert Reassembler().feed(frame) is None
+
+
+@given(st.binary(max_size=255), st.integers(0, 40))
+def test_only_what_fits_the_last_fragment_may_follow_a_packet(payload: bytes, more: int) -> None:
+    """Where fragments of two packets are taken for one, the first's checksum may still be right."""
+    link = Reassembler()
+    frames = fragment(encode(0x43, payload) + bytes(more), 1)
+    packet = [link.feed(frame) for frame in frames][-1]
+    assert (packet is None) == (more >= FRAGMENT_BYTES)
+    assert link.counters.length_errors == (more >= FRAGMENT_BYTES)
 
 
 def test_golden_scan_is_one_packet() -> None:

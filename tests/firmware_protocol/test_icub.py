@@ -1,10 +1,12 @@
 """iCub skin: halves paired into scans, what is missing, the commands and the virtual board."""
 
+import itertools
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxeld_protocol import icub
+from taxeld_protocol import icub, icub_decoder
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.frames import Frame, parse_log_line
 from taxeld_protocol.icub import CHANNELS, Drop, Half
@@ -112,14 +114,79 @@ def test_a_new_triangle_changes_the_table_and_keeps_the_order() -> None:
 
 
 def test_uids_follow_the_positions_file_of_the_part() -> None:
-    """Slot of the triangle, triangles counted through the part's boards; thermal pads are none."""
-    decoder = IcubDecoder([9, 4])
-    (scan,) = feed(decoder, VirtualBoard(4, [2]).scan([IDLE] * CHANNELS))
+    """Slot of the triangle, triangles counted through the part's boards."""
+    (scan,) = feed(IcubDecoder([9, 4]), VirtualBoard(4, [2]).scan([IDLE] * CHANNELS))
     (module,) = scan.table
-    sui = 16 + 2
-    taxels = [sui << 4 | k for k in range(CHANNELS)]
     assert module.channels == len(module.names) == CHANNELS
-    assert module.uids == [ABSENT_UID if k in icub.THERMAL else uid for k, uid in enumerate(taxels)]
+    assert module.uids == [16 + 2 << 4 | slot for slot in range(CHANNELS)]
+
+
+def test_a_channel_is_a_taxel_where_the_part_has_one_and_nothing_else_is() -> None:
+    """A palm's slots 6 and 10 are taxels, and its slot 11 is a thermal pad."""
+    palm = icub.ALL_CHANNELS & ~(1 << 11)
+    decoder = IcubDecoder([4], {2: palm})
+    (scan,) = feed(decoder, VirtualBoard(4, [2]).scan([IDLE] * CHANNELS))
+    assert scan.table[0].uids == [2 << 4 | slot for slot in range(11)] + [ABSENT_UID]
+    scan = feed(decoder, 2 * VirtualBoard(4, [2, 3]).scan([IDLE] * 2 * CHANNELS))[-1]
+    assert scan.table[1].uids == [ABSENT_UID] * CHANNELS  # the part has no taxel on this one
+
+
+def test_triangles_that_come_no_more_are_forgotten_and_then_no_scan_waits_for_them() -> None:
+    board = board_of(4)
+    decoder = knowing(board.scan(values(4)))
+    board.triangles = [1, 2]
+    scans = feed(decoder, 3 * icub_decoder.FORGET_SCANS * board.scan(values(2)))
+    *waiting, last = [len(scan.table) for scan in scans]
+    assert waiting[: icub_decoder.FORGET_SCANS] == [4] * icub_decoder.FORGET_SCANS
+    assert last == 2
+    assert feed(decoder, board.scan(values(2)))[0].complete  # with its own last half
+
+
+def test_a_triangle_that_is_lost_now_and_then_is_kept() -> None:
+    board = board_of(2)
+    decoder = knowing(board.scan(values(2)))
+    few = board.scan(values(2))[:2]
+    scans = feed(decoder, 5 * ((icub_decoder.FORGET_SCANS - 1) * few + board.scan(values(2))))
+    assert {len(scan.table) for scan in scans} == {2}
+
+
+def test_boards_that_are_assigned_anew_have_tables_of_their_own() -> None:
+    decoder = IcubDecoder([9, 4])
+    frames = VirtualBoard(4, [2]).scan([IDLE] * CHANNELS)
+    (before,) = feed(decoder, frames)
+    decoder.assign([9, 4])
+    (same,) = feed(decoder, frames)
+    decoder.assign([4])
+    (after,) = feed(decoder, frames)
+    assert [s.table[0].sui for s in (before, same, after)] == [18, 18, 2]
+    assert before.table_version == same.table_version != after.table_version
+
+
+def test_answers_are_kept_and_counted_whoever_gives_them() -> None:
+    decoder = IcubDecoder([9])
+    texts = ["290#1C0B010402010001", "2D0#1C06030100010001"]  # a strain gauge's as well
+    feed(decoder, [frame(text) for text in texts])
+    assert [(a.board, a.is_skin, str(a)) for a in decoder.answered.values()] == [
+        (9, True, "MTB4 1.4.2"),
+        (13, False, "a board of kind 6 3.1.0"),
+    ]
+    assert decoder.counters.answers == decoder.frames == 2
+    assert decoder.stats()["packets"] == 0
+    assert balanced(decoder)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "209#1C0000",  # the asking itself
+        "290#1C0B0104020100",
+        "290#1D0B010402010001",
+        "2F0#1C0B010402010001",
+        "00000290#1C0B010402010001",
+    ],
+)
+def test_what_is_no_answer_is_none(text: str) -> None:
+    assert icub.read_answer(frame(text)) is None
 
 
 @pytest.mark.parametrize(
@@ -129,7 +196,8 @@ def test_uids_follow_the_positions_file_of_the_part() -> None:
         (0x0010, {0}),
         (0x8000, {11}),
         (0x1820, {1, 7, 8}),
-        (0x0001, set(range(CHANNELS))),
+        (0x0001, set()),  # some taxel did not acknowledge
+        (0x0021, {1}),  # and it was this one: the others are fine
         (0x0002, set(range(CHANNELS))),
     ],
 )
@@ -231,39 +299,92 @@ def test_any_frames_are_counted_once_and_a_good_scan_follows(damage: list[Frame]
 
 
 def test_commands_are_the_wires() -> None:
-    assert icub.set_board(50) == bytes.fromhex("4D0032F0")
+    assert icub.set_board(50) == bytes.fromhex("4D0832F0")
+    assert icub.set_board(50, skin_type=2) == bytes.fromhex("4D0232F0")
     assert icub.set_triangles(0, 15) == bytes.fromhex("50000F02010022")
     assert icub.set_triangles(3, 4, enable=False)[4] == 0
+    assert icub.to_frames(9, icub.ASK) == [Frame(0.0, 0x209, b"\x1c\x00\x00")]
     assert icub.to_frames(9, icub.START) == [Frame(0.0, 0x209, b"\x07\x00")]
     assert icub.to_frames(9, icub.STOP) == [Frame(0.0, 0x209, b"\x07\x01")]
     with pytest.raises(ValueError, match="300 ms"):
         icub.set_board(300)
 
 
-def test_the_virtual_board_starts_keeps_its_period_and_stops() -> None:
-    board = VirtualBoard(7)
-    assert not board.due(0.0)
-    for command in (icub.set_board(20), icub.START):
-        board.take(icub.to_frames(7, command)[0])
-    assert [ms for ms in range(50) if board.due(ms / 1000)] == [0, 20, 40]
-    board.take(icub.to_frames(7, icub.STOP)[0])
-    assert not board.due(1.0)
+@given(st.integers(0, 0xFFFF))
+def test_runs_are_the_mask_and_none_touches_the_next(mask: int) -> None:
+    runs = icub.runs(mask)
+    assert mask == sum(1 << k for first, last in runs for k in range(first, last + 1))
+    assert all(a[1] + 1 < b[0] for a, b in itertools.pairwise(runs))
 
 
-def test_the_virtual_board_sends_old_ids_until_it_is_configured() -> None:
-    board = VirtualBoard(7, [1])
-    assert {f.can_id for f in board.scan(values(1))} == {0x371}
-    board.take(icub.to_frames(7, icub.set_triangles(2, 2))[0])
-    assert {f.can_id for f in board.scan(values(2))} == {0x471, 0x472}
-    board.take(icub.to_frames(7, icub.set_triangles(0, 1, enable=False))[0])
-    assert board.triangles == [2]
+def command(board: VirtualBoard, *commands: bytes) -> list[Frame]:
+    """Its answers."""
+    frames = [f for c in commands for f in icub.to_frames(board.board, c)]
+    return [answer for f in frames for answer in board.take(f)]
 
 
-def test_the_virtual_board_obeys_no_one_elses_commands() -> None:
-    board = VirtualBoard(7)
-    for other in (*icub.to_frames(6, icub.START), Frame(0.0, 0x207, icub.START, True),
-                  Frame(0.0, 0x207, b""), Frame(0.0, 0x207, b"\x99\x00")):  # fmt: skip
-        board.take(other)
-    assert not board.running
-    with pytest.raises(ValueError, match="3 values for 192 channels"):
-        board.scan([1, 2, 3])
+class TestVirtualBoard:
+    """What iCub's firmware does, as its sources have it."""
+
+    def test_it_sends_at_its_period_from_start_to_stop(self) -> None:
+        board = VirtualBoard(7)
+        assert not board.due(0.0)
+        command(board, icub.set_board(20), icub.set_triangles(0, 3), icub.START)
+        assert [ms for ms in range(50) if board.due(ms / 1000)] == [0, 20, 40]
+        command(board, icub.STOP)
+        assert not board.due(1.0)
+
+    def test_all_its_triangles_are_enabled_after_power_up(self) -> None:
+        board = VirtualBoard(7)
+        command(board, icub.START)
+        assert len(board.scan([IDLE] * 16 * CHANNELS)) == 32
+
+    @pytest.mark.parametrize("sending", [False, True])
+    def test_setting_the_board_disables_every_triangle(self, sending: bool) -> None:
+        board = VirtualBoard(7)
+        if sending:
+            command(board, icub.START)
+        command(board, icub.set_board(20, skin_type=3))
+        assert (board.running, board.skin_type, board.triangles) == (sending, 3, [])
+        command(board, icub.START)
+        assert board.scan([]) == []
+
+    def test_setting_triangles_enables_calibrates_and_stops(self) -> None:
+        board = VirtualBoard(7)
+        command(board, icub.set_board(20), icub.START, icub.set_triangles(2, 3))
+        assert (board.running, board.calibrations, board.triangles) == (False, 1, [2, 3])
+        command(board, icub.START)
+        assert {f.can_id for f in board.scan(values(2))} == {0x472, 0x473}
+        command(board, icub.set_triangles(3, 3, enable=False))
+        assert board.triangles == [2]
+
+    @pytest.mark.parametrize(("first", "last"), [(3, 2), (0, 16), (16, 16)])
+    def test_triangles_that_it_has_not_are_passed_over(self, first: int, last: int) -> None:
+        board = VirtualBoard(7, [5])
+        command(board, icub.START, icub.set_triangles(first, last))
+        assert (board.running, board.calibrations, board.triangles) == (True, 0, [5])
+
+    @pytest.mark.parametrize("setting", [icub.set_board(20), icub.set_triangles(0), icub.START])
+    def test_it_sends_under_the_old_ids_until_it_is_told_anything(self, setting: bytes) -> None:
+        board = VirtualBoard(7, [1])
+        assert {f.can_id for f in board.scan(values(1))} == {0x371}
+        command(board, setting)
+        board.triangles = [1]
+        assert {f.can_id for f in board.scan(values(1))} == {0x471}
+
+    def test_it_says_what_it_is_and_goes_on_sending(self) -> None:
+        board = VirtualBoard(7)
+        command(board, icub.START)
+        (answer,) = command(board, icub.ASK)
+        assert answer.can_id == 0x270
+        assert icub.read_answer(answer) == icub.Answer(7, 11, (1, 4, 2))
+        assert board.running
+
+    def test_it_obeys_no_one_elses_commands(self) -> None:
+        board = VirtualBoard(7)
+        for other in (*icub.to_frames(6, icub.START), Frame(0.0, 0x207, icub.START, True),
+                      Frame(0.0, 0x207, b""), Frame(0.0, 0x207, b"\x99\x00")):  # fmt: skip
+            assert board.take(other) == []
+        assert not board.running
+        with pytest.raises(ValueError, match="3 values for 192 channels"):
+            board.scan([1, 2, 3])

@@ -159,6 +159,56 @@ def test_the_pieces_a_line_comes_in_do_not_matter(noise: list[bytes], cuts: list
     assert cut.counters == whole.counters
 
 
-def test_a_time_stamp_is_passed_over() -> None:
-    assert slcan.parse(b"t1012AABB1F00") == Frame(0.0, 0x101, b"\xaa\xbb")
-    assert slcan.parse(b"t1012AABB1F") is None
+FRAMES = st.builds(
+    lambda short, long, extended, data: Frame(1.5, long if extended else short, data, extended),
+    st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF), st.booleans(), st.binary(max_size=8),
+)  # fmt: skip
+STAMPS = st.one_of(
+    st.just(b""),
+    st.integers(0, 0xFFFF).map(lambda ms: b"%04X" % ms),
+    st.integers(0, 0xFFFFFFFF).map(lambda us: b"%08X" % us),
+)
+
+
+@given(st.lists(st.tuples(FRAMES, STAMPS), max_size=8), st.lists(st.integers(0, 10**6)))
+def test_stamps_of_none_four_or_eight_digits_also_mixed_leave_the_data_as_it_is(
+    sent: list[tuple[Frame, bytes]], cuts: list[int]
+) -> None:
+    line = b"".join(slcan.encode(frame)[:-1] + stamp + b"\r" for frame, stamp in sent)
+    reader, got = SlcanReader(), []
+    for piece in pieces(line, cuts):
+        got += reader.feed(piece, 1.5)
+    assert got == [frame for frame, _ in sent]
+    assert reader.counters.used == len(line)
+
+
+@pytest.mark.parametrize("digits", [1, 2, 3, 5, 6, 7, 9, 10, 12, 16])
+def test_digits_that_are_no_stamp_are_damage(digits: int) -> None:
+    for line in (b"t1012AABB", b"T17FFFFFF0", b"t1018" + b"A5" * 8):
+        assert slcan.parse(line) is not None
+        assert slcan.parse(line + b"0" * digits) is None
+
+
+@pytest.mark.parametrize(
+    "line", [b"r1010", b"r7FF8", b"r10181A2B", b"r10180001A2B3", b"R17FFFFFF0", b"R000000008FFFF"]
+)
+def test_remote_frames_are_no_data_frames_and_are_counted(line: bytes) -> None:
+    reader = SlcanReader()
+    assert reader.feed(line + b"\r", 0.0) == []
+    assert (reader.counters.foreign, reader.counters.noise) == (1, 0)
+    assert reader.counters.used == 0
+
+
+@pytest.mark.parametrize("line", [b"r101", b"r1019", b"r8000", b"R2000000008", b"r101812", b"s12"])
+def test_what_only_begins_like_a_remote_frame_is_noise(line: bytes) -> None:
+    reader = SlcanReader()
+    assert reader.feed(line + b"\r", 0.0) == []
+    assert (reader.counters.foreign, reader.counters.noise) == (0, 1)
+
+
+def test_answers_are_no_noise_and_a_refusal_ends_a_line_as_well() -> None:
+    reader = SlcanReader()
+    frame = Frame(0.0, 0x101, b"\xaa")
+    assert reader.feed(b"\r\az\rZ\r" + slcan.encode(frame)[:-1] + b"\a", 0.0) == [frame]
+    assert reader.counters.noise == 0
+    assert slcan.split(b"\r\at1010\a")[0] == [b"", b"\a", b"t1010\a"]

@@ -97,10 +97,14 @@ def test_declare_answers_are_understood(case: dict[str, Any]) -> None:
 
 @each("details")
 def test_details_answers_are_understood(case: dict[str, Any]) -> None:
+    """As many channels as the mask has bits are sent, whatever number is told."""
     table = ModuleTable()
+    assert table.on_declare(bytes((case["index"], 0)) + bytes(case["index"]))
     assert table.on_details(payload_of(case["packet"], Command.MODULE_DETAILS))
     module = asdict(table.modules[case["index"]])
-    assert module == {key: value for key, value in case.items() if key not in ("index", "packet")}
+    sent = case["mask"].bit_count()
+    told = {key: value for key, value in case.items() if key not in ("index", "packet")}
+    assert module == told | {"channels": sent}
 
 
 def payload_of(packet: str, command: int) -> bytes:

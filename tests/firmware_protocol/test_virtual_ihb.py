@@ -2,16 +2,17 @@
 
 import pytest
 
-from taxeld_protocol import commands
-from taxeld_protocol.cyskin import Command, ErrorCode, Packet
+from taxeld_protocol import commands, cyskin
+from taxeld_protocol.cyskin import LEAVE_BOOTLOADER, Command, ErrorCode, Packet
+from taxeld_protocol.frames import parse_log_line
 from taxeld_protocol.modules import wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from taxeld_protocol.virtual_ihb import HubLink, Phase, VirtualIhb
 
 UIDS = [0x11, 0x12, 0x21]
 
 
-def hub() -> VirtualIhb:
-    return VirtualIhb(wired(UIDS), uid=0xC0FFEE01, short_id=3)
+def hub(phase: Phase = Phase.RUNNING) -> VirtualIhb:
+    return VirtualIhb(wired(UIDS), uid=0xC0FFEE01, short_id=3, phase=phase)
 
 
 def ask(
@@ -33,8 +34,79 @@ def test_declare_and_details_describe_the_modules() -> None:
     ihb = hub()
     assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 3, 2)))]
     details = ask(ihb, Command.MODULE_DETAILS, b"\xff")
-    assert [payload[:8].hex() for _, payload in details] == ["0000000001030000", "0100000002020000"]
+    assert [payload[:8].hex() for _, payload in details] == ["00000000010c0000", "01000000020c0000"]
+    assert [payload[7:9].hex() for _, payload in details] == ["0007", "0003"]
     assert ask(ihb, Command.MODULE_DETAILS, b"\x01") == details[1:]
+
+
+def test_a_hub_that_was_just_powered_is_in_its_bootloader_and_streams_nothing() -> None:
+    ihb = VirtualIhb(wired(UIDS))
+    assert ask(ihb, Command.DECLARE) == [(0x3C, b"\x02")]
+    assert ask(ihb, Command.MODULE_DETAILS, b"\xff") == [
+        (0x3D, bytes.fromhex("0000000001")), (0x3D, bytes.fromhex("0100000002")),
+    ]  # fmt: skip
+    for command, payload in [(Command.SET_AUTO_SYNC, b"\x01"), (Command.SYNC, b"")]:
+        assert ask(ihb, command, payload) == [(0x13, bytes((command, ErrorCode.PHASE)))]
+        assert not any(ihb.due(t) for t in (0.0, 1.0, 2.0))
+
+
+@pytest.mark.parametrize("before", [[], [Command.SET_AUTO_SYNC]])
+def test_a_hub_is_led_out_of_its_bootloader_and_then_its_modules_are(before: list[Command]) -> None:
+    ihb = VirtualIhb(wired(UIDS))
+    for _ in before:
+        assert ask(ihb, Command.SET_AUTO_SYNC, b"\x00") == []  # to be silent costs nothing
+    assert ask(ihb, Command.MODULE_PROGRAM_END) == [(0x13, bytes((0x31, ErrorCode.PHASE)))]
+    assert ask(ihb, LEAVE_BOOTLOADER) == []
+    assert ask(ihb, Command.DECLARE) == [(0x3C, b"\x02")]
+    assert ask(ihb, Command.MODULE_PROGRAM_END) == []
+    assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 3, 2)))]
+    ask(ihb, Command.SET_AUTO_SYNC, b"\x01")
+    assert ihb.due(0.0)
+
+
+@pytest.mark.parametrize("command", [LEAVE_BOOTLOADER, Command.MODULE_PROGRAM_END])
+def test_what_leads_a_hub_out_of_its_bootloader_does_no_harm_to_one_that_streams(
+    command: int,
+) -> None:
+    ihb = hub()
+    ask(ihb, Command.SET_AUTO_SYNC, b"\x01")
+    assert ask(ihb, command) == []
+    assert [ihb.due(0.0), ihb.due(0.05)] == [True, True]
+    assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 3, 2)))]
+
+
+@pytest.mark.parametrize(
+    ("command", "phase"),
+    [
+        (Command.IHB_COLD_REBOOT, Phase.BOOTLOADER),
+        (Command.IHB_WARM_REBOOT, Phase.RUNNING),
+        (Command.MODULE_COLD_REBOOT, Phase.MODULES),
+        (Command.MODULE_WARM_REBOOT, Phase.RUNNING),
+    ],
+)
+def test_a_reboot_goes_back_as_far_as_its_name_says(command: Command, phase: Phase) -> None:
+    ihb = VirtualIhb(wired(UIDS))
+    for led in (LEAVE_BOOTLOADER, Command.MODULE_PROGRAM_END):
+        ask(ihb, led)
+    ask(ihb, Command.SET_AUTO_SYNC, b"\x01")
+    ask(ihb, command)
+    assert ihb.phase == phase
+    assert ihb.due(0.0) == (command == Command.MODULE_WARM_REBOOT)
+
+
+def test_a_hub_hears_the_frame_that_ends_its_bootloader_and_no_other_of_29_bits() -> None:
+    def heard(line: str) -> Packet | None:
+        frame = parse_log_line(line)
+        assert frame is not None
+        return HubLink().feed(frame)
+
+    leave = Packet(0.0, 0xFF, LEAVE_BOOTLOADER, b"")
+    assert heard("17FFFFFF#013B00004F6D17") == leave
+    assert heard("17FFFFFF#013B00004F6D16") is None
+    assert heard("17FFFFFE#013B00004F6D17") is None
+    assert heard("7FF#013B00004F6D17") is None
+    assert [HubLink().feed(f) for f in cyskin.to_frames(LEAVE_BOOTLOADER, ihb=0xFF)] == [leave]
+    assert heard("5FF#3C00D2") == Packet(0.0, 0xFF, Command.DECLARE, b"")
 
 
 def test_auto_sync_sends_scans_at_the_period_and_stops() -> None:
@@ -99,14 +171,22 @@ def test_what_the_host_sets_is_what_details_tell() -> None:
         (Command.SET_MODULE_GROUPING, {"module": 255, "grouping": 0x88}),
         (Command.MODULE_CDC_SPEED, {"module": 1, "speed": 2}),
         (Command.MODULE_CDC_CONTROL, {"module": 1, "control": 0x50}),
-        (Command.MODULE_SET_CUT_SENSORS, {"module": 1, "mask": 0b111}),
+        (Command.MODULE_SET_CUT_SENSORS, {"module": 1, "cut": 0xFF8}),
     ):
         assert ask(ihb, command, commands.request(command, **fields)) == []
     (answer,) = ask(ihb, Command.MODULE_DETAILS, b"\x01")
     assert commands.parse_answer(*answer) == {
-        "module": 1, "sui": 2, "channels": 3, "grouping": 0x88, "mask": 0b111,
+        "module": 1, "sui": 2, "channels": 12, "grouping": 0x88, "mask": 0b111,
         "cdc_control": 0x50, "cdc_speed": 2,
     }  # fmt: skip
+    assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 3, 3)))]
+
+
+def test_a_module_of_which_nothing_is_cut_has_all_taxels() -> None:
+    ihb = hub()
+    ask(ihb, Command.MODULE_SET_CUT_SENSORS, b"\x00\x00\x00")
+    assert ihb.modules[0].mask == 0xFFF
+    assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 12, 2)))]
 
 
 def test_comm_speed_is_set_and_told() -> None:
@@ -129,7 +209,7 @@ def test_every_command_of_the_table_is_answered_or_obeyed(command: Command) -> N
     """Well-formed requests draw no ERROR, whatever the command."""
     fields = {
         "uid": 0xC0FFEE01, "short_id": 3, "module": 0, "grouping": 0, "on": 0, "period_ms": 20,
-        "mbps": 4, "speed": 1, "control": 0, "value": 1, "mask": 7,
+        "mbps": 4, "speed": 1, "control": 0, "value": 1, "cut": 7,
     }  # fmt: skip
     names = commands.REQUESTS.get(command, ("", ()))[1]
     payload = commands.request(command, **{name: fields[name] for name in names})

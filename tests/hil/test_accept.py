@@ -15,12 +15,12 @@ from taxeld.layout import read as layouts
 from taxeld_hil.acceptance import link as accept_link
 from taxeld_hil.acceptance import press as accept_press
 from taxeld_hil.acceptance import taxels as accept_taxels
-from taxeld_hil.acceptance.accept import source_of
 from taxeld_hil.acceptance.checks import checks
 from taxeld_hil.acceptance.draw import draw
 from taxeld_hil.acceptance.press import PressDetector
 from taxeld_hil.acceptance.readings import readings
 from taxeld_hil.acceptance.report import Report
+from taxeld_hil.acceptance.target import source_of
 from taxeld_hil.acceptance.values import CheckResult, Link, Press, Received, Verdict
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module
@@ -138,6 +138,7 @@ FAULTS: list[tuple[str, str, Callable[[], Received]]] = [
     ("discovery", "40 bytes came", no_scans({}, bytes=40)),
     ("discovery", "no answer to DECLARE", no_scans({}, frames=7, packets=7)),
     ("discovery", "went away", no_scans({}, lost=1)),
+    ("discovery", "refused 12 lines", no_scans({}, refused=12, unsent=3)),
     ("discovery", "no module with a channel", no_scans({1: (Module(0),)})),
     ("discovery modules", "positions 1", no_scans({1: (A, Module(11), C, D)}, packets=4)),
     ("discovery", "sent no scan", no_scans({1: MODULES}, packets=9)),
@@ -163,6 +164,8 @@ FAULTS: list[tuple[str, str, Callable[[], Received]]] = [
     ("link", "could not read", link(undecodable=1)),
     ("link", "without the beginning", link(orphan=40)),
     ("link", "went away, 2 ×", link(lost=2)),
+    ("link", "fell silent, 1 ×", lambda: received(
+        scans_of(Counts(MODULES))[:100], link=replace(HEALTHY_LINK, silences=1))),
     ("link", "went away", lambda: received(
         scans_of(Counts(MODULES))[:100], link=replace(HEALTHY_LINK, lost=1))),
     ("noise", "T5 of module 1 (hub 1, position 0)", noise(5, 500.0)),

@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -11,6 +12,8 @@ from types import SimpleNamespace
 import pytest
 
 from taxeld_hil import cli
+from taxeld_protocol.cyskin import Command, Packet
+from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
 from tests.virtual_hub import VirtualHub
 
 from .accept_skin import (
@@ -51,7 +54,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     for module in (
         "taxeld_hil.acceptance.accept", "taxeld_hil.acceptance.acquire",
-        "taxeld.source.devices", "can.interfaces.slcan",
+        "taxeld.source.lines", "taxeld.source.slcan_device",
     ):  # fmt: skip
         monkeypatch.setattr(f"{module}.time", made)
     return made
@@ -118,8 +121,36 @@ def test_without_matplotlib_all_but_the_picture_is_there(skin: VirtualSkin, acce
     assert "no picture: " in ran.printed
     assert "pip install 'taxeld[view]'" in ran.printed
     assert sorted(p.name for p in ran.out.iterdir()) == [
-        *("frames.log", "report.json", "report.txt", "session.toml")
+        *("frames.log", "modules.toml", "report.json", "report.txt", "session.toml")
     ]
+
+
+def test_the_modules_are_listed_in_the_hubs_order_for_who_listens_later(
+    clock: Clock, link: Path, accept: Accept
+) -> None:
+    with VirtualHub(link, MODULES[::-1]) as hub:
+        ran = accept(VirtualSkin(hub, Counts(MODULES[::-1]), clock))
+    assert (ran.code, ran.failed) == (0, []), ran.printed
+    path = ran.out / "modules.toml"
+    assert f"listed in {path}, for source.modules" in ran.printed
+    modules = tomllib.loads(path.read_text(encoding="utf-8"))["modules"]
+    assert modules == [[module.sui, module.mask] for module in MODULES[::-1]]
+
+
+def test_a_hub_that_stays_in_its_bootloader_fails_discovery_and_is_called_by_its_name(
+    clock: Clock, link: Path, accept: Accept
+) -> None:
+    class Stuck(VirtualIhb):
+        def answer(self, packet: Packet) -> list[Answer]:
+            starts = packet.command == Command.MODULE_PROGRAM_END
+            return [] if starts else super().answer(packet)
+
+    with VirtualHub(link, MODULES) as hub:
+        hub.ihb = Stuck(MODULES)
+        ran = accept(VirtualSkin(hub, Counts(MODULES), clock))
+    assert (ran.code, ran.failed) == (1, ["discovery"])
+    assert "answers from its bootloader" in ran.findings("discovery")
+    assert not (ran.out / "modules.toml").exists()
 
 
 def test_without_presses_all_else_is_checked(skin: VirtualSkin, accept: Accept) -> None:
@@ -225,6 +256,7 @@ def test_without_an_answer_discovery_fails_and_names_what_to_check(
         ("slcan:/dev/nothing", [], "plugged in"),
         ("serial:/dev/nothing", [], "plugged in"),
         ("serial:/dev/nothing@fast", [], "'fast' is no baud rate"),
+        ("slcan:/dev/nothing@fast", [], "'fast' is no baud rate; use slcan:/dev/nothing@115200"),
         ("serial:/dev/nothing@99999999999999999999", [], "is no baud rate"),
         ("no_such:x", [], "driver installed"),
         ("can0", [], "use can:can0"),

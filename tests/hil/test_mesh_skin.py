@@ -1,5 +1,6 @@
 """A solid against a soft skin: closed forms, symmetry, and the estimator's model beside it."""
 
+import shutil
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from taxeld.layout import read as layouts
 from taxeld.model import contacts
 from taxeld.proposals import bundle
 from taxeld_hil.world import meshes
-from taxeld_hil.world.mesh_physics import solid_of
+from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.mesh_skin import LAYER_M, MeshSkin
 from taxeld_hil.world.solids import Solid
 
@@ -249,3 +250,21 @@ def test_a_mesh_that_is_missing_or_damaged_is_one_line_with_the_cure(
     monkeypatch.setattr(meshes, "find_spec", lambda _: None)
     with pytest.raises(SetupError, match="pip install 'taxeld"):
         meshes.load("035_power_drill", 0.04, 0.01)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (b"{", "unreadable"),
+        (b"\xff", "unreadable"),
+        (b"[]", "is no map"),
+        (b'{"format": 3, "object": "025_mug"}', "attribution is missing"),
+    ],
+)
+def test_a_damaged_bundle_json_is_one_line(tmp_path: Path, text: bytes, said: str) -> None:
+    box = Path(shutil.copytree(bundle.find("box"), tmp_path / "box"))
+    (box / "bundle.json").write_bytes(text)
+    with pytest.raises(SetupError) as error:
+        solid_of(str(box), SKIN)
+    assert str(error.value).startswith(f"{box / 'bundle.json'}: {said}")
+    assert str(error.value).isprintable()

@@ -15,7 +15,7 @@ from taxeld_hil.experiment import physics_cost, physics_gap
 from taxeld_hil.experiment.physics_gap import STAGES, ContactReadings, SkinComparison
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import POOR, TYPICAL
-from taxeld_hil.world.mesh_physics import solid_of
+from taxeld_hil.world.bundled import solid_of
 
 DEMO = scenario.load("demo").on("typical")
 SKIN = layouts.load(DEMO.layout)

@@ -19,7 +19,7 @@ from taxeld_hil.experiment.touch_runs import AFTER, TouchRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN
 from taxeld_hil.world import touches
-from taxeld_hil.world.mesh_physics import solid_of
+from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.mesh_skin import MeshSkin
 from taxeld_hil.world.touches import Touch, Touches
 

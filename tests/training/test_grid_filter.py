@@ -135,7 +135,7 @@ def test_one_touch_gives_the_exact_posterior(model: ObservationModel) -> None:
     for truth in contact_poses(model, 4, rng):
         z = NOISE.draw(model.activation(truth[None])[0], rng)
         belief = GridFilter(model, NOISE)
-        belief.update(np.zeros(3), z, LIVE, touched=True)
+        belief.update(Observation(np.zeros(3), z, LIVE), touched=True)
         a, b = (exact.sample(z, LIVE, 600, rng).pose for _ in range(2))
         gaps.append(energy_distance(drawn(belief, 600), a, 0.05))
         floors.append(energy_distance(a, b, 0.05))
@@ -156,7 +156,7 @@ def test_all_scans_count_as_in_a_brute_force_posterior(model: ObservationModel) 
     for k, sensor in enumerate(sensors):
         h = model.activation(se2.compose(se2.inverse(sensor), se2.compose(SENSOR, truth))[None])[0]
         z = noise.draw(h, rng)
-        belief.update(sensor, z, LIVE, touched=k == 1)
+        belief.update(Observation(sensor, z, LIVE), touched=k == 1)
         scans.add(Observation(sensor, z, LIVE))
     poses = se2.compose(sensors[1], band(model, 60_000, rng))
     log_w = scans.explain(poses).sum(axis=1)
@@ -176,7 +176,8 @@ def test_the_truth_stays_in_the_belief_and_the_estimate_reaches_it(
     belief = GridFilter(model, NOISE)
     for pose in contact_poses(model, 6, rng):
         z = NOISE.draw(model.activation(pose[None])[0], rng)
-        belief.update(se2.compose(truth, se2.inverse(pose)), z, LIVE, touched=True)
+        sensor = se2.compose(truth, se2.inverse(pose))
+        belief.update(Observation(sensor, z, LIVE), touched=True)
         assert belief.metric.distance(belief.pose, truth).min() < 0.003
     for estimate in belief.estimate():
         assert symmetry.add_m(model.scene, estimate, truth)[1] < 0.002
@@ -189,7 +190,8 @@ def test_a_finer_grid_has_the_same_belief(model: ObservationModel) -> None:
     for pose in contact_poses(model, 3, rng):
         z = NOISE.draw(model.activation(pose[None])[0], rng)
         for belief in beliefs:
-            belief.update(se2.compose(truth, se2.inverse(pose)), z, LIVE, touched=True)
+            sensor = se2.compose(truth, se2.inverse(pose))
+            belief.update(Observation(sensor, z, LIVE), touched=True)
         usual, fine = (drawn(belief, 1000) for belief in beliefs)
         assert energy_distance(usual, fine, 0.05) < 0.01
     assert len(beliefs[1]) > 3 * len(beliefs[0])
@@ -197,7 +199,8 @@ def test_a_finer_grid_has_the_same_belief(model: ObservationModel) -> None:
 
 def test_there_is_no_belief_before_the_first_touch(model: ObservationModel) -> None:
     belief = GridFilter(model, NOISE)
-    belief.update(FAR, NOISE.draw(np.zeros(len(SKIN)), np.random.default_rng(0)), LIVE)
+    z = NOISE.draw(np.zeros(len(SKIN)), np.random.default_rng(0))
+    belief.update(Observation(FAR, z, LIVE))
     assert len(belief) == len(belief.pose) == len(belief.weight) == 0
     with pytest.raises(ValueError, match="before the first touch"):
         belief.estimate()
@@ -215,7 +218,7 @@ def test_scans_before_the_first_touch_count_as_those_after_it(model: Observation
     for order in (scans, scans[::-1], scans[1:]):
         belief = GridFilter(model, NOISE)
         for sensor, z in order:
-            belief.update(sensor, z, LIVE)
+            belief.update(Observation(sensor, z, LIVE))
         samples.append(drawn(belief, 1000))
     assert energy_distance(samples[0], samples[1], 0.05) < 0.005
     assert energy_distance(samples[0], samples[2], 0.05) > 0.1
@@ -226,7 +229,7 @@ def test_a_dead_taxels_reading_changes_nothing(model: ObservationModel) -> None:
     z = NOISE.draw(model.activation(contact_poses(model, 1, rng))[0], rng)
     live = np.arange(len(SKIN)) % 3 > 0
     beliefs = GridFilter(model, NOISE), GridFilter(model, NOISE)
-    beliefs[0].update(SENSOR, z, live, touched=True)
-    beliefs[1].update(SENSOR, np.where(live, z, 1.0), live, touched=True)
+    beliefs[0].update(Observation(SENSOR, z, live), touched=True)
+    beliefs[1].update(Observation(SENSOR, np.where(live, z, 1.0), live), touched=True)
     assert beliefs[0].pose.tobytes() == beliefs[1].pose.tobytes()
     assert beliefs[0].weight.tobytes() == beliefs[1].weight.tobytes()

@@ -120,7 +120,7 @@ def test_drift_grows_to_its_given_size(ring_model: ObservationModel) -> None:
     still = np.zeros(len(ring_model.layout))
     rng = np.random.default_rng(0)
     skin = TrialSkin(Conditions(sigma=0.0, drift=0.1), ring_model.layout, still + 1.0, rng)
-    early, late = (skin.read(still + 0.5, 0.0, share, rng) for share in (0.1, 1.0))
+    early, late = (skin.read(still + 0.5, 0.0, share, rng).z for share in (0.1, 1.0))
     assert np.allclose(late - 0.5, 10.0 * (early - 0.5))
     assert 0.05 < np.abs(late - 0.5).max() <= 0.1
 

@@ -13,26 +13,17 @@ import sys
 import time
 from pathlib import Path
 
+import checks
 import zmq
-from checks import CHECKS, check
-from touch import CONFIG, PATIENCE_S, Touch, Unit, sh, until
+from checks import check
+from touch import CONFIG, ON_VCAN0, PATIENCE_S, VCAN0, Touch, Unit, sh, until, vcan0_is_there
 
 from taxeld.config.tables import ControlConfig, LoopConfig, RelayConfig
 from taxeld.estimator.estimate import Status
 from taxeld.stream import client, messages
 
-VCAN0 = Unit("vcan0")
-ON_VCAN0 = ("--can", "vcan0")
 RELAY, RELAYED = "taxeld-relay@vcan0", RelayConfig().publish[0]
 FLOODS = 20
-
-
-def drop_in(unit: Unit, *settings: str) -> None:
-    """Settings of one instance's own."""
-    place = Path(f"/run/systemd/system/{unit.name}.service.d/test.conf")
-    place.parent.mkdir(parents=True)
-    place.write_text("\n".join(["[Service]", *settings, ""]), encoding="utf-8")
-    sh("systemctl daemon-reload")
 
 
 @check
@@ -64,7 +55,7 @@ def a_device_that_comes_late_is_waited_for() -> None:
 def too_few_descriptors_are_said_in_one_line() -> None:
     unit = Unit("few")
     unit.config.write_text(CONFIG % "vcan0", encoding="utf-8")
-    drop_in(unit, "LimitNOFILE=32")
+    unit.drop_in("LimitNOFILE=32")
     sh(f"! systemctl start {unit.name}")
     until("it has failed", lambda: unit.show("ActiveState") == "failed")
     assert unit.show("ExecMainStatus") == "2"
@@ -231,7 +222,7 @@ def probed(instance: str, port: int, *settings: str) -> dict[str, str]:
     """What a process may do in the place of the daemon of an instance."""
     unit = Unit(instance)
     command = f"{sys.executable} /vm/probe.py {port}"
-    drop_in(unit, "Type=oneshot", "Restart=no", "ExecStart=", f"ExecStart={command}", *settings)
+    unit.drop_in("Type=oneshot", "Restart=no", "ExecStart=", f"ExecStart={command}", *settings)
     unit.start()
     found: dict[str, str] = json.loads(next(s for s in unit.journal().splitlines() if s[:1] == "{"))
     return found
@@ -287,25 +278,34 @@ def a_line_that_another_process_holds_is_waited_for() -> None:
 
 
 def main() -> int:
-    import guest_install  # noqa: F401, PLC0415  its checks come last: they remove the service
+    # these come after the service's own; the last of them remove it
+    import guest_neighbours, guest_power, guest_install  # noqa: E401, F401, I001, PLC0415
 
     sh("modprobe -a vcan slcan can-raw")
-    failed = 0
-    for function in CHECKS:
-        name = function.__name__.replace("_", " ")
+    wanted, outcomes = checks.asked_for(), checks.ended()
+    if not wanted:
+        print("no check has such a name")
+    if outcomes or len(wanted) < len(checks.CHECKS):
+        vcan0_is_there()
+    for function in wanted:
+        name = checks.named(function)
+        if name in outcomes:
+            continue
         started = time.monotonic()
         try:
             note = function() or ""
         except Exception as error:  # a check that breaks has failed, and the others go on
-            failed += 1
+            outcomes[name] = "FAILED"
             print(f"FAILED  {name}: {type(error).__name__}: {error}")
-            print(sh("journalctl -b -n 40 --no-hostname -u 'taxeld@*'"))
+            print(sh("journalctl -b -n 40 --no-hostname -u 'taxeld*@*'"))
         else:
+            outcomes[name] = "passed"
             took = f"{time.monotonic() - started:.0f} s"
             print(f"passed  {name} ({', '.join(filter(None, (note, took)))})")
-    total = len(CHECKS)
+        checks.has_ended(name, outcomes[name])
+    failed, total = list(outcomes.values()).count("FAILED"), len(outcomes)
     print(f"{failed} of {total} checks failed" if failed else f"all {total} checks passed")
-    return bool(failed)
+    return bool(failed) or not wanted
 
 
 if __name__ == "__main__":

@@ -4,12 +4,10 @@ import os
 from pathlib import Path
 
 from checks import check
-from touch import Touch, Unit, sh, until
+from touch import ON_VCAN0, VCAN0, Touch, Unit, sh, until
 
 LIB = Path("/usr/local/lib/taxeld")
 PACKAGED = Path("/usr/lib/taxeld")
-VCAN0 = Unit("vcan0")
-ON_VCAN0 = ("--can", "vcan0")
 
 
 def used() -> Path:

@@ -1,5 +1,6 @@
 """What the checks look at: units as systemd sees them, and estimates of a skin that is touched."""
 
+import re
 import subprocess
 import sys
 import tempfile
@@ -22,6 +23,7 @@ from taxeld.stream import client, messages
 
 PATIENCE_S = 180.0  # an emulated processor is some twenty times slower
 GOOD_MM = 10.0
+COMMAND = "/usr/local/lib/taxeld/current/bin/taxeld"
 POSES = "tcp://127.0.0.1:9874"
 
 CONFIG = f"""\
@@ -57,14 +59,33 @@ def until(what: str, true: Callable[[], bool], patience_s: float = PATIENCE_S) -
 
 
 class Unit:
-    """An instance of the service."""
+    """An instance of the service, or of its relay."""
 
-    def __init__(self, instance: str) -> None:
-        self.name = f"taxeld@{instance}"
+    def __init__(self, instance: str, service: str = "taxeld") -> None:
+        self.instance = instance
+        self.name = f"{service}@{instance}"
         self.config = Path(f"/etc/taxeld/{instance}.toml")
+
+    def drop_in(self, *settings: str) -> None:
+        """Settings of this instance's own, until the next boot."""
+        place = Path(f"/run/systemd/system/{self.name}.service.d/test.conf")
+        place.parent.mkdir(parents=True)
+        place.write_text("\n".join(["[Service]", *settings, ""]), encoding="utf-8")
+        sh("systemctl daemon-reload")
 
     def show(self, key: str) -> str:
         return sh(f"systemctl show -P {key} {self.name}")
+
+    def leave_memory(self, mb: int) -> None:
+        """Until it ends, MemoryMax= is so much more than what it has now and cannot give back."""
+        group = Path(f"/sys/fs/cgroup{self.show('ControlGroup')}")
+        limit = group / "memory.max"
+        assert limit.read_text("ascii").strip() == self.show("MemoryMax")  # of the unit as it is
+        text = (group / "memory.stat").read_text("ascii")
+        stat = {key: int(value) for key, value in (line.split() for line in text.splitlines())}
+        has = int((group / "memory.current").read_text("ascii"))
+        kept = has - stat["active_file"] - stat["inactive_file"]
+        limit.write_text(f"{kept + mb * 2**20}\n", "ascii")
 
     @property
     def pid(self) -> int:
@@ -85,6 +106,12 @@ class Unit:
         sh("journalctl --sync")
         return sh(f"journalctl -b -o cat -t taxeld _SYSTEMD_UNIT={self.name}.service")
 
+    def ended_s(self) -> float:
+        """Unix time at which its process ended last."""
+        sh("journalctl --sync")
+        lines = sh(f"journalctl -b -o short-unix -u {self.name} -g 'Main process exited'")
+        return float(lines.splitlines()[-1].split()[0])
+
     def restarts(self) -> int:
         return int(self.show("NRestarts"))
 
@@ -92,6 +119,37 @@ class Unit:
         """Until systemd has started it once more than `restarts`, and it is ready."""
         until(f"{self.name} is restarted", lambda: self.restarts() > restarts)
         until(f"{self.name} is active", lambda: self.show("ActiveState") == "active")
+
+
+VCAN0 = Unit("vcan0")
+ON_VCAN0 = ("--can", "vcan0")
+SESSIONS = Path("/var/lib/taxeld/vcan0/sessions")
+
+
+def vcan0_is_there() -> None:
+    """The interface and the instance, as the first checks leave them."""
+    if not Path("/sys/class/net/vcan0").exists():
+        sh("ip link add vcan0 type vcan && ip link set vcan0 up")
+    VCAN0.config.write_text(CONFIG % "vcan0", encoding="utf-8")
+    sh(f"systemctl enable {VCAN0.name}")
+    VCAN0.start()
+
+
+def recording() -> Path:
+    """Have the instance record each of its runs (docs/sessions.md); → the session of this one."""
+    if "--record" not in VCAN0.show("ExecStart"):
+        VCAN0.stop()
+        command = f"{COMMAND} run --record {SESSIONS}/${{INVOCATION_ID}} {VCAN0.config}"
+        VCAN0.drop_in("ExecStart=", f"ExecStart={command}")
+    VCAN0.start()
+    return SESSIONS / VCAN0.show("InvocationID")
+
+
+def frame_times(where: Path) -> list[float]:
+    """Of the whole records of a session, Unix time."""
+    path = where / session.FRAMES
+    text = path.read_text("ascii") if path.exists() else ""
+    return [float(t) for t in re.findall(r"^\((\d+\.\d+)\).*\n", text, re.MULTILINE)]
 
 
 class Touch:

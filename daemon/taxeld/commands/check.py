@@ -9,29 +9,36 @@ from taxeld.layout import read as layouts
 from taxeld.proposals import bundle, choice
 from taxeld.service import metrics
 from taxeld.source import dialects, session
+from taxeld.source.session import Items
+from taxeld.source.slcan_device import adapter_line
 from taxeld.stream import curve
 
 SYS_NET = Path("/sys/class/net")
+MODULES_TO_COME = (
+    "source.modules: lists none, so taxeld must listen already when the skin is started, to hear "
+    "which modules its hub has"
+)
 
 
 def faults(config: Config) -> list[str]:
     """One path-qualified line a fault of a configuration whose keys are fine."""
     found = []
+    recorded, away = _source(config.source)
     try:
         skin = layouts.load(config.skin.layout)
     except SetupError as error:
         found.append(str(error))
     else:
         try:
-            dialects.listener(config.source, skin)
+            if config.source.kind != "replay":
+                dialects.live(config.source, skin)
+            elif not away:
+                dialects.check_recording(config.source, skin, recorded, config.source.path)
             loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
             choice.open_all(loaded, config.filter)
         except SetupError as error:
             found.append(str(error))
-    try:
-        _source(config.source)
-    except SetupError as error:
-        found.append(str(error))
+    found += away
     for keys in (curve.robot_keys, curve.relay_keys):
         try:
             keys(config)
@@ -53,15 +60,34 @@ def faults(config: Config) -> list[str]:
     return found
 
 
-def _source(source: SourceConfig) -> None:
+def notes(config: Config) -> list[str]:
+    """What no check can see, one line each."""
+    source = config.source
     if source.kind == "replay":
-        session.read(Path(source.path))
-    elif source.kind == "serial" or source.interface == "slcan":
-        device = Path(source.channel.split("@")[0])
-        if not device.exists():
-            raise SetupError(f"source.channel: no device {device}; is it plugged in?")
-    elif source.interface == "socketcan" and not (SYS_NET / source.channel).exists():
-        raise SetupError(
-            f"source.channel: no CAN interface '{source.channel}'; "
-            f"bring it up: ip link set {source.channel} up type can bitrate {source.bitrate}"
-        )
+        return []
+    if source.dialect != "icub":
+        return [MODULES_TO_COME] if source.listen_only and not source.modules else []
+    return [
+        f"source.channel: the boards must hang on {source.channel} itself; behind an Ethernet "
+        "board (EMS), as on most iCubs, they cannot be reached over CAN"
+    ]
+
+
+def _source(source: SourceConfig) -> tuple[Items, list[str]]:
+    """What a session holds, and why the source cannot be opened."""
+    try:
+        if source.kind == "replay":
+            return session.read(Path(source.path)).items, []
+        if source.kind == "serial" or source.interface == "slcan":
+            is_bus = source.kind == "can"
+            device = Path(adapter_line(source.channel)[0] if is_bus else source.channel)
+            if not device.exists():
+                raise SetupError(f"source.channel: no device {device}; is it plugged in?")
+        elif source.interface == "socketcan" and not (SYS_NET / source.channel).exists():
+            raise SetupError(
+                f"source.channel: no CAN interface '{source.channel}'; bring it up: "
+                f"ip link set {source.channel} up type can bitrate {source.bitrate}"
+            )
+    except SetupError as error:
+        return [], [str(error)]
+    return [], []

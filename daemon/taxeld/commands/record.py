@@ -12,10 +12,12 @@ from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.pipeline.poses import PoseTrack
+from taxeld.source import module_order
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import open_source
+from taxeld.source.sources import Source, open_source
 from taxeld.stream import curve
 from taxeld.stream.pose_input import PoseInput
+from taxeld_protocol.decoder import Decoder
 
 POLL_S = 0.002
 
@@ -48,7 +50,8 @@ class Recording:
         return self._recorder.counters.failed
 
     def run(self) -> str:
-        """Record until `stopping`, or until the disk is full; → one line on what was recorded.
+        """Record until `stopping`, or until the disk is full; → one line on what was recorded, and
+        where the modules are listed.
 
         Raises:
             SetupError: a device or the directory cannot be used.
@@ -70,7 +73,22 @@ class Recording:
                 if robot is not None:
                     robot.close()
                 source.close()
-        return self._said()
+        return self._said() + self._listed(source)
+
+    def _listed(self, source: Source) -> str:
+        """Write what the hubs told of their modules, for who listens to them later; → where."""
+        decoder, written = source.wire.decoder, self._recorder.counters
+        if not isinstance(decoder, Decoder) or not (written.frames or written.bytes):
+            return ""
+        tables, path = module_order.complete(decoder), self._directory / module_order.FILE
+        if not tables:
+            unheard = "no DECLARE and MODULE_DETAILS were heard: to replay it, list source.modules"
+            return f"; {unheard}" if decoder.counters.undeclared or decoder.counters.scans else ""
+        try:
+            module_order.write(path, tables)
+        except OSError as error:
+            return f"; {path} cannot be written ({error.strerror})"
+        return f"; its modules are listed in {path}, for source.modules"
 
     def _said(self) -> str:
         written = self._recorder.counters

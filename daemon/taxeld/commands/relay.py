@@ -14,13 +14,15 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+import msgpack
 import zmq
 
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.service.notify import Notifier
 from taxeld.stream import client, curve, messages
-from taxeld.stream.control import POLL_S, Control, Handler
+from taxeld.stream.answers import Handler
+from taxeld.stream.control import POLL_S, Control
 from taxeld.stream.guard import Guard
 from taxeld.stream.hoard import Hoard
 from taxeld.stream.publisher import Publisher
@@ -128,11 +130,21 @@ class Relay:
 
     def _pass_on(self, frames: list[bytes]) -> None:
         topic, body, stamp = frames  # the daemon's own
+        if topic == messages.HEALTH:
+            body = self._with_own_counts(body)
         if topic in ALWAYS:
             self._latest[topic] = body
         if topic == messages.ESTIMATE:
             self._heard_s = time.monotonic()
         self._publisher.forward((topic, body, stamp))
+
+    def _with_own_counts(self, body: bytes) -> bytes:
+        """Health, with what only this process knows of those whom it turns away."""
+        health = unpack(body)
+        health["keys_refused"] = self._guard.refused
+        health["hoarders"] = health.get("hoarders", 0) + self._hoard.hung_up
+        packed: bytes = msgpack.packb(health)
+        return packed
 
     def _is_silent(self) -> bool:
         return time.monotonic() - self._heard_s > SILENT_S

@@ -56,13 +56,14 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     """What each scan of a session led to.
 
     Raises:
-        SetupError: the session cannot be read.
+        SetupError: the session cannot be read, or nothing tells the order of its modules, or which
+            boards it is of.
     """
     recorded = session.read(directory)
     if not recorded.items:  # cut before the first
         return
-    decoder = dialects.listener(pipeline.config.source, pipeline.skin.layout)
-    wire = Wire(pipeline.config.source, decoder)
+    config, layout = pipeline.config.source, pipeline.skin.layout
+    wire = Wire(config, dialects.replayed(config, layout, recorded.items, str(directory)))
     before = 0, recorded.items[0].t
     # as in the daemon, a scan is taken when its last frame is there, and so are the poses
     arrivals = heapq.merge(_ordered(recorded.poses), _ordered(recorded.items), key=itemgetter(0))

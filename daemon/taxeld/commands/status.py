@@ -11,11 +11,11 @@ WIDTH = 14
 
 def lines(answer: dict[str, Any]) -> Iterator[str]:
     """A line a subject of the answer to `status`; parts that it lacks are left out."""
-    for name, text in _rows(answer.get("estimate", {}), answer.get("health", {})):
+    for name, text in _rows(answer.get("estimate", {}), answer):
         yield f"{name:{WIDTH}s}: {text}"
 
 
-def _rows(e: dict[str, Any], health: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _rows(e: dict[str, Any], answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "Status", f"{_name(Status, e['status'])}, {'valid' if e['valid'] else 'not valid'}"
     pose, cov = e["map"], e["cov"]
     yield "Pose", f"x {pose['x']:.4f} m, y {pose['y']:.4f} m, yaw {pose['theta']:.3f} rad"
@@ -27,11 +27,11 @@ def _rows(e: dict[str, Any], health: dict[str, Any]) -> Iterator[tuple[str, str]
     yield "Age", f"{e['age_us'] / 1e3:.1f} ms since the scan"
     yield "Particles", f"{e['particles']}, {e['ess']:.0f} effective"
     yield "Proposal", _name(ProposalKind, e["proposal"])
-    if health:
-        yield from _health_rows(health)
+    if answer.get("health"):
+        yield from _health_rows(answer["health"], answer.get("waits_for"))
 
 
-def _health_rows(health: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tuple[str, str]]:
     loop, source, inputs = health["loop"], health["source"], health["inputs"]
     up_s = max(health["uptime_s"], 1e-9)
     rates = f"{loop['ticks'] / up_s:.1f} ticks/s, {loop['scans'] / up_s:.1f} scans/s"
@@ -50,7 +50,7 @@ def _health_rows(health: dict[str, Any]) -> Iterator[tuple[str, str]]:
     yield "Scans", f"{loop['scans']}, {source['incomplete']} incomplete"
     dropped = ", ".join(f"{n} {cause}" for cause, n in source["dropped"].items() if n) or "none"
     yield "Frames", f"{source['frames']}, dropped {dropped}"
-    yield "Device", f"lost {source['lost']} times, {source['unsent']} requests unsent"
+    yield "Device", _device(source, waits_for)
     stale = [name for name in ("scans", "poses") if inputs[f"{name}_stale"]]
     yield "Stale inputs", ", ".join(stale) or "none"
     poses = f"{inputs['poses_malformed']} malformed, {inputs['poses_rejected']} rejected"
@@ -61,6 +61,14 @@ def _health_rows(health: dict[str, Any]) -> Iterator[tuple[str, str]]:
         p50, p99, top = (us[key] / 1e3 for key in ("p50", "p99", "max"))
         figures = f"median {p50:.2f} ms, 99 % {p99:.2f} ms, max {top:.2f} ms"
         yield f"{stage.capitalize()} time", figures
+
+
+def _device(source: dict[str, Any], waits_for: str | None) -> str:
+    """`waits_for`: None where it is not known, as a relay's answers come without."""
+    in_vain = f"{source.get('unopened', 0)} attempts to open it failed"
+    if waits_for or source.get("waiting"):
+        return f"waited for, {in_vain}: {waits_for or 'the log of the daemon says why'}"
+    return f"lost {source['lost']} times, {in_vain}, {source['unsent']} requests unsent"
 
 
 def _name(kind: type[Status] | type[ProposalKind], value: int) -> str:

@@ -8,6 +8,8 @@ from taxeld.config.tables import Config, SourceConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld_protocol import icub
 
+MAX_BYTES = 1_000_000
+
 
 def load(path: Path) -> Config:
     """Read and validate a configuration file.
@@ -15,11 +17,23 @@ def load(path: Path) -> Config:
     Raises:
         ConfigError: all faults at once.
     """
+    return _for_this_user(parse(text_of(path), str(path)))
+
+
+def text_of(path: Path) -> str:
+    """A TOML file's text.
+
+    Raises:
+        ConfigError: it is unreadable, or too large to be one.
+    """
     try:
-        text = path.read_text(encoding="utf-8")
+        with path.open("rb") as file:
+            content = file.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise ConfigError([f"{path}: is larger than {MAX_BYTES} bytes; name a configuration"])
+        return content.decode("utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError([f"{path}: unreadable configuration ({error})"]) from None
-    return _for_this_user(parse(text, str(path)))
 
 
 def parse(text: str, name: str = "configuration") -> Config:
@@ -44,6 +58,8 @@ def parse(text: str, name: str = "configuration") -> Config:
 def _check_source(source: SourceConfig, faults: list[str]) -> None:
     if source.kind in ("can", "serial") and not source.channel:
         faults.append(f"source.channel: is required for kind '{source.kind}'")
+    if source.modules and source.dialect != "cyskin":
+        faults.append("source.modules: is of dialect cyskin; icub names its boards")
     if source.kind == "replay" and not source.path:
         faults.append("source.path: is required for kind 'replay'")
 

@@ -3,10 +3,13 @@
 Units stand in the names.
 """
 
+from collections import Counter
 from dataclasses import dataclass, field
 
 from taxeld.config.toml_tables import between, key, one_of
 from taxeld_protocol import icub
+from taxeld_protocol.cyskin import BROADCAST
+from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
 from taxeld_protocol.slcan import BITRATES
 
 
@@ -17,10 +20,46 @@ def _bit_rate(value: int) -> str | None:
 
 
 def _boards(boards: tuple[int, ...]) -> str | None:
-    if boards and len(set(boards)) == len(boards) and all(b in icub.BOARDS for b in boards):
+    if len(set(boards)) == len(boards) and all(b in icub.BOARDS for b in boards):
         return None
     first, last = icub.BOARDS[0], icub.BOARDS[-1]
     return f"must be different boards of {first}..{last}, not {list(boards)}"
+
+
+def _modules(modules: tuple[tuple[int, ...], ...]) -> str | None:
+    for entry in modules:
+        fault = _module(entry)
+        if fault:
+            return f"{list(entry)}: {fault}"
+    if len({len(entry) for entry in modules}) > 1:
+        return "must name the hub of every module, or of none"
+    suis = Counter(sui for sui, mask, *_ in modules if mask)
+    hubs = Counter(hub for _, _, *hubs in modules for hub in hubs or [0])
+    twice = [sui for sui, times in suis.items() if times > 1]
+    if twice:
+        return f"lists module {twice[0]} more than once"
+    if max(hubs.values(), default=0) > MAX_MODULES:
+        return f"lists more than the {MAX_MODULES} modules that a hub can have"
+    return None
+
+
+def _module(entry: tuple[int, ...]) -> str | None:
+    if len(entry) not in (2, 3):
+        return "must be [SUI, mask] or [SUI, mask, hub]"
+    sui, mask, *hub = entry
+    if not 0 <= sui < 1 << 32:
+        return f"{sui} is no serial number (0..4294967295)"
+    if not 0 <= mask <= ALL_NAMES:
+        return f"{mask:#x} is no mask of uncut taxels (0..{ALL_NAMES:#x}, bit 0 is T0)"
+    if hub and not 0 < hub[0] < BROADCAST:
+        return f"{hub[0]} is no short id of a hub (1..{BROADCAST - 1})"
+    return None
+
+
+def _skin_type(value: int) -> str | None:
+    if value in icub.SKIN_TYPES:
+        return None
+    return f"must be one of {', '.join(map(str, icub.SKIN_TYPES))}, not {value}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +91,10 @@ class SourceConfig:
     kind: str = key(check=one_of("can", "serial", "replay"), doc="where frames come from")
     dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol")
     boards: tuple[int, ...] = key(
-        tuple(icub.BOARDS), _boards, "dialect icub: the part's boards, in its layout's order"
+        (), _boards, "dialect icub: the part's boards, in its layout's order; empty: they are asked"
+    )
+    skin_type: int = key(
+        icub.SKIN_TYPE, _skin_type, "dialect icub: how boards make up for their temperature"
     )
     interface: str = key("socketcan", doc="kind can: any python-can interface")
     channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
@@ -64,6 +106,9 @@ class SourceConfig:
     path: str = key("", doc="kind replay: a session directory")
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")
     listen_only: bool = key(False, doc="never send: for a skin that something else started")
+    modules: tuple[tuple[int, ...], ...] = key(
+        (), _modules, "[SUI, mask] of each module in its hub's order, where no DECLARE is heard"
+    )
     max_age_s: float = key(
         0.5, between(0.01, 60), "a scan that is older when it arrives is not used"
     )

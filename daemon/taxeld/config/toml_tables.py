@@ -5,22 +5,26 @@ Unknown keys are refused, and every fault is named by its path (`source.chanel: 
 
 import difflib
 import math
+import reprlib
 import tomllib
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from typing import Any, Generic, TypeVar, cast, get_args, get_origin, get_type_hints
 
-from taxeld.errors import SetupError
+from taxeld.errors import SetupError, one_line
 
 T = TypeVar("T")
+
+INTEGER_MAX = 1 << 63  # TOML's own, beyond which a reader need not go
+KEY_SHOWN = 60  # characters
 
 
 class ConfigError(SetupError):
     """All faults of a configuration, one line each."""
 
     def __init__(self, faults: list[str]) -> None:
-        super().__init__("\n".join(faults))
-        self.faults = faults
+        self.faults = [one_line(fault) for fault in faults]
+        Exception.__init__(self, "\n".join(self.faults))
 
 
 Bound = Callable[[Any], str | None]
@@ -49,6 +53,29 @@ def key(default: Any = MISSING, check: Bound | None = None, doc: str = "") -> An
     return field(default=default, metadata={"check": check, "doc": doc})
 
 
+def loads(text: str) -> dict[str, Any]:
+    """The values of TOML text. Raises ValueError, with what is wrong."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"not TOML: {error}") from None
+    except RecursionError:
+        raise ValueError("not TOML: nested too deep") from None
+    except ValueError:
+        raise ValueError("not TOML: a number has thousands of digits") from None
+
+
+class _Short(reprlib.Repr):
+    """Values of a file, in a message."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.maxstring = self.maxother = 80
+
+    def repr_int(self, x: int, level: int) -> str:
+        return super().repr_int(x, level) if abs(x) < INTEGER_MAX else "so large an integer"
+
+
 def parse(cls: type[T], text: str, name: str) -> T:
     """The dataclass `cls` from TOML text; `name` is the file's, for messages.
 
@@ -56,9 +83,9 @@ def parse(cls: type[T], text: str, name: str) -> T:
         ConfigError: all faults at once.
     """
     try:
-        data = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError([f"{name}: not TOML: {error}"]) from None
+        data = loads(text)
+    except ValueError as error:
+        raise ConfigError([f"{name}: {error}"]) from None
     faults: list[str] = []
     parsed = _table(cls, data, "", faults)
     if faults:
@@ -81,9 +108,9 @@ def _values(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> di
     known = {f.name: f for f in fields(cls)}
     hints = get_type_hints(cls)
     for name in data.keys() - known:
-        near = difflib.get_close_matches(name, known, 1)
+        near = difflib.get_close_matches(name[:KEY_SHOWN], known, 1)
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
-        faults.append(f"{path}{name}: unknown key; {hint}")
+        faults.append(f"{path}{name[:KEY_SHOWN]}: unknown key; {hint}")
     return {
         name: _value(hints[name], spec, data[name], path + name, faults)
         for name, spec in known.items()
@@ -109,7 +136,7 @@ def _value(kind: Any, spec: Field[Any], value: Any, path: str, faults: list[str]
         return None
     converted = _convert(kind, value)
     if converted is None:
-        faults.append(f"{path}: must be {_describe(kind)}, not {value!r}")
+        faults.append(f"{path}: must be {_describe(kind)}, not {_Short().repr(value)}")
         return None
     check = spec.metadata["check"]
     fault = check(converted) if check and converted != spec.default else None
@@ -126,6 +153,8 @@ def _convert(kind: Any, value: Any) -> Any:
             return None
         items = tuple(_convert(inner[0], item) for item in value)
         return None if None in items else items
+    if isinstance(value, int) and abs(value) >= INTEGER_MAX:
+        return None
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if kind is float and isinstance(value, float):
@@ -137,5 +166,6 @@ def _describe(kind: Any) -> str:
     if get_origin(kind) is tuple:
         inner = get_args(kind)
         size = "" if inner[-1] is Ellipsis else f" of {len(inner)}"
-        return f"a list{size} ({inner[0].__name__})"
+        of = _describe(inner[0]) if get_origin(inner[0]) is tuple else inner[0].__name__
+        return f"a list{size} ({of})"
     return {str: "a string", int: "an integer", float: "a number", bool: "true or false"}[kind]

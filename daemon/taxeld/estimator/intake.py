@@ -31,7 +31,9 @@ class Intake:
         stuck = self._stuck.on_scan(z, moved) & activation.live
         self._counters.stuck += bool(stuck.any())
         live = activation.live & ~stuck
-        return Observation(sensor, np.where(live, z, 0.0), live)
+        return Observation(
+            sensor, np.where(live, z, 0.0), live, activation.floor, activation.residue
+        )
 
     def _is_usable(self, activation: Activation, sensor: Poses) -> bool:
         counters, t, z = self._counters, activation.t, activation.z

@@ -26,6 +26,8 @@ class Memory:
         self._sensor = np.empty((0, 3))
         self._z = np.empty((0, taxels))
         self._live = np.empty((0, taxels))
+        self._floor = np.empty((0, taxels))
+        self._residue = np.empty((0, taxels))
         self._silent = np.empty((0, taxels))  # log p(z | h = 0): of a taxel that is not pressed
         self.pressed = np.empty(0, dtype=np.intp)  # (K,) taxels that were pressed
         self.ceiling = np.empty(0)  # (K,) log p(z | h) were each taxel pressed just as it reads
@@ -50,17 +52,24 @@ class Memory:
 
     def add(self, observation: Observation) -> None:
         z = observation.z[:, None]
-        density = self._noise.log_density(z, z * LIKELY) * observation.live[:, None]
+        floor = np.broadcast_to(observation.floor, len(z))
+        residue = np.broadcast_to(observation.residue, len(z))
+        density = self._noise.log_density(z, z * LIKELY, floor[:, None], residue[:, None])
+        density = density * observation.live[:, None]
         self._sensor = np.vstack([self._sensor, observation.sensor])
         self._z = np.vstack([self._z, observation.z])
         self._live = np.vstack([self._live, observation.live])
+        self._floor = np.vstack([self._floor, floor])
+        self._residue = np.vstack([self._residue, residue])
         self._silent = np.vstack([self._silent, density[:, 0]])
         self.pressed = np.append(self.pressed, np.count_nonzero(observation.z))
         self.ceiling = np.append(self.ceiling, density.max(axis=1).sum())
 
     def scan(self, k: int) -> Observation:
         """The k-th scan."""
-        return Observation(self._sensor[k], self._z[k], self._live[k] > 0.0)
+        return Observation(
+            self._sensor[k], self._z[k], self._live[k] > 0.0, self._floor[k], self._residue[k]
+        )
 
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """The scans that `kept` (K,) names, with the prior or without."""
@@ -68,6 +77,7 @@ class Memory:
         made._sensor = self._sensor[kept]
         made._z, made._live = self._z[kept], self._live[kept]
         made._silent = self._silent[kept]
+        made._floor, made._residue = self._floor[kept], self._residue[kept]
         made.pressed, made.ceiling = self.pressed[kept], self.ceiling[kept]
         return made
 
@@ -94,7 +104,9 @@ class Memory:
         at, h = self._model.pressed_from(self._sensor[since:], poses)
         row, taxel = np.divmod(at, taxels)
         cell = (row // max(n, 1) + since) * taxels + taxel
-        density = self._noise.log_density(self._z.take(cell), h)
+        density = self._noise.log_density(
+            self._z.take(cell), h, self._floor.take(cell), self._residue.take(cell)
+        )
         gain = (density - self._silent.take(cell)) * self._live.take(cell)
         met = np.bincount(row, gain, k * n).reshape(k, n)
         return np.asarray((met + silent.sum(axis=1, keepdims=True)).T)

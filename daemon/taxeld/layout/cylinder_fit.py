@@ -28,6 +28,7 @@ class Fit:
     frame: Floats  # (4, 4) rigid transform from the file's frame to the sensor frame
     radius_m: float  # inf: the taxels lie on no cylinder
     inwards: NDArray[np.bool_]  # (M,) normals that point to the axis
+    why_none: str = ""  # why there is no cylinder, in words
 
 
 def fit(position_m: Floats, normal: Floats) -> Fit:
@@ -45,8 +46,11 @@ def fit(position_m: Floats, normal: Floats) -> Fit:
     spread, directions = np.linalg.eigh(normal.T @ normal / len(normal))
     axis = directions[:, 0]
     axis = axis * np.sign(axis[np.abs(axis).argmax()])
-    if spread[1] < PARALLEL or spread[0] > AXIAL_MAX * spread[1]:
-        return _flat(position_m, normal)
+    if spread[1] < PARALLEL:
+        return _flat(position_m, normal, "they lie flat")
+    if spread[0] > AXIAL_MAX * spread[1]:
+        share = f"{spread[0] / spread[1]:.0%} as much along an axis as round it"
+        return _flat(position_m, normal, f"they lie as on a dome, bent {share}")
     x, y = _across(axis, np.roll(np.eye(3)[np.abs(axis).argmax()], 1))
     points = position_m @ np.column_stack([x, y])
     centre, radius_m = _circle(points)
@@ -54,7 +58,8 @@ def fit(position_m: Floats, normal: Floats) -> Fit:
     radial = points - centre
     rms = math.sqrt(np.mean((np.hypot(*radial.T) - radius_m) ** 2))
     if not (RADIUS_MIN_M < radius_m < RADIUS_MAX_SPANS * width and rms < RMS_MAX * radius_m):
-        return _flat(position_m, normal)
+        off = f"they lie {rms * 1e3:.1f} mm (rms) off a circle of radius {radius_m * 1e3:.4g} mm"
+        return _flat(position_m, normal, off)
     inwards = np.einsum("ij,ij->i", normal @ np.column_stack([x, y]), radial) < 0.0
     heights = position_m @ axis
     middle = 0.5 * (heights.min() + heights.max())
@@ -65,13 +70,13 @@ def fit(position_m: Floats, normal: Floats) -> Fit:
     return Fit(_frame(x, y, axis, origin), radius_m, inwards)
 
 
-def _flat(position_m: Floats, normal: Floats) -> Fit:
+def _flat(position_m: Floats, normal: Floats, why: str) -> Fit:
     mean = normal.mean(axis=0)
     length = float(np.linalg.norm(mean))
     axis = mean / length if length > ROUND else np.eye(3)[2]
     x, y = _across(axis, np.roll(np.eye(3)[np.abs(axis).argmax()], 1))
     frame = _frame(x, y, axis, position_m.mean(axis=0))
-    return Fit(frame, math.inf, np.zeros(len(normal), dtype=np.bool_))
+    return Fit(frame, math.inf, np.zeros(len(normal), dtype=np.bool_), why)
 
 
 def _across(axis: Floats, towards: Floats) -> tuple[Floats, Floats]:

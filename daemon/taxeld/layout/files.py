@@ -16,13 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Floats
+from taxeld.layout import normals
 from taxeld.layout.layout import Provenance
+from taxeld_protocol.icub import THERMAL
 from taxeld_protocol.modules import NAMES
 
 MAX_TAXELS = 5000  # a link's skin has hundreds
 MISSING_ID = -1
 UID_BITS = 36  # SUI u32 << 4 | name
-TRIANGLE = 12  # slots of an iCub triangle, two of them thermal
+TRIANGLE = 12  # slots of an iCub triangle
+MIDDLE = 3  # slot of a common triangle's middle taxel, which stands for all ten
 NUMBER_MAX = 1e6
 METRES_MAX = 5.0  # a wider patch is in millimetres: no link is 5 m wide, no module under 5 mm
 RIGID_TOLERANCE = 0.01  # files write 0.7071 for √½
@@ -69,9 +72,11 @@ class _Gathered:
     missing: int = 0
     cut: int = 0
     duplicates: int = 0
+    pads: int = 0
 
     def add(self, uid: int, position: list[float], normal: list[float], place: str) -> None:
-        if np.linalg.norm(normal) < NORMAL_MIN:
+        """Raises ValueError where the normal is zero; the empty `place` takes that."""
+        if place and np.linalg.norm(normal) < NORMAL_MIN:
             raise ValueError(f"{place}: the normal must not be zero; {_CURE}")
         self.uid.append(uid)
         self.position.append(position)
@@ -92,11 +97,17 @@ class _Gathered:
             )
         if parent is not None:
             parent[:3, 3] *= metres
+        position = position * metres
+        tells_none = normals.tells_none(position, normal)
+        if tells_none:
+            normal = normals.of_positions(position)
         return Patch(
             np.array(self.uid, dtype=np.int64),
-            position * metres,
+            position,
             normal / np.linalg.norm(normal, axis=1, keepdims=True),
-            Provenance(unit, self.missing, self.cut, self.duplicates, parent),
+            Provenance(
+                unit, self.missing, self.cut, self.duplicates, parent, self.pads, not tells_none
+            ),
         )
 
 
@@ -175,32 +186,44 @@ def _parent(frames: Any) -> Floats | None:
 
 def _icub(text: str) -> Patch:
     """Row i is slot i % 12 of triangle i // 12, triangles counted through the part's boards; its
-    UID is that triangle as the SUI, and the slot as the name."""
-    header, mark, rows = text.partition("[calibration]")
+    UID is that triangle as the SUI, and the slot as the name.
+
+    No taxel is where a row is all zeros, or where taxel2Repr has a negative entry: as iCub's own
+    reader has it, row by row, whatever entries are too many or too few. Which slots are thermal
+    pads follows from these; but some files list them among a common triangle's taxels.
+    """
+    header, mark, text = text.partition("[calibration]")
     if not mark:
         raise ValueError("has no [calibration] rows; name an iCub skin positions file")
-    representative = _representatives(header)
+    rows = [
+        (number, _row(words, f"line {number}"))
+        for number, line in enumerate(text.split("\n"), header.count("\n") + 1)
+        if (words := line.split())
+    ]
+    listed = _representatives(header)
+    bare = not any(any(row[3:]) for _, row in rows)  # of all normals
     gathered = _Gathered()
-    first = header.count("\n") + 1
-    slot = 0
-    for number, line in enumerate(rows.split("\n"), first):
-        words = line.split()
-        if not words:
-            continue
-        row = _row(words, f"line {number}")
-        absent = representative and slot < len(representative) and representative[slot] < 0
-        if absent or not any(row):
-            gathered.missing += 1
-        else:
-            uid = slot // TRIANGLE << 4 | slot % TRIANGLE
-            gathered.add(uid, row[:3], row[3:], f"line {number}")
-        slot += 1
-    if representative and len(representative) != slot:
-        raise ValueError(
-            f"taxel2Repr: has {len(representative)} entries for {slot} rows; "
-            "correct whichever is wrong"
-        )
+    for first in range(0, len(rows), TRIANGLE):
+        here = rows[first : first + TRIANGLE]
+        empty = [not any(row) for _, row in here]
+        no_taxels = _no_taxels(first, listed[first : first + TRIANGLE], empty)
+        placed = [i for i in range(len(here)) if not empty[i] and i not in no_taxels]
+        for slot in placed:
+            number, row = here[slot]
+            uid = first // TRIANGLE << 4 | slot
+            gathered.add(uid, row[:3], row[3:], "" if bare else f"line {number}")
+        gathered.missing += len(here) - len(placed)
+        gathered.pads += len(no_taxels) if placed else 0
     return gathered.patch()
+
+
+def _no_taxels(first: int, listed: list[int], empty: list[bool]) -> set[int]:
+    """The slots of the triangle with the row `first` that are no taxels: by taxel2Repr as far as
+    it goes, else where the row is empty. In a triangle that its own middle stands for, the pads."""
+    negative = [middle < 0 for middle in listed] + empty[len(listed) :]
+    slots = {i for i, is_none in enumerate(negative[: len(empty)]) if is_none}
+    is_common = {middle for middle in listed if middle >= 0} == {first + MIDDLE}
+    return slots | {i for i in THERMAL if is_common and i < len(empty)}
 
 
 def _representatives(header: str) -> list[int]:

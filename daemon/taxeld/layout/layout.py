@@ -23,6 +23,8 @@ class Provenance:
     parent: NDArray[np.float64] | None = (
         None  # (4, 4) the first parent frame's tf_matrix, in metres
     )
+    pads: int = 0  # of the missing: thermal pads on triangles that have taxels
+    own_normals: bool = True  # whether the file has any that tell more than one direction
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class Layout:
     `cylinder_fit.fit` defines; a robot that knows the file's frame finds the sensor by it."""
     source: Provenance = field(default_factory=Provenance)
     turned: int = 0  # normals that the file has pointing inwards
+    no_cylinder: str = ""  # where the radius is infinite: why
 
     def __len__(self) -> int:
         return len(self.uid)

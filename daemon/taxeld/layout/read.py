@@ -19,8 +19,9 @@ def load(spec: str) -> Layout:
     layout = read(spec)
     if math.isinf(layout.radius_m):
         raise SetupError(
-            f"skin.layout: {layout.name}: its {len(layout)} taxels lie on no cylinder (flat, or a "
-            "file without true normals); a run needs the skin of a round link"
+            f"skin.layout: {layout.name}: its {len(layout)} taxels lie on no cylinder "
+            f"({layout.no_cylinder}); a run needs the skin of a round link: name its file, or mark "
+            "as missing what lies elsewhere (taxeld layout --png draws it)"
         )
     return layout
 
@@ -59,4 +60,5 @@ def _of_patch(name: str, patch: files.Patch) -> Layout:
         frame=fit.frame,
         source=patch.source,
         turned=int(fit.inwards.sum()),
+        no_cylinder=fit.why_none,
     )

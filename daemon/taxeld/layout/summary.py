@@ -19,12 +19,15 @@ def summary(layout: Layout) -> list[str]:
     facts = {
         "layout": layout.name,
         "taxels": f"{len(layout)} in {modules} modules",
-        "left out": f"{source.missing} missing, {source.cut} cut, {source.duplicates} duplicate",
+        "left out": (
+            f"{source.missing} missing{f' ({source.pads} thermal pads)' if source.pads else ''}, "
+            f"{source.cut} cut, {source.duplicates} duplicate"
+        ),
         "unit": {"m": "metres", "mm": "millimetres, read as 0.001 m"}[source.unit],
     }
     if math.isinf(layout.radius_m):
         facts |= {
-            "cylinder": "none: flat, or without true normals; it can be drawn but not run",
+            "cylinder": f"none ({layout.no_cylinder}); it can be drawn but not run",
             "size": f"{width:.1f} × {depth:.1f} × {height:.1f} mm along x, y, z",
         }
     else:
@@ -36,6 +39,7 @@ def summary(layout: Layout) -> list[str]:
             "arc": f"{math.degrees(arc_rad(layout)):.1f}°",
             "height": f"{height:.1f} mm",
             "normals": (
+                f"{'' if source.own_normals else 'found from the positions, '}"
                 f"{layout.turned} turned outwards, {tilted(layout)} more than "
                 f"{math.degrees(TILT_MAX_RAD):.0f}° from radial"
             ),

@@ -2,7 +2,7 @@
 is.
 
 h(q)_i = clip(−σ_k(i)(q⁻¹ p_i) / δ_max, 0, 1); a reading is h, times the taxel's gain error, plus
-noise, clipped to 0..1.
+noise. Under the taxel's floor it is reported as 0, and over full scale as 1.
 """
 
 from dataclasses import dataclass
@@ -12,8 +12,11 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.layout.layout import Layout
+from taxeld.model.activation import FLOOR
 from taxeld.model.contacts import axis_in_object
 from taxeld.model.scene import Scene
+
+LEAST = 1e-300  # of a probability: its logarithm is finite
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +26,8 @@ class Observation:
     sensor: Poses  # (3,) in the world
     z: Floats  # (M,) activations, 0 where a taxel does not live
     live: Bools  # (M,)
+    floor: Floats | float = FLOOR  # (M,) under which a reading is 0
+    residue: Floats | float = 0.0  # (M,) of presses before, that a reading may have in it
 
     @property
     def is_contact(self) -> bool:
@@ -41,21 +46,44 @@ class Noise:
     def draw(self, h: Floats, rng: np.random.Generator) -> Floats:
         """Readings of true activations `h` (any shape)."""
         gain = 1.0 + self.gain_cv * rng.standard_normal(h.shape)
-        return np.clip(gain * h + self.sigma * rng.standard_normal(h.shape), 0.0, 1.0)
+        z = np.minimum(gain * h + self.sigma * rng.standard_normal(h.shape), 1.0)
+        return np.where(z < FLOOR, 0.0, z)
 
-    def log_density(self, z: Floats, h: Floats) -> Floats:
+    def log_density(
+        self, z: Floats, h: Floats, floor: Floats | float = FLOOR, residue: Floats | float = 0.0
+    ) -> Floats:
         """log p(z | h) of each taxel; shapes broadcast.
 
-        A mixture of a Gaussian and, with probability `outliers`, a uniform over 0..1, so a single
-        broken taxel costs a pose a bounded amount.
+        Between floor and full scale it is a Gaussian's density. A reading of 0 is censored, and one
+        of 1 saturated: what counts is the probability of less than the floor, or of more than full
+        scale (a tobit model). With probability `outliers` a reading means nothing, and is 0, 1 or
+        anything between alike, so a single broken taxel costs a pose a bounded amount.
         """
-        variance = self.sigma**2 + (self.gain_cv * h) ** 2
-        gauss = np.exp(-0.5 * (z - h) ** 2 / variance) / np.sqrt(2.0 * np.pi * variance)
-        return np.asarray(np.log((1.0 - self.outliers) * gauss + self.outliers))
+        variance = self.variance(h) + residue * residue
+        off = (np.where(z > 0.0, z, floor) - h) / np.sqrt(variance)
+        return self.log_of(z, off, variance)
+
+    def variance(self, h: Floats) -> Floats:
+        """Of a reading about its true activation `h`."""
+        return np.asarray(self.sigma**2 + (self.gain_cv * h) ** 2)
+
+    def log_of(self, z: Floats, off: Floats, variance: Floats) -> Floats:
+        """`log_density` of readings z that are, or whose floor is, `off` standard deviations above
+        what is expected."""
+        within = np.exp(-0.5 * off * off) / np.sqrt(2.0 * np.pi * variance)
+        beyond = normal_cdf(np.where(z > 0.0, -off, off))
+        likely = np.where((z > 0.0) & (z < 1.0), within, beyond)
+        return np.asarray(np.log((1.0 - self.outliers) * likely + max(self.outliers / 3.0, LEAST)))
 
     def log_likelihood(self, z: Floats, live: Bools, h: Floats) -> Floats:
         """log p(z | h) summed over live taxels: z (M,), live (M,), h (N, M) → (N,)."""
         return np.asarray(self.log_density(z, h) @ live.astype(np.float64))
+
+
+def normal_cdf(x: Floats) -> Floats:
+    """Of the standard normal distribution, to 1.5e-4 (Bowling et al. 2009, eq. 10)."""
+    x = np.clip(x, -8.0, 8.0)
+    return np.asarray(1.0 / (1.0 + np.exp(-x * (1.5976 + 0.07056 * x * x))))
 
 
 BLOCK = 65_536  # points looked up at once: they stay in the cache

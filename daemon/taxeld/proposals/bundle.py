@@ -1,6 +1,7 @@
 """Scene bundles: a directory with the scene, its samplers, and what is known about them."""
 
 import contextlib
+import math
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -54,11 +55,30 @@ class Bundle:
         """Proposals by preference, the first choice of `auto` first."""
         return self.info["auto"] or [Table.name]
 
+    @property
+    def choices(self) -> list[str]:
+        """What `auto` may come to, on whatever machine. A sampler of more operations than one that
+        is preferred to it is left out: it would not be faster."""
+        return self._lighter(math.inf)
+
     def cheaper(self, name: str) -> list[str]:
-        """Samplers of fewer operations than the sampler `name`, by preference."""
+        """Samplers of fewer operations than the sampler `name`, by preference, each of fewer than
+        the one before."""
         samplers = self._samplers()
-        most = samplers[name]["flops"] if name in samplers else 0
-        return [n for n in self.order if n in samplers and samplers[n]["flops"] < most]
+        most = samplers[name]["flops"] if name in samplers else 0.0
+        return [n for n in self._lighter(most) if n in samplers]
+
+    def _lighter(self, most: float) -> list[str]:
+        """Of `order`, samplers that each have fewer operations, and analytic proposals."""
+        samplers = self._samplers()
+        kept = []
+        for name in self.order:
+            if name in samplers:
+                if samplers[name]["flops"] >= most:
+                    continue
+                most = samplers[name]["flops"]
+            kept.append(name)
+        return kept
 
     def open(self, name: str) -> Proposal:
         """An analytic proposal or a sampler by its own name.
@@ -118,6 +138,8 @@ def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
             f"{info['depth_max_m']:g}"
         )
     files = seal.unbroken(path, info["files"])
+    for entry in info["samplers"]:
+        Sampler.check(files[entry["file"]], layout, path / entry["file"])
     scene = scene_file.parse(files[manifest.SCENE], path / manifest.SCENE)
     try:
         model = ObservationModel(scene, layout, depth_max_m)

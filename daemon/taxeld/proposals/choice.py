@@ -40,20 +40,20 @@ def open_all(bundle: Bundle, config: FilterConfig) -> Opened:
         SetupError: the bundle has none of the configured name, or one cannot be used.
     """
     chosen = bundle.resolve(config.proposal, config.sampler)
-    names = bundle.order if _is_auto(config) else [chosen, *bundle.cheaper(chosen)]
+    names = bundle.choices if _is_auto(config) else [chosen, *bundle.cheaper(chosen)]
     return {name: bundle.open(name) for name in dict.fromkeys([*names, Table.name])}
 
 
 def choose(bundle: Bundle, opened: Opened, config: FilterConfig, budget_ms: float) -> str:
     """The name of the proposal that the configuration names.
 
-    `auto` is the first of the bundle's order of preference whose CPU time for the samples of a
-    touch is at most `budget_ms`, or the cheapest where none is.
+    `auto` is the first of the bundle's choices whose CPU time for the samples of a touch is at most
+    `budget_ms`, or the cheapest where none is.
     """
     if not _is_auto(config):
         return bundle.resolve(config.proposal, config.sampler)
     timed: list[tuple[float, str]] = []
-    for name in bundle.order:
+    for name in bundle.choices:
         ms = cpu_ms(opened[name], bundle.model, config.injected)
         if ms <= budget_ms:
             return name

@@ -1,6 +1,8 @@
 """The inverse observation model at run time: an ONNX graph from touch and noise to poses."""
 
+import contextlib
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Self
 
@@ -9,13 +11,12 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.proposals import seal
+from taxeld.proposals import graph_file, seal
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # its wheels report home by default
 import onnxruntime as ort
 
 TRIED = 8  # samples of the trial call
-MOST_STEPS = 10_000  # of noise
 
 
 class Sampler:
@@ -32,15 +33,20 @@ class Sampler:
             SetupError: it is damaged, or no sampler for this skin.
         """
         self.name = name
-        taxels = len(layout)
-        try:
+        with _told_of(path):
+            self._noise_steps = graph_file.noise_steps(graph, layout)
             self._session = _session(graph)
-            self._noise_steps = _noise_steps(self._session, taxels)
-            self._try(taxels)
-        except Exception as error:  # onnxruntime's own exceptions share no public base
-            raise SetupError(
-                f"{path}: unusable sampler ({seal.reason(error)}); build the bundle again"
-            ) from None
+            self._try(len(layout))
+
+    @staticmethod
+    def check(graph: bytes, layout: Layout, path: Path) -> None:
+        """As far as can be told without opening it.
+
+        Raises:
+            SetupError: it is no sampler for this skin.
+        """
+        with _told_of(path):
+            graph_file.noise_steps(graph, layout)
 
     @classmethod
     def read(cls, path: Path, layout: Layout, name: str) -> Self:
@@ -66,14 +72,18 @@ class Sampler:
             raise ValueError("a touch gets no finite poses")
 
 
-def _session(graph: bytes) -> Any:
-    """One thread, no spinning: the loop's core is not to be fought over.
+@contextlib.contextmanager
+def _told_of(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # onnxruntime's own exceptions share no public base
+        raise SetupError(
+            f"{path}: unusable sampler ({seal.reason(error)}); build the bundle again"
+        ) from None
 
-    A graph may name other files as its weights, any file of this machine up to onnxruntime 1.24;
-    it names them by this key, so that a graph without the word reads none.
-    """
-    if b"location" in graph:
-        raise ValueError("it names other files as its weights")
+
+def _session(graph: bytes) -> Any:
+    """One thread, no spinning: the loop's core is not to be fought over."""
     options = ort.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
@@ -82,16 +92,3 @@ def _session(graph: bytes) -> Any:
     return ort.InferenceSession(
         graph, options, providers=["CPUExecutionProvider"], enable_fallback=0
     )  # which would print what went wrong, and try once more
-
-
-def _noise_steps(session: Any, taxels: int) -> int:
-    """The steps of a graph (z, live, noise) → poses; raises ValueError where it is none such."""
-    inputs = {i.name: i.shape for i in session.get_inputs()}
-    if inputs.keys() != {"z", "live", "noise"}:
-        raise ValueError("its inputs are not z, live and noise")
-    if inputs["z"] != [1, taxels] or inputs["live"] != [1, taxels]:
-        raise ValueError(f"it is not for a skin of {taxels} taxels")
-    match inputs["noise"]:
-        case [int(steps), samples, 4] if 0 < steps <= MOST_STEPS and not isinstance(samples, int):
-            return steps
-    raise ValueError("its noise is not (steps, any number of samples, 4)")

@@ -7,7 +7,7 @@ what is parsed.
 import hashlib
 from pathlib import Path
 
-from taxeld.errors import SetupError
+from taxeld.errors import SetupError, one_line
 
 MAX_BYTES = 64 << 20  # a hundred times the largest file of a shipped bundle
 MAX_REASON = 200  # characters
@@ -54,4 +54,4 @@ def unbroken(path: Path, digests: dict[str, str]) -> dict[str, bytes]:
 def reason(error: Exception) -> str:
     """What a parser of another package said, as a part of one line."""
     lines = str(error).splitlines() or [type(error).__name__]
-    return "".join(c if c.isprintable() else "?" for c in lines[0][:MAX_REASON])
+    return one_line(lines[0][:MAX_REASON])

@@ -16,6 +16,7 @@ from typing import Any
 import zmq
 
 from taxeld.config.tables import Config
+from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.pipeline.pipeline import Outcome, Pipeline
@@ -32,8 +33,8 @@ from taxeld.source import session
 from taxeld.source.recorder import RecordCounters, Recorder
 from taxeld.source.sources import Source, open_source
 from taxeld.stream import curve, messages
-from taxeld.stream.control import Control, ControlCounters
-from taxeld.stream.hoard import Hoard
+from taxeld.stream.answers import ControlCounters
+from taxeld.stream.control import Control
 from taxeld.stream.pose_input import PoseCounters, PoseInput
 from taxeld.stream.publisher import Publisher
 
@@ -113,8 +114,6 @@ class Daemon:
         opened.callback(self.publisher.close)
         self.publisher.bind(config.publish.endpoints, "publish.endpoints")
         self.pose_input: PoseInput | None = None
-        self._hoard = Hoard(filter(None, (*config.publish.endpoints, config.control.endpoint)))
-        opened.callback(self._hoard.close)
         keys, endpoint = curve.robot_keys(config), config.sensor_pose.endpoint
         if endpoint and not self._replays_poses:
             self.pose_input = PoseInput(context, endpoint, self.pipeline.poses.add, keys)
@@ -136,7 +135,11 @@ class Daemon:
 
     def run(self, between: Callable[[], None] = lambda: None) -> None:
         """Tick until `stop`, or to the end of a replayed session; `between` is called between two
-        ticks."""
+        ticks.
+
+        Raises:
+            SetupError: nothing that the source hears can be used.
+        """
         notifier = Notifier()
         try:
             warm_up(self.pipeline.estimator.model, self.pipeline.ladder, self.config.filter)
@@ -149,7 +152,7 @@ class Daemon:
             self.close()
 
     def _loop(self, notifier: Notifier, between: Callable[[], None]) -> None:
-        ticker = Ticker(self.config.loop.rate_hz)
+        ticker = Ticker(self.config.loop.rate_hz, idle=self._attend)
         collector = realtime.Collector()
         while not self.stopping:
             now = ticker.wait()
@@ -159,6 +162,8 @@ class Daemon:
             opened = self.source.counters.unopened + self.source.counters.reopened
             collector.tick(now, opened, pressed=self.pipeline.skin.touched)
             between()
+            if self.source.fault:
+                raise SetupError(self.source.fault)
             if self.source.finished:
                 break
 
@@ -193,9 +198,7 @@ class Daemon:
         self._publish(outcome, lat_us, now_s)
         if outcome is not None:  # in this tick, though its scan may have waited since another
             self.latencies.add(lat_us)
-        if self.control is not None:
-            self.control.poll(now_s)
-        self._hoard.look(now_s)
+        self._attend(now_s)
         self._publish_us = (time.perf_counter_ns() - published) / 1000.0
         for stage, us in self._budget_us.items():
             self._over[stage] += lat_us[stage] > us
@@ -209,7 +212,6 @@ class Daemon:
     def _publish(self, outcome: Outcome | None, lat_us: dict[str, float], now_s: float) -> None:
         estimate = self._estimate(now_s)
         wall_s = time.time()
-        self.publisher.greet(now_s, wall_s)
         seq = self.counters.ticks
         self._estimate_sent = messages.estimate(
             estimate,
@@ -238,6 +240,12 @@ class Daemon:
             self.publisher.send(messages.HEALTH, self._health_sent, wall_s)
             self._metrics.offer(self._health_sent)
 
+    def _attend(self, now_s: float) -> None:
+        """To those who subscribe and ask."""
+        self.publisher.greet(now_s, time.time())
+        if self.control is not None:
+            self.control.poll(now_s)
+
     def _estimate(self, now_s: float) -> Estimate:
         """As it is published at the time `now_s`."""
         return self.pipeline.freshness.judged(self.pipeline.estimate, now_s)
@@ -254,13 +262,18 @@ class Daemon:
     def _health(self, seq: int, now_s: float, t: float) -> dict[str, Any]:
         pipeline = self.pipeline
         poses = self.pose_input.counters if self.pose_input else PoseCounters()
+        control = self.control.counters if self.control else ControlCounters()
         parts = {
             "uptime_s": now_s - self._start_s,
             "loop": self.counters,
             "over_budget": self._over,
             "degraded": pipeline.ladder.counters,
             "realtime": self._realtime,
-            "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
+            "source": {
+                **self.source.wire.stats(),
+                **asdict(self.source.counters),
+                "waiting": bool(self.source.waits_for),
+            },
             "skin_state": self.kept.counters,
             "inputs": {
                 **pipeline.input_counts(),
@@ -269,19 +282,23 @@ class Daemon:
                 "scans_stale": pipeline.freshness.is_silent(now_s),
                 "poses_stale": t - pipeline.poses.latest_t > pipeline.poses.max_age_s,
             },
-            "control": self.control.counters if self.control else ControlCounters(),
+            "control": control,
             "recording": self._recorder.counters if self._recorder else RecordCounters(),
             "subscribers": self.publisher.counters,
-            "hoarders": self._hoard.hung_up,
-            "keys_refused": 0,  # none are taken here since the relay serves the network
+            "hoarders": self.publisher.counters.oversized + control.oversized,
+            "keys_refused": 0,  # a relay, where keys are taken, puts its own count there
             "lat_us": self.latencies.percentiles(),
             **pipeline.health(),
         }
         return messages.health(seq, t, parts)
 
     def state(self) -> dict[str, Any]:
-        """What was last published of the estimate and of health."""
-        return {"estimate": self._estimate_sent, "health": self._health_sent}
+        """What was last published of the estimate and of health, and why there is no device."""
+        return {
+            "estimate": self._estimate_sent,
+            "health": self._health_sent,
+            "waits_for": self.source.waits_for,
+        }
 
     def _on_tare(self) -> dict[str, Any]:
         self.pipeline.tare()

@@ -1,25 +1,31 @@
-"""Foam that was pressed recovers slowly: what it still reads after a release is no touch."""
+"""Foam that was pressed recovers slowly: what it still reads after a release is no touch.
+
+How much stays, and for how long, differs from taxel to taxel and from press to press, so it is
+followed and not predicted. A press that has fallen to a share of its own peak is over. What is read
+from then on is the foam's, as long as it only falls; what rises above that is the next press.
+"""
 
 import numpy as np
 
 from taxeld.arrays import Floats
 
-RESIDUE = 0.1  # of a press, at most, is still read after its release
-RECOVERY_S = 3.0  # time constant with which that fades
+KEPT = 0.4  # of a press: what is read after its release is less
 
 
 class Residue:
     """The last presses of M taxels."""
 
     def __init__(self, taxels: int) -> None:
-        self._press = np.zeros(taxels)  # counts over baseline, fading as the foam recovers
-        self._t = -np.inf
+        self.level = np.zeros(taxels)  # (M,) counts over baseline that presses have left
+        self.pressed = np.zeros(taxels, dtype=np.bool_)  # (M,)
+        self._peak = np.zeros(taxels)  # of the press under way
 
-    def after(self, over: Floats, t: float) -> Floats:
-        """(M,) counts over baseline that presses up to time t may have left, when `over` (M,) is
-        read. A press counts in full at once, so it is never below its own residue."""
-        if t > self._t:
-            self._press *= np.exp(max(self._t - t, -100.0 * RECOVERY_S) / RECOVERY_S)
-            self._t = t
-        np.maximum(self._press, over, out=self._press)
-        return RESIDUE * self._press
+    def on_scan(self, over: Floats, threshold: Floats) -> None:
+        """Counts (M,) over baseline; what rises by `threshold` (M,) is a press."""
+        level, pressed = self.level, self.pressed
+        level = np.where(pressed, level, np.clip(over, 0.0, level))
+        peak = np.where(pressed, np.maximum(self._peak, over), over)
+        pressed = pressed | (over > level + threshold)
+        ended = pressed & (over <= level + KEPT * (peak - level))
+        self.level = np.where(ended, np.maximum(over, 0.0), level)
+        self.pressed, self._peak = pressed & ~ended, peak

@@ -13,7 +13,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Index
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
-from taxeld.model.activation import Activation
+from taxeld.model.activation import FLOOR, Activation
 from taxeld.skin import state as skin_state
 from taxeld.skin.capture import Idle
 from taxeld.skin.channels import Wired, Wiring
@@ -25,7 +25,6 @@ from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
 
 INVALID_FROM = 43_000  # public tools treat counts of 0 and from here on as invalid
-THRESHOLD_MIN = 0.01  # of full scale: a lighter touch does not constrain the pose
 SILENT_S = 0.5  # readings of a hub's last scan hold for so long
 
 
@@ -57,7 +56,7 @@ class Skin:
         self.touched = False  # whether the last activation is of a touch
         self.threshold: Floats = np.zeros(taxels)
         self._silent_s = silent_s
-        self._floor = THRESHOLD_MIN * config.full_scale_counts
+        self._floor = FLOOR * config.full_scale_counts
         self._wiring = Wiring(layout)
         self._counts: Floats = np.zeros(taxels)  # of each taxel's last scan, 0 where not valid
         self._saturated: Bools = np.zeros(taxels, dtype=bool)
@@ -233,15 +232,20 @@ class Skin:
         return np.maximum(self.config.threshold_sigmas * noise, self._floor)
 
     def _activation(self) -> Activation:
+        full_scale, residue = self.config.full_scale_counts, self._residue
         live = (self._counts > 0) & self._usable
         over = self._counts - self.baseline
-        residue = self._residue.after(np.where(live, over, 0.0), self._t)
-        pressed = live & (over > np.maximum(self.threshold, residue))
-        z = np.where(pressed, np.minimum(over / self.config.full_scale_counts, 1.0), 0.0)
+        residue.on_scan(np.where(live, over, 0.0), self.threshold)
+        pressed = live & residue.pressed
         self.live, self.touched = live, bool(pressed.any())
-        if self.touched:
-            self._drift.touched(self._t, pressed)
-        return Activation(self._t, z, live)
+        self._drift.touched(self._t, pressed | (residue.level > self.threshold))
+        return Activation(
+            self._t,
+            z=np.where(pressed, np.clip(over / full_scale, 0.0, 1.0), 0.0),
+            live=live,
+            floor=np.minimum((self.threshold + residue.level) / full_scale, 1.0),
+            residue=residue.level / full_scale,
+        )
 
     def _settle(self) -> None:
         """Learn from a second of scans: frozen taxels, drift, noise and thresholds."""

@@ -1,52 +1,196 @@
-"""Bring-up of a CySkin bus: discovery → short ids → DECLARE and DETAILS → period → auto sync.
+"""Bring-up of a CySkin bus, in the order of the vendor's own library.
+
+Out of the hubs' bootloader → discovery and short ids → DECLARE and DETAILS → auto sync off, and the
+modules out of their bootloader → discovery, DECLARE and DETAILS again → period → auto sync on.
 
 Pure: packets and the time in, requests out. Requests are broadcast, so that they never cut into the
 fragments that a hub is sending under its own id. When scans stop, the whole sequence runs again,
-which serves a hub that rebooted as well as one plugged in late.
+which serves a hub that rebooted as well as one plugged in late; hubs that speak meanwhile are not
+told to stop.
 """
 
 import math
 from collections.abc import Iterable
+from enum import IntEnum
 
 from taxeld_protocol import commands
-from taxeld_protocol.cyskin import ALL_MODULES, Command, Packet
+from taxeld_protocol.cyskin import ALL_MODULES, BROADCAST, LEAVE_BOOTLOADER, Command, Packet
 from taxeld_protocol.decoder import Decoder
+from taxeld_protocol.modules import is_of_bootloader
 
-RETRY_S = 0.5
-SILENCE_S = 1.0  # without a scan for so long, the hubs are asked anew
+RETRY_S = 0.5  # that the answers to a step may take
+SILENCE_S = 1.0  # without a scan for so long, the hubs are asked anew;
+SILENT_PERIODS = 3  # where scans are rare, after so many of them
 OTHERS_RETRY_S = 5.0  # where only some of the hubs are silent
+STARTING_TRIES = 3  # to hear channels declared: modules take time to leave their bootloader
+STUCK_S = 10.0  # that no module takes
 SHORT_IDS = 254  # that can be given
-RENAMED_TRIES = 10  # for the table of a hub that was given another short id
 
 Request = tuple[int, bytes]
+
+
+class Step(IntEnum):
+    """Of a round; what is asked, and what ends it."""
+
+    REST = 0  # nothing is asked
+    FIND = 1  # leave the bootloader, discovery: until all that answer have their short ids
+    ASK = 2  # DECLARE, DETAILS: until all have answered, be it from the bootloader
+    START = 3  # auto sync off, modules' applications, discovery: until all have answered
+    ASK_AGAIN = 4  # until the channels of all are known
+    STREAM = 5  # period, auto sync on: until scans come
 
 
 class BringUp:
     """Decides what to send to get scans and to keep them coming."""
 
+    waits_for = ""
+
     def __init__(self, decoder: Decoder, period_ms: int) -> None:
+        self.waits_for = ""  # what must come before all scans can, in a line
         self._decoder = decoder
         self._period_ms = period_ms
+        self._patience_s = SILENT_PERIODS * period_ms / 1000.0
+        self._scan_s: dict[int, float] = {}  # short id → its last scan
         self._short_ids: dict[int, int] = {}  # hub UID → the id it was given
         self._unsure: set[int] = set()  # ids that were given and not yet acknowledged
         self._misnamed: set[int] = set()  # ids whose tables may be another hub's, once all are sure
-        self._renamed: dict[int, int] = {}  # ids whose table is asked for anew → tries left
-        self._next_s = -math.inf
-        self._known = False  # whether the last requests went out with the modules known
-        self._scan_s: dict[int, float] = {}  # short id → its last scan
+        self._step = Step.REST
+        self._until_s = -math.inf  # when the step is given up
+        self._anew = True  # whether no hub spoke when the round began
+        self._tries = 0  # left
+        self._found: set[int] = set()  # ids of the hubs that discovery found in this round,
+        self._answered: set[int] = set()  # of those that answered discovery in this step,
+        self._told: set[int] = set()  # and that answered DECLARE in this step
+        self._cold: dict[int, float] = {}  # id of a hub in its bootloader → since when
+        self._news: list[str] = []
+        self._now_s = -math.inf
 
     def restart(self) -> None:
         """Begin again at once: the device was opened anew."""
         self._scan_s.clear()
-        self._next_s = -math.inf
-        self._known = False
+        self._begin()
+
+    def news(self) -> list[str]:
+        """What has happened since last asked, a line each."""
+        news, self._news = self._news, []
+        return news
 
     def on_packet(self, packet: Packet) -> list[Request]:
-        """A hub that answers discovery is given its short id."""
+        """Take a packet. A hub that answers discovery is given its short id, as the vendor's
+        library does, whatever id it has."""
         if packet.command == Command.DISCOVERY_RECV_ID and not packet.payload:
             self._is_named(packet.ihb)
-        if packet.command != Command.DISCOVERY_PING:
+        elif packet.command == Command.DECLARE and packet.payload and packet.ihb != BROADCAST:
+            self._told.add(packet.ihb)
+            self._note_bootloader(packet)
+        elif packet.command == Command.DISCOVERY_PING:
+            return self._name(packet)
+        return []
+
+    def on_scan(self, ihb: int, now_s: float) -> None:
+        self._scan_s[ihb] = now_s
+
+    def due(self, now_s: float) -> Iterable[Request]:
+        """The requests to send now."""
+        self._now_s = now_s
+        self.waits_for = self._stuck()
+        if self._step in (Step.REST, Step.STREAM):
+            speaking = self._speaking()
+            if speaking and speaking >= {*self._scan_s, *self._found, *self._unsure}:
+                self._step = Step.REST
+                return []
+        if now_s < self._until_s and not self._is_done():
             return []
+        self._enter(self._next())
+        return self._requests()
+
+    @staticmethod
+    def stop() -> list[Request]:
+        return [_request(Command.SET_AUTO_SYNC, on=0)]
+
+    def _speaking(self) -> set[int]:
+        silence_s = max(SILENCE_S, self._patience_s)
+        return {ihb for ihb, last_s in self._scan_s.items() if self._now_s - last_s < silence_s}
+
+    def _begin(self) -> None:
+        """A round, at once."""
+        self._step, self._until_s = Step.REST, -math.inf
+
+    def _is_done(self) -> bool:
+        """Whether a step has what it was for."""
+        match self._step:
+            case Step.FIND | Step.START:
+                return bool(self._found) and self._found <= self._answered and not self._unsure
+            case Step.ASK:
+                return bool(self._told) and self._found <= self._told
+            case Step.ASK_AGAIN:
+                known = all(map(self._is_known, self._found | self._told))
+                return bool(self._told) and known
+        return False
+
+    def _is_known(self, ihb: int) -> bool:
+        """Whether a hub has declared its channels in this step, and told whose they are."""
+        table = self._decoder.table(ihb)
+        return ihb in self._told and table.complete and not table.in_bootloader
+
+    def _next(self) -> Step:
+        """What follows a step that is done, or that took too long."""
+        match self._step:
+            case Step.FIND if self._found:
+                return Step.ASK
+            case Step.ASK:
+                return Step.START
+            case Step.START:
+                return Step.ASK_AGAIN
+            case Step.ASK_AGAIN if self._is_done() or not self._tries:
+                if any(map(self._is_known, self._told)):
+                    return Step.STREAM  # the others are asked again in the next round
+            case Step.ASK_AGAIN if self._told:
+                return Step.ASK_AGAIN
+        in_vain = self._step in (Step.FIND, Step.ASK_AGAIN)
+        return Step.REST if in_vain and not self._anew else Step.FIND
+
+    def _enter(self, step: Step) -> None:
+        wait_s = RETRY_S
+        match step:
+            case Step.REST:
+                wait_s = OTHERS_RETRY_S
+            case Step.FIND:
+                self._anew = not self._speaking()
+                self._found, self._answered = set(), set()
+            case Step.START:
+                self._answered = set()
+                self._tries = STARTING_TRIES
+            case Step.ASK:
+                self._told = set()
+            case Step.ASK_AGAIN:
+                self._told = set()
+                self._tries -= 1
+            case Step.STREAM:
+                wait_s = max(RETRY_S, self._patience_s) if self._anew else OTHERS_RETRY_S
+        self._step, self._until_s = step, self._now_s + wait_s
+
+    def _requests(self) -> list[Request]:
+        """What a step begins with."""
+        find = _request(Command.DISCOVERY_PING)
+        match self._step:
+            case Step.FIND:
+                return [(LEAVE_BOOTLOADER, b""), find]
+            case Step.ASK | Step.ASK_AGAIN:
+                details = _request(Command.MODULE_DETAILS, module=ALL_MODULES)
+                return [_request(Command.DECLARE), details]
+            case Step.START:
+                start = [_request(Command.MODULE_PROGRAM_END)]
+                if self._anew:
+                    return [_request(Command.SET_AUTO_SYNC, on=0), *start, find]
+                return [*(start if self._cold else []), find]
+            case Step.STREAM:
+                period = _request(Command.SET_AUTO_SYNC_PERIOD, period_ms=self._period_ms)
+                return [period, _request(Command.SET_AUTO_SYNC, on=1)]
+        return []
+
+    def _name(self, packet: Packet) -> list[Request]:
+        """Give a short id to a hub that answered discovery."""
         fields = commands.parse_answer(packet.command, packet.payload)
         if fields is None:  # the request, as another host sent it
             return []
@@ -54,41 +198,16 @@ class BringUp:
         if uid not in self._short_ids and len(self._short_ids) >= SHORT_IDS:
             return []  # no id is left for it
         short_id = self._short_ids.setdefault(uid, len(self._short_ids) + 1)
-        if packet.ihb == short_id:
+        self._found.add(short_id)
+        self._answered.add(short_id)
+        if packet.ihb != short_id:
+            self._misnamed |= {packet.ihb, short_id}
+        else:
             self._is_named(short_id)
-            return []
+            if self._step in (Step.REST, Step.STREAM):  # it was another host that asked
+                return []
         self._unsure.add(short_id)
-        self._misnamed |= {packet.ihb, short_id}
         return [_request(Command.DISCOVERY_RECV_ID, uid=uid, short_id=short_id)]
-
-    def on_scan(self, ihb: int, now_s: float) -> None:
-        self._scan_s[ihb] = now_s
-
-    def due(self, now_s: float) -> Iterable[Request]:
-        """The requests to send now."""
-        silent = [ihb for ihb, last_s in self._scan_s.items() if now_s - last_s >= SILENCE_S]
-        some_speak = len(silent) < len(self._scan_s)
-        if some_speak and not (silent or self._unsure or self._renamed):
-            return []
-        just_known = self._ready and not self._known
-        if now_s < self._next_s and not just_known:
-            return []
-        self._next_s = now_s + (OTHERS_RETRY_S if some_speak and silent else RETRY_S)
-        self._known = self._ready
-        self._renamed = {
-            ihb: n - 1 for ihb, n in self._renamed.items() if n > 1 and not self._known
-        }
-        if self._known:
-            return [
-                _request(Command.SET_AUTO_SYNC_PERIOD, period_ms=self._period_ms),
-                _request(Command.SET_AUTO_SYNC, on=1),
-                _request(Command.DISCOVERY_PING),  # a hub that rebooted has lost its id
-            ]
-        return [
-            _request(Command.DISCOVERY_PING),
-            _request(Command.DECLARE),
-            _request(Command.MODULE_DETAILS, module=ALL_MODULES),
-        ]
 
     def _is_named(self, short_id: int) -> None:
         """A hub has its id. Once all have, what was declared under ids that changed hands is
@@ -99,19 +218,32 @@ class BringUp:
         for ihb in self._misnamed:
             self._decoder.forget(ihb)
             self._scan_s.pop(ihb, None)
-        self._renamed = dict.fromkeys(self._misnamed & set(self._short_ids.values()), RENAMED_TRIES)
+            self._cold.pop(ihb, None)
         self._misnamed = set()
-        self._known = False
-        self._next_s = -math.inf
+        if self._step in (Step.ASK, Step.ASK_AGAIN):
+            self._step = Step(self._step - 1)
+            self._answered |= self._found
+        elif self._step in (Step.REST, Step.STREAM):
+            self._begin()
 
-    @staticmethod
-    def stop() -> list[Request]:
-        return [_request(Command.SET_AUTO_SYNC, on=0)]
+    def _note_bootloader(self, packet: Packet) -> None:
+        if not is_of_bootloader(packet.command, packet.payload):
+            self._cold.pop(packet.ihb, None)
+        elif packet.ihb not in self._cold:
+            self._cold[packet.ihb] = self._now_s
+            self._news.append(
+                f"hub {packet.ihb} answers from its bootloader, as after power-on; it is led out"
+            )
 
-    @property
-    def _ready(self) -> bool:
-        hubs = {*self._decoder.hubs, *self._renamed}
-        return bool(hubs) and all(self._decoder.table(ihb).detailed for ihb in hubs)
+    def _stuck(self) -> str:
+        """A line on a hub that stays in its bootloader; empty where none does."""
+        for ihb, since_s in self._cold.items():
+            if self._now_s - since_s >= STUCK_S:
+                return (
+                    f"hub {ihb} stays in its bootloader: power it anew; if that does not help, its "
+                    "modules lack their firmware"
+                )
+        return ""
 
 
 def _request(command: Command, **fields: int) -> Request:

@@ -5,20 +5,23 @@ from functools import partial
 from typing import NamedTuple, Protocol
 
 from taxeld.config.tables import SourceConfig
-from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
+from taxeld.source import icub_part, module_order
 from taxeld.source.bring_up import BringUp, Request
 from taxeld.source.icub_bring_up import IcubBringUp
+from taxeld.source.module_order import Listening, Recorded
+from taxeld.source.session import Items
 from taxeld_protocol import cyskin, icub
 from taxeld_protocol.cyskin import BROADCAST, Packet
 from taxeld_protocol.decoder import Decoder, ScanDecoder
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.icub_decoder import IcubDecoder
-from taxeld_protocol.modules import wired
 
 
 class Starter(Protocol):
     """A bring-up: decides what to send to get scans and to keep them coming."""
+
+    waits_for: str  # what the skin must do before all of it is there, in a line; or empty
 
     def restart(self) -> None: ...
 
@@ -30,6 +33,8 @@ class Starter(Protocol):
 
     def stop(self) -> list[Request]: ...
 
+    def news(self) -> list[str]: ...
+
 
 ToFrames = Callable[[int, bytes], list[Frame]]
 
@@ -40,45 +45,51 @@ class Dialect(NamedTuple):
     decoder: ScanDecoder
     bring_up: Starter | None  # None: never send
     to_frames: ToFrames  # a request as CAN frames
+    listening: Listening | None = None  # to a skin that something else starts
 
 
 def live(config: SourceConfig, layout: Layout) -> Dialect:
     """The configured dialect for a skin that is there.
 
     Raises:
-        SetupError: the layout needs more boards than are configured.
+        SetupError: the layout needs more boards than are configured, or nothing can tell them.
     """
     if config.dialect == "icub":
-        boards = _boards(config, layout)
-        part = IcubDecoder(boards)
-        start = None if config.listen_only else IcubBringUp(part, boards, config.period_ms)
-        return Dialect(part, start, icub.to_frames)
+        if config.listen_only:
+            return Dialect(icub_part.listened(config, layout), None, icub.to_frames)
+        part = icub_part.of(layout)
+        boards = part.named(config.boards)
+        skin = IcubDecoder(boards, part.taxels)
+        start = IcubBringUp(skin, part, boards, config.period_ms, config.skin_type)
+        return Dialect(skin, start, icub.to_frames)
     to_frames = partial(cyskin.to_frames, ihb=BROADCAST)
     if config.listen_only:
-        return Dialect(listener(config, layout), None, to_frames)
+        decoder = Decoder(module_order.given(config, layout).of, config.period_ms / 1000.0)
+        return Dialect(decoder, None, to_frames, Listening(decoder))
     # who asks the hubs for their modules must not guess them
     decoder = Decoder(period_s=config.period_ms / 1000.0)
     return Dialect(decoder, BringUp(decoder, config.period_ms), to_frames)
 
 
-def listener(config: SourceConfig, layout: Layout) -> ScanDecoder:
-    """The decoder of the configured dialect for frames of a skin that something else started.
+def replayed(config: SourceConfig, layout: Layout, items: Items, what: str) -> ScanDecoder:
+    """The decoder of the configured dialect for a recording, which `what` names. CySkin's raises
+    SetupError while it decodes, where nothing tells the modules.
 
     Raises:
-        SetupError: the layout needs more boards than are configured.
+        SetupError: the layout needs more boards than are configured, or nothing tells them.
     """
     if config.dialect == "icub":
-        return IcubDecoder(_boards(config, layout))
-    modules = wired(layout.uid.tolist())
-    return Decoder(lambda _: modules, config.period_ms / 1000.0)
+        return icub_part.replayed(config, layout, items, what)
+    module_order.given(config, layout)
+    return Decoder(Recorded(config, items, what).of, config.period_ms / 1000.0)
 
 
-def _boards(config: SourceConfig, layout: Layout) -> tuple[int, ...]:
-    """Those of the configured iCub boards that the layout's taxels hang on."""
-    needed = (int(layout.uid.max()) >> 4) // icub.TRIANGLES + 1
-    if needed > len(config.boards):
-        raise SetupError(
-            f"source.boards: names {len(config.boards)}, but {layout.name} has the triangles of "
-            f"{needed}; add the missing"
-        )
-    return config.boards[:needed]
+def check_recording(config: SourceConfig, layout: Layout, items: Items, what: str) -> None:
+    """Whether `replayed` can decode the first scan of a recording.
+
+    Raises:
+        SetupError: nothing tells how.
+    """
+    replayed(config, layout, items, what)
+    if config.dialect == "cyskin":
+        Recorded(config, items, what).check()

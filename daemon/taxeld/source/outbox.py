@@ -3,12 +3,13 @@
 import contextlib
 import time
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 from taxeld.source.bring_up import Request
 from taxeld_protocol.frames import Frame
 
-MOST = 128  # requests that wait; an iCub part's bring-up is 28
+MOST = 128  # requests that wait; an iCub bus is asked by 14
 PATIENCE_S = 0.5  # of a request: by then the bring-up has asked anew
 
 
@@ -57,6 +58,11 @@ class Outbox:
         if len(self._waiting) >= MOST:
             self._drop()
         self._waiting.append((now_s + PATIENCE_S, request))
+
+    def add_all(self, requests: Iterable[Request], now_s: float) -> None:
+        """Queue some, in their order."""
+        for request in requests:
+            self.add(request, now_s)
 
     def clear(self) -> None:
         """Drop what has not begun."""

@@ -11,12 +11,12 @@ damaged is an error.
 
 import logging
 import math
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from taxeld.config import toml_tables
 from taxeld.errors import SetupError
 from taxeld_protocol.frames import Frame, parse_log_line
 
@@ -24,6 +24,7 @@ FRAMES, POSES, TRUTH, CONFIG = "frames.log", "sensor_pose.csv", "truth.csv", "co
 SERIAL, SERIAL_TIMES, ABOUT = "serial.bin", "serial.csv", "session.toml"
 POSE_COLUMNS, SERIAL_COLUMNS = ["t", "x", "y", "theta"], ["t", "offset"]
 VERSION = 1
+COUNT_MAX = 1 << 63
 
 PoseRow = tuple[float, float, float, float]  # t, x, y, θ
 
@@ -116,16 +117,16 @@ def _about(directory: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        found = tomllib.loads("\n".join(_Lines(path)))
-    except tomllib.TOMLDecodeError as error:
+        found = toml_tables.loads("\n".join(_Lines(path)))
+    except ValueError as error:
         raise SetupError(f"{path}: damaged ({error})") from None
+    if not all(type(count) is int and 0 <= count < COUNT_MAX for count in found.values()):
+        raise SetupError(f"{path}: damaged (it counts what is no number)")
     version = found.pop("version", VERSION)
     if version != VERSION:
         raise SetupError(
             f"{path}: is of version {version}, where this taxeld reads {VERSION}; use a newer one"
         )
-    if not all(isinstance(count, int) for count in found.values()):
-        raise SetupError(f"{path}: damaged (it counts what is no number)")
     return found
 
 

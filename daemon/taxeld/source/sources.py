@@ -19,8 +19,8 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.source import dialects, session
-from taxeld.source.bring_up import Request
-from taxeld.source.devices import AwayError, Device, LostError, open_device
+from taxeld.source.device import AwayError, Device, LostError, Noticed
+from taxeld.source.devices import open_device
 from taxeld.source.dialects import Dialect, ToFrames
 from taxeld.source.outbox import Outbox
 from taxeld.source.recorder import Recorder
@@ -48,6 +48,8 @@ class SourceCounters:
     unopened: int = 0  # attempts to open it that failed
     unsent: int = 0  # requests that the device did not take in time
     noise: int = 0  # reads that python-can could not decode
+    refused: int = 0  # commands and frames that an SLCAN adapter refused
+    silences: int = 0  # times that such an adapter fell silent, and its channel was opened again
 
 
 class Source(Protocol):
@@ -64,6 +66,11 @@ class Source(Protocol):
     @property
     def waits_for(self) -> str:
         """What must come before anything can, in a line; empty where nothing must."""
+        ...
+
+    @property
+    def fault(self) -> str:
+        """What makes all that comes useless, in a line; empty where nothing does."""
         ...
 
     def poll(self, now_s: float) -> list[Scan]:
@@ -93,10 +100,10 @@ def open_source(
         SetupError: the device or session cannot be opened.
     """
     if config.kind == "replay":
-        wire = Wire(config, dialects.listener(config, layout))
         recorded = session.read(Path(config.path))
         if not recorded.items:
             raise SetupError(f"source.path: {config.path} was cut before its first frame")
+        wire = Wire(config, dialects.replayed(config, layout, recorded.items, config.path))
         return ReplaySource(recorded, wire, on_pose)
     return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
 
@@ -117,10 +124,11 @@ class LiveSource:
     ) -> None:
         self.wire = Wire(config, dialect.decoder)
         self.counters = SourceCounters()
-        self.waits_for = ""
+        self.waits_for = self.fault = ""
         self._open: Callable[[], Device] = lambda: device(config, dialect.to_frames)
         self._recorder = recorder
         self._bring_up = dialect.bring_up
+        self._listening = dialect.listening
         self._device: Device | None = None
         self._outbox: Outbox | None = None
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
@@ -163,23 +171,38 @@ class LiveSource:
 
     def _exchange(self, device: Device, outbox: Outbox, now_s: float) -> list[Scan]:
         scans: list[Scan] = []
-        requests: list[Request] = []
+        bring_up = self._bring_up
         for packet, ended in self._hear(device):
             scans += ended
-            if packet is not None and self._bring_up is not None:
-                requests += self._bring_up.on_packet(packet)
-        self.counters.noise += device.noise
-        for _ in range(device.foreign):
-            self.wire.decoder.drop_foreign()
-        device.noise = device.foreign = 0
-        if self._bring_up is not None:
+            if packet is not None and bring_up is not None:
+                outbox.add_all(bring_up.on_packet(packet), now_s)
+        if bring_up is not None:
             for scan in scans:
-                self._bring_up.on_scan(scan.ihb, now_s)
-            requests += self._bring_up.due(now_s)
-        for request in requests:
-            outbox.add(request, now_s)
+                bring_up.on_scan(scan.ihb, now_s)
+            outbox.add_all(bring_up.due(now_s), now_s)
+            for line in bring_up.news():
+                self._say(logging.INFO, line, now_s)
+        if self._listening is not None:
+            self.fault = self._listening.fault(now_s)
+        device.tend(now_s)
+        self._follow(device, outbox, now_s)
+        lacks = "" if bring_up is None else bring_up.waits_for
+        self._heed(device.waits_for or lacks, now_s)
         self._flush(outbox, now_s)
         return scans
+
+    def _follow(self, device: Device, outbox: Outbox, now_s: float) -> None:
+        """Count and say what the device has noticed."""
+        noticed, device.noticed = device.noticed, Noticed()
+        self.counters.noise += noticed.noise
+        self.counters.refused += noticed.refused
+        self.counters.silences += noticed.silences
+        for _ in range(noticed.foreign):
+            self.wire.decoder.drop_foreign()
+        for line in noticed.lines:
+            self._say(logging.WARNING, line, now_s)
+        if noticed.silences:
+            outbox.clear()  # what still streams behind it is not to be set up anew
 
     def _hear(self, device: Device) -> list[Heard]:
         heard: list[Heard] = []
@@ -240,6 +263,16 @@ class LiveSource:
             self.waits_for = reason
             self._say(logging.WARNING, f"{reason}; waiting for it", now_s)
 
+    def _heed(self, line: str, now_s: float) -> None:
+        """Say what is missing, once, and that it has come."""
+        if line == self.waits_for:
+            return
+        before, self.waits_for = self.waits_for, line
+        if line:
+            self._say(logging.WARNING, line, now_s)
+        else:
+            self._say(logging.INFO, f"is mended: {before}", now_s)
+
     def _say(self, level: int, line: str, now_s: float) -> None:
         """Log a line, unless there were too many of late."""
         if now_s >= self._next_line_s:
@@ -253,7 +286,7 @@ class LiveSource:
 class ReplaySource:
     """A recorded session at the pace it was recorded, its times moved to now."""
 
-    waits_for = ""
+    waits_for = fault = ""
 
     def __init__(self, recorded: Session, wire: Wire, on_pose: OnPose | None) -> None:
         self.wire = wire

@@ -44,7 +44,11 @@ class Wire:
             SetupError: a dialect that has no packets is configured for a line that carries them.
         """
         if self._slcan is not None:
-            return [self.frame(frame) for frame in self._slcan.feed(data, t)]
+            foreign = self._slcan.counters.foreign
+            heard = [self.frame(frame) for frame in self._slcan.feed(data, t)]
+            for _ in range(self._slcan.counters.foreign - foreign):
+                self.decoder.drop_foreign()
+            return heard
         if not isinstance(self.decoder, Decoder):
             raise SetupError("source.framing: 'native' carries CySkin packets alone; use slcan")
         packets = self._native.feed(data, t)

@@ -5,6 +5,7 @@ daemon and relay; `clients/*.key`, the public keys of those who may subscribe an
 and `robot.key`, where sensor poses come from beyond this machine. They are read once, at start.
 """
 
+import struct
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -108,7 +109,7 @@ def _certificate(path: Path, asked_by: str) -> tuple[bytes, bytes | None]:
         public, secret = load_certificate(path)
         if any(len(z85.decode(k)) != 32 for k in (public, secret) if k):
             raise ValueError("a key is not 32 bytes in Z85")
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, ValueError, LookupError, struct.error) as error:
         why = "is not there" if not path.exists() else f"is no certificate ({error})"
         raise SetupError(f"{asked_by}: {path} {why}; see docs/stream.md, 'Keys'") from None
     return public, secret

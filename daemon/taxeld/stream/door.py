@@ -21,10 +21,11 @@ log = logging.getLogger(__name__)
 
 
 class Door:
-    """An endpoint where sockets can be reached, one after another.
+    """An endpoint where peers come in: over its file, if it is an ipc one, to a `Server` or to a
+    socket of ZeroMQ's, and otherwise to these alone, one after another.
 
-    The file of an ipc endpoint is made and removed here and not by ZeroMQ, which would take a
-    living daemon's from it, and removes one later on, when another may stand there.
+    The file is made and removed here and not by ZeroMQ, which would take a living daemon's from it,
+    and removes one later on, when another may stand there.
     """
 
     def __init__(self, endpoint: str, key: str) -> None:
@@ -32,7 +33,7 @@ class Door:
         self._endpoint = endpoint
         self._key = key
         self._path = endpoints.ipc_path(endpoint)
-        self._listening: kernel.socket | None = None
+        self.listening: kernel.socket | None = None  # where there is a file
         self._file: tuple[int, int] | None = None
         self._is_lost = self._was_bound = False
         if self._path is not None:
@@ -45,8 +46,8 @@ class Door:
     def let_in(self, socket: zmq.Socket[Any]) -> None:
         """Have `socket` serve whoever comes. Raises SetupError where it cannot."""
         socket.setsockopt(zmq.IPV6, "[" in self._endpoint)
-        if self._listening is not None:
-            socket.setsockopt(zmq.USE_FD, os.dup(self._listening.fileno()))
+        if self.listening is not None:
+            socket.setsockopt(zmq.USE_FD, os.dup(self.listening.fileno()))
         try:
             self._bind(socket)
         except zmq.ZMQError as error:
@@ -55,20 +56,18 @@ class Door:
             socket.setsockopt(zmq.USE_FD, -1)
         self._was_bound = True
 
-    def restore(self, socket: zmq.Socket[Any]) -> bool:
-        """Make the file again where it has vanished, and have `socket` serve there; → whether that
-        was done. Those who are connected stay so, for which ZeroMQ keeps the old one open, too."""
+    def restore(self) -> bool:
+        """Make the file again where it has vanished; → whether that was done, and `listening` is
+        another socket. Those who are connected stay so."""
         if self._path is None or _identity(self._path) == self._file:
             return False
         try:
             if os.path.lexists(self._path):
                 raise FileExistsError(0, "something else stands in its place")
             self._listen(self._path)
-            self.let_in(socket)
-        except (OSError, zmq.ZMQError, SetupError) as error:
+        except OSError as error:
             if not self._is_lost:  # said once, and tried again
-                reason = getattr(error, "strerror", None) or error
-                log.warning("%s: %s is lost: %s", self._key, self._path, reason)
+                log.warning("%s: %s is lost: %s", self._key, self._path, error.strerror)
             self._is_lost = True
             return False
         self._is_lost = False
@@ -76,8 +75,8 @@ class Door:
         return True
 
     def close(self) -> None:
-        if self._listening is not None and self._path is not None:
-            self._listening.close()
+        if self.listening is not None and self._path is not None:
+            self.listening.close()
             if _identity(self._path) == self._file:
                 self._path.unlink(missing_ok=True)
 
@@ -96,12 +95,12 @@ class Door:
             os.umask(before)
         made.setblocking(False)
         made.listen(BACKLOG)
-        if self._listening is not None:
-            self._listening.close()
-        self._listening, self._file = made, _identity(path)
+        if self.listening is not None:
+            self.listening.close()
+        self.listening, self._file = made, _identity(path)
 
     def _bind(self, socket: zmq.Socket[Any]) -> None:
-        for _ in range(TRIES if self._was_bound and self._listening is None else 0):
+        for _ in range(TRIES if self._was_bound and self.listening is None else 0):
             try:
                 socket.bind(self._endpoint)
             except zmq.ZMQError as error:  # ZeroMQ has not closed the socket before yet

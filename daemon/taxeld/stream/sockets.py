@@ -1,4 +1,4 @@
-"""What all sockets share: options, reading a bounded number of frames a tick, and hanging up."""
+"""What all sockets of ZeroMQ's share: options, reading a bounded number of frames, hanging up."""
 
 import os
 import socket as kernel

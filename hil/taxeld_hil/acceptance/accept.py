@@ -6,53 +6,21 @@ from pathlib import Path
 
 import numpy as np
 
-from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import open_source
 from taxeld_hil.acceptance.acquire import Acquisition, Say
 from taxeld_hil.acceptance.checks import checks
 from taxeld_hil.acceptance.readings import IdleReadings, readings
 from taxeld_hil.acceptance.report import Report
+from taxeld_hil.acceptance.target import opened, source_of
 from taxeld_hil.acceptance.taxels import failing, noisy, thresholds
 from taxeld_hil.acceptance.values import Press, Received
 
 TEXT, JSON, PICTURE = "report.txt", "report.json", "report.png"
+MODULES = "modules.toml"
 SECONDS_MIN = 5.0  # 100 scans at the usual rate: what stands still needs half of that
 SECONDS_MAX = 600.0  # all scans are held
-BAUD = range(1200, 12_000_001)
-
-_CURES = {
-    "can": "bring it up: ip link set {channel} up type can bitrate {bitrate}",
-    "slcan": "is it plugged in, may you use it, and does no other program hold it?",
-    "serial": "is it plugged in, may you use it, and does no other program hold it?",
-}
-
-
-def source_of(target: str, period_ms: int) -> SourceConfig:
-    """The daemon's source for `can:CHANNEL`, `serial:DEVICE[@BAUD]`, or `INTERFACE:CHANNEL` of any
-    interface that python-can knows.
-
-    Raises:
-        SetupError: it is none of them.
-    """
-    kind, _, channel = target.partition(":")
-    if not kind or not channel:
-        raise SetupError(
-            f"TARGET: '{target}' is none; use can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, "
-            "or a python-can interface and its channel, as pcan:PCAN_USBBUS1"
-        )
-    if kind != "serial":
-        interface = "socketcan" if kind == "can" else kind
-        return SourceConfig(kind="can", interface=interface, channel=channel, period_ms=period_ms)
-    device, _, baud = channel.partition("@")
-    config = SourceConfig(kind="serial", channel=device, period_ms=period_ms)
-    if not baud:
-        return config
-    if not (baud.isdecimal() and int(baud) in BAUD):
-        raise SetupError(f"TARGET: '{baud}' is no baud rate; use serial:{device}@{config.baud}")
-    return replace(config, baud=int(baud))
 
 
 def run(
@@ -76,10 +44,7 @@ def run(
     when = time.strftime("%Y-%m-%d %H:%M:%S")
     try:
         with Recorder(out, moves=False) as recorder:
-            try:
-                source = open_source(config, placed, recorder)
-            except SetupError as error:
-                raise SetupError(_unopened(target, config, str(error))) from None
+            source = opened(target, config, placed, recorder)
             try:
                 acquisition = Acquisition(source, placed, say)
                 received = acquisition.receive(seconds, period_ms, full_scale_counts)
@@ -107,16 +72,12 @@ def _write(report: Report, out: Path, say: Say) -> None:
     out.mkdir(parents=True, exist_ok=True)  # a recording of nothing has left none
     (out / TEXT).write_text(report.text, encoding="utf-8")
     (out / JSON).write_text(report.json, encoding="utf-8")
+    if report.modules:
+        (out / MODULES).write_text(report.modules, encoding="utf-8")
+        say(f"the hub's modules are listed in {out / MODULES}, for source.modules")
     try:
         from taxeld_hil.acceptance.draw import draw  # noqa: PLC0415  (of the extra `view`)
     except ImportError as error:
         say(f"no picture: {error}; pip install 'taxeld[view]'")
         return
     draw(report, out / PICTURE)
-
-
-def _unopened(target: str, config: SourceConfig, reason: str) -> str:
-    kind = target.partition(":")[0]
-    cure = _CURES.get(kind, "is the adapter plugged in, and its driver installed?")
-    said = reason.partition(": ")[2]
-    return f"TARGET {target}: {said}; {cure.format(channel=config.channel, bitrate=config.bitrate)}"

@@ -74,7 +74,7 @@ def rate(received: Received) -> CheckResult:
         for hub in {scan.ihb for scan in received.scans} - by_hub.keys()
     ]
     explained = received.link.damaged + received.link.orphan
-    if received.link.lost:  # a fault of the link, and reported there
+    if received.link.lost or received.link.silences:  # faults of the link, and reported there
         explained = sum(one.missed for one in by_hub.values())
     for hub, one in by_hub.items():
         findings += _of_hub(f"hub {hub}", one, asked_s, explained)
@@ -149,6 +149,14 @@ def link(received: Received) -> CheckResult:
                 "check its plug, its cable and its supply",
             )
         )
+    if got.silences:
+        findings.append(
+            Finding(
+                "the adapter",
+                f"fell silent, {got.silences} × in the period, until its channel was opened again",
+                "another program may have closed it: stop that; else check its cable and supply",
+            )
+        )
     causes = {
         "with a wrong checksum": got.crc_errors,
         "of a wrong length": got.length_errors,
@@ -169,6 +177,8 @@ def link(received: Received) -> CheckResult:
         notes.append(f"{got.unknown} frames or packets of other devices; they are passed over")
     if got.unsent:
         notes.append(f"{got.unsent} requests could not be sent")
+    if got.refused:
+        notes.append(f"the adapter refused {got.refused} lines, named above")
     summary = (
         f"{all_packets} packets, wrong: checksum {got.crc_errors}, length {got.length_errors}, "
         f"index {got.index_errors}"

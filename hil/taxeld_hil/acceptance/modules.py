@@ -55,6 +55,19 @@ def _silence(received: Received) -> Finding:
     link = received.bring_up
     if link.lost:
         return Finding("the adapter", "went away while it was used", "check its plug and cable")
+    if link.refused and not link.frames:
+        return Finding(
+            "the adapter",
+            f"refused {link.refused} lines, and nothing came from it",
+            "it is said above which: its firmware must know them; else give it another",
+        )
+    if link.bootloader:
+        return Finding(
+            "the hub",
+            f"answers from its bootloader ({link.bootloader} ×), and does not leave it",
+            "power it anew; if it stays there, its modules lack their firmware, which the vendor's "
+            "tool loads",
+        )
     if link.packets:
         return Finding(
             "the bus",

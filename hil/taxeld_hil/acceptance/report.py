@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Floats
+from taxeld.source import module_order
 from taxeld_hil.acceptance.readings import IdleReadings
 from taxeld_hil.acceptance.values import CheckResult, Received, Verdict
 
@@ -52,6 +53,13 @@ class Report:
         for check in self.checks:
             lines += _lines(check)
         return "\n".join(lines) + "\n"
+
+    @property
+    def modules(self) -> str:
+        """The hubs' modules in their order, as `source.modules`; empty where not all are known."""
+        tables = self.received.tables
+        told = all(m.sui is not None for table in tables.values() for m in table if m.channels)
+        return module_order.text(tables) if tables and told else ""
 
     @property
     def json(self) -> str:

@@ -6,9 +6,10 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats
 from taxeld.config.tables import SkinConfig
+from taxeld.model.activation import FLOOR
 from taxeld.skin.capture import NOISE_MAX
 from taxeld.skin.frozen import NOISE_TELLS
-from taxeld.skin.skin import INVALID_FROM, THRESHOLD_MIN
+from taxeld.skin.skin import INVALID_FROM
 from taxeld.skin.temperature import STEP
 from taxeld_hil.acceptance.readings import IdleReadings
 from taxeld_hil.acceptance.values import CheckResult, Finding, Received, listed, name_of
@@ -32,7 +33,7 @@ _GROUND = (
 
 def thresholds(noise: Floats, full_scale_counts: float) -> Floats:
     """Counts over the idle level from which the daemon takes a reading for a touch."""
-    return np.maximum(THRESHOLD_SIGMAS * noise, THRESHOLD_MIN * full_scale_counts)
+    return np.maximum(THRESHOLD_SIGMAS * noise, FLOOR * full_scale_counts)
 
 
 def failing(got: IdleReadings) -> dict[str, Bools]:
@@ -51,7 +52,7 @@ def noisy(got: IdleReadings, full_scale_counts: float) -> Bools:
     if not usable.any():
         return np.asarray(usable)
     # below this the daemon's threshold is the same for all, and noise does not matter
-    least = THRESHOLD_MIN * full_scale_counts / THRESHOLD_SIGMAS
+    least = FLOOR * full_scale_counts / THRESHOLD_SIGMAS
     limit = max(STANDS_OUT * float(np.median(got.noise[usable])), least)
     return np.asarray(usable & (got.noise > min(limit, NOISE_MAX * full_scale_counts)))
 

@@ -61,9 +61,12 @@ class Link:
     malformed: int = 0
     orphan: int = 0  # frames of a packet whose beginning was lost
     unknown: int = 0  # of other devices
+    bootloader: int = 0  # answers of hubs whose modules are in their bootloader
     undecodable: int = 0  # reads that the CAN driver could not decode
     unsent: int = 0
     lost: int = 0  # times the device went away
+    silences: int = 0  # times an SLCAN adapter fell silent
+    refused: int = 0  # lines that it refused
 
     @classmethod
     def of(cls, source: Source) -> Self:
@@ -79,6 +82,8 @@ class Link:
             undecodable=counters.noise,
             unsent=counters.unsent,
             lost=counters.lost,
+            silences=counters.silences,
+            refused=counters.refused,
         )
 
     def since(self, before: "Link") -> "Link":
@@ -100,7 +105,7 @@ class Link:
 
 _OF_WIRE = (
     "frames", "bytes", "packets", "crc_errors", "length_errors", "index_errors", "malformed",
-    "unknown",
+    "unknown", "bootloader",
 )  # fmt: skip
 
 

@@ -15,7 +15,7 @@ from taxeld_hil.experiment import physics_cost, physics_gap
 from taxeld_hil.scenario import scenario, settings
 from taxeld_hil.scenario.mesh_config import TYPICAL
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.mesh_physics import solid_of
+from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.world import load_model
 
 LEAST_CONTACTS = 8

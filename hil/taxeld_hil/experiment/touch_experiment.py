@@ -21,7 +21,7 @@ from taxeld.errors import SetupError
 from taxeld_hil.experiment import touch_runs
 from taxeld_hil.experiment.touch_runs import AFTER, PAIRS, PRESSES, TouchRun
 from taxeld_hil.scenario import scenario
-from taxeld_hil.world.mesh_physics import solid_of
+from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.world import load_model
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")

@@ -12,7 +12,8 @@ from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world import touches
-from taxeld_hil.world.mesh_physics import MeshPhysics, solid_of
+from taxeld_hil.world.bundled import solid_of
+from taxeld_hil.world.mesh_physics import MeshPhysics
 from taxeld_hil.world.mesh_skin import MeshSkin
 from taxeld_hil.world.touches import Touch, Touches
 

@@ -41,6 +41,7 @@ class Flag:
 STOPPING = (
     "reboot",
     "unplugged",
+    "adapter_closed",
     "daemon_killed",
     "pose_silent",
     "pose_late",
@@ -82,6 +83,8 @@ def _flag(fault: Fault, transport: str) -> Flag | None:
             counters = ("estimator.stuck", "drift.lowered")
             return Flag(JUMP_S, counters, status=("INCONSISTENT",))
         case "reboot" | "unplugged":
+            return Flag(STALE_S, status=("STALE",))
+        case "adapter_closed" if transport == "slcan":
             return Flag(STALE_S, status=("STALE",))
         case "pose_silent":
             return Flag(POSE_STALE_S, status=("STALE",))

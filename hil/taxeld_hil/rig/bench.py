@@ -63,6 +63,8 @@ class Bench:
         rig, port = self.rig, self.port
         port.set_plugged(not rig.fails("unplugged", self.t))
         requests = port.take(wall)
+        if rig.fails("adapter_closed", self.t):
+            port.close_channel()
         if self._finished:
             port.flush()
             return

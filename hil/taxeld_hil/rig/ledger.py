@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from itertools import accumulate
 from typing import Any, NamedTuple
 
-from taxeld_protocol.cyskin import MAX_FRAGMENTS, Command, crc8
+from taxeld_protocol.cyskin import EXCESS_MAX, MAX_FRAGMENTS, Command, crc8
 from taxeld_protocol.decoder import GAP_SHARE, MISSED_SHARE, PAUSE_MAX_S
 from taxeld_protocol.frames import Frame
 
@@ -22,6 +22,7 @@ class Sent(NamedTuple):
     fragments: int = 1
     start: int = 0  # SENSOR_DATA: the first channel
     values: int = 0  # and how many
+    declares: bool = False  # the modules' channels
 
 
 class Unit(NamedTuple):
@@ -140,10 +141,10 @@ class Ledger:
         """Fragments from a first to a last, which need not be of one packet."""
         fates, sent = self.fates, parts[0].sent
         data = b"".join(part.item.data for part in parts if isinstance(part.item, Frame))
-        if sent is not None and data[: len(sent.data)] == sent.data:
-            self._arrived(sent, t)
-        elif len(data) <= 2 or len(data) < data[1] + 3:
+        if len(data) <= 2 or not 0 <= len(data) - (data[1] + 3) <= EXCESS_MAX:
             fates.length_errors += 1
+        elif sent is not None and data[: len(sent.data)] == sent.data:
+            self._arrived(sent, t)
         elif crc8(data[: data[1] + 2]) != data[data[1] + 2]:
             fates.crc_errors += 1
         else:
@@ -170,7 +171,7 @@ class Ledger:
 
     def _arrived(self, sent: Sent, t: float) -> None:
         self.fates.packets += 1
-        if sent.command == Command.DECLARE:
+        if sent.declares:
             self._declared = True
         elif sent.command == Command.SENSOR_DATA:
             self._scan(sent, t)

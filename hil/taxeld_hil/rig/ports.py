@@ -18,11 +18,14 @@ from typing import Protocol
 import can
 
 from taxeld.errors import SetupError
+from taxeld.source.holders import TIOCGEXCL
+from taxeld_hil.rig.adapters import Adapter
 from taxeld_hil.rig.ledger import Unit
 from taxeld_protocol import slcan
-from taxeld_protocol.cyskin import Packet, Reassembler
+from taxeld_protocol.cyskin import Packet
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import SerialReader
+from taxeld_protocol.virtual_ihb import HubLink
 
 READ_BYTES = 65536
 OUTBOX_BYTES = 65536  # beyond what the kernel takes: some tenths of a second of a saturated bus
@@ -52,6 +55,9 @@ class Port(Protocol):
     def set_plugged(self, plugged: bool) -> None:
         """Pull out the device, once what was sent is read; or plug it in."""
 
+    def close_channel(self) -> None:
+        """Another process closes the adapter's channel."""
+
     def close(self) -> None: ...
 
 
@@ -68,6 +74,12 @@ class _Terminal:
     def fileno(self) -> int:
         return self._fds[0] if self._fds else -1
 
+    @property
+    def slave(self) -> int:
+        """The host's end, as something else than the host has it open."""
+        assert self._fds is not None  # noqa: S101  (asked of a device that is plugged in)
+        return self._fds[1]
+
     def set_plugged(self, plugged: bool) -> None:
         if plugged and self._fds is None:
             master, slave = self._fds = os.openpty()
@@ -79,13 +91,15 @@ class _Terminal:
 
     def waiting(self) -> int:
         """Bytes in the kernel that the host has not read."""
-        assert self._fds is not None  # noqa: S101  (asked of a device that is plugged in)
-        found = fcntl.ioctl(self._fds[1], termios.FIONREAD, b"\0" * 4)
+        found = fcntl.ioctl(self.slave, termios.FIONREAD, b"\0" * 4)
         return int(struct.unpack("i", found)[0])
 
     def forget(self) -> None:
         self.is_open = False
         self._outbox.clear()
+
+    def close_channel(self) -> None:
+        """There is none."""
 
     def flush(self) -> None:
         if self._fds is None or not self._outbox:
@@ -112,12 +126,23 @@ class _Terminal:
     def _read(self) -> bytes:
         if self._fds is None:
             return b""
+        self._let_go()
         try:
             return os.read(self._fds[0], READ_BYTES)
         except OSError as error:
             if error.errno not in (errno.EAGAIN, errno.EIO):  # EIO: the host has closed
                 raise
             return b""
+
+    def _let_go(self) -> None:
+        """Of a host that died, the kernel forgets that the line was its alone when the last closes
+        it; here that never happens."""
+        slave = self.slave
+        if any(fcntl.ioctl(slave, TIOCGEXCL, bytes(4))):
+            with contextlib.suppress(BlockingIOError):  # a host has it, and its lock
+                fcntl.flock(slave, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                fcntl.ioctl(slave, termios.TIOCNXCL)
+                fcntl.flock(slave, fcntl.LOCK_UN)
 
     def _is_read(self) -> bool:
         return not self.is_open or (not self.waiting() and not self._outbox)
@@ -126,29 +151,46 @@ class _Terminal:
 class SlcanPort(_Terminal):
     """A USB-CAN adapter with the hub on its bus."""
 
-    def __init__(self, link: Path, on_frame: Callable[[Frame], None]) -> None:
-        """`on_frame` is called with each frame of the host's."""
+    def __init__(self, link: Path, on_frame: Callable[[Frame], None], kind: str = "plain") -> None:
+        """`on_frame` is called with each frame of the host's; `kind`: of `adapters.KINDS`."""
+        self.adapter = Adapter(kind)
         self._rest = b""
-        self._requests = Reassembler()
+        self._requests = HubLink()
         self._on_frame = on_frame
+        self._has_host = False
         super().__init__(link)
 
     def take(self, t: float) -> list[Packet]:
         lines, self._rest = slcan.split(self._rest + self._read())
+        self._has_host |= bool(lines)
         packets = []
         for line in lines:
-            frame = slcan.parse(line, t)
-            if frame is None:
-                if line[:1] in (b"O", b"L", b"C"):
-                    self.is_open = line[:1] != b"C"
-                self._write(slcan.CR)
-                continue
-            self._on_frame(frame)
-            packets.append(self._requests.feed(frame))
+            answer, frame = self.adapter.host(line, t)
+            self._write(answer)
+            if frame is not None:
+                self._on_frame(frame)
+                packets.append(self._requests.feed(frame))
+        self.is_open = self._has_host and self.adapter.on_bus
         return [packet for packet in packets if packet is not None]
 
     def send(self, unit: Unit) -> bool:
-        return isinstance(unit.item, Frame) and self._write(slcan.encode(unit.item))
+        return isinstance(unit.item, Frame) and self._write(self.adapter.bus(unit.item))
+
+    def forget(self) -> None:
+        """… and has left the adapter as it was."""
+        super().forget()
+        self._has_host = False
+
+    def set_plugged(self, plugged: bool) -> None:
+        if plugged and self._fds is None:
+            self._rest = b""
+            self.adapter.reset()
+        super().set_plugged(plugged)
+
+    def close_channel(self) -> None:
+        """As another process does by writing C to the device."""
+        self.adapter.host(b"C")
+        self.is_open = False
 
 
 class NativePort(_Terminal):
@@ -175,7 +217,7 @@ class CanPort:
         """Raises SetupError where there is no such interface."""
         self.is_open = False
         self._on_frame = on_frame
-        self._requests = Reassembler()
+        self._requests = HubLink()
         try:
             self._bus = can.Bus(interface="socketcan", channel=interface)
         except (can.CanError, OSError) as error:
@@ -189,7 +231,9 @@ class CanPort:
         with contextlib.suppress(can.CanError, OSError):  # a bus that is down has no frames
             # not `recv`, whose time-out is taken from a wall clock that may be set back
             while message := self._bus._recv_internal(0.0)[0]:
-                frame = Frame(t, message.arbitration_id, bytes(message.data))
+                frame = Frame(
+                    t, message.arbitration_id, bytes(message.data), message.is_extended_id
+                )
                 self._on_frame(frame)
                 packets.append(self._requests.feed(frame))
         self.is_open = self.is_open or bool(packets)
@@ -199,7 +243,7 @@ class CanPort:
         if not isinstance(unit.item, Frame):
             return False
         message = can.Message(
-            arbitration_id=unit.item.can_id, data=unit.item.data, is_extended_id=False
+            arbitration_id=unit.item.can_id, data=unit.item.data, is_extended_id=unit.item.extended
         )
         try:
             self._bus.send(message, timeout=0.0)
@@ -215,6 +259,9 @@ class CanPort:
 
     def set_plugged(self, plugged: bool) -> None:
         """An interface cannot be pulled out."""
+
+    def close_channel(self) -> None:
+        """There is none."""
 
     def close(self) -> None:
         self._bus.shutdown()

@@ -17,8 +17,8 @@ from taxeld_hil.world import robot
 from taxeld_hil.world.world import load_model, make_world
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.cyskin import Command, Packet
-from taxeld_protocol.modules import wired
-from taxeld_protocol.virtual_ihb import VirtualIhb
+from taxeld_protocol.modules import is_of_bootloader, wired
+from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 
 POSE_PERIOD_S = 0.01
 POSE_AGE_S = 0.004  # from its measurement to its message: scans fall between poses
@@ -36,10 +36,11 @@ class Rig:
         self._taxel_uids: list[int] = self.model.layout.uid.tolist()
         self.modules = wired(self._taxel_uids)
         self.world = make_world(scenario, self.model, self.modules, seed)
-        self.hub = VirtualIhb(self.modules)
+        self.line = scenario.transport == "native"
+        # a hub that speaks the native link has left its own bootloader, which speaks CAN alone
+        self.hub = VirtualIhb(self.modules, phase=Phase.MODULES if self.line else Phase.BOOTLOADER)
         channels = tuple(module.channels for module in self.modules)
         self.ledger = Ledger(channels, self.hub.period_ms / 1000.0)
-        self.line = scenario.transport == "native"
         self._first = [0, *accumulate(channels)]
         self._was_on = True
         self._next_pose_s = -1e9
@@ -164,6 +165,7 @@ class Rig:
 
     def _sent(self, data: bytes, command: int, payload: bytes, fragments: int) -> Sent:
         if command != Command.SENSOR_DATA:
-            return Sent(data, command, fragments)
+            declares = command == Command.DECLARE and not is_of_bootloader(command, payload)
+            return Sent(data, command, fragments, declares=declares)
         start = self._first[payload[0]] + payload[1]
         return Sent(data, command, fragments, start, len(payload) // 2 - 1)

@@ -14,7 +14,7 @@ from taxeld_hil.run.memory import MemoryLine
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import Scenario
 
-NOT_INJECTED = ("subscriber_dead",)  # there are no sockets
+NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
 HEALTH_S = 1.0
 
 

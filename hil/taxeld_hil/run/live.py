@@ -26,7 +26,10 @@ START_S = 20.0  # until the first estimate
 STEP_MS = 2
 LAST_HEALTH_S = 5.0
 DRAIN_S = 0.2
-NOT_ON_CAN = ("unplugged",)  # something else brings the interface up and down
+NOT_INJECTED = {  # by transport
+    "can": ("unplugged", "adapter_closed"),  # something else brings the interface up and down
+    "native": ("adapter_closed",),
+}
 
 
 class LiveRun:
@@ -123,7 +126,7 @@ class LiveRun:
             self._listener.drop()
 
     def _judging(self, rig: Rig) -> Judge:
-        not_injected = NOT_ON_CAN if rig.scenario.transport == "can" else ()
+        not_injected = NOT_INJECTED.get(rig.scenario.transport, ())
         scene, truth = rig.model.scene, rig.world.truth
         return Judge(rig.scenario, scene, truth, not_injected, rig.taxels_of)
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 from taxeld.errors import SetupError
-from taxeld.source.devices import LostError
+from taxeld.source.device import LostError, Noticed
 from taxeld.source.outbox import Unit
 from taxeld.source.session import Chunk
 from taxeld_hil.rig.rig import Rig
@@ -58,9 +58,11 @@ class MemoryLine:
 class MemoryDevice:
     """The daemon's end of the wire."""
 
+    waits_for = ""
+
     def __init__(self, line: MemoryLine) -> None:
         """Raises SetupError where it is not plugged in."""
-        self.noise = self.foreign = 0
+        self.noticed = Noticed()
         self._line = line
         if not line.is_plugged:
             raise SetupError("unplugged")
@@ -71,13 +73,15 @@ class MemoryDevice:
             raise LostError
         return self._line.take()
 
+    def tend(self, now_s: float) -> None:
+        """A wire needs nothing."""
+
     @staticmethod
     def pack(command: int, payload: bytes) -> list[Unit]:
-        return [Unit(None, bytes((command,)) + payload)]
+        return [Unit(None, command.to_bytes(2) + payload)]  # LEAVE_BOOTLOADER fills no byte
 
     def put(self, unit: Unit) -> None:
-        command, *payload = unit.line
-        self._line.ask(command, bytes(payload))
+        self._line.ask(int.from_bytes(unit.line[:2]), unit.line[2:])
 
     def close(self, wait_s: float = 0.0) -> None:
         """Nothing is held open."""

@@ -36,8 +36,8 @@ def _row(name: str, same: tuple[dict[str, Any], ...]) -> str:
         f"{first['kind']}, {first['for_s']:g} s",
         name,
         flag if first["injected"] else "real time alone",
-        "" if first["within_s"] is None else f"{first['within_s']:.2f} s",
-        _worst(run["detected_s"] for run in same) if first["flag"] else "",
+        f"{first['within_s']:.2f} s" if first["flag"] and first["injected"] else "",
+        _worst(run["detected_s"] for run in same) if first["flag"] and first["injected"] else "",
         _worst(run["recovered_s"] for run in same) if first["injected"] else "",
     ]
     return "| " + " | ".join(cells) + " |"

@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 from taxeld.config import toml_tables
+from taxeld.config.file import text_of
 from taxeld.config.tables import SkinConfig
 from taxeld.config.toml_tables import Given, between, key, one_of
 from taxeld.errors import SetupError
@@ -19,7 +20,7 @@ SKIN_KINDS = ("module_dead", "taxel_stuck", "saturated", "baseline_jump")
 KINDS = (
     "dropped", "duplicated", "reordered", "corrupted", "late", "flooded",
     *SKIN_KINDS,
-    "reboot", "unplugged",
+    "reboot", "unplugged", "adapter_closed",
     "pose_silent", "pose_frozen", "pose_late", "pose_jumping",
     "subscriber_dead", "daemon_killed",
 )  # fmt: skip
@@ -116,6 +117,6 @@ def load(name: str) -> Scenario:
     """
     for path in (shipped().get(name), Path(name)):
         if path is not None and path.is_file():
-            return toml_tables.parse(Scenario, path.read_text(encoding="utf-8"), str(path))
+            return toml_tables.parse(Scenario, text_of(path), str(path))
     names = ", ".join(shipped())
     raise SetupError(f"no scenario '{name}'; shipped are {names}, or give a TOML file")

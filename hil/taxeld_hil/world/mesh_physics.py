@@ -1,33 +1,17 @@
 """A solid against a soft skin: its geometry, the taxels' responses, foam, cross-talk and drift."""
 
-import json
-
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals import bundle
 from taxeld_hil.scenario.mesh_config import MeshConfig
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import meshes
+from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.electronics import CrossTalk, Response, ThermalDrift
 from taxeld_hil.world.foam import Foam
-from taxeld_hil.world.mesh_skin import LAYER_M, MARGIN_M, MeshSkin
-from taxeld_hil.world.solids import Solid
+from taxeld_hil.world.mesh_skin import MeshSkin
 from taxeld_hil.world.spread import PerPress
-
-
-def solid_of(name: str, layout: Layout) -> Solid:
-    """The solid that the bundle `name` was made of, at the bundle's height.
-
-    Raises:
-        SetupError: its mesh cannot be found or read.
-    """
-    info = json.loads((bundle.find(name) / "bundle.json").read_text(encoding="utf-8"))
-    height = float(info["height_m"])
-    reach = float(np.abs(layout.position_m[:, 2]).max()) + MARGIN_M + LAYER_M
-    return meshes.load(str(info["object"]), height, reach)
 
 
 def of_scenario(

@@ -7,6 +7,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
+from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.soft_skin import SKINS, SoftSkin
 
@@ -64,17 +65,20 @@ class TrialSkin:
             self.live[module * MODULE : (module + 1) * MODULE] = False
         self._soft = SoftSkin(SKINS[given.skin], layout, gain, rng) if given.skin else None
 
-    def read(self, h: Floats, t: float, elapsed: float, rng: np.random.Generator) -> Floats:
-        """Activations z (M,) for true ones h (M,) at t [s], a share `elapsed` of the trial."""
+    def read(self, h: Floats, t: float, elapsed: float, rng: np.random.Generator) -> Activation:
+        """Of true activations h (M,) at t [s], after a share `elapsed` of the trial."""
         given = self._given
+        floor: Floats | float = SILENT * given.sigma
+        residue: Floats | float = 0.0
         if self._soft is None:
             z = self._gain * h + elapsed * self._offset + given.sigma * rng.standard_normal(len(h))
-            felt = z >= SILENT * given.sigma
+            felt = z >= floor
         else:
             z, felt = self._soft.read(h, t)
+            floor, residue = self._soft.floor, self._soft.residue
         z = np.where(felt, np.minimum(z, 1.0), 0.0)
         z[self._stuck] = given.stuck_at
-        return np.where(self.live, z, 0.0)
+        return Activation(t, np.where(self.live, z, 0.0), self.live, floor, residue)
 
 
 def places(given: Conditions, start: Poses, touches: int, rng: np.random.Generator) -> Poses:

@@ -104,9 +104,10 @@ def _follow_grid(trial: Trial, model: ObservationModel) -> list[TouchResult]:
     for _, moments in groupby(trial, key=lambda moment: moment.touch):
         for moment in moments:
             read = moment.activation
-            new = news.on_scan(read.t, Observation(moment.sensor, read.z, read.live))
+            scan = Observation(moment.sensor, read.z, read.live, read.floor)
+            new = news.on_scan(read.t, scan)
             if new is not None:
-                grid.update(new.sensor, new.z, new.live, touched=new.is_contact)
+                grid.update(new, touched=new.is_contact)
         errors = (math.nan, math.nan)
         if len(grid):
             errors = _errors(trial, model, moment, *grid.estimate())

@@ -12,6 +12,7 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats
 from taxeld.layout.layout import Layout
+from taxeld.model.activation import FLOOR
 from taxeld.skin.foam import Residue
 
 Pair: TypeAlias = tuple[float, float]
@@ -19,7 +20,7 @@ P90 = 1.2815515655446004  # the 90th percentile of a standard normal
 FARTHEST = 2.0  # standard deviations: nothing is drawn beyond
 ONSET = 0.15  # of full scale: within about so much a taxel's own deviation has risen
 TURN = 0.1  # of full scale, of travel back, until the foam is on the other branch of its loop
-THRESHOLD, SIGMAS = 0.01, 6.0  # of full scale, and of a taxel's noise: less is no touch to a daemon
+SIGMAS = 6.0  # of a taxel's noise: less is no touch to a daemon
 
 
 @dataclass(frozen=True)
@@ -78,11 +79,13 @@ class SoftSkin:
         self._left = np.zeros((2, m))
         self._reading, self._receding = np.zeros((2, m))
         self._t = np.inf
-        self._residue = Residue(m)
+        self._foam = Residue(m)
+        self.floor, self.residue = np.zeros((2, m))  # of the last activation
         self._draw()
 
     def read(self, h: Floats, t: float) -> tuple[Floats, Bools]:
-        """Activations z (M,), with noise, for true ones h (M,) at t [s]; and which are felt."""
+        """Activations z (M,), with noise, for true ones h (M,) at t [s]; and which a daemon's rule
+        for what foam keeps takes for pressed."""
         if self._reading.any() and not h.any():
             self._draw()
         reading = self._response(self._sagging(h))
@@ -93,8 +96,10 @@ class SoftSkin:
         self._reading, self._t = reading, t
         kept = np.maximum(reading * (1.0 + self._loop * self._receding), self._left.sum(axis=0))
         z = self._coupled(self._gain * kept) + self._noise * self._rng.standard_normal(len(h))
-        least = np.maximum(THRESHOLD, SIGMAS * self._noise)
-        return z, z > np.maximum(least, self._residue.after(np.maximum(z, 0.0), t))
+        least = np.maximum(FLOOR, SIGMAS * self._noise)
+        self._foam.on_scan(z, least)
+        self.floor, self.residue = np.minimum(least + self._foam.level, 1.0), self._foam.level
+        return z, self._foam.pressed
 
     def _draw(self) -> None:
         """Another press."""

@@ -72,9 +72,9 @@ class Trial:
                 h = model.activation(pose[None])[0]
                 if twin is not None:
                     h = np.maximum(h, twin.activation(pose[None])[0])
-                z = skin.read(h, t, (touch + 1) / self.touches, rng)
+                reading = skin.read(h, t, (touch + 1) / self.touches, rng)
                 sensor = reported(given, se2.compose(truth, se2.inverse(pose)), error)
-                yield Moment(touch, Activation(t, z, skin.live), sensor, truth, twin_pose)
+                yield Moment(touch, reading, sensor, truth, twin_pose)
                 t += SCAN_S
             t += BETWEEN_S
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.estimate import MODE_CANDIDATES, MODE_RADIUS_M, MODES_MAX
 from taxeld.model import contacts, se2
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.observation import Noise, Observation, ObservationModel, normal_cdf
 from taxeld.model.symmetry import PoseMetric
 from taxeld_training.limits.grid_cells import Cells, tile
 
@@ -63,7 +63,9 @@ class CellLikelihood:
         for scan in scans:
             sensor = se2.compose(se2.inverse(first), scan.sensor)
             taxel = se2.apply(sensor, self._model.layout.position_m[:, :2])
-            silent = np.where(scan.live, self._noise.log_density(scan.z, np.zeros(1)), 0.0)
+            silent = np.where(
+                scan.live, self._noise.log_density(scan.z, np.zeros(1), scan.floor), 0.0
+            )
             for begin in range(0, len(cells), BLOCK):
                 self._add_block(cells, slice(begin, begin + BLOCK), scan, taxel, silent)
 
@@ -75,24 +77,25 @@ class CellLikelihood:
         mid, edge = cells.mid[block], cells.edge[block]
         pairs = self._pairs(mid, edge, taxel, scan.live)
         z, unpressed = scan.z[pairs.taxel], silent[pairs.taxel]
+        floor = np.broadcast_to(scan.floor, len(scan.z))[pairs.taxel]
 
         def of_cells(values: Floats) -> Floats:
             return np.asarray(np.bincount(pairs.cell, values, len(mid)), dtype=np.float64)
 
-        best = self._best(pairs, z)
+        best = self._best(pairs, z, floor)
         cells.log_likelihood_max[block] += silent.sum() + of_cells(best - unpressed)
-        mean, information = self._mean(pairs, z)
+        mean, information = self._mean(pairs, z, floor)
         cells.log_likelihood[block] += silent.sum() + of_cells(mean - unpressed)
         for j in range(3):
             cells.information[block, j] += of_cells(information[j])
 
-    def _best(self, pairs: Pairs, z: Floats) -> Floats:
+    def _best(self, pairs: Pairs, z: Floats, floor: Floats) -> Floats:
         """Log density (P,) of readings z (P,) at the nearest depth within the cell."""
         depth, fall, rise = pairs.depth, pairs.fall, pairs.rise
         ends = np.clip([depth + fall.sum(axis=0), depth + rise.sum(axis=0)], 0.0, 1.0)
-        return self._noise.log_density(z, np.clip(z, *ends))
+        return self._noise.log_density(z, np.clip(z, *ends), floor)
 
-    def _mean(self, pairs: Pairs, z: Floats) -> tuple[Floats, Floats]:
+    def _mean(self, pairs: Pairs, z: Floats, floor: Floats) -> tuple[Floats, Floats]:
         """Log density (P,) of readings z (P,) over the cell, and its information (3, P) along each
         edge."""
         change = pairs.rise - pairs.fall
@@ -100,11 +103,11 @@ class CellLikelihood:
         spread = 0.5 * np.sqrt((change**2).sum(axis=0))
         low, high = np.clip([middle - spread, middle + spread], 0.0, 1.0)
         h, within = 0.5 * (low + high), (high - low) ** 2 / 12.0  # mean and variance of the range
-        variance = self._noise.sigma**2 + (self._noise.gain_cv * h) ** 2
-        off = (z - h) * np.sqrt(variance / (variance + within))
+        variance = self._noise.variance(h)
+        off = (np.where(z > 0.0, z, floor) - h) / np.sqrt(variance + within)
         # no information where clipping flattens a reading
         per_change = 0.25 * within / np.maximum(spread**2, 1e-30) / variance
-        return self._noise.log_density(h + off, h), change**2 * per_change
+        return self._noise.log_of(z, off, variance), change**2 * per_change * _told(z, off)
 
     def _pairs(self, mid: Floats, edge: Floats, taxel: Floats, live: Bools) -> Pairs:
         """The pairs of n cells, midpoints (n, 3) and edges (n, 3, 3), and live taxels (M, 2)."""
@@ -182,21 +185,22 @@ class GridFilter:
         """(n,) of the cells; sums to 1."""
         return self._cells.weight if len(self) else np.empty(0)
 
-    def update(self, sensor: Poses, z: Floats, live: Bools, *, touched: bool | None = None) -> None:
-        """Learn from a scan z (M,), live (M,) with the sensor at a pose (3,) in the world.
+    def update(self, scan: Observation, *, touched: bool | None = None) -> None:
+        """Learn from a scan.
 
         `touched` says whether the object touches the skin, where that is known; None leaves it to
         the readings. It matters until the first touch alone: scans before it are kept and weighed
         at that touch.
         """
-        scan = Observation(sensor.copy(), z.copy(), live.copy())
         self._scans.append(scan)
         if len(self):
             self._likelihood.add(self._cells, [scan], self._first)
             self._refine()
             return
         if touched is None:
-            touched = bool(z.max(initial=0.0, where=live) > TOUCH_SIGMAS * self._noise.sigma)
+            touched = bool(
+                scan.z.max(initial=0.0, where=scan.live) > TOUCH_SIGMAS * self._noise.sigma
+            )
         if touched:
             self._first = scan.sensor
             self._cells = tile(self._model)
@@ -242,3 +246,11 @@ class GridFilter:
             self._likelihood.add(parts, self._scans, self._first)
             cells = cells[~coarse].joined(parts)
         self._cells = cells
+
+
+def _told(z: Floats, off: Floats) -> Floats:
+    """The share of a reading's information that is left where it is reported as 0 or as 1: the
+    curvature of the logarithm of the normal distribution function."""
+    x = np.where(z > 0.0, -off, off)
+    ratio = np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi) / normal_cdf(x)
+    return np.where((z > 0.0) & (z < 1.0), 1.0, np.clip(ratio * (ratio + x), 0.0, 1.0))

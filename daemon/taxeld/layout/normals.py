@@ -1,0 +1,56 @@
+"""Normals of a file that tells none: iCub's positions come without, or with one for all taxels.
+
+What they are needed for is the axis of the cylinder, which a patch's own curvature tells as well.
+"""
+
+import numpy as np
+
+from taxeld.arrays import Floats
+
+NEAR = 20  # taxels that make a tangent plane: two triangles, over which a millimetre is little
+FLAT = 0.01  # of a patch's width; a patch that is no deeper is a plane
+ONE_WAY = 1e-6  # normals that differ by no more are one
+UPRIGHT = 0.5  # cosine between a plane's normal and a file's that may be meant for it
+SAME_M = 1e-6  # distances are compared to a micrometre: the same neighbours on any machine
+
+
+def tells_none(position_m: Floats, normal: Floats) -> bool:
+    """Whether a patch (M, 3) has no normals; or one for all, and not that of a plane it lies in."""
+    if not np.any(normal):
+        return True
+    if np.ptp(normal, axis=0).max() > ONE_WAY:
+        return False
+    widths, axes = _axes(position_m)
+    return not (
+        _is_plane(widths) and abs(normal[0] @ axes[2]) > UPRIGHT * np.linalg.norm(normal[0])
+    )
+
+
+def of_positions(position_m: Floats) -> Floats:
+    """Unit normals (M, 3) of the surface through taxels (M, 3), away from their middle.
+
+    Across a plane they are one, the way in which its largest component is positive.
+    """
+    widths, axes = _axes(position_m)
+    if _is_plane(widths):
+        normal = axes[2]
+        return np.tile(normal * np.sign(normal[np.abs(normal).argmax()]), (len(position_m), 1))
+    outwards = position_m - position_m.mean(axis=0)
+    normals = np.empty_like(position_m)
+    for i, place in enumerate(position_m):
+        distance = np.round(np.linalg.norm(position_m - place, axis=1) / SAME_M)
+        near = position_m[np.argsort(distance, kind="stable")[:NEAR]]
+        normal = _axes(near)[1][2]
+        normals[i] = normal if normal @ outwards[i] >= 0.0 else -normal
+    return normals
+
+
+def _axes(points: Floats) -> tuple[Floats, Floats]:
+    """Root mean squares of points (n, 3) along three axes of their own, and these (rows), the
+    widest first."""
+    square, axes = np.linalg.eigh(np.cov(points.T, ddof=0))
+    return np.sqrt(np.maximum(square[::-1], 0.0)), axes.T[::-1]
+
+
+def _is_plane(widths: Floats) -> bool:
+    return bool(widths[2] <= FLAT * widths[0])

@@ -1,0 +1,107 @@
+"""A serial line, held alone while it is open; and a hub's own link on one. Nothing here waits."""
+
+import contextlib
+import os
+import termios
+import time
+
+import serial
+
+from taxeld.config.tables import SourceConfig
+from taxeld.source import holders
+from taxeld.source.device import LostError, Noticed
+from taxeld.source.dialects import ToFrames
+from taxeld.source.opening import busy, unopened
+from taxeld.source.outbox import Unit
+from taxeld.source.session import Chunk
+from taxeld_protocol import serial_link
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER
+
+BYTES_PER_POLL = 65536
+SPEEDS = range(1200, 12_000_001)  # bit/s
+
+
+def line_speed(text: str) -> int | None:
+    """A line speed [bit/s] as a user writes it; None where it is none."""
+    digits = text.isdecimal() and len(text) <= len(str(SPEEDS[-1]))
+    return int(text) if digits and int(text) in SPEEDS else None
+
+
+class SerialLine:
+    """An open serial line."""
+
+    def __init__(self, where: str, baud: int) -> None:
+        self.noticed = Noticed()
+        try:
+            self._port = serial.Serial(where, baud, timeout=0, exclusive=True)
+        except (OSError, ValueError, termios.error) as error:
+            raise unopened(where, error) from None
+        try:
+            claimed = holders.claim(self._port.fileno(), where)
+        except OSError as error:
+            self._port.close()
+            raise unopened(where, error) from None
+        if not claimed:
+            self._port.close()
+            raise busy(where)
+
+    def put(self, unit: Unit) -> Unit | None:
+        taken = self._write(unit.line)
+        if not taken:
+            raise BlockingIOError
+        return unit._replace(line=unit.line[taken:]) if taken < len(unit.line) else None
+
+    def close(self, wait_s: float = 0.0) -> None:
+        with contextlib.suppress(OSError, termios.error):
+            self._drain(wait_s)
+            if self._port.out_waiting:  # else the kernel waits for it up to 30 s
+                self._port.reset_output_buffer()
+        holders.release(self._port.fileno())
+        with contextlib.suppress(OSError):
+            self._port.close()
+
+    def _receive(self) -> bytes:
+        try:
+            # asked even when none wait: that is how a line that was unplugged shows
+            return bytes(self._port.read(max(1, min(self._port.in_waiting, BYTES_PER_POLL))))
+        except OSError as error:
+            raise LostError from error
+
+    def _write(self, data: bytes) -> int:
+        """→ how much of it the line has taken."""
+        try:
+            # not pyserial's `write`, which either waits or, told not to, spins while all is full
+            return os.write(self._port.fileno(), data)
+        except BlockingIOError:
+            return 0
+        except OSError as error:
+            raise LostError from error
+
+    def _drain(self, wait_s: float) -> None:
+        """What was written may take so long to get out."""
+        deadline = time.monotonic() + wait_s
+        while self._port.out_waiting and time.monotonic() < deadline:
+            time.sleep(wait_s / 20.0)
+
+
+class SerialDevice(SerialLine):
+    """A hub's own link."""
+
+    waits_for = ""
+
+    def __init__(self, config: SourceConfig, _: ToFrames) -> None:
+        super().__init__(config.channel, config.baud)
+
+    def read(self) -> list[Chunk]:
+        data = self._receive()
+        return [Chunk(time.time(), data)] if data else []
+
+    def tend(self, now_s: float) -> None:
+        """A hub is asked by its bring-up."""
+
+    @staticmethod
+    def pack(command: int, payload: bytes) -> list[Unit]:
+        # a recording of a line holds what was read from it alone
+        if command == LEAVE_BOOTLOADER:  # a hub that speaks this link runs its application
+            return []
+        return [Unit(None, serial_link.encode(command, payload, ihb=BROADCAST))]

@@ -1,0 +1,160 @@
+"""Which modules a CySkin hub streams, and in which order, where its DECLARE was not heard.
+
+A hub has an order of its own, which is not that of serial numbers, and no layout tells it. With a
+guess nearly all taxels would lie in the wrong place. So the order is `source.modules`, or is what a
+recording tells somewhere, or there is none.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.layout.layout import Layout
+from taxeld.source.session import Items
+from taxeld.source.wire import Wire
+from taxeld_protocol.decoder import Decoder
+from taxeld_protocol.modules import Module, listed
+
+FILE = "modules.toml"
+UNPLACED_S = 2.0  # that a hub may stream before a listener hears of its modules
+CURE = (
+    f"list them as [SUI, mask] in the order in which the hub sends them: 'taxeld record' and "
+    f"'taxeld-hil accept' write that list ({FILE}) where they start the skin themselves"
+)
+
+
+class Given:
+    """The modules that `source.modules` lists, by hub; a list without hubs is of one hub, the
+    first that asks."""
+
+    def __init__(self, entries: Iterable[Sequence[int]]) -> None:
+        self._by_hub: dict[int | None, list[tuple[int, int]]] = {}
+        for sui, mask, *hub in entries:
+            self._by_hub.setdefault(hub[0] if hub else None, []).append((sui, mask))
+
+    def __bool__(self) -> bool:
+        return bool(self._by_hub)
+
+    def of(self, ihb: int) -> list[Module]:
+        """Those of a hub; empty where it is not in the list."""
+        if None in self._by_hub:
+            self._by_hub = {ihb: self._by_hub[None]}
+        return listed(self._by_hub.get(ihb, ()))
+
+
+class Recorded:
+    """The modules that a recording tells, or that `source.modules` lists."""
+
+    def __init__(self, config: SourceConfig, items: Items, what: str) -> None:
+        """`what`: the recording's name, for a message."""
+        self._config, self._items, self._what = config, items, what
+        self._given = Given(config.modules)
+        self._told: dict[int, list[Module]] | None = None
+
+    def of(self, ihb: int) -> list[Module]:
+        """Those of a hub that has not told them before it streamed; empty where this hub's are not
+        known, and others' are.
+
+        Raises:
+            SetupError: no hub's are known.
+        """
+        if self._told is None:
+            self._told = self._search()
+        found = self._told.get(ihb) or self._given.of(ihb)
+        if not (found or self._told or self._given):
+            raise SetupError(missing(f"hub {ihb} of {self._what}"))
+        return found
+
+    def check(self) -> None:
+        """Whether the first scan can be decoded.
+
+        Raises:
+            SetupError: nothing tells how.
+        """
+        wire = Wire(self._config, Decoder(self.of))
+        for item in self._items:
+            if any(heard.scans for heard in wire.take(item, item.t)):
+                return
+
+    def _search(self) -> dict[int, list[Module]]:
+        decoder = Decoder()
+        wire = Wire(self._config, decoder)
+        for item in self._items:
+            wire.take(item, item.t)
+        return _told(decoder)
+
+
+def given(config: SourceConfig, layout: Layout) -> Given:
+    """What `source.modules` lists.
+
+    Raises:
+        SetupError: none of it is in the layout.
+    """
+    known = {int(uid) >> 4 for uid in layout.uid}
+    if config.modules and not any(sui in known for sui, *_ in config.modules):
+        first, *_ = config.modules[0]
+        raise SetupError(
+            f"source.modules: none of its {len(config.modules)} modules is in {layout.name}, "
+            f"not even {first}; list those of this skin"
+        )
+    return Given(config.modules)
+
+
+class Listening:
+    """Whether anything that a listener hears can be placed."""
+
+    def __init__(self, decoder: Decoder) -> None:
+        self._decoder = decoder
+        self._since_s: float | None = None  # when what cannot be placed was first seen
+        self._can = False
+
+    def fault(self, now_s: float) -> str:
+        """What makes all that comes useless, in a line; empty where nothing does."""
+        counters = self._decoder.counters
+        if self._can or not (counters.undeclared or counters.scans):
+            return ""
+        self._can = bool(_told(self._decoder))
+        if self._since_s is None:
+            self._since_s = now_s
+        if self._can or now_s - self._since_s < UNPLACED_S:  # the host may be asking just now
+            return ""
+        return missing(f"hub {next(iter(self._decoder.hubs))}")
+
+
+def complete(decoder: Decoder) -> dict[int, list[Module]]:
+    """The modules of the hubs that told all of them, by short id."""
+    return {ihb: hub.table.modules for ihb, hub in decoder.hubs.items() if hub.table.detailed}
+
+
+def _told(decoder: Decoder) -> dict[int, list[Module]]:
+    """The modules of the hubs that told any: one that is silent about itself is without taxels."""
+    tables = {ihb: hub.table.modules for ihb, hub in decoder.hubs.items()}
+    return {ihb: t for ihb, t in tables.items() if any(m.sui is not None for m in t)}
+
+
+def missing(hub: str) -> str:
+    """One line on a hub that streams what nobody can place."""
+    return (
+        f"source.modules: {hub} streams, but its answers to DECLARE and MODULE_DETAILS were not "
+        f"heard, so which taxel is which is not known; {CURE}"
+    )
+
+
+def write(path: Path, tables: Mapping[int, Sequence[Module]]) -> None:
+    """The list of these hubs' modules, ready for `[source]`. Raises OSError."""
+    path.write_text(text(tables), encoding="utf-8")
+
+
+def text(tables: Mapping[int, Sequence[Module]]) -> str:
+    """The same as TOML."""
+    columns = "[SUI, mask, hub]" if len(tables) > 1 else "[SUI, mask]"
+    lines = [
+        f"# {columns} in the order in which the modules send: for [source] of a configuration that",
+        "# listens to this skin while something else starts it (listen_only)",
+        "modules = [",
+    ]
+    for ihb, modules in sorted(tables.items()):
+        hub = f", {ihb}" if len(tables) > 1 else ""
+        lines += [f"  [{module.sui or 0}, 0x{module.mask:03X}{hub}]," for module in modules]
+    return "\n".join([*lines, "]"]) + "\n"

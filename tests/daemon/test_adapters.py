@@ -1,0 +1,274 @@
+"""SLCAN adapters of several kinds on pseudo-terminals, behind the daemon's own source."""
+
+import logging
+import os
+import termios
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, suppress
+from pathlib import Path
+
+import can
+import pytest
+
+from taxeld.commands import check
+from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.source.devices import open_device
+from taxeld.source.sources import LiveSource, open_source
+from taxeld_hil.rig.adapters import KINDS
+from taxeld_hil.rig.ledger import Unit as RigUnit
+from taxeld_hil.rig.ports import SlcanPort
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.modules import wired
+from taxeld_protocol.slcan import BITRATES, SlcanReader
+from taxeld_protocol.virtual_ihb import Phase
+from tests.virtual_hub import VirtualHub
+
+SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
+MODULES = wired(SKIN.uid.tolist())
+LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
+COUNTS = list(range(1, 1 + sum(module.channels for module in MODULES)))
+DEADLINE_S = 20.0
+
+kinds = pytest.mark.parametrize("kind", KINDS)
+as_bus_and_as_line = pytest.mark.parametrize("bus", [True, False], ids=["bus", "line"])
+
+
+def configured(device: str, bus: bool, **more: object) -> SourceConfig:
+    if bus:
+        return SourceConfig(kind="can", interface="slcan", channel=device, **more)  # type: ignore[arg-type]
+    return SourceConfig(kind="serial", framing="slcan", channel=device, **more)  # type: ignore[arg-type]
+
+
+class Skin:
+    """A source, and a hub behind an adapter, on a clock that stands while the test does not run."""
+
+    def __init__(self, hub: VirtualHub, config: SourceConfig) -> None:
+        source = open_source(config, SKIN)
+        assert isinstance(source, LiveSource)
+        assert isinstance(hub.port, SlcanPort)
+        self.hub, self.source, self.port = hub, source, hub.port
+        self.adapter = hub.port.adapter
+        self.now_s = 0.0
+
+    def until(self, true: Callable[[], bool]) -> float:
+        """Serve the hub and poll until something is so; → by the clock, how long it took. Each scan
+        must be right."""
+        deadline, began_s = time.monotonic() + DEADLINE_S, self.now_s
+        while not true():
+            assert time.monotonic() < deadline
+            self.hub.serve(self.now_s, lambda _: COUNTS)
+            for scan in self.source.poll(self.now_s):
+                assert list(scan.counts) == COUNTS
+            time.sleep(0.002)
+            self.now_s += 0.01
+        return self.now_s - began_s
+
+    def scans(self, more: int = 3) -> float:
+        """Until so many more have come."""
+        counters = self.source.wire.decoder.counters
+        wanted = counters.scans + more
+        return self.until(lambda: counters.scans >= wanted)
+
+    def close(self) -> None:
+        """Until all that was written has come to the hub."""
+        self.source.close()
+        deadline = time.monotonic() + DEADLINE_S
+        while self.adapter.is_open:
+            assert time.monotonic() < deadline
+            self.hub.answer(self.now_s)
+            time.sleep(0.002)
+
+
+@pytest.fixture
+def opened(tmp_path: Path) -> Iterator[Callable[..., Skin]]:
+    """A skin behind an adapter of a kind, opened as a bus or as a line, and more of the table."""
+    with ExitStack() as stack:
+
+        def made(kind: str = "plain", bus: bool = True, at: str = "", **more: object) -> Skin:
+            link = tmp_path / f"adapter{len(list(tmp_path.iterdir()))}"
+            hub = stack.enter_context(VirtualHub(link, MODULES, adapter=kind))
+            skin = Skin(hub, configured(hub.device + at, bus, **more))
+            stack.callback(skin.source.close)
+            return skin
+
+        yield made
+
+
+Opened = Callable[..., Skin]
+
+
+@kinds
+@as_bus_and_as_line
+def test_the_skin_behind_each_kind_of_adapter_is_brought_up_and_left_stopped_and_closed(
+    opened: Opened, kind: str, bus: bool
+) -> None:
+    skin = opened(kind, bus)
+    skin.scans()
+    skin.close()
+    assert not skin.hub.ihb.auto_sync
+    assert not skin.adapter.is_open
+    counters = skin.source.counters
+    assert (counters.refused, counters.silences, counters.noise) == (0, 0, 0)
+
+
+@kinds
+@as_bus_and_as_line
+def test_listening_only_nothing_is_sent_to_the_bus_and_the_adapter_is_told_so(
+    opened: Opened, kind: str, bus: bool
+) -> None:
+    skin = opened(kind, bus, listen_only=True, modules=LISTED)
+    sent: list[Frame] = []
+    skin.port._on_frame = sent.append
+    skin.hub.ihb.phase, skin.hub.ihb.auto_sync = Phase.RUNNING, True  # something else started it
+    skin.scans()
+    assert skin.adapter.is_silent
+    skin.close()
+    assert sent == []
+
+
+@kinds
+@as_bus_and_as_line
+def test_a_channel_that_another_process_closed_is_opened_again_and_said_once(
+    opened: Opened, kind: str, bus: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO, "taxeld")
+    skin = opened(kind, bus)
+    source = skin.source
+    skin.scans()
+    caplog.clear()
+    skin.port.close_channel()
+    took_s = skin.until(lambda: bool(source.waits_for))
+    named = f"source.channel: nothing has come from {skin.hub.device} for 1 s; "
+    assert source.waits_for.startswith(named)
+    assert took_s + skin.scans(1) <= 1.0 + 2.0
+    assert source.waits_for == ""
+    counters = source.counters
+    assert (counters.silences, counters.lost, counters.refused) == (1, 0, 0)
+    said = [(record.levelname, record.getMessage()) for record in caplog.records]
+    assert [level for level, _ in said] == ["WARNING", "INFO"]
+    assert said[1][1] == f"is mended: {said[0][1]}"
+
+
+@as_bus_and_as_line
+def test_a_line_that_another_process_set_otherwise_is_set_right_again(
+    opened: Opened, bus: bool
+) -> None:
+    """As a shell's `stty sane` does: it then echoes, and gives whole lines instead of bytes."""
+    skin = opened("lawicel", bus)
+    skin.scans()
+    slave = skin.port.slave
+    form = termios.tcgetattr(slave)
+    form[0] |= termios.ICRNL
+    form[3] |= termios.ICANON | termios.ECHO
+    termios.tcsetattr(slave, termios.TCSANOW, form)
+    skin.port.close_channel()
+    skin.until(lambda: skin.source.counters.silences == 1)
+    skin.scans()
+
+
+@as_bus_and_as_line
+def test_what_an_adapter_refuses_is_said_once_with_its_name_and_counted(
+    opened: Opened, bus: bool, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(BITRATES, 1_000_000, b"S9")  # Lawicel's knows no such
+    skin = opened("lawicel", bus)
+    skin.until(lambda: skin.source.counters.refused >= 10)
+    (line,) = [r.getMessage() for r in caplog.records if "refused S9" in r.getMessage()]
+    assert line.startswith(
+        f"source.channel: {skin.hub.device} refused S9 (it knows no such bit rate"
+    )
+
+
+@as_bus_and_as_line
+def test_remote_and_fd_frames_are_passed_over_and_counted(opened: Opened, bus: bool) -> None:
+    skin = opened("lawicel", bus)
+    skin.scans()
+    strange = b"r1010\rR17FFFFFF8\rr10181A2B\rd1011AA\rB000001019" + b"00" * 12 + b"\r"
+    os.write(skin.port.fileno(), strange)
+
+    def foreign() -> int:
+        return skin.source.wire.stats()["dropped"]["foreign"]  # type: ignore[index]
+
+    skin.until(lambda: foreign() >= 5)
+    skin.scans()
+    assert (foreign(), skin.source.counters.noise) == (5, 0)
+
+
+LONG = Frame(0.0, 0x17FFFFFF, b"\x01\x3b\x00\x00\x4f\x6d\x17", extended=True)
+
+
+@kinds
+@as_bus_and_as_line
+def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
+    tmp_path: Path, kind: str, bus: bool
+) -> None:
+    with closing(SlcanPort(tmp_path / "adapter", lambda _: None, kind)) as port:
+        reached: list[Frame] = []
+        port._on_frame = reached.append
+        device = open_device(configured(str(tmp_path / "adapter"), bus), lambda *_: [LONG])
+        reader, heard, now_s = SlcanReader(), [], 0.0
+        (waiting,) = device.pack(0, b"")
+        deadline = time.monotonic() + DEADLINE_S
+        while not (reached and heard):
+            assert time.monotonic() < deadline
+            port.take(0.0)
+            device.tend(now_s)
+            if not reached:
+                with suppress(BlockingIOError):
+                    device.put(waiting)
+            elif port.is_open:
+                port.send(RigUnit(LONG, None))
+            for item in device.read():
+                heard += [item] if isinstance(item, Frame) else reader.feed(item.data, 0.0)
+            now_s += 0.01
+            time.sleep(0.002)
+        assert {frame._replace(t=0.0) for frame in (*reached, *heard)} == {LONG}
+        device.close()
+
+
+def test_a_frame_with_a_long_id_goes_to_python_cans_busses_as_such() -> None:
+    with can.Bus(interface="virtual", channel="long") as bus:
+        config = SourceConfig(kind="can", interface="virtual", channel="long")
+        device = open_device(config, lambda *_: [LONG])
+        (unit,) = device.pack(0, b"")
+        device.put(unit)
+        message = bus.recv(DEADLINE_S)
+        assert message is not None
+        assert (message.arbitration_id, message.is_extended_id) == (LONG.can_id, True)
+        bus.send(can.Message(arbitration_id=LONG.can_id, data=LONG.data, is_extended_id=True))
+        (frame,) = device.read()
+        assert frame._replace(t=0.0) == LONG
+        device.close()
+
+
+@pytest.mark.parametrize("bitrate", BITRATES)
+def test_the_bus_gets_the_configured_bit_rate(opened: Opened, bitrate: int) -> None:
+    skin = opened("lawicel", bitrate=bitrate)
+    skin.until(lambda: b"O" in skin.adapter.heard)
+    assert [line for line in skin.adapter.heard if line[:1] == b"S"] == [BITRATES[bitrate]]
+
+
+@as_bus_and_as_line
+def test_python_can_is_not_asked_for_an_slcan_adapter(
+    opened: Opened, bus: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def never(**_: object) -> None:
+        raise AssertionError("python-can was asked")
+
+    monkeypatch.setattr(can, "Bus", never)
+    opened(bus=bus, at="@921600" if bus else "").scans()
+
+
+@pytest.mark.parametrize("speed", ["fast", "", "300", "9" * 400, "-9600", "96 00"])
+def test_a_line_speed_that_is_none_is_refused_by_run_and_by_check_in_the_same_line(
+    speed: str,
+) -> None:
+    config = configured(f"/dev/null@{speed}", bus=True)
+    with pytest.raises(SetupError) as run_says:
+        open_source(config, SKIN)
+    _, check_says = check._source(config)
+    assert check_says == [str(run_says.value)]
+    assert "must end with @ and a line speed, as /dev/null@115200" in str(run_says.value)

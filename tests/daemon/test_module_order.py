@@ -1,0 +1,321 @@
+"""Which taxel is which, where no DECLARE was heard: as listed, as told elsewhere, or refused."""
+
+import json
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import pytest
+
+from taxeld.cli import main
+from taxeld.config.file import parse
+from taxeld.config.tables import SkinConfig, SourceConfig
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.source import dialects, module_order
+from taxeld.source.device import Device, Noticed
+from taxeld.source.module_order import UNPLACED_S
+from taxeld.source.outbox import Unit
+from taxeld.source.sources import LiveSource
+from taxeld_protocol import cyskin
+from taxeld_protocol.decoder import Scan
+from taxeld_protocol.frames import Frame, format_log_line
+from taxeld_protocol.modules import listed, wired
+from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
+from tests.virtual_hub import VirtualHub, told
+
+SKIN = layouts.load(SkinConfig().layout)
+ORDERED = wired(SKIN.uid.tolist())
+# a hub's own order, each module with taxels that the layout does not have
+MODULES = listed((module.sui or 0, 0xFFF) for module in reversed(ORDERED))
+LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
+UIDS = [uid for module in MODULES for uid in module.uids]
+DEADLINE_S = 60.0
+MISSING = "DECLARE and MODULE_DETAILS were not heard"
+
+
+def frames(hub: VirtualIhb, answers: Iterable[Answer], t: float = 1.0) -> list[Frame]:
+    return [
+        frame
+        for command, payload in answers
+        for frame in cyskin.to_frames(command, payload, ihb=hub.short_id, t=t)
+    ]
+
+
+def scan(hub: VirtualIhb, t: float = 1.0) -> list[Frame]:
+    """In which every channel reads the UID of its taxel."""
+    return frames(hub, hub.sensor_data([u for m in hub.modules for u in m.uids]), t)
+
+
+def log(place: Path, heard: Sequence[Frame]) -> Path:
+    path = place / "frames.log"
+    path.write_text("\n".join(map(format_log_line, heard)) + "\n", encoding="ascii")
+    return path
+
+
+def configuration(place: Path, source: str = "") -> Path:
+    path = place / "config.toml"
+    path.write_text(
+        f'[source]\nkind = "replay"\npath = "{place}"\n{source}\n[scene]\nbundle = "box"\n'
+        f'[publish]\nendpoints = []\n[control]\nendpoint = ""\n',
+        encoding="utf-8",
+    )
+    return path
+
+
+def is_right(scans: Sequence[Scan]) -> bool:
+    """Whether each taxel read its own UID."""
+    return all(
+        uid == count
+        for scan in scans
+        for uid, count in zip([u for m in scan.table for u in m.uids], scan.counts, strict=True)
+    )
+
+
+class Heard(Device):
+    """A device that has heard what it is given, and is never spoken to."""
+
+    waits_for = ""
+
+    def __init__(self) -> None:
+        self.noticed = Noticed()
+        self.frames: list[Frame] = []
+
+    def read(self) -> list[Frame]:
+        heard, self.frames = self.frames, []
+        return heard
+
+    def put(self, unit: Unit) -> Unit | None:
+        raise AssertionError(unit)
+
+    def close(self, wait_s: float = 0.0) -> None:
+        """Nothing is held open."""
+
+
+def listener(modules: tuple[tuple[int, ...], ...] = ()) -> tuple[LiveSource, Heard]:
+    config = SourceConfig(kind="can", channel="x", listen_only=True, modules=modules)
+    device = Heard()
+    return LiveSource(config, dialects.live(config, SKIN), lambda *_: device, None), device
+
+
+def test_a_listener_reads_modules_in_the_order_of_the_list() -> None:
+    source, device = listener(LISTED)
+    device.frames = scan(VirtualIhb(MODULES))
+    scans = source.poll(0.0)
+    assert len(scans) == 1
+    assert is_right(scans)
+    assert source.fault == ""
+
+
+def test_a_listener_that_was_there_before_the_skin_was_started_needs_no_list() -> None:
+    source, device = listener()
+    hub = VirtualIhb(MODULES)
+    device.frames = frames(hub, told(hub)) + scan(hub)
+    scans = source.poll(0.0)
+    assert len(scans) == 1
+    assert is_right(scans)
+
+
+def test_a_listener_without_a_list_decodes_nothing_and_says_what_is_missing() -> None:
+    source, device = listener()
+    hub = VirtualIhb(MODULES)
+    ticks = [0.05 * k for k in range(100)]
+    faults = []
+    for now in ticks:
+        device.frames = scan(hub, now)
+        assert source.poll(now) == []
+        faults.append(source.fault)
+    since = [now for now, fault in zip(ticks, faults, strict=True) if fault]
+    assert since[0] == pytest.approx(UNPLACED_S, abs=0.051)
+    assert {fault.count("\n") for fault in faults} == {0}
+    assert MISSING in faults[-1]
+    assert "source.modules: hub 1 streams" in faults[-1]
+    assert "taxeld record" in faults[-1]
+
+
+def test_a_module_that_told_nothing_of_itself_costs_its_own_taxels_alone(tmp_path: Path) -> None:
+    hub = VirtualIhb(MODULES)
+    declare, first, _, *rest = told(hub)  # the second module's details are lost
+    answers = frames(hub, [declare, first, *rest])
+    source, device = listener()
+    heard = [scan(hub, 0.05 * k) for k in range(100)]
+    device.frames = answers
+    for k, frames_of_scan in enumerate(heard):
+        device.frames += frames_of_scan
+        [got] = source.poll(0.05 * k)
+        assert source.fault == ""
+    assert [module.sui for module in got.table] == [
+        None if i == 1 else module.sui for i, module in enumerate(MODULES)
+    ]
+    log(tmp_path, [*answers, *heard[0]])
+    assert main(["check", str(configuration(tmp_path))]) == 0
+
+
+def test_a_strange_packet_does_not_end_a_listener_that_hears_its_skin() -> None:
+    source, device = listener()
+    hub, stranger = VirtualIhb(MODULES), VirtualIhb(MODULES, short_id=9)
+    device.frames = frames(hub, told(hub))
+    for k in range(100):
+        device.frames += scan(hub, 0.05 * k) + scan(stranger, 0.05 * k)
+        source.poll(0.05 * k)
+        assert source.fault == ""
+    assert source.wire.stats()["undeclared"] == 100  # packets of the stranger's
+
+
+def test_with_several_hubs_each_module_is_listed_with_its_hub() -> None:
+    one, two = VirtualIhb(MODULES[:3], short_id=1), VirtualIhb(MODULES[3:], short_id=7)
+    source, device = listener(
+        tuple((m.sui or 0, m.mask, hub.short_id) for hub in (two, one) for m in hub.modules)
+    )
+    device.frames = scan(one) + scan(two)
+    scans = source.poll(0.0)
+    assert [scan.ihb for scan in scans] == [1, 7]
+    assert is_right(scans)
+
+
+def test_a_list_without_hubs_is_of_one_hub_and_not_of_the_next_as_well() -> None:
+    source, device = listener(LISTED)
+    device.frames = scan(VirtualIhb(MODULES)) + scan(VirtualIhb(MODULES, short_id=2))
+    assert [scan.ihb for scan in source.poll(0.0)] == [1]
+
+
+def test_a_list_of_another_skin_is_refused() -> None:
+    with pytest.raises(SetupError, match=r"^source\.modules: none of its 1 modules is in [^\n]+$"):
+        listener(((3535, 0xFFF),))
+
+
+@pytest.mark.parametrize("command", ["check", "replay", "run"])
+def test_a_recording_that_does_not_tell_its_modules_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    log(tmp_path, scan(VirtualIhb(MODULES)))
+    config = configuration(tmp_path)
+    assert main([command, str(tmp_path if command == "replay" else config)]) == 2
+    printed, errors = capsys.readouterr()
+    assert printed == ""
+    assert errors.startswith(f"source.modules: hub 1 of {tmp_path} streams")
+    assert MISSING in errors
+    assert errors.count("\n") == 1
+
+
+@pytest.mark.parametrize("told_when", ["before", "after", "listed"])
+def test_a_recording_is_read_by_what_it_tells_anywhere_or_by_the_list(told_when: str) -> None:
+    hub = VirtualIhb(MODULES)
+    answers = frames(hub, told(hub), 1.5)
+    heard = scan(hub, 1.0) + scan(hub, 2.0)
+    items = {"before": answers + heard, "after": heard + answers, "listed": heard}[told_when]
+    config = SourceConfig(kind="replay", path="x", modules=LISTED if told_when == "listed" else ())
+    decoder = dialects.replayed(config, SKIN, items, "x")
+    scans = [scan for frame in items for scan in decoder.feed(frame)[1]]
+    assert len(scans) == 2
+    assert is_right(scans)
+
+
+@pytest.mark.parametrize("source", ["", f"modules = {json.dumps(LISTED)}"])
+def test_decode_with_a_configuration_reads_by_its_list_or_refuses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str
+) -> None:
+    path = log(tmp_path, scan(VirtualIhb(MODULES)))
+    code = main(["decode", "--config", str(configuration(tmp_path, source)), str(path)])
+    printed, errors = capsys.readouterr()
+    if source:
+        assert code == 0
+        assert json.loads(printed.splitlines()[0])["modules"] == [m.uids for m in MODULES]
+    else:
+        assert (code, printed, errors.count("\n")) == (2, "", 1)
+        assert errors.startswith(f"source.modules: hub 1 of {path} streams")
+
+
+@pytest.mark.parametrize("source", ["", f"modules = {json.dumps(LISTED)}"])
+def test_check_tells_a_listener_without_a_list_when_it_must_be_started(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str
+) -> None:
+    with VirtualHub(tmp_path / "skin", MODULES) as hub:
+        config = live(tmp_path, hub, f"listen_only = true\n{source}")
+        assert main(["check", str(config)]) == 0
+    notes = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: ")]
+    assert [note.startswith("note: source.modules: lists none") for note in notes] == (
+        [] if source else [True]
+    )
+
+
+def test_decode_without_a_configuration_takes_full_modules(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = log(tmp_path, scan(VirtualIhb(MODULES)))
+    assert main(["decode", str(path)]) == 0
+    line = capsys.readouterr().out.splitlines()[0]
+    assert json.loads(line)["modules"] == [m.uids for m in MODULES]
+
+
+def test_what_is_written_for_a_listener_can_be_pasted(tmp_path: Path) -> None:
+    for tables in ({1: MODULES}, {1: MODULES[:2], 5: MODULES[2:]}):
+        module_order.write(tmp_path / module_order.FILE, tables)
+        text = (tmp_path / module_order.FILE).read_text(encoding="utf-8")
+        config = parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\nbundle = "box"\n')
+        given = module_order.given(config.source, SKIN)
+        assert {ihb: given.of(ihb) for ihb in tables} == tables
+
+
+def start(*arguments: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "taxeld.cli", *map(str, arguments)],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def live(place: Path, hub: VirtualHub, more: str = "") -> Path:
+    path = place / "live.toml"
+    path.write_text(
+        f'[source]\nkind = "can"\ninterface = "slcan"\nchannel = "{hub.device}"\n{more}\n'
+        '[scene]\nbundle = "box"\n[publish]\nendpoints = []\n[control]\nendpoint = ""\n',
+        encoding="utf-8",
+    )
+    return path
+
+
+def serve(hub: VirtualHub, process: subprocess.Popen[str], most: float = math.inf) -> None:
+    """Until the process has ended, or so many bytes have been sent to it."""
+    deadline = time.monotonic() + DEADLINE_S
+    while process.poll() is None and hub.written < most:
+        assert time.monotonic() < deadline
+        hub.serve(time.monotonic(), lambda _: UIDS)
+        time.sleep(0.002)
+
+
+def test_record_lists_the_modules_and_a_listener_reads_by_that_list(tmp_path: Path) -> None:
+    out = tmp_path / "session"
+    with VirtualHub(tmp_path / "skin", MODULES) as hub:
+        process = start("record", "--out", out, live(tmp_path, hub))
+        serve(hub, process, 10_000)
+        process.terminate()
+        printed, errors = process.communicate(timeout=DEADLINE_S)
+    assert errors == ""
+    assert f"{out / module_order.FILE}, for source.modules" in printed
+    text = (out / module_order.FILE).read_text(encoding="utf-8")
+    config = parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\nbundle = "box"\n')
+    assert config.source.modules == LISTED
+
+
+@pytest.mark.parametrize("command", ["run", "record"])
+def test_a_daemon_that_cannot_know_the_order_ends_and_a_recording_goes_on(
+    tmp_path: Path, command: str
+) -> None:
+    out = tmp_path / "session"
+    with VirtualHub(tmp_path / "skin", MODULES) as hub:
+        hub.ihb.phase, hub.ihb.auto_sync = Phase.RUNNING, True
+        config = live(tmp_path, hub, "listen_only = true")
+        process = start(command, *(["--out", out] if command == "record" else []), config)
+        serve(hub, process, 10_000 if command == "record" else math.inf)
+        process.terminate()
+        printed, errors = process.communicate(timeout=DEADLINE_S)
+    if command == "record":
+        assert (process.returncode, errors) == (0, "")
+        assert "to replay it, list source.modules" in printed
+        assert not (out / module_order.FILE).exists()
+    else:
+        assert (process.returncode, printed, errors.count("\n")) == (2, "", 1)
+        assert errors.startswith("source.modules: hub 1 streams")

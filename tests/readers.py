@@ -1,0 +1,302 @@
+"""Every reader of a file, and what each must make of any content: a value, or its one line.
+
+The tests ask them with changed files (tests/daemon/test_any_file.py), the benchmarks with a
+coverage-guided fuzzer (benchmarks/fuzz.py).
+"""
+
+import contextlib
+import gzip
+import io
+import json
+import logging
+import random
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from zmq.auth import create_certificates
+
+from taxeld.commands.decode import decode
+from taxeld.config.file import load
+from taxeld.config.tables import FilterConfig, SkinConfig
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.model.observation import ObservationModel
+from taxeld.model.scene import Scene
+from taxeld.model.symmetry import PoseMetric
+from taxeld.proposals import bundle, manifest, scene_file
+from taxeld.proposals.analytic import Manifold, Projection, check_contacts
+from taxeld.proposals.bundle import Bundle
+from taxeld.proposals.sampler import Sampler
+from taxeld.service import state_format
+from taxeld.skin.skin import Skin
+from taxeld.source import session
+from taxeld.stream import curve, messages
+from taxeld_hil.scenario import scenario
+
+from .daemon.log_writers import WRITERS, bus, candump_log
+from .daemon.simulated_skin import SimulatedSkin
+from .daemon.test_layout_files import document
+from .daemon.test_layout_icub import icub_rows, icub_text
+
+ROOT = Path(__file__).parents[1]
+RECORDED = ROOT / "tests" / "daemon" / "session"
+SHIPPED = bundle.find("box")
+NOWHERE = Path("bundle")
+MOST = 1100  # characters of a line
+PROPOSALS = ("auto", "density", "ddpm", "table", "manifold", "projection")
+TOKENS = [  # what breaks readers
+    *(b"9" * 400, b"9" * 5000, b"0x" + b"f" * 5000, b"-1", b"1e999", b"nan", b"inf", b"null"),
+    *(b"[" * 2000, b"{" * 2000, b'{"a":' * 500, b"[[]]", b"\0", b"\n", b"\r", b"\xff\xfe", b'"'),
+    *(b"\x1b[31m", b"#", b",", b"=", b"LOBJ", b"\x1f\x8b\x08", b" " * 5000, b"x" * 70_000),
+]
+Use = Callable[[bytes], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Reader:
+    """What reads a file, and whole files of its kind."""
+
+    use: Use  # raises SetupError; may put a line into the log
+    samples: Callable[[], list[bytes]]
+    examples: int = 150  # of the tests: as many as take half a second
+
+
+@cache
+def place() -> Path:
+    """Where files are put that have to have a path."""
+    made = tempfile.TemporaryDirectory(prefix="readers-")
+    _KEPT.append(made)
+    return Path(made.name)
+
+
+_KEPT: list[tempfile.TemporaryDirectory[str]] = []
+
+
+@cache
+def loaded() -> Bundle:
+    """The shipped box."""
+    return bundle.load("box", layouts.load(SkinConfig().layout), 0.005)
+
+
+def used_or_refused(use: Callable[[], object]) -> None:
+    """It ends, and what a user sees of it is one line."""
+    said, printed, logged = [""], io.StringIO(), _Logged()
+    logging.getLogger("taxeld").addHandler(logged)
+    with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+        try:
+            use()
+        except SetupError as error:
+            said = getattr(error, "faults", [str(error)])
+        finally:
+            logging.getLogger("taxeld").removeHandler(logged)
+    for line in (*said, *logged.lines):
+        assert line.isprintable(), repr(line)
+        assert len(line) <= MOST
+    assert len(logged.lines) <= 1
+    assert printed.getvalue() == ""
+
+
+class _Logged(logging.Handler):
+    """Lines in the log, which is not printed meanwhile."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines: list[str] = []
+
+    def emit(self, record: logging.LogRecord) -> None:
+        self.lines.append(record.getMessage())
+
+
+def scene_used(scene: Scene) -> None:
+    """All that a start computes of a scene."""
+    layout = loaded().model.layout
+    model = ObservationModel(scene, layout, 0.005)
+    check_contacts(model)
+    z, live, rng = np.eye(1, len(layout))[0], np.ones(len(layout), bool), np.random.default_rng(0)
+    for make in (Projection, Manifold):
+        assert np.isfinite(make(model).propose(z, live, 5, rng)).all()
+    assert np.isfinite(PoseMetric(scene).arm_m)
+    assert np.isfinite(scene.equivalents).all()
+    assert np.isfinite([scene.size, scene.mean_radius]).all()
+
+
+def manifest_used(info: dict[str, Any]) -> None:
+    """All that is asked of bundle.json after it was read."""
+    found = replace(loaded(), info=info)
+    for name in (*PROPOSALS, *found.order):
+        used_or_refused(lambda name=name: found.cheaper(found.resolve(name)))  # type: ignore[misc]
+    for sampler in info["samplers"]:
+        assert found.resolve("auto", sampler["name"]) == sampler["name"]
+    messages.info(found.model.layout, found.model.scene, info, str(FilterConfig()))
+
+
+def _in_file(name: str, read: Callable[[Path], object]) -> Use:
+    """For what is read by its path."""
+
+    def use(content: bytes) -> None:
+        (place() / name).write_bytes(content)
+        read(place() / name)
+
+    return use
+
+
+def _in_session(name: str) -> Use:
+    """A recorded session of which one file is another."""
+
+    def use(content: bytes) -> None:
+        kind = "frames" if name == session.FRAMES else "serial"
+        directory = place() / f"session of {kind}"
+        if not directory.exists():
+            shutil.copytree(RECORDED, directory)
+            if kind == "frames":
+                (directory / session.SERIAL).unlink()
+        whole = directory / name
+        before = whole.read_bytes() if whole.exists() else None
+        whole.write_bytes(content)
+        try:
+            session.read(directory)
+        finally:
+            if before is None:
+                whole.unlink()
+            else:
+                whole.write_bytes(before)
+
+    return use
+
+
+def _layout(name: str) -> Use:
+    def checked(path: Path) -> None:
+        skin = layouts.read(str(path))
+        assert len(skin) == len(set(skin.uid.tolist())) > 0
+        assert np.isfinite(skin.position_m).all()
+        assert np.isfinite(skin.frame).all()
+
+    return _in_file(name, checked)
+
+
+def _certificate(path: Path) -> None:
+    path.chmod(0o600)
+    curve.secret_key(path)
+
+
+@cache
+def _skin() -> Skin:
+    layout = layouts.load("cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015")
+    skin = Skin(layout, SkinConfig())
+    SimulatedSkin(layout).run(skin, 4.0)
+    return skin
+
+
+def _state(content: bytes) -> None:
+    """Its own error is a ValueError, which the daemon puts into a line of its log."""
+    skin = _skin()
+    try:
+        state = state_format.parse(content, skin.digest, len(skin.layout), skin.modules)
+    except ValueError as error:
+        if not str(error).startswith("it"):
+            raise
+        raise SetupError(str(error)) from None
+    fresh = Skin(skin.layout, SkinConfig())
+    fresh.restore(state)
+    fresh.on_scan(SimulatedSkin(skin.layout).scan())
+
+
+def _states() -> list[bytes]:
+    state = _skin().state()
+    assert state is not None
+    return [state_format.dump(state)]
+
+
+def _logs() -> list[bytes]:
+    """One of each kind."""
+    made, path = [], place() / "made"
+    for write in WRITERS.values():
+        path.unlink(missing_ok=True)
+        write(bus(3), path)
+        made.append(path.read_bytes())
+    line = (RECORDED / session.SERIAL).read_bytes()[:3000]
+    return [*made, *map(gzip.compress, made[:5]), line]
+
+
+def _frames() -> list[bytes]:
+    path = place() / "made"
+    candump_log("a")(bus(3), path)
+    return [path.read_bytes()]
+
+
+def _keys() -> list[bytes]:
+    create_certificates(place(), "made")
+    return [(place() / "made.key_secret").read_bytes()]
+
+
+READERS = {
+    "log": Reader(_in_file("log", lambda path: list(decode(path))), _logs, 600),
+    "configuration": Reader(
+        _in_file("any.toml", load), lambda: [(ROOT / "examples" / "can0.toml").read_bytes()], 300
+    ),
+    "scenario": Reader(
+        _in_file("scenario.toml", lambda path: scenario.load(str(path))),
+        lambda: [path.read_bytes() for path in scenario.shipped().values()],
+    ),
+    "bundle.json": Reader(
+        lambda content: manifest_used(manifest.parse(content, NOWHERE)),
+        lambda: [(SHIPPED / "bundle.json").read_bytes()],
+        300,
+    ),
+    "scene.npz": Reader(
+        lambda content: scene_used(scene_file.parse(content, NOWHERE)),
+        lambda: [(SHIPPED / "scene.npz").read_bytes()],
+        60,
+    ),
+    "sampler.onnx": Reader(
+        lambda content: Sampler(content, loaded().model.layout, "density", NOWHERE),
+        lambda: [(SHIPPED / "density-16.onnx").read_bytes()],
+        60,
+    ),
+    "state": Reader(_state, _states, 300),
+    "layout.json": Reader(_layout("skin.json"), lambda: [json.dumps(document(16)).encode()], 200),
+    "positions.txt": Reader(
+        _layout("skin.txt"), lambda: [icub_text(icub_rows(), [6, -1] * 24).encode()], 200
+    ),
+    session.FRAMES: Reader(_in_session(session.FRAMES), _frames, 200),
+    **{
+        name: Reader(_in_session(name), lambda name=name: [(RECORDED / name).read_bytes()])  # type: ignore[misc]
+        for name in (session.SERIAL, session.SERIAL_TIMES, session.POSES)
+    },
+    session.ABOUT: Reader(
+        _in_session(session.ABOUT),
+        lambda: [b"version = 1\nframes = 0\nchunks = 265\nbytes = 47173\nposes = 1017\n"],
+    ),
+    "key": Reader(_in_file("key", _certificate), _keys),
+}
+
+
+def changed(whole: bytes, rng: random.Random) -> bytes:
+    """A file with some bytes changed, cut out, put twice or put in, and perhaps cut short."""
+    data = bytearray(whole)
+    for _ in range(rng.randint(1, 4)):
+        # headers, names and directories stand at the edges
+        span = rng.choice([len(data), min(len(data), 300)])
+        at = rng.randrange(span + 1)
+        at = len(data) - at if rng.random() < 0.3 else at
+        length = rng.choice([1, 4, 30, 300])
+        match rng.randrange(6):
+            case 0 if at < len(data):
+                data[at] ^= 1 << rng.randrange(8)
+            case 1:
+                data[at : at + length] = rng.randbytes(length)
+            case 2:
+                del data[at : at + length]
+            case 3:
+                data[at:at] = data[at : at + length]
+            case 4:
+                data[at:at] = rng.choice(TOKENS)
+            case 5:
+                data[at : at + length] = rng.choice(TOKENS)
+    return bytes(data[: rng.randrange(len(data) + 1)] if rng.random() < 0.1 else data)
