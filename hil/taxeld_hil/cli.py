@@ -5,6 +5,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
@@ -41,7 +42,7 @@ def _run(args: argparse.Namespace) -> int:
     from taxeld_hil.run.run import on_hardware, simulate
 
     transport, _, channel = args.transport.partition(":")
-    scenario = scenarios.load(args.scenario).over(transport)
+    scenario = scenarios.load(args.scenario).over(transport).on(args.skin)
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
@@ -58,9 +59,9 @@ def _run(args: argparse.Namespace) -> int:
 def _soak(args: argparse.Namespace) -> int:
     from taxeld_hil.run.soak import resumed, soak_fake, soak_live
 
-    base, real = scenarios.load(args.scenario), args.real_minutes is not None
+    base, real = scenarios.load(args.scenario).on(args.skin), args.real_minutes is not None
     hours = args.real_minutes / 60.0 if real else args.hours
-    soak = resumed(args.out, args.seed, "real" if real else "fake", hours)
+    soak = resumed(args.out, args.seed, "real" if real else "fake", base.physics, hours)
     soak = (soak_live if real else soak_fake)(base, soak, args.out, _say)
     _say(soak.line())
     _say("passed" if soak.passed else "failed; see failures in " + str(args.out))
@@ -70,7 +71,7 @@ def _soak(args: argparse.Namespace) -> int:
 def _table(args: argparse.Namespace) -> int:
     from taxeld_hil.run.table import rows
 
-    for row in rows(range(args.seeds)):
+    for row in rows(range(args.seeds), args.skin):
         _say(row)
     return 0
 
@@ -78,7 +79,7 @@ def _table(args: argparse.Namespace) -> int:
 def _emulate(args: argparse.Namespace) -> int:
     from taxeld_hil.run.emulate import emulate
 
-    scenario = scenarios.load(args.scenario).over("can" if args.can else "")
+    scenario = scenarios.load(args.scenario).over("can" if args.can else "").on(args.skin)
     if emulate(scenario, args.seed, args.poses, args.can or args.link, args.out):
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
@@ -147,6 +148,15 @@ def _draw(args: argparse.Namespace) -> int:
 
 
 def _physics(args: argparse.Namespace) -> int:
+    def progress(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    if args.touches:
+        return _touches(args, progress)
+    if args.curves:
+        return _curves(args, progress)
+    if args.fit is not None:
+        return _fit(args, progress)
     from taxeld_hil.experiment.physics_experiment import Plan, experiment
 
     plan = Plan.quick if args.quick else Plan
@@ -158,8 +168,48 @@ def _physics(args: argparse.Namespace) -> int:
     }
     objects = tuple(args.object or ("box", "mug"))
     chosen = plan(objects=objects, **{k: v for k, v in given.items() if v is not None})
-    for path in experiment(chosen, args.out, lambda line: print(line, file=sys.stderr, flush=True)):
+    for path in experiment(chosen, args.out, progress):
         print(path)
+    return 0
+
+
+def _touches(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
+    from taxeld_hil.experiment.touch_experiment import QUICK_SEEDS, Plan, experiment, lines, read
+
+    plan = Plan(
+        objects=tuple(args.object or Plan.objects),
+        skins=tuple(args.skin or Plan.skins),
+        seeds=args.seeds or (QUICK_SEEDS if args.quick else Plan.seeds),
+    )
+    path = experiment(plan, args.out, args.memory, args.workers, progress)
+    print(path)
+    for line in lines(read(path)):
+        print(line)
+    return 0
+
+
+def _curves(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
+    from taxeld_hil.experiment import curves
+
+    names = tuple(args.skin or ("typical", "poor", "stiff"))
+    skins = args.seeds or (curves.QUICK_SKINS if args.quick else curves.SKINS)
+    paths = list(curves.experiment(names, skins, args.out, progress))
+    for line in (*map(str, paths), *curves.lines(paths[0])):
+        print(line)
+    return 0
+
+
+def _fit(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
+    from taxeld_hil.experiment import insole
+
+    fits = insole.fit(args.fit)
+    if not fits:
+        progress(f"{args.fit}: no recordings (*.mat) there; nothing is fitted")
+        return 0
+    args.out.mkdir(parents=True, exist_ok=True)
+    insole.write(args.out / "insole.json", fits)
+    for line in (str(args.out / "insole.json"), *insole.lines(fits)):
+        print(line)
     return 0
 
 
@@ -175,6 +225,12 @@ def _parser() -> argparse.ArgumentParser:
     _add_measurements(commands)
     _add_parts(commands)
     return parser
+
+
+def _add_skin(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--skin", default="", metavar="SKIN", help="over the scenario's: scene, typical, poor, …"
+    )
 
 
 def _add_run(commands: Commands) -> None:
@@ -195,6 +251,7 @@ def _add_run(commands: Commands) -> None:
     run.add_argument(
         "--transport", default="", help="over the scenario's: slcan, native or can:INTERFACE"
     )
+    _add_skin(run)
     run.set_defaults(command=_run)
 
 
@@ -206,10 +263,12 @@ def _add_soak_and_table(commands: Commands) -> None:
     long.add_argument("--hours", type=float, default=1.0, help="of scans, on the fake clock")
     long.add_argument("--real-minutes", type=float, help="over the transport, in real time")
     soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
+    _add_skin(soak)
     soak.set_defaults(command=_soak)
 
     table = commands.add_parser("table", help="what each fault shows in, and how soon, as Markdown")
     table.add_argument("--seeds", type=int, default=5)
+    _add_skin(table)
     table.set_defaults(command=_table)
 
 
@@ -231,9 +290,27 @@ def _add_measurements(commands: Commands) -> None:
     accept.set_defaults(command=_accept)
 
     physics = commands.add_parser("physics", help="the estimator's model beside a soft skin's")
+    other = physics.add_mutually_exclusive_group()
+    other.add_argument(
+        "--touches", action="store_true", help="instead: ten touches a run, and what comes of them"
+    )
+    other.add_argument(
+        "--curves", action="store_true", help="instead: the named skins beside recordings' bands"
+    )
+    other.add_argument(
+        "--fit", type=Path, metavar="DATA", help="instead: what recordings of an insole (*.mat) say"
+    )
     physics.add_argument("--object", action="append", metavar="BUNDLE", help="default: box and mug")
+    physics.add_argument(
+        "--skin", action="append", metavar="SKIN", help="of --touches and --curves"
+    )
+    physics.add_argument("--workers", type=int, default=2, help="of --touches, a thread each")
+    physics.add_argument(
+        "--memory", type=Path, default=Path(".experiments/touches.jsonl"), metavar="FILE",
+        help="runs of --touches, from which one cut short goes on (default %(default)s)",
+    )  # fmt: skip
     physics.add_argument("--contacts", type=int, metavar="N", help="an object, to compare readings")
-    physics.add_argument("--seeds", type=int, metavar="N", help="runs of the demo's path a kind")
+    physics.add_argument("--seeds", type=int, metavar="N", help="runs of each kind; skins drawn")
     physics.add_argument("--seed", type=int, help="of the contacts")
     physics.add_argument("--noise-sigma", type=float, metavar="SD", help="default: the daemon's")
     physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")
@@ -251,6 +328,7 @@ def _add_parts(commands: Commands) -> None:
     where.add_argument("--can", metavar="INTERFACE", help="of this machine's kernel, as vcan0")
     emulate.add_argument("--poses", required=True, help="endpoint for the robot's poses")
     emulate.add_argument("--out", type=Path, required=True, help="directory for the session")
+    _add_skin(emulate)
     emulate.set_defaults(command=_emulate)
 
     watch = commands.add_parser("watch", help="a subscriber's table of contacts")

@@ -1,26 +1,28 @@
 """The effects between the depth of a press and a count: each keeps its own rule."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from taxeld.arrays import Poses
+from taxeld.config.toml_tables import Given
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.proposals import bundle
 from taxeld_hil.scenario import scenario
-from taxeld_hil.scenario.mesh_config import MeshConfig
+from taxeld_hil.scenario.mesh_config import PLAIN
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.electronics import Foam, ThermalDrift, condenser, coupling
+from taxeld_hil.world.electronics import CrossTalk, Response, ThermalDrift
 from taxeld_hil.world.world import COUNT_MAX, World, make_world
 from taxeld_protocol.modules import wired
 
 DEMO = replace(scenario.load("demo"), physics="scene")
-MESH = replace(DEMO, physics="mesh")
+MESH = replace(DEMO, physics="typical")
 SKIN = layouts.load(DEMO.layout)
 MODEL = bundle.load(DEMO.bundle, SKIN, 0.005).model
 MODULES = wired(SKIN.uid.tolist())
+SILENT = {"noise_counts": (0.0, 0.0)}
 FAR = np.array([5.0, 5.0, 0.0])
 
 
@@ -39,64 +41,47 @@ def touching(made: World, depth_m: float = 0.003) -> Poses:
     raise AssertionError("the object is not there")
 
 
-def loop(foam: Foam, speed: float) -> Poses:
-    """Two loops of one taxel between 1 and 4 mm, after a press; what each step reads."""
-    there = np.arange(0.001, 0.004, 0.00005)
-    depths = np.concatenate([[0.0], there, there[::-1], there, there[::-1]])
-    read = [foam.press(np.array([d]), k * 0.00005 / speed)[0] for k, d in enumerate(depths)]
-    return np.array(read)[1:].reshape(4, -1)
+def test_a_response_is_exact_at_0_and_1_and_who_presses_harder_reads_more() -> None:
+    h = np.linspace(0.0, 1.6, 200)
+    for bend, onset in (
+        (0.1, (1.0, 2.7)),
+        (-0.9, (1.0, 10.0)),
+        (0.9, (0.1, 0.1)),
+        (0.0, (0.1, 10.0)),
+    ):
+        skin = replace(PLAIN, bend=bend, onset=onset)
+        read = Response(skin, 500, np.random.default_rng(0))(np.tile(h[:, None], 500))
+        assert not read[0].any()
+        np.testing.assert_allclose(read[h == 1.0], 1.0)
+        assert (np.diff(read, axis=0) > 0.0).all(), (bend, onset)
+    np.testing.assert_allclose(Response(PLAIN, 1, np.random.default_rng(0))(h[:, None])[:, 0], h)
 
 
-def test_the_hysteresis_loop_closes_and_does_not_depend_on_speed() -> None:
-    slow, fast = loop(Foam(1, 0.1, 0.0, 1.0), 0.001), loop(Foam(1, 0.1, 0.0, 1.0), 0.1)
-    np.testing.assert_array_equal(slow, fast)
-    _, down, up_again, down_again = slow
-    np.testing.assert_allclose(down, down_again)
-    assert (down_again >= up_again[::-1] - 1e-12).all()
-    assert down_again[len(down) // 2] == pytest.approx(1.1 * up_again[len(down) // 2], rel=0.03)
+def test_a_taxels_onset_is_by_how_much_steeper_its_response_begins() -> None:
+    h = np.array([[0.0], [1e-6]])
+    for onset in (0.5, 1.0, 2.0):
+        skin = replace(PLAIN, bend=0.1, onset=(onset, onset))
+        slope = Response(skin, 1, np.random.default_rng(0))(h)[1, 0] / 1e-6
+        assert slope == pytest.approx(1.1 + onset - 1.0, rel=1e-4)
 
 
-def test_while_a_press_deepens_the_depth_itself_is_read() -> None:
-    first = loop(Foam(1, 0.1, 0.1, 2.0), 0.02)[0]
-    np.testing.assert_allclose(first, np.arange(0.001, 0.004, 0.00005))
+def test_cross_talk_is_a_share_of_the_modules_strongest_press_and_ends_at_the_module() -> None:
+    share = CrossTalk(SKIN, (0.05, 0.05), np.random.default_rng(0))
+    press = np.zeros(len(SKIN))
+    press[[3, 4, 25]] = 500.0, 1000.0, 200.0
+    read = share.add(press)
+    assert read[4] == pytest.approx(1000.0), "the strongest reads itself alone"
+    assert read[3] == pytest.approx(550.0)
+    np.testing.assert_allclose(read[[0, 1, 2, 5, 6, 7, 8, 9]], 50.0)
+    np.testing.assert_allclose(np.delete(read[20:30], 5), 10.0)
+    assert not read[10:20].any()
+    assert not read[30:].any()
 
 
-def test_what_remains_of_a_long_press_decays_with_its_time_constant() -> None:
-    foam = Foam(1, 0.0, 0.1, 2.0)
-    foam.press(np.array([0.004]), 0.0)
-    foam.press(np.array([0.004]), 60.0)
-    left = [foam.press(np.zeros(1), 60.0 + t)[0] for t in (0.0, 2.0, 40.0)]
-    np.testing.assert_allclose(left, [0.0004, 0.0004 / np.e, 0.0], atol=1e-8)
-    short = Foam(1, 0.0, 0.1, 2.0)
-    short.press(np.array([0.004]), 0.0)
-    short.press(np.array([0.004]), 0.1)
-    assert short.press(np.zeros(1), 0.1)[0] < 0.1 * left[0]
-
-
-def test_a_condenser_is_exact_at_0_and_1_and_rises_between() -> None:
-    h = np.linspace(0.0, 1.6, 100)
-    np.testing.assert_allclose(condenser(h, 0.0), h)
-    bent = condenser(h, 0.3)
-    assert bent[0] == 0.0
-    assert condenser(np.ones(1), 0.3)[0] == pytest.approx(1.0)
-    assert (np.diff(bent) > 0.0).all()
-    assert (bent[1:60] < h[1:60]).all()
-
-
-def test_cross_talk_keeps_the_sum_of_each_module() -> None:
-    matrix = coupling(SKIN, 0.05)
-    reading = np.random.default_rng(0).uniform(0.0, 1000.0, len(SKIN))
-    module = SKIN.uid >> 4
-    sums = np.bincount(module, matrix @ reading)
-    np.testing.assert_allclose(sums, np.bincount(module, reading))
-    np.testing.assert_allclose(matrix @ np.ones(len(SKIN)), 1.0)
-    np.testing.assert_array_equal(matrix, matrix.T)
-    assert not matrix[module[:, None] != module].any()
-    assert (matrix >= 0.0).all()
-    np.testing.assert_array_equal(coupling(SKIN, 0.0), np.eye(len(SKIN)))
-    one = np.zeros(len(SKIN))
-    one[4] = 1.0
-    assert np.flatnonzero(matrix @ one).tolist() == [3, 4, 5]
+def test_cross_talk_of_a_pair_is_the_same_both_ways() -> None:
+    share = CrossTalk(SKIN, (0.01, 0.067), np.random.default_rng(0))
+    one = np.array([share.add(1000.0 * row) for row in np.eye(len(SKIN))])
+    np.testing.assert_allclose(one, one.T)
 
 
 def test_drift_is_never_faster_than_asked() -> None:
@@ -125,7 +110,7 @@ def test_counts_stay_within_their_range_however_hard_the_press(full_scale: float
 
 
 def test_temperature_channels_drift_with_the_taxels_and_hardly_read_a_press() -> None:
-    quiet = replace(MESH, noise_counts=0.0, mesh=MeshConfig(drift_counts_per_min=60.0))
+    quiet = replace(MESH, mesh=Given({**SILENT, "drift_counts_per_min": 60.0}))
     made = of(quiet)
     counts = np.array([made.counts(FAR, t) for t in np.arange(0.0, 1800.0, 60.0)])
     counts -= counts[0]
@@ -140,10 +125,8 @@ def test_temperature_channels_drift_with_the_taxels_and_hardly_read_a_press() ->
 
 
 def test_with_every_effect_off_the_worlds_differ_by_geometry_alone() -> None:
-    off = MeshConfig(taxel_radius_m=0.0, sag_m=0.0, closing=0.0, hysteresis=0.0, creep=0.0,
-                     cross_talk=0.0, drift_counts_per_min=0.0)  # fmt: skip
-    scene = of(replace(DEMO, noise_counts=0.0))
-    mesh = of(replace(MESH, noise_counts=0.0, mesh=off))
+    scene = of(replace(DEMO, mesh=Given(SILENT)))
+    mesh = of(replace(MESH, mesh=Given({**asdict(PLAIN), **SILENT})))
     np.testing.assert_array_equal(scene.counts(FAR, 0.0), mesh.counts(FAR, 0.0))
     gaps = []
     for depth in (0.001, 0.002, 0.003, 0.004):

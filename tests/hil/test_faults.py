@@ -195,14 +195,15 @@ def test_percentiles_are_of_the_counts() -> None:
 
 def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     path, quiet = tmp_path / "soak.json", lambda _: None
-    part = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", 0.01), path, quiet)
+    part = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", "scene", 0.01), path, quiet)
     assert (part.laps, part.unexplained, part.daemons) == (1, 0, 1)
-    whole = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", 0.03), path, quiet)
+    whole = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", "scene", 0.03), path, quiet)
     assert (whole.laps, whole.unexplained, whole.daemons) == (2, 0, 2)
     path.with_name("other").write_text("x")
     with pytest.raises(scenario.SetupError, match="is no report of a soak"):
-        soak.resumed(path.with_name("other"), 5, "fake", 1.0)
-    assert soak.resumed(path, 6, "fake", 1.0).laps == 0, "of another seed it is another soak"
+        soak.resumed(path.with_name("other"), 5, "fake", "scene", 1.0)
+    assert soak.resumed(path, 6, "fake", "scene", 1.0).laps == 0, "another seed: another soak"
+    assert soak.resumed(path, 5, "fake", "poor", 1.0).laps == 0, "another skin: another soak"
 
 
 def test_laps_differ_and_are_determined_by_seed_and_number() -> None:

@@ -14,8 +14,9 @@ from taxeld.layout import read as layouts
 from taxeld.model import contacts
 from taxeld.proposals import bundle
 from taxeld_hil.world import meshes
-from taxeld_hil.world.mesh_physics import solid_of
+from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.mesh_skin import LAYER_M, MeshSkin
+from taxeld_hil.world.solids import Solid
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 HALF = np.array([0.05, 0.03, 0.04])
@@ -39,9 +40,37 @@ class Box:
         return np.asarray(outside + np.minimum(out.max(axis=0), 0.0))
 
 
+@dataclass(frozen=True)
+class Lifted:
+    """A solid so much higher."""
+
+    solid: Solid
+    z_m: float
+
+    @property
+    def centre(self) -> Floats:
+        return self.solid.centre
+
+    @property
+    def size(self) -> float:
+        return self.solid.size
+
+    def distance(self, points: Floats) -> Floats:
+        return self.solid.distance(points - np.array([[0.0], [0.0], [self.z_m]]))
+
+
 BOX = Box(HALF)
-HARD = MeshSkin(BOX, SKIN, taxel_radius_m=0.0, sag_m=0.0)
-SOFT = MeshSkin(BOX, SKIN, taxel_radius_m=0.002, sag_m=0.003)
+NO_SAG, SAG = np.zeros(len(SKIN)), np.full(len(SKIN), 0.003)
+
+
+def hard(pose: Floats, solid: Solid = BOX) -> Floats:
+    """What points on a hard skin are pressed by."""
+    return MeshSkin(solid, SKIN, 0.0).indentation(pose, NO_SAG)
+
+
+def soft(pose: Floats, solid: Solid = BOX) -> Floats:
+    """What electrodes are under a cover that sags by 1/e in 3 mm."""
+    return MeshSkin(solid, SKIN, 0.002).indentation(pose, SAG)
 
 
 def faces_of(half: Floats) -> Floats:
@@ -68,28 +97,41 @@ def test_a_flat_press_is_as_deep_as_the_plane_stands_in_each_normals_way(depth_m
     column = np.arctan2(SKIN.position_m[:, 1], SKIN.position_m[:, 0])
     way = (0.04 - depth_m) / np.maximum(np.cos(column), 1e-9)  # from the axis to the face
     expected = np.where(np.cos(column) > 0.0, np.clip(0.04 - way, 0.0, None), 0.0)
-    np.testing.assert_allclose(HARD.indentation(pressed(depth_m)), expected, atol=1e-9)
+    np.testing.assert_allclose(hard(pressed(depth_m)), expected, atol=1e-9)
 
 
 def test_an_object_that_does_not_touch_indents_nothing() -> None:
-    assert not SOFT.indentation(pressed(-1e-4)).any()
-    assert not SOFT.indentation(np.array([1.0, 0.0, 0.3])).any()
+    assert not soft(pressed(-1e-4)).any()
+    assert not soft(np.array([1.0, 0.0, 0.3])).any()
 
 
 def test_a_soft_skin_sags_beside_the_press_and_nowhere_rises() -> None:
-    hard, soft = HARD.indentation(pressed(0.002)), SOFT.indentation(pressed(0.002))
-    beside = (hard == 0.0) & (soft > 0.0)
+    rigid, yields = hard(pressed(0.002)), soft(pressed(0.002))
+    beside = (rigid == 0.0) & (yields > 0.0)
     assert beside.any()
-    assert soft[beside].max() < 0.5 * hard.max()
-    assert soft.max() <= hard.max() + 1e-9
+    assert yields[beside].max() < 0.5 * rigid.max()
+    assert yields.max() <= rigid.max() + 1e-9
+
+
+def test_each_taxel_sags_by_its_own_length_and_one_of_length_0_not_at_all() -> None:
+    """A rod of 2 mm presses 8 mm below one row of taxels, and 7 mm above the next."""
+    rod = Box(np.array([0.05, 0.05, 0.001]))
+    skin = MeshSkin(Lifted(rod, -0.008), SKIN, 0.002)
+    lengths = np.zeros(len(SKIN))
+    lengths[32], lengths[16] = 0.003, 0.006  # both column 0, in the rows beside the rod
+    depth = skin.indentation(pressed(0.003), lengths)
+    assert np.flatnonzero(depth).tolist() == [16, 32]
+    np.testing.assert_allclose(
+        depth[[32, 16]], 0.003 * np.exp([-8.0 / 3.0, -7.0 / 6.0]), rtol=1e-3
+    )  # to where the skin's points stand
 
 
 def test_an_edge_between_two_columns_is_read_by_a_soft_skin_alone() -> None:
     thin = Box(np.array([0.05, 0.003, 0.04]))
     between = np.pi / 16
     pose = np.array([*(0.087 * np.array([np.cos(between), np.sin(between)])), between])
-    assert not MeshSkin(thin, SKIN, 0.0, 0.0).indentation(pose).any()
-    depth = MeshSkin(thin, SKIN, 0.002, 0.003).indentation(pose)
+    assert not hard(pose, thin).any()
+    depth = soft(pose, thin)
     np.testing.assert_allclose(depth[0::16], depth[1::16], rtol=0.2)  # to the lattice
     assert depth[0] > 1e-4
 
@@ -99,7 +141,7 @@ def test_an_object_turned_by_a_column_is_read_the_same_one_column_on() -> None:
     turn = 2.0 * np.pi / 16
     c, s = np.cos(turn), np.sin(turn)
     turned = np.array([c * pose[0] - s * pose[1], s * pose[0] + c * pose[1], pose[2] + turn])
-    before, after = HARD.indentation(pose), HARD.indentation(turned)
+    before, after = hard(pose), hard(turned)
     assert before.max() > 0.001
     np.testing.assert_allclose(after.reshape(5, 16), np.roll(before.reshape(5, 16), 1, axis=1),
                                atol=1e-9)  # fmt: skip
@@ -109,11 +151,11 @@ def test_a_wall_thinner_than_the_press_is_read_as_deep_as_its_outside() -> None:
     """What the estimator does by filling its slices."""
     wall = Box(np.array([0.001, 0.03, 0.04]))
     pose = np.array([0.04 + 0.001 - 0.004, 0.0, 0.0])
-    assert MeshSkin(wall, SKIN, 0.0, 0.0).indentation(pose)[0] == pytest.approx(0.004, abs=1e-9)
+    assert hard(pose, wall)[0] == pytest.approx(0.004, abs=1e-9)
 
 
 def test_no_press_is_deeper_than_the_skin() -> None:
-    assert HARD.indentation(pressed(0.02)).max() == pytest.approx(LAYER_M)
+    assert hard(pressed(0.02)).max() == pytest.approx(LAYER_M)
 
 
 def test_a_mesh_of_a_box_has_its_closed_form() -> None:
@@ -139,11 +181,11 @@ def test_a_hard_skin_and_the_estimators_model_differ_by_little(
     """Nine in ten taxels within a millimetre; the rest are at edges, where the nearest way out and
     the way along a normal are not the same."""
     model = bundle.load(name, SKIN, 0.005).model
-    skin = MeshSkin(solid_of(name, SKIN), SKIN, 0.0, 0.0)
+    skin = MeshSkin(solid_of(name, SKIN), SKIN, 0.0)
     rng = np.random.default_rng(0)
     touches = contacts.synthesise(model.scene, SKIN.radius_m, 0.005, 200, rng)
     theirs = 0.005 * model.activation(touches.pose)
-    ours = np.array([skin.indentation(pose) for pose in touches.pose])
+    ours = np.array([skin.indentation(pose, NO_SAG) for pose in touches.pose])
     gap = np.abs(ours - theirs)[(ours > 0.0) | (theirs > 0.0)]
     assert np.median(gap) < middle_m
     assert np.quantile(gap, 0.9) < most_m
@@ -162,10 +204,12 @@ def test_the_estimators_object_stands_at_the_same_height() -> None:
 
 
 def test_an_object_far_away_costs_less_than_a_fifth_of_a_press() -> None:
+    skin = MeshSkin(BOX, SKIN, 0.002)
+
     def cpu(pose: Floats) -> int:
         start = time.process_time_ns()
         for _ in range(200):
-            SOFT.indentation(pose)
+            skin.indentation(pose, SAG)
         return time.process_time_ns() - start
 
     assert 5 * cpu(np.array([0.3, 0.0, 0.0])) < cpu(pressed(0.003))

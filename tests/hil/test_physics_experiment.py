@@ -14,9 +14,10 @@ from taxeld_hil import cli
 from taxeld_hil.experiment import physics_cost, physics_gap
 from taxeld_hil.experiment.physics_gap import STAGES, ContactReadings, SkinComparison
 from taxeld_hil.scenario import scenario
-from taxeld_hil.world.mesh_physics import solid_of
+from taxeld_hil.scenario.mesh_config import POOR, TYPICAL
+from taxeld_hil.world.bundled import solid_of
 
-DEMO = scenario.load("demo")
+DEMO = scenario.load("demo").on("typical")
 SKIN = layouts.load(DEMO.layout)
 
 
@@ -54,12 +55,17 @@ def test_the_same_seed_compares_the_same_readings() -> None:
 
 
 def test_kinds_add_one_effect_after_the_other_up_to_all() -> None:
-    kinds = [mesh for mesh in physics_cost.KINDS.values() if mesh is not None]
+    kinds = [
+        physics_cost.of(DEMO, "box", kind).skin
+        for kind in physics_cost.KINDS
+        if kind not in ("scene", "poor")
+    ]
     names = type(kinds[0]).__dataclass_fields__
     changed = [{n for n in names if getattr(a, n) != getattr(b, n)} for a, b in pairwise(kinds)]
     assert all(changed)
     assert sum(map(len, changed)) == len(set.union(*changed))
-    assert kinds[-1] == DEMO.mesh
+    assert kinds[-1] == TYPICAL
+    assert physics_cost.of(DEMO, "box", "poor").skin == POOR
 
 
 def test_wrong_options_are_refused_with_one_line(
@@ -79,7 +85,7 @@ def test_the_command_writes_json_beside_a_picture(
     assert not cli.main(["physics", "--quick", "--object", "box", "--contacts", "12",
                          "--seeds", "1", "--out", str(tmp_path)])  # fmt: skip
     printed = capsys.readouterr()
-    assert "box, a cover that sags 3 mm: 12 of 12 contacts" in printed.err
+    assert "box: 12 of 12 contacts" in printed.err
     result = json.loads((tmp_path / "physics.json").read_text(encoding="utf-8"))
     assert [stage["stage"] for stage in result["gap"]["box"]["stages"]] == list(STAGES)
     assert [row["kind"] for row in result["cost"]] == list(physics_cost.KINDS)

@@ -23,6 +23,7 @@ TARGET = os.environ.get("TAXELD_TARGET", "")
 
 ROUGH = """\
 bundle = "box"
+physics = "scene"
 contacts = 4
 [[fault]]
 kind = "corrupted"
@@ -51,10 +52,28 @@ def failed(grade: Grade) -> list[str]:
 
 
 @pytest.mark.parametrize("name", scenario.shipped())
-def test_a_shipped_scenario_passes_on_the_fake_clock(name: str) -> None:
-    grade = FakeRun(scenario.load(name), seed=0).graded(name)
+def test_a_shipped_scenario_passes_in_the_estimators_own_world(name: str) -> None:
+    """On the fake clock."""
+    grade = FakeRun(scenario.load(name).on("scene"), seed=0).graded(name)
     assert failed(grade) == []
     assert grade.figures["ledger"]["fates"]["scans"] > 100
+
+
+@pytest.mark.xfail(reason="what foam keeps of a press is taken for touches, and laid to the object")
+def test_shipped_scenarios_pass_on_a_soft_skin() -> None:
+    """On the fake clock."""
+    for name in ("demo", "module_dead", "pose_frozen", "unplugged"):
+        grade = FakeRun(scenario.load(name).on("typical"), seed=0).graded(name)
+        assert failed(grade) == [], name
+
+
+@pytest.mark.parametrize("skin", ["typical", "poor"])
+def test_on_a_soft_skin_nothing_is_lost_and_every_fault_shows(skin: str) -> None:
+    """Whatever the estimate is worth there."""
+    grade = FakeRun(scenario.load("everything").on(skin), seed=0).graded("everything")
+    names = [name for name in failed(grade) if "accounts" in name or "flag" in name]
+    assert names == []
+    assert all(law["holds"] for law in grade.figures["laws"])
 
 
 @pytest.mark.parametrize(
@@ -62,7 +81,7 @@ def test_a_shipped_scenario_passes_on_the_fake_clock(name: str) -> None:
     [("everything", "native"), ("damaged_line", "slcan"), ("damaged_line", "can")],
 )
 def test_a_scenario_passes_over_any_transport(name: str, transport: str) -> None:
-    grade = FakeRun(scenario.load(name).over(transport), seed=1).graded(name)
+    grade = FakeRun(scenario.load(name).over(transport).on("scene"), seed=1).graded(name)
     assert failed(grade) == []
 
 
@@ -135,12 +154,13 @@ def test_a_run_on_hardware_grades_what_it_can_and_names_what_it_cannot(tmp_path:
     """The emulator stands in for the hardware. The times only bound a hang: the run ends as soon as
     the subscriber that was killed works again, and the emulator serves until it is stopped."""
     (tmp_path / "s.toml").write_text(
-        'bundle = "box"\ncontacts = 2\nexpect = {found = false, recovery_s = 60.0}\n'
+        'bundle = "box"\nphysics = "scene"\ncontacts = 2\n'
+        "expect = {found = false, recovery_s = 60.0}\n"
         '[[fault]]\nkind = "reboot"\nat_s = 1.0\n'
         '[[fault]]\nkind = "subscriber_dead"\nat_s = 2.0\nfor_s = 0.5\n',
         encoding="utf-8",
     )
-    skin_toml = 'bundle = "box"\ncontacts = 4\nrest_s = 600.0\n'
+    skin_toml = 'bundle = "box"\nphysics = "scene"\ncontacts = 4\nrest_s = 600.0\n'
     (tmp_path / "skin.toml").write_text(skin_toml, encoding="utf-8")
     link, poses = tmp_path / "skin", f"ipc://{tmp_path}/poses"
     command = [

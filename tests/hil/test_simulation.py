@@ -73,7 +73,7 @@ def test_counts_rise_with_pressure_over_a_baseline_of_their_own() -> None:
 
 
 def test_the_demos_physics_need_nothing_but_the_runtime() -> None:
-    """Packages that read meshes are imported where physics = "mesh" alone."""
+    """Packages that read meshes are imported for a soft skin alone."""
     code = (
         "import sys; from taxeld_hil.run.fake_run import FakeRun; "
         "from taxeld_hil.scenario import scenario; FakeRun(scenario.load('demo'), 0).step(0.0); "
@@ -87,23 +87,24 @@ def test_a_scenario_that_is_not_there_names_those_that_are() -> None:
         scenario.load("party")
 
 
-@pytest.mark.parametrize("physics", ["scene", "mesh"])
+@pytest.mark.parametrize("physics", ["scene", "typical", "poor"])
 def test_a_seed_draws_truth_baselines_gains_drift_and_noise_in_this_order(physics: str) -> None:
     """So that the same seed is the same world in every version, untouched and without a press."""
-    world = make_world(replace(DEMO, physics=physics), MODEL, MODULES, seed=4)
+    given = replace(DEMO, physics=physics)
+    world = make_world(given, MODEL, MODULES, seed=4)
     rng, taxels = np.random.default_rng(4), len(SKIN)
     most = np.array([DEMO.place_m, DEMO.place_m, np.pi])
     np.testing.assert_array_equal(world.truth, rng.uniform(-most, most))
     baseline = DEMO.baseline_counts + DEMO.baseline_spread * rng.standard_normal(taxels).clip(-3, 3)
     rng.standard_normal(taxels)  # the gains
     drift: Floats | float = 0.0
-    if physics == "mesh":
-        mesh = DEMO.mesh
+    if physics != "scene":
+        mesh = given.skin
         heat = ThermalDrift(
             taxels, mesh.drift_counts_per_min, mesh.drift_period_s, mesh.drift_cv, rng
         )
         drift = heat.counts(0.0) * heat.share
-    noise = DEMO.noise_counts * rng.standard_normal(taxels)
+    noise = world.noise_counts * rng.standard_normal(taxels)
     expected = np.round(baseline + drift + noise).reshape(8, 10).astype(int)
     assert np.reshape(world.counts(FAR, 0.0), (8, 11))[:, 1:].tolist() == expected.tolist()
 

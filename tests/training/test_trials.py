@@ -116,11 +116,11 @@ def test_stuck_taxels_count_as_live(ring_model: ObservationModel) -> None:
     assert (free[0] == 1.0).sum() == 3
 
 
-def test_drift_grows_to_its_given_size() -> None:
-    still = np.zeros(40)
+def test_drift_grows_to_its_given_size(ring_model: ObservationModel) -> None:
+    still = np.zeros(len(ring_model.layout))
     rng = np.random.default_rng(0)
-    skin = TrialSkin(Conditions(sigma=0.0, drift=0.1), still + 1.0, rng)
-    early, late = skin.read(still + 0.5, 0.1, rng), skin.read(still + 0.5, 1.0, rng)
+    skin = TrialSkin(Conditions(sigma=0.0, drift=0.1), ring_model.layout, still + 1.0, rng)
+    early, late = (skin.read(still + 0.5, 0.0, share, rng).z for share in (0.1, 1.0))
     assert np.allclose(late - 0.5, 10.0 * (early - 0.5))
     assert 0.05 < np.abs(late - 0.5).max() <= 0.1
 

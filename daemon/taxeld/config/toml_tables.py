@@ -8,8 +8,8 @@ import math
 import reprlib
 import tomllib
 from collections.abc import Callable
-from dataclasses import MISSING, Field, field, fields
-from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from typing import Any, Generic, TypeVar, cast, get_args, get_origin, get_type_hints
 
 from taxeld.errors import SetupError, one_line
 
@@ -28,6 +28,17 @@ class ConfigError(SetupError):
 
 
 Bound = Callable[[Any], str | None]
+
+
+@dataclass(frozen=True)
+class Given(Generic[T]):
+    """The keys that a file gives of a table T, checked; what it leaves out is for its reader."""
+
+    keys: dict[str, Any] = field(default_factory=dict)
+
+    def over(self, base: T) -> T:
+        """The table `base` with these keys in place of its own."""
+        return cast(T, replace(cast(Any, base), **self.keys))
 
 
 def between(low: float, high: float) -> Bound:
@@ -84,20 +95,27 @@ def parse(cls: type[T], text: str, name: str) -> T:
 
 def _table(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> object:
     """A dataclass from a TOML table; None where its faults make that impossible."""
+    before = len(faults)
+    values = _values(cls, data, path, faults)
+    for name, spec in ((f.name, f) for f in fields(cls) if f.name not in data):
+        if spec.default is MISSING and spec.default_factory is MISSING:
+            faults.append(f"{path}{name}: is required")
+    return cls(**values) if len(faults) == before else None
+
+
+def _values(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> dict[str, Any]:
+    """The keys that a TOML table gives of a dataclass."""
     known = {f.name: f for f in fields(cls)}
     hints = get_type_hints(cls)
     for name in data.keys() - known:
         near = difflib.get_close_matches(name[:KEY_SHOWN], known, 1)
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
         faults.append(f"{path}{name[:KEY_SHOWN]}: unknown key; {hint}")
-    before = len(faults)
-    values = {}
-    for name, spec in known.items():
-        if name in data:
-            values[name] = _value(hints[name], spec, data[name], path + name, faults)
-        elif spec.default is MISSING and spec.default_factory is MISSING:
-            faults.append(f"{path}{name}: is required")
-    return cls(**values) if len(faults) == before else None
+    return {
+        name: _value(hints[name], spec, data[name], path + name, faults)
+        for name, spec in known.items()
+        if name in data
+    }
 
 
 def _value(kind: Any, spec: Field[Any], value: Any, path: str, faults: list[str]) -> Any:
@@ -108,7 +126,10 @@ def _value(kind: Any, spec: Field[Any], value: Any, path: str, faults: list[str]
             return tuple(_table(inner, item, f"{path}[{i}].", faults) for i, item in items)
         faults.append(f"{path}: must be tables [[{path}]]")
         return None
-    if hasattr(kind, "__dataclass_fields__"):
+    given = get_origin(kind) is Given
+    if given or hasattr(kind, "__dataclass_fields__"):
+        if isinstance(value, dict) and given:
+            return Given(_values(get_args(kind)[0], value, path + ".", faults))
         if isinstance(value, dict):
             return _table(kind, value, path + ".", faults)
         faults.append(f"{path}: must be a table [{path}]")

@@ -11,30 +11,40 @@ from typing import Any
 
 import numpy as np
 
+from taxeld.config.toml_tables import Given
 from taxeld.estimator.estimate import Status
 from taxeld.model.symmetry import SILENT_MM
 from taxeld_hil.experiment.physics_gap import SCAN_S
 from taxeld_hil.run.fake_run import FakeRun
-from taxeld_hil.scenario.mesh_config import MeshConfig
+from taxeld_hil.scenario.mesh_config import PLAIN, MeshConfig
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world import robot
 from taxeld_hil.world.world import load_model, make_world
 from taxeld_protocol.modules import wired
 
 BAD_MM = 10.0
-FULL = MeshConfig()
-HARD = MeshConfig(taxel_radius_m=0.0, sag_m=0.0, closing=0.0, hysteresis=0.0, creep=0.0,
-                  cross_talk=0.0, drift_counts_per_min=0.0)  # fmt: skip
-SOFT = replace(HARD, taxel_radius_m=FULL.taxel_radius_m, sag_m=FULL.sag_m)
-BENT = replace(SOFT, closing=FULL.closing)
-FOAM = replace(BENT, hysteresis=FULL.hysteresis, creep=FULL.creep)
-KINDS: dict[str, MeshConfig | None] = {
-    "scene": None,
-    "3-D distance": HARD,
-    "+ area, sag": SOFT,
-    "+ condenser": BENT,
-    "+ foam": FOAM,
-    "all (mesh)": FULL,
+OFF = {name: getattr(PLAIN, name) for name in (
+    "taxel_radius_m", "sag_m", "bend", "onset", "hysteresis", "residue", "residue_slow",
+    "cross_talk", "drift_counts_per_min",
+)}  # fmt: skip
+
+
+def _with(*names: str) -> Given[MeshConfig]:
+    """These effects on, the others off."""
+    return Given({name: value for name, value in OFF.items() if name not in names})
+
+
+SOFT = ("taxel_radius_m", "sag_m")
+BENT = (*SOFT, "bend", "onset")
+FOAM = (*BENT, "hysteresis", "residue", "residue_slow")
+KINDS: dict[str, tuple[str, Given[MeshConfig]]] = {  # the skin, and its keys
+    "scene": ("scene", Given()),
+    "3-D distance": ("typical", _with()),
+    "+ area, sag": ("typical", _with(*SOFT)),
+    "+ response": ("typical", _with(*BENT)),
+    "+ foam": ("typical", _with(*FOAM)),
+    "typical": ("typical", Given()),
+    "poor": ("poor", Given()),
 }
 
 
@@ -57,14 +67,14 @@ def runs(
     """Every kind on every object, seed by seed; `filter_keys`: TOML for the daemon's [filter]."""
     for seed in range(seeds):
         for name in objects:
-            for kind, mesh in KINDS.items():
-                yield run(of(scenario, name, mesh), kind, seed, filter_keys)
+            for kind in KINDS:
+                yield run(of(scenario, name, kind), kind, seed, filter_keys)
 
 
-def of(scenario: Scenario, name: str, mesh: MeshConfig | None) -> Scenario:
-    """The scenario with another object and physics; None is the estimator's own."""
-    physics = "scene" if mesh is None else "mesh"
-    return replace(scenario, bundle=name, physics=physics, mesh=mesh or FULL)
+def of(scenario: Scenario, name: str, kind: str) -> Scenario:
+    """The scenario with another object, on a skin of this kind."""
+    physics, keys = KINDS[kind]
+    return replace(scenario, bundle=name, physics=physics, mesh=keys)
 
 
 def run(scenario: Scenario, kind: str, seed: int, filter_keys: str) -> RunResult:

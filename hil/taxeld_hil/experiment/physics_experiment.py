@@ -13,14 +13,13 @@ from taxeld.errors import SetupError
 from taxeld.model.observation import Noise
 from taxeld_hil.experiment import physics_cost, physics_gap
 from taxeld_hil.scenario import scenario, settings
-from taxeld_hil.scenario.mesh_config import MeshConfig
+from taxeld_hil.scenario.mesh_config import TYPICAL
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.mesh_physics import solid_of
+from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.world import load_model
 
 LEAST_CONTACTS = 8
 STEPS = 10  # lines of progress for each object
-SAGS_M = (0.0, 0.0015, 0.003, 0.006)  # what is assumed of the cover matters most
 
 Say = Callable[[str], None]
 
@@ -49,7 +48,7 @@ def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
     """
     if plan.contacts < LEAST_CONTACTS or plan.seeds < 1:
         raise SetupError(f"--contacts must be at least {LEAST_CONTACTS}, --seeds at least 1")
-    demo = scenario.load("demo")
+    demo = replace(scenario.load("demo"), physics="typical")
     filter_keys = f"noise_sigma = {plan.noise_sigma}"
     settings.on_a_fake_clock(demo, plan.seed, filter_keys)  # faults in it are raised at once
     gaps = {name: _gap(demo, name, plan, say) for name in plan.objects}
@@ -57,10 +56,10 @@ def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
     for run in physics_cost.runs(demo, list(plan.objects), plan.seeds, filter_keys):
         done.append(run)
         if run.kind == list(physics_cost.KINDS)[-1]:
-            say(f"{run.object}, seed {run.seed}: all effects {run.final_mm:.2f} mm")
+            say(f"{run.object}, seed {run.seed}, {run.kind}: {run.final_mm:.2f} mm")
     result = {
         "plan": asdict(plan),
-        "mesh": asdict(MeshConfig()),
+        "mesh": asdict(TYPICAL),
         "gap": gaps,
         "cost": physics_cost.summary(done),
         "scan_cpu_ms": {name: _scan_ms(demo, name) for name in plan.objects},
@@ -80,35 +79,21 @@ def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
 
 def _scan_ms(demo: Scenario, name: str) -> dict[str, dict[str, float]]:
     return {
-        kind: physics_cost.scan_ms(physics_cost.of(demo, name, mesh), seed=0)
-        for kind, mesh in (("scene", None), ("mesh", physics_cost.FULL))
+        kind: physics_cost.scan_ms(physics_cost.of(demo, name, kind), seed=0)
+        for kind in ("scene", "typical")
     }
 
 
 def _gap(demo: Scenario, name: str, plan: Plan, say: Say) -> dict[str, Any]:
     model = load_model(replace(demo, bundle=name))
-    solid = solid_of(name, model.layout)
 
-    def compared(scenario: Scenario, contacts: int) -> dict[str, Any]:
-        def progress(done: int) -> None:
-            if done * STEPS % contacts < STEPS:
-                sag = 1e3 * scenario.mesh.sag_m
-                say(f"{name}, a cover that sags {sag:g} mm: {done} of {contacts} contacts")
+    def progress(done: int) -> None:
+        if done * STEPS % plan.contacts < STEPS:
+            say(f"{name}: {done} of {plan.contacts} contacts")
 
-        skins = physics_gap.SkinComparison(scenario, model, solid)
-        readings = skins.readings(contacts, np.random.default_rng(plan.seed), progress)
-        return physics_gap.compare(readings, model.layout, Noise(plan.noise_sigma))
-
-    gap = compared(demo, plan.contacts)
-    gap["noise_by_sag"] = [
-        {"sag_mm": 1e3 * sag, **compared(_sagging(demo, sag), plan.contacts // 4)["noise"]["best"]}
-        for sag in SAGS_M
-    ]
-    return gap
-
-
-def _sagging(demo: Scenario, sag_m: float) -> Scenario:
-    return replace(demo, mesh=replace(demo.mesh, sag_m=sag_m))
+    skins = physics_gap.SkinComparison(demo, model, solid_of(name, model.layout))
+    readings = skins.readings(plan.contacts, np.random.default_rng(plan.seed), progress)
+    return physics_gap.compare(readings, model.layout, Noise(plan.noise_sigma))
 
 
 def _rounded(value: Any) -> Any:

@@ -16,16 +16,18 @@ from taxeld.layout.layout import Layout
 from taxeld.model import contacts
 from taxeld.model.observation import Noise, ObservationModel
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.electronics import Foam, condenser, coupling
+from taxeld_hil.world.electronics import CrossTalk, Response
+from taxeld_hil.world.foam import Foam
 from taxeld_hil.world.mesh_skin import MeshSkin
 from taxeld_hil.world.solids import Solid
+from taxeld_hil.world.spread import PerPress, drawn
 
 STEP_M = 0.001  # a scan's, of a press at 20 mm/s
 SCAN_S = 0.05
 HELD_SCANS = 6
 TOUCH = 0.01  # activations below are none, as for the daemon (skin.py)
 STAGES = (
-    "3-D distance", "electrode's area", "sag", "foam", "condenser", "gains", "cross-talk", "counts",
+    "3-D distance", "electrode's area", "sag", "response", "foam", "gains", "cross-talk", "counts",
 )  # fmt: skip
 BINS = np.arange(6) * 0.001  # depths
 EXPECTED = np.linspace(0.0, 1.0, 11)
@@ -53,24 +55,22 @@ class SkinComparison:
     solid: Solid
 
     def readings(self, n: int, rng: np.random.Generator, progress: Progress) -> ContactReadings:
-        layout, config = self.model.layout, self.scenario.mesh
-        skins = [
-            MeshSkin(self.solid, layout, 0.0, 0.0),
-            MeshSkin(self.solid, layout, config.taxel_radius_m, 0.0),
-            MeshSkin(self.solid, layout, config.taxel_radius_m, config.sag_m),
-        ]
-        mixing = coupling(layout, config.cross_talk)
+        layout, config = self.model.layout, self.scenario.skin
+        point = MeshSkin(self.solid, layout, 0.0, sags=False)
+        wide = MeshSkin(self.solid, layout, config.taxel_radius_m)
+        hard = np.zeros(len(layout))
         touches = _touches(self.model, n, rng)
         expected, read = [], []
         for done, (pose, depth) in enumerate(zip(*touches, strict=True), 1):
-            gain = np.maximum(1.0 + self.scenario.gain_cv * rng.standard_normal(len(layout)), 0.1)
+            sag_m = PerPress(config.sag_m, len(layout), rng).now
             way = np.append(np.arange(-STEP_M, depth, STEP_M), [depth, depth - STEP_M])
             along = contacts.project(
                 self.model.scene, layout.radius_m, np.tile(pose, (len(way), 1)), way
             )[0]
-            deep = np.array([[skin.indentation(p) for p in along] for skin in skins])
+            skins = ((point, hard), (wide, hard), (wide, sag_m))
+            deep = np.array([[skin.indentation(p, sag) for p in along] for skin, sag in skins])
             expected.append(self.model.activation(along[-2:]))
-            read.append(self._stages(deep / self.model.depth_max_m, gain, mixing, rng))
+            read.append(self._stages(deep / self.model.depth_max_m, rng))
             progress(done)
         return ContactReadings(
             expected=np.concatenate(expected),
@@ -79,22 +79,25 @@ class SkinComparison:
             receding=np.tile([0.0, 1.0], n),
         )
 
-    def _stages(self, h: Floats, gain: Floats, mixing: Floats, rng: np.random.Generator) -> Floats:
-        """(stages, 2, M) of depths (3, steps, M): at the last of the hold, and a step back."""
-        config, scenario = self.scenario.mesh, self.scenario
-        foam = Foam(h.shape[2], config.hysteresis, config.creep, config.creep_s)
-        steps = len(h[2]) - 1
+    def _stages(self, h: Floats, rng: np.random.Generator) -> Floats:
+        """(stages, 2, M) of depths (3, steps, M): at the last of the hold, and a step back; every
+        contact has a skin of its own."""
+        config, taxels, full = self.scenario.skin, h.shape[2], self.scenario.full_scale_counts
+        gain = np.maximum(1.0 + config.gain_cv * rng.standard_normal(taxels), 0.1)
+        foam = Foam(config, taxels, rng)
+        bent = Response(config, taxels, rng)(h[2])
+        steps = len(bent) - 1
         for k in range(steps + HELD_SCANS):
-            held = foam.press(h[2, min(k, steps - 1)], SCAN_S * k)
-        soft = np.stack([held, foam.press(h[2, -1], SCAN_S * (steps + HELD_SCANS))])
-        bent = condenser(soft, config.closing)
-        apart = gain * bent
-        mixed = apart @ mixing.T
-        noise = scenario.noise_counts / scenario.full_scale_counts
+            held = foam.press(bent[min(k, steps - 1)], SCAN_S * k)
+        soft = np.stack([held, foam.press(bent[-1], SCAN_S * (steps + HELD_SCANS))])
+        apart = gain * soft
+        cross_talk = CrossTalk(self.model.layout, config.cross_talk, rng)
+        mixed = np.stack([cross_talk.add(row) for row in apart])
+        noise = drawn(config.noise_counts, rng.standard_normal(taxels)) / full
         noisy = mixed + noise * rng.standard_normal(mixed.shape)
-        counted = np.round(noisy * scenario.full_scale_counts) / scenario.full_scale_counts
-        kept = np.where(counted > max(TOUCH, 6.0 * noise), counted, 0.0)
-        stages = [h[0, -2:], h[1, -2:], h[2, -2:], soft, bent, apart, mixed, kept]
+        counted = np.round(noisy * full) / full
+        kept = np.where(counted > np.maximum(TOUCH, 6.0 * noise), counted, 0.0)
+        stages = [h[0, -2:], h[1, -2:], h[2, -2:], bent[-2:], soft, apart, mixed, kept]
         return np.asarray(np.clip(np.stack(stages), 0.0, 1.0))
 
 
@@ -130,7 +133,7 @@ def compare(readings: ContactReadings, layout: Layout, noise: Noise) -> dict[str
         "expected_unfelt": float(np.mean(np.sum((expected > TOUCH) & (last <= 0.0), axis=1))),
         "expected_felt": float(np.mean(np.sum((expected > TOUCH) & (last > 0.0), axis=1))),
         "noise": _noise_fit(last[touched], expected[touched], noise),
-        "noise_without_gains": _noise_fit(*_both(read[4], expected), noise),
+        "noise_without_gains": _noise_fit(*_both(read[STAGES.index("foam")], expected), noise),
     }
 
 

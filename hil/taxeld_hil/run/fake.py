@@ -9,7 +9,7 @@ from typing import Any
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout.layout import Layout
-from taxeld.pipeline.pipeline import Pipeline
+from taxeld.pipeline.pipeline import Outcome, Pipeline
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.state import SkinState
 from taxeld.source import dialects
@@ -33,6 +33,7 @@ class FakeDaemon:
         self.pipeline = Pipeline(config, scene.model, scene.untimed(config.filter))
         self.source = LiveSource(config.source, dialects.live(config.source, skin), device, None)
         self.scans = 0
+        self.outcomes: list[Outcome] = []  # of the last tick
         self._start_s = line.now
         self.pipeline.freshness.came(self._start_s)
         if kept is not None:
@@ -44,7 +45,8 @@ class FakeDaemon:
     def tick(self, t: float) -> None:
         scans = self.source.poll(t)
         self.scans += len(scans)
-        for _ in self.pipeline.advance(scans, t):
+        self.outcomes = list(self.pipeline.advance(scans, t))
+        for _ in self.outcomes:
             self.pipeline.freshness.came(t)
 
     def estimate(self, t: float) -> Estimate:

@@ -35,6 +35,7 @@ class Soak:
 
     seed: int
     clock: str
+    physics: str  # of the skin
     hours: float  # asked for
     laps: int = 0
     hours_done: float = 0.0
@@ -136,8 +137,8 @@ class Soak:
 COUNTERS = ("injected", "faults", "flags_missed", "doubted", "not_recovered", "silent_after")
 
 
-def resumed(path: Path, seed: int, clock: str, hours: float) -> Soak:
-    """The soak that a report holds, if it is one of this seed and clock that is not over.
+def resumed(path: Path, seed: int, clock: str, physics: str, hours: float) -> Soak:
+    """The soak that a report holds, if it is one of this seed, clock and skin that is not over.
 
     Raises:
         SetupError: there is a file that is no report.
@@ -145,16 +146,17 @@ def resumed(path: Path, seed: int, clock: str, hours: float) -> Soak:
     if path.is_file():
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
-            data["seed"], data["clock"], data["hours_done"]
+            data["seed"], data["clock"], data["physics"], data["hours_done"]
         except (ValueError, KeyError, TypeError):
             raise SetupError(f"{path}: is no report of a soak; name another file") from None
-        if (data.pop("seed"), data.pop("clock")) == (seed, clock) and data["hours_done"] < hours:
+        same = (data.pop("seed"), data.pop("clock"), data.pop("physics")) == (seed, clock, physics)
+        if same and data["hours_done"] < hours:
             del data["growth_mb"], data["passed"], data["hours"]
             data["unexplained_before"] = data["unexplained"]
             for name in COUNTERS:
                 data[name] = Counter(data[name])
-            return Soak(seed, clock, hours, **data)
-    return Soak(seed, clock, hours)
+            return Soak(seed, clock, physics, hours, **data)
+    return Soak(seed, clock, physics, hours)
 
 
 def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:

@@ -9,13 +9,18 @@ from taxeld_hil.scenario import scenario
 HEAD = ("fault", "scenario", "shows in", "within", "seen after", "fresh again after its end")
 
 
-def rows(seeds: Iterable[int]) -> Iterator[str]:
-    """A Markdown table: worst values over the seeds, on the fake clock."""
+def rows(seeds: Iterable[int], skin: str = "") -> Iterator[str]:
+    """A Markdown table: worst values over the seeds, on the fake clock; on the scenarios' own skins
+    where none is named.
+
+    Raises:
+        SetupError: there is no skin of that name.
+    """
     yield "| " + " | ".join(HEAD) + " |"
     yield "|---" * len(HEAD) + "|"
     seeds = list(seeds)
     for name in scenario.shipped():
-        subject = scenario.load(name)
+        subject = scenario.load(name).on(skin)
         if not subject.fault or name == "everything":
             continue
         runs = [FakeRun(subject, seed).graded(name).figures["faults"] for seed in seeds]

@@ -10,9 +10,9 @@ from pathlib import Path
 from taxeld.config import toml_tables
 from taxeld.config.file import text_of
 from taxeld.config.tables import SkinConfig
-from taxeld.config.toml_tables import between, key, one_of
+from taxeld.config.toml_tables import Given, between, key, one_of
 from taxeld.errors import SetupError
-from taxeld_hil.scenario.mesh_config import MeshConfig
+from taxeld_hil.scenario.mesh_config import PLAIN, SKINS, MeshConfig
 
 TRANSPORTS = ("slcan", "native", "can")
 
@@ -66,17 +66,31 @@ class Scenario:
     hold_s: float = key(0.3, between(0, 3600), "how long a press is held")
     rest_s: float = key(0.5, between(0.5, 3600), "at the end, untouched")
     place_m: float = key(0.15, between(0.0, 10.0), "the object stands within ± this, any yaw")
-    baseline_counts: float = key(10_000.0, between(100, 40_000), "idle reading")
-    baseline_spread: float = key(500.0, between(0, 10_000), "sd between taxels")
-    noise_counts: float = key(34.0, between(0, 1000), "sd of a reading")
-    gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
+    baseline_counts: float = key(10_247.0, between(100, 40_000), "idle reading")
+    baseline_spread: float = key(286.0, between(0, 10_000), "sd between taxels")
     full_scale_counts: float = key(20_000.0, between(100, 60_000), "counts of a 5 mm press")
     physics: str = key(
-        "mesh", one_of("scene", "mesh"), "readings by the estimator's own model, or by [mesh]"
+        "typical", one_of("scene", *SKINS), "a soft skin, or the estimator's own model of one"
     )
-    mesh: MeshConfig = field(default_factory=MeshConfig)
+    mesh: Given[MeshConfig] = field(default_factory=Given)  # in place of that skin's own keys
     expect: Expect = Expect()  # what the run is graded by
     fault: tuple[Fault, ...] = key((), doc="what fails, and when")
+
+    @property
+    def skin(self) -> MeshConfig:
+        """The skin that `physics` names, with the scenario's own keys. Of `scene`, gains and noise
+        alone are used."""
+        return self.mesh.over(SKINS.get(self.physics, PLAIN))
+
+    def on(self, skin: str) -> "Scenario":
+        """The same scenario on another skin; on its own where none is named.
+
+        Raises:
+            SetupError: there is none of that name.
+        """
+        if skin and skin not in ("scene", *SKINS):
+            raise SetupError(f"no skin '{skin}'; there are scene, {', '.join(SKINS)}")
+        return replace(self, physics=skin) if skin else self
 
     def over(self, transport: str) -> "Scenario":
         """The same scenario over another transport; over its own where none is named.

@@ -1,54 +1,68 @@
-"""From the depth of a press to a reading: foam, condenser, cross-talk, thermal drift."""
+"""From a taxel's depth to counts: its response, cross-talk within a module, thermal drift."""
 
 import numpy as np
 
 from taxeld.arrays import Floats
 from taxeld.layout.layout import Layout
+from taxeld_hil.scenario.mesh_config import MeshConfig, Pair
+from taxeld_hil.world.spread import drawn
 
-TURN_M = 0.0005  # of travel back, until the foam is on the other branch of its loop
-NEIGHBOUR = 1.2  # times the least distance between taxels of a module
-
-
-class Foam:
-    """Hysteresis and creep: depths (M,) of taxels, scan by scan → how far their condensers close.
-
-    While a press deepens, the depth itself is read; while it recedes, more by the share
-    `hysteresis`. This loop closes, does not depend on speed, and is zero at depth 0 (after Dahl's
-    model of friction). A share `creep` of a held press remains after the release, and decays with
-    the time constant `creep_s`.
-    """
-
-    def __init__(self, taxels: int, hysteresis: float, creep: float, creep_s: float) -> None:
-        self._hysteresis, self._creep, self._creep_s = hysteresis, creep, creep_s
-        self._depth, self._receding, self._set = np.zeros((3, taxels))
-        self._t = np.inf
-
-    def press(self, depth: Floats, t: float) -> Floats:
-        """The reading of depths (M,) at time t [s]; times do not go back."""
-        step = depth - self._depth
-        self._receding = np.clip(self._receding - step / TURN_M, 0.0, 1.0)
-        left = np.exp(-max(t - self._t, 0.0) / self._creep_s)
-        self._set = self._creep * depth + left * (self._set - self._creep * depth)
-        self._depth, self._t = depth, t
-        return np.maximum(depth * (1.0 + self._hysteresis * self._receding), self._set)
+ONSET = 0.15  # of full scale: within about so much a taxel's own deviation has risen
+LEAST_SLOPE = 0.1  # of a response: who presses harder reads more
+GRID = np.linspace(0.0, 1.0, 401)
 
 
-def condenser(h: Floats, closing: float) -> Floats:
-    """The reading of a plate condenser at depths h (any shape), both in shares of full scale, where
-    its gap has closed by `closing`. 0 → 0 and 1 → 1, ever steeper between."""
-    return h * (1.0 - closing) / (1.0 - closing * np.minimum(h, 1.0))
+def mean_response(h: Floats, bend: float) -> Floats:
+    """The common curve at depths h (any shape), in shares of full scale; 0 → 0 and 1 → 1."""
+    within = np.minimum(h, 1.0)
+    return np.asarray(h + bend * within * (1.0 - within))
 
 
-def coupling(layout: Layout, cross_talk: float) -> Floats:
-    """(M, M): each taxel shares `cross_talk` of the difference with its nearest neighbours on the
-    same module, so that the sum over a module stays the same."""
-    apart = np.linalg.norm(layout.position_m[:, None] - layout.position_m, axis=-1)
-    module = layout.uid >> 4
-    apart[module[:, None] != module] = np.inf
-    np.fill_diagonal(apart, np.inf)
-    near = apart < NEIGHBOUR * apart.min(initial=np.inf)
-    exchanged = cross_talk * near
-    return np.asarray(np.eye(len(layout)) + exchanged - np.diag(exchanged.sum(axis=1)))
+def deviation(h: Floats) -> Floats:
+    """By how much a response that begins steeper by one lies above the common curve: a shape that
+    rises at once and falls slowly; 0 at 0 and from 1 on. Of four insole recordings it is what most
+    taxels differ by (`taxeld-hil physics --fit`)."""
+    h = np.minimum(h, 1.0)
+    rise = -np.expm1(-h / ONSET) / -np.expm1(-1.0 / ONSET) - h
+    return np.asarray(rise / (1.0 / (ONSET * -np.expm1(-1.0 / ONSET)) - 1.0))
+
+
+class Response:
+    """What M taxels read at a depth, before their gains: the common curve and their own onsets."""
+
+    def __init__(self, config: MeshConfig, taxels: int, rng: np.random.Generator) -> None:
+        self._bend = config.bend
+        onset = drawn(config.onset, rng.standard_normal(taxels))
+        room = np.diff(mean_response(GRID, config.bend)) - LEAST_SLOPE * np.diff(GRID)
+        turn = np.diff(deviation(GRID))
+        least, most = -(room / turn)[turn > 0.0].min(), (room / -turn)[turn < 0.0].min()
+        self._steeper = np.clip(onset - 1.0, min(least, 0.0), max(most, 0.0))
+
+    def __call__(self, h: Floats) -> Floats:
+        """Readings (…, M) at depths h (…, M), both in shares of full scale."""
+        return np.asarray(mean_response(h, self._bend) + self._steeper * deviation(h))
+
+
+class CrossTalk:
+    """What each taxel reads of its module's strongest press: a share of each pair's own."""
+
+    def __init__(self, layout: Layout, pair: Pair, rng: np.random.Generator) -> None:
+        taxels = len(layout)
+        _, self._module = np.unique(layout.uid >> 4, return_inverse=True)
+        members = [np.flatnonzero(self._module == m) for m in range(self._module.max() + 1)]
+        most = max(map(len, members))
+        self._members = np.array([np.pad(m, (0, most - len(m)), mode="edge") for m in members])
+        normal = rng.standard_normal((taxels, taxels))
+        self._share = drawn(pair, np.tril(normal) + np.tril(normal, -1).T)
+        np.fill_diagonal(self._share, 0.0)
+
+    def add(self, counts: Floats) -> Floats:
+        """Counts (M,) of presses with what the others of each module couple into them."""
+        rows = np.arange(len(self._members))
+        strongest = self._members[rows, counts[self._members].argmax(axis=1)]
+        source = strongest[self._module]
+        coupled = self._share[np.arange(len(counts)), source] * counts[source]
+        return np.asarray(counts + coupled)
 
 
 class ThermalDrift:

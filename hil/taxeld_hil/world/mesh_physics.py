@@ -1,61 +1,63 @@
-"""`physics = "mesh"`: a solid against a soft skin, with the skin's hysteresis, creep and drift."""
+"""A solid against a soft skin: its geometry, the taxels' responses, foam, cross-talk and drift."""
 
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals import bundle, manifest, seal
+from taxeld_hil.scenario.mesh_config import MeshConfig
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import meshes
-from taxeld_hil.world.electronics import Foam, ThermalDrift, condenser, coupling
-from taxeld_hil.world.mesh_skin import LAYER_M, MARGIN_M, MeshSkin
-from taxeld_hil.world.solids import Solid
+from taxeld_hil.world.bundled import solid_of
+from taxeld_hil.world.electronics import CrossTalk, Response, ThermalDrift
+from taxeld_hil.world.foam import Foam
+from taxeld_hil.world.mesh_skin import MeshSkin
+from taxeld_hil.world.spread import PerPress
 
 
-def solid_of(name: str, layout: Layout) -> Solid:
-    """The solid that the bundle `name` was made of, at the bundle's height.
+def of_scenario(
+    scenario: Scenario, model: ObservationModel, full_scale: Floats, rng: np.random.Generator
+) -> "MeshPhysics":
+    """The scenario's object against its skin.
 
     Raises:
-        SetupError: the bundle is damaged, or its mesh cannot be found or read.
+        SetupError: the object's mesh cannot be found or read.
     """
-    path = bundle.find(name) / manifest.NAME
-    info = manifest.parse(seal.read(path), path)
-    height = float(info["height_m"])
-    reach = float(np.abs(layout.position_m[:, 2]).max()) + MARGIN_M + LAYER_M
-    return meshes.load(str(info["object"]), height, reach)
+    solid = solid_of(scenario.bundle, model.layout)
+    cover = MeshSkin(solid, model.layout, scenario.skin.taxel_radius_m)
+    return MeshPhysics(scenario.skin, cover, model.layout, model.depth_max_m, full_scale, rng)
 
 
 class MeshPhysics:
-    """Depths by the solid's geometry, then foam, condenser, gains, cross-talk; and temperature."""
+    """One skin: what its taxels have drawn for themselves lasts, what a press draws until it ends.
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        model: ObservationModel,
-        full_scale: Floats,
-        rng: np.random.Generator,
-    ) -> None:
-        """`full_scale` (M,): counts of each taxel at full depth; `rng` draws the drift.
+    Foam acts on what a taxel reads of a press before its gain, and cross-talk on counts: recordings
+    give both as shares of readings.
+    """
 
-        Raises:
-            SetupError: the object's mesh cannot be found or read.
-        """
-        config, layout = scenario.mesh, model.layout
-        solid = solid_of(scenario.bundle, layout)
-        self._skin = MeshSkin(solid, layout, config.taxel_radius_m, config.sag_m)
-        self._foam = Foam(len(layout), config.hysteresis, config.creep, config.creep_s)
-        self._coupling = coupling(layout, config.cross_talk)
-        self._drift = ThermalDrift(len(layout), config.drift_counts_per_min, config.drift_period_s,
-                              config.drift_cv, rng)  # fmt: skip
+    def __init__(self, config: MeshConfig, skin: MeshSkin, layout: Layout, depth_max_m: float,
+                 full_scale: Floats, rng: np.random.Generator) -> None:  # fmt: skip
+        """`full_scale` (M,): counts of each taxel at `depth_max_m`; `rng` draws the drift, and a
+        generator that it spawns the rest."""
+        taxels, own = len(layout), rng.spawn(1)[0]
+        self.depth_m: Floats = np.zeros(taxels)  # that the solid presses, sag included
+        self._skin = skin
+        self._sag_m = PerPress(config.sag_m, taxels, own)
+        self._response = Response(config, taxels, own)
+        self._foam = Foam(config, taxels, own)
+        self._cross_talk = CrossTalk(layout, config.cross_talk, own)
+        self._drift = ThermalDrift(taxels, config.drift_counts_per_min, config.drift_period_s,
+                                   config.drift_cv, rng)  # fmt: skip
         self._full_scale = full_scale
-        self._depth_max_m = model.depth_max_m
-        self._closing = config.closing
+        self._depth_max_m = depth_max_m
 
     def press(self, seen: Poses, t: float) -> Floats:
-        depth = self._foam.press(self._skin.indentation(seen), t)
-        h = condenser(depth / self._depth_max_m, self._closing)
-        return np.asarray(self._coupling @ (self._full_scale * h))
+        was_pressed = self.depth_m.any()
+        self.depth_m = self._skin.indentation(seen, self._sag_m.now)
+        if was_pressed and not self.depth_m.any():
+            self._sag_m.draw()
+            self._foam.end()
+        reading = self._foam.press(self._response(self.depth_m / self._depth_max_m), t)
+        return self._cross_talk.add(self._full_scale * reading)
 
     def drift(self, t: float) -> tuple[Floats | float, float]:
         counts = self._drift.counts(t)

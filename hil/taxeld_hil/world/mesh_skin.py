@@ -1,9 +1,10 @@
 """How deep a solid presses each taxel of a soft skin around a rigid link.
 
 Each point of the skin gives way along its normal, as deep as the solid reaches: a ray from inside
-the link outwards first meets the solid at a depth u. Beside the contact the skin's cover sags by
-exp(−s/λ) of u at a distance s, like a membrane on springs. A taxel reads the mean over its
-electrode. The solid is not filled: a wall may be thinner than the press is deep.
+the link outwards first meets the solid at a depth u. A taxel reads the mean over its electrode.
+Beside the contact the skin's cover sags, by exp(−s/λ) of u at a distance s, like a membrane on
+springs, with a λ of each taxel; where that is more than the mean, the taxel reads it. The solid is
+not filled: a wall may be thinner than the press is deep.
 """
 
 import numpy as np
@@ -19,7 +20,7 @@ MARGIN_M = 0.008  # of skin around the taxels that is simulated
 LAYER_M = 0.008  # how deep the skin can give way
 STEP_M = 0.001  # along a ray
 PATCH_M = 0.012  # of skin, of which one distance can show that it is out of reach
-LEAST_SHARE = 0.02  # of a press: what sags less is left out
+LEAST_M = 5e-6  # what sags less is left out: 20 of 20 000 counts
 ELECTRODE = np.vstack([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3)])
 ELECTRODE_RADII = np.sqrt(7.0 / 12.0)  # to the outer six points: as far on the mean as a disc's
 
@@ -27,9 +28,14 @@ ELECTRODE_RADII = np.sqrt(7.0 / 12.0)  # to the outer six points: as far on the 
 class MeshSkin:
     """The indentation of a skin's M taxels, vectorised over the skin's points."""
 
-    def __init__(self, solid: Solid, layout: Layout, taxel_radius_m: float, sag_m: float) -> None:
+    def __init__(
+        self, solid: Solid, layout: Layout, taxel_radius_m: float, *, sags: bool = True
+    ) -> None:
+        """A skin that does not sag, ever, is spared the points beside its electrodes."""
         self._solid = solid
         self._taxels = len(layout)
+        self._middle_of = layout.position_m  # of each electrode
+        self._radius_m = taxel_radius_m
         angle = np.arctan2(layout.position_m[:, 1], layout.position_m[:, 0])
         radius = np.hypot(layout.position_m[:, 0], layout.position_m[:, 1])
         spots = ELECTRODE if taxel_radius_m else ELECTRODE[:1]
@@ -40,24 +46,38 @@ class MeshSkin:
             (layout.position_m[:, 2, None] + spread[:, 1]).ravel(),
             np.repeat(radius, len(spots)),
         ])  # fmt: skip
-        between = _lattice(angle, layout.position_m[:, 2], radius) if sag_m else np.empty((3, 0))
+        between = _lattice(angle, layout.position_m[:, 2], radius) if sags else np.empty((3, 0))
         phi, z, r = np.concatenate([on_taxel, between], axis=1)
         self._normal = np.stack([np.cos(phi), np.sin(phi)])
         self._point = np.stack([r * self._normal[0], r * self._normal[1], z])
-        self._near, self._share = _sagging(self._point, len(on_taxel[0]), sag_m)
         self._patch, self._middle, self._widest_m = _patches(self._point, phi * r)
         self._depths = np.arange(0.0, LAYER_M + 0.5 * STEP_M, STEP_M)
         self._reach = solid.size + float(radius.max())
 
-    def indentation(self, seen: Poses) -> Floats:
-        """(M,) [m] of each taxel, the object at `seen` (3,) in the sensor frame."""
-        deepest = np.zeros(self._taxels * self._spots)
+    def indentation(self, seen: Poses, sag_m: Floats) -> Floats:
+        """(M,) [m] of each taxel, the object at `seen` (3,) in the sensor frame; `sag_m` (M,): the
+        length λ of each, where 0 is a taxel beside which nothing sags."""
         middle = se2.apply(seen, self._solid.centre[None])[0]
-        if np.hypot(*middle) < self._reach:
-            at, depth = self._met(seen)
-            np.maximum.at(deepest, self._near.take(at, axis=0), self._share.take(at, axis=0)
-                          * depth[:, None])  # fmt: skip
-        return np.asarray(deepest.reshape(self._taxels, self._spots).mean(axis=1))
+        if np.hypot(*middle) >= self._reach:
+            return np.zeros(self._taxels)
+        at, depth = self._met(seen)
+        on_taxel = np.zeros(self._taxels * self._spots)
+        own = at < len(on_taxel)
+        on_taxel[at[own]] = depth[own]
+        pressed = on_taxel.reshape(self._taxels, self._spots).mean(axis=1)
+        if not len(at) or not sag_m.any():
+            return np.asarray(pressed)
+        return np.asarray(np.maximum(pressed, self._sagging(at, depth, sag_m)))
+
+    def _sagging(self, at: NDArray[np.intp], depth: Floats, sag_m: Floats) -> Floats:
+        """(M,) [m] by points (k,) of the skin that are pressed so deep, beside the electrodes."""
+        gap = self._point[:, at, None] - self._middle_of.T[:, None]
+        apart = np.sqrt(np.einsum("ckm,ckm->km", gap, gap))
+        beside = apart > self._radius_m
+        with np.errstate(divide="ignore"):
+            share = np.log(depth)[:, None] - apart / sag_m
+        sagging = np.exp(np.where(beside, share, -np.inf).max(axis=0))
+        return np.where(sagging >= LEAST_M, sagging, 0.0)
 
     def _met(self, seen: Poses) -> tuple[NDArray[np.intp], Floats]:
         """Indices (k,) of the skin's points that the solid presses, and how deep (k,) [m]."""
@@ -119,24 +139,3 @@ def _lattice(angle: Floats, z: Floats, radius: Floats) -> Floats:
         nearest[part], gap[part] = apart.argmin(axis=1), apart.min(axis=1)
     kept = gap < MARGIN_M
     return np.stack([phi[kept], height[kept], radius[nearest[kept]]])
-
-
-def _sagging(point: Floats, spots: int, sag_m: float) -> tuple[NDArray[np.intp], Floats]:
-    """For each of the skin's points (3, n) the spots on electrodes that sag with it, padded: their
-    indices (n, k), below `spots`, and the share (n, k) of its depth by which they do."""
-    if not sag_m:
-        return np.arange(spots)[:, None], np.ones((spots, 1))
-    reach = -np.log(LEAST_SHARE) * sag_m
-    n = point.shape[1]
-    pairs = []
-    for start in range(0, n, 256):
-        apart = np.linalg.norm(point[:, start : start + 256, None] - point[:, None, :spots], axis=0)
-        row, spot = np.nonzero(apart < reach)
-        pairs.append((row + start, spot, np.exp(-apart[row, spot] / sag_m)))
-    row, spot, share = (np.concatenate(column) for column in zip(*pairs, strict=True))
-    count = np.bincount(row, minlength=n)
-    rank = np.arange(len(row)) - (np.cumsum(count) - count)[row]
-    near = np.zeros((n, int(count.max())), dtype=np.intp)
-    shares = np.zeros(near.shape)
-    near[row, rank], shares[row, rank] = spot, share
-    return near, shares

@@ -61,8 +61,8 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
         for _ in range(TRIES):
             depth = rng.uniform(scenario.press_min_m, scenario.press_max_m)
             offset = rng.uniform(-0.7, 0.7) * scene.size
-            line = _approach(model, truth, centre, angle, offset, circle, depth)
-            if _strongest(model, truth, np.array([*line[2], yaw_to])) > TOUCH:
+            line = approach(model, truth, centre, angle, offset, circle, depth)
+            if strongest(model, truth, np.array([*line[2], yaw_to])) > TOUCH:
                 break
         arc = np.linspace(before, angle, 2 + int(abs(angle - before) / ARC_STEP_RAD))
         around = centre + circle * np.column_stack([np.cos(arc), np.sin(arc)])
@@ -81,12 +81,12 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
     return RobotPath(np.array(times), np.array(poses))
 
 
-def _strongest(model: ObservationModel, truth: Poses, sensor: Poses) -> float:
+def strongest(model: ObservationModel, truth: Poses, sensor: Poses) -> float:
     """The strongest activation with the sensor there."""
     return float(model.activation(se2.compose(se2.inverse(sensor), truth)[None]).max())
 
 
-def _approach(
+def approach(
     model: ObservationModel,
     truth: Poses,
     centre: NDArray[np.float64],
@@ -94,6 +94,7 @@ def _approach(
     offset: float,
     circle: float,
     depth: float,
+    slow_from_m: float = SLOW_FROM_M,
 ) -> NDArray[np.float64]:
     """(3, 2) points of a straight approach: where it begins, where it slows, where it presses.
 
@@ -109,6 +110,6 @@ def _approach(
     gap = contacts.clearance(model.scene, model.layout.radius_m, seen)
     deep = np.flatnonzero(gap < -depth)
     if not len(deep):
-        return _approach(model, truth, centre, angle, 0.7 * offset, circle, depth)
-    slow = np.flatnonzero(gap < SLOW_FROM_M)[0]
+        return approach(model, truth, centre, angle, 0.7 * offset, circle, depth, slow_from_m)
+    slow = np.flatnonzero(gap < slow_from_m)[0]
     return np.asarray(points[[0, slow, deep[0]]])

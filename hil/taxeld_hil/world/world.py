@@ -14,8 +14,9 @@ from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world.mesh_physics import MeshPhysics
+from taxeld_hil.world import mesh_physics
 from taxeld_hil.world.physics import Physics, ScenePhysics
+from taxeld_hil.world.spread import drawn
 from taxeld_protocol.modules import Module
 
 COUNT_MAX = 0xFFFF
@@ -49,7 +50,7 @@ class World:
 
     truth: Poses  # (3,) of the object
     baseline: Floats  # (M,) counts of the untouched skin
-    noise_counts: float  # sd of a reading
+    noise_counts: Floats  # (M,) sd of a reading
     physics: Physics
     channels: Channels
     rng: np.random.Generator  # of the noise
@@ -72,7 +73,8 @@ def make_world(
     scenario: Scenario, model: ObservationModel, modules: Sequence[Module], seed: int
 ) -> World:
     """The scenario's world, drawn from the seed: truth, baselines, gains, then what the physics and
-    the noise draw. So a seed has the same truth, baselines and gains under either physics.
+    the noise draw. So a seed has the same truth and baselines on every skin, and gains that differ
+    by their spread alone; and what a skin draws beside comes from generators of its own.
 
     Raises:
         SetupError: the object's mesh cannot be found or read.
@@ -81,15 +83,15 @@ def make_world(
     most = np.array([scenario.place_m, scenario.place_m, np.pi])
     truth = rng.uniform(-most, most)
     baseline = scenario.baseline_counts + scenario.baseline_spread * _normal(rng, taxels)
-    gain = np.maximum(1.0 + scenario.gain_cv * rng.standard_normal(taxels), 0.1)
+    skin = scenario.skin
+    gain = np.maximum(1.0 + skin.gain_cv * rng.standard_normal(taxels), 0.1)
     full_scale = scenario.full_scale_counts * gain
-    physics: Physics
-    if scenario.physics == "mesh":
-        physics = MeshPhysics(scenario, model, full_scale, rng)
-    else:
-        physics = ScenePhysics(model, full_scale)
+    noise = drawn(skin.noise_counts, rng.spawn(1)[0].standard_normal(taxels))
+    physics: Physics = ScenePhysics(model, full_scale)
+    if scenario.physics != "scene":
+        physics = mesh_physics.of_scenario(scenario, model, full_scale, rng)
     channels = Channels(model.layout, modules)
-    return World(truth, baseline, scenario.noise_counts, physics, channels, rng)
+    return World(truth, baseline, noise, physics, channels, rng)
 
 
 def _normal(rng: np.random.Generator, n: int) -> NDArray[np.float64]:

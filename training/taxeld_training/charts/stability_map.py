@@ -19,8 +19,9 @@ LABELS = {
     "noise": "noise sd {}", "gain spread": "gain spread {}", "dead share": "{:.0%} of taxels dead",
     "dead modules": "{} of 8 modules dead", "stuck at 1": "taxels stuck at 1: {}",
     "stuck at 0": "taxels stuck at 0: {}", "drift": "baselines drift to ±{}",
-    "columns": "{} columns", "depth": "pressed {} δ_max deep", "sensor mm": "sensor pose ±{:g} mm",
-    "sensor deg": "sensor pose ±{:g}°", "two objects": "touches of two objects: {}",
+    "skin": "a {} soft skin", "columns": "{} columns", "depth": "pressed {} δ_max deep",
+    "sensor mm": "sensor pose ±{:g} mm", "sensor deg": "sensor pose ±{:g}°",
+    "two objects": "touches of two objects: {}",
     "particles": "{} particles", "one side": "touched within {}", "scans": "{} scans × taxels",
 }  # fmt: skip
 LOST = 0.5  # where no method reaches this success, all are said to fail

@@ -43,7 +43,11 @@ class Cell:
     def name(self) -> str:
         plain = Conditions()
         given = {f.name: getattr(self.conditions, f.name) for f in fields(plain)}
-        changed = [f"{k}={value:g}" for k, value in given.items() if value != getattr(plain, k)]
+        changed = [
+            f"{k}={value if isinstance(value, str) else format(value, 'g')}"
+            for k, value in given.items()
+            if value != getattr(plain, k)
+        ]
         parts = ["trials", self.setting.name, self.method.name, *changed, self.touched]
         return "-".join(part for part in parts if part)
 

@@ -5,8 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
+from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
+from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
+from taxeld_training.filters.soft_skin import SKINS, SoftSkin
 
 SILENT = 4.0  # standard deviations of noise under which a reading is 0
 MODULE = 10  # taxels
@@ -34,32 +37,48 @@ class Conditions:
     pushed_rad: float = 0.0
     both: int = 0  # touches that press a second object of the same kind, beside it, as well
     one_side: bool = False  # all touches come from one quarter of the directions
+    skin: str = ""  # of SKINS: its gains and noise in place of these, and all else it does
     scans: int = 3  # of a press
     slip_m: float = 0.0  # sd of the sensor's place in each of them
+
+    def gains(self, taxels: int, rng: np.random.Generator) -> Floats:
+        """(M,) of a skin's taxels."""
+        cv = SKINS[self.skin].gain_cv if self.skin else self.gain_cv
+        return np.maximum(1.0 + cv * rng.standard_normal(taxels), 0.1)
 
 
 class TrialSkin:
     """The skin of one trial: its gains and faults last throughout."""
 
-    def __init__(self, given: Conditions, gain: Floats, rng: np.random.Generator) -> None:
+    def __init__(
+        self, given: Conditions, layout: Layout, gain: Floats, rng: np.random.Generator
+    ) -> None:
+        """`gain` (M,) of each taxel."""
         taxels = len(gain)
         self._given = given
         self._gain = gain
-        self.floor = SILENT * given.sigma
         self._offset = given.drift * rng.uniform(-1.0, 1.0, taxels)
         self._stuck = rng.permutation(taxels)[: given.stuck]
         self.live = np.ones(taxels, dtype=np.bool_)
         self.live[rng.permutation(taxels)[: round(given.dead_share * taxels)]] = False
         for module in rng.permutation(-(-taxels // MODULE))[: given.dead_modules]:
             self.live[module * MODULE : (module + 1) * MODULE] = False
+        self._soft = SoftSkin(SKINS[given.skin], layout, gain, rng) if given.skin else None
 
-    def read(self, h: Floats, elapsed: float, rng: np.random.Generator) -> Floats:
-        """Activations z (M,) for true ones h (M,), after a share `elapsed` of the trial."""
+    def read(self, h: Floats, t: float, elapsed: float, rng: np.random.Generator) -> Activation:
+        """Of true activations h (M,) at t [s], after a share `elapsed` of the trial."""
         given = self._given
-        z = self._gain * h + elapsed * self._offset + given.sigma * rng.standard_normal(len(h))
-        z = np.where(z < self.floor, 0.0, np.minimum(z, 1.0))
+        floor: Floats | float = SILENT * given.sigma
+        residue: Floats | float = 0.0
+        if self._soft is None:
+            z = self._gain * h + elapsed * self._offset + given.sigma * rng.standard_normal(len(h))
+            felt = z >= floor
+        else:
+            z, felt = self._soft.read(h, t)
+            floor, residue = self._soft.floor, self._soft.residue
+        z = np.where(felt, np.minimum(z, 1.0), 0.0)
         z[self._stuck] = given.stuck_at
-        return np.where(self.live, z, 0.0)
+        return Activation(t, np.where(self.live, z, 0.0), self.live, floor, residue)
 
 
 def places(given: Conditions, start: Poses, touches: int, rng: np.random.Generator) -> Poses:

@@ -14,7 +14,6 @@ import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.model import contacts, se2
-from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.conditions import Conditions, TrialSkin
 from taxeld_training.filters.trials import BETWEEN_S, SCAN_S, Moment, Trial
@@ -43,8 +42,7 @@ class PushedTrial:
             yield scan
         truth, t = scan.truth, scan.activation.t + BETWEEN_S
         given = Conditions()
-        gain = np.maximum(1.0 + given.gain_cv * rng.standard_normal(len(model.layout)), 0.1)
-        skin = TrialSkin(given, gain, rng)
+        skin = TrialSkin(given, model.layout, given.gains(len(model.layout), rng), rng)
         radius_m = model.scene.mean_radius
         limit_m = LIMIT * radius_m * rng.uniform(1.0 - LIMIT_SPREAD, 1.0 + LIMIT_SPREAD)
         heading, yaw = rng.uniform(-np.pi, np.pi, 2)
@@ -61,7 +59,7 @@ class PushedTrial:
             truth = gave_way(model, truth, before, sensor, limit_m)
             h = model.activation(se2.compose(se2.inverse(sensor), truth)[None])[0]
             path_m += STEP_M if h.any() else 0.0
-            activation = Activation(t, skin.read(h, 0.0, rng), skin.live, skin.floor)
+            activation = skin.read(h, t, 0.0, rng)
             yield Moment(TOUCHES, activation, sensor, truth)
             t += SCAN_S
 

@@ -12,6 +12,7 @@ from taxeld_training.filters.cells import COLUMNS, TOUCHES, Cell, Results, setti
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.filter import shares
 from taxeld_training.filters.follow import Method
+from taxeld_training.filters.soft_skin import SKINS
 from taxeld_training.filters.trained import DENSITY
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.objects import meshes
@@ -60,6 +61,7 @@ LEVELS = (
     *(Level("stuck at 0", n, Conditions(stuck=n, stuck_at=0.0)) for n in (4, 16)),
     *_levels("drift", "drift", (0.05, 0.1, 0.2)),
     *(Level("columns", columns, columns=columns) for columns in (8, 32, 64)),
+    *(Level("skin", name, Conditions(skin=name)) for name in SKINS),
     *_levels("depth", "depth", (1.5, 2.0)),
     *_levels("sensor mm", "sensor_sd_m", (2.0, 5.0, 10.0), 1e-3),
     *_levels("sensor deg", "sensor_sd_rad", (2.0, 5.0), np.pi / 180.0),

@@ -56,8 +56,7 @@ class Trial:
         rng = np.random.default_rng(self.seed)
         extra = np.random.default_rng((self.seed, 1))  # for what the conditions add
         start = _placed(rng)
-        gain = np.maximum(1.0 + given.gain_cv * rng.standard_normal(len(model.layout)), 0.1)
-        skin = TrialSkin(given, gain, extra)
+        skin = TrialSkin(given, model.layout, given.gains(len(model.layout), rng), extra)
         truths = places(given, start, self.touches, extra)
         if given.kidnapped_after:
             truths[given.kidnapped_after :] += _placed(extra) - start
@@ -73,9 +72,8 @@ class Trial:
                 h = model.activation(pose[None])[0]
                 if twin is not None:
                     h = np.maximum(h, twin.activation(pose[None])[0])
-                z = skin.read(h, (touch + 1) / self.touches, rng)
+                reading = skin.read(h, t, (touch + 1) / self.touches, rng)
                 sensor = reported(given, se2.compose(truth, se2.inverse(pose)), error)
-                reading = Activation(t, z, skin.live, skin.floor)
                 yield Moment(touch, reading, sensor, truth, twin_pose)
                 t += SCAN_S
             t += BETWEEN_S

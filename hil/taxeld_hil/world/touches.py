@@ -1,0 +1,124 @@
+"""Touches at a steady pace: presses all around the object, then presses that a light one follows.
+
+Each is a ramp in, a hold and a ramp out, a second of contact in all. A light touch comes back to
+where the press before has just ended, so what it reads must be told from what that press has left.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from taxeld.arrays import Floats, Poses
+from taxeld.model import se2
+from taxeld.model.observation import ObservationModel
+from taxeld_hil.world import robot
+from taxeld_hil.world.robot import RobotPath
+
+APART_S = (2.0, 3.0)  # from one touch's beginning to the next one's
+LIGHT_AFTER_S = (0.4, 1.4)  # from leaving the object to the ramp that touches it lightly
+PRESS_MM = (2.0, 4.5)
+LIGHT_MM = (0.3, 0.5)  # of the taxel that is pressed most
+RAMP_S, HOLD_S = 0.3, 0.7
+SLOW_FROM_M = 0.004  # of clearance, where a ramp begins and ends
+SIDEWAYS = 0.7  # of the object's size, at most, an approach passes its centre by
+REST_S = 2.0
+HALVINGS = 12
+
+Deepest = Callable[[Poses], float]  # [m] of the most pressed taxel, the sensor at a pose (3,)
+
+
+class Touch(NamedTuple):
+    """Times on the path, and whether it is a light one."""
+
+    begin_s: float  # of the ramp in: nothing is touched yet
+    held_s: tuple[float, float]
+    end_s: float  # of the ramp out
+    is_light: bool
+
+
+class Touches(NamedTuple):
+    path: RobotPath
+    touches: tuple[Touch, ...]
+
+
+class _Track:
+    """Waypoints as they are added."""
+
+    def __init__(self, start: Poses) -> None:
+        self.now = 0.0
+        self.times, self.poses = [0.0], [start]
+
+    def go(self, way: Floats, seconds: float) -> None:
+        """Through poses (W, 3) in so many seconds, at an even speed."""
+        steps = np.linalg.norm(np.diff(np.vstack([self.poses[-1], way])[:, :2], axis=0), axis=1)
+        done = np.cumsum(steps) / max(float(steps.sum()), 1e-9)
+        self.times += (self.now + seconds * done).tolist()
+        self.poses += list(way)
+        self.now += seconds
+        self.times[-1] = self.now
+
+    def touch(self, at: Poses, *, is_light: bool) -> Touch:
+        """In to a pose (3,) from where the track is, a hold, and out again."""
+        begin, away = self.now, self.poses[-1]
+        self.go(at[None], RAMP_S)
+        held = self.now, self.now + HOLD_S
+        self.go(at[None], HOLD_S)
+        self.go(away[None], RAMP_S)
+        return Touch(begin, held, self.now, is_light)
+
+
+def plan(
+    model: ObservationModel, truth: Poses, deepest: Deepest, seed: int, presses: int, pairs: int
+) -> Touches:
+    """`presses` touches around the object at `truth` (3,), then `pairs` of a press and a light."""
+    rng, scene = np.random.default_rng(seed), model.scene
+    centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
+    circle = scene.size + model.layout.radius_m + robot.STANDOFF_M
+    angle, yaw = rng.uniform(-np.pi, np.pi), 0.0
+    track = _Track(np.array([*_around(centre, circle, angle), yaw]))
+    touches: list[Touch] = []
+    out = track.poses[0][None]
+    step = 2.0 * np.pi / max(presses, 1)
+    for k in range(presses + pairs):
+        before, angle = angle, angle + step * rng.uniform(0.7, 1.3)
+        yaw_to = yaw + rng.uniform(-robot.YAW_SPREAD_RAD, robot.YAW_SPREAD_RAD)
+        for _ in range(robot.TRIES):
+            depth = 1e-3 * rng.uniform(*PRESS_MM)
+            offset = rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
+            line = robot.approach(model, truth, centre, angle, offset, circle, depth, SLOW_FROM_M)
+            line = np.column_stack([line, np.full(3, yaw_to)])
+            if robot.strongest(model, truth, line[2]) > robot.TOUCH:
+                break
+        arc = np.linspace(before, angle, 2 + int(abs(angle - before) / robot.ARC_STEP_RAD))
+        way = np.column_stack([
+            _around(centre, circle, arc), np.linspace(yaw, yaw_to, len(arc))
+        ])  # fmt: skip
+        gone = track.now - touches[-1].begin_s if touches else 0.0
+        track.go(np.vstack([out, way, line[:2]]), max(rng.uniform(*APART_S) - gone, 0.5))
+        out = line[:1]  # the way out is the way in
+        touches.append(track.touch(line[2], is_light=False))
+        if k >= presses:
+            track.go(line[1:2], rng.uniform(*LIGHT_AFTER_S))
+            light = _at_depth(line[1], line[2], deepest, 1e-3 * rng.uniform(*LIGHT_MM))
+            touches.append(track.touch(light, is_light=True))
+        yaw = yaw_to
+    track.go(np.vstack([out, [*_around(centre, circle, angle), yaw]]), 0.5)
+    track.go(track.poses[-1][None], REST_S)
+    return Touches(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
+
+
+def _around(centre: Floats, circle: float, angle: float | Floats) -> Floats:
+    return np.asarray(centre + circle * np.stack([np.cos(angle), np.sin(angle)], axis=-1))
+
+
+def _at_depth(clear: Poses, pressed: Poses, deepest: Deepest, depth_m: float) -> Poses:
+    """The pose (3,) between two, clear and pressed, where the most pressed taxel is so deep."""
+    low, high = 0.0, 1.0
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (
+            (low, middle) if deepest(clear + middle * (pressed - clear)) > depth_m
+            else (middle, high)
+        )  # fmt: skip
+    return np.asarray(clear + high * (pressed - clear))

@@ -1,0 +1,184 @@
+"""Touches at a steady pace: the path, what is counted of a run, and the measurement's memory."""
+
+import json
+from dataclasses import asdict, replace
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld.arrays import Floats, Poses
+from taxeld.config.toml_tables import Given
+from taxeld.layout import read as layouts
+from taxeld.model import se2
+from taxeld.proposals import bundle
+from taxeld_hil import cli
+from taxeld_hil.experiment import touch_experiment, touch_runs
+from taxeld_hil.experiment.touch_runs import AFTER, TouchRun
+from taxeld_hil.scenario import scenario
+from taxeld_hil.scenario.mesh_config import PLAIN
+from taxeld_hil.world import touches
+from taxeld_hil.world.bundled import solid_of
+from taxeld_hil.world.mesh_skin import MeshSkin
+from taxeld_hil.world.touches import Touch, Touches
+
+DEMO = scenario.load("demo").on("typical")
+SKIN = layouts.load(DEMO.layout)
+HARD = np.zeros(len(SKIN))
+TRUTH = np.array([0.05, -0.1, 0.7])
+OFF = {k: v for k, v in asdict(PLAIN).items() if k not in ("gain_cv", "noise_counts")}
+
+
+@lru_cache
+def skin_of(name: str) -> MeshSkin:
+    return MeshSkin(solid_of(name, SKIN), SKIN, 0.002, sags=False)
+
+
+def depth_m(name: str, sensor: Poses) -> Floats:
+    """(M,) of each taxel, the sensor at a pose (3,) in the world."""
+    return skin_of(name).indentation(se2.compose(se2.inverse(sensor), TRUTH), HARD)
+
+
+@lru_cache
+def planned(name: str, seed: int) -> Touches:
+    model = bundle.load(name, SKIN, 0.005).model
+    return touches.plan(model, TRUTH, lambda s: float(depth_m(name, s).max()), seed, 10, 4)
+
+
+def in_hold(name: str, plan: Touches, touch: Touch) -> Floats:
+    return depth_m(name, plan.path.at(float(np.mean(touch.held_s))))
+
+
+BOTH = pytest.mark.parametrize("name", ["box", "mug"])
+
+
+@BOTH
+def test_touches_begin_two_to_three_seconds_apart_and_last_about_one(name: str) -> None:
+    for seed in range(4):
+        plan = planned(name, seed)
+        presses = [touch for touch in plan.touches if not touch.is_light][:10]
+        assert len(presses) == 10
+        apart = np.diff([touch.begin_s for touch in presses])
+        assert (apart >= 1.99).all()
+        assert (apart <= 3.01).all()
+        lasts = [touch.end_s - touch.begin_s for touch in presses]
+        assert all(1.0 < seconds < 1.5 for seconds in lasts)
+
+
+@BOTH
+def test_the_object_is_pressed_in_the_holds_and_not_before_a_touch_begins(name: str) -> None:
+    for seed in range(4):
+        plan = planned(name, seed)
+        for touch in plan.touches:
+            assert in_hold(name, plan, touch).max() > 2.5e-4
+            assert not depth_m(name, plan.path.at(touch.begin_s)).any()
+            assert not depth_m(name, plan.path.at(touch.end_s)).any()
+
+
+@BOTH
+def test_a_light_touch_comes_within_two_seconds_on_taxels_that_were_pressed(name: str) -> None:
+    for seed in range(4):
+        plan = planned(name, seed)
+        pairs = [k for k, touch in enumerate(plan.touches) if touch.is_light]
+        assert len(pairs) == 4
+        for k in pairs:
+            before, light = plan.touches[k - 1], plan.touches[k]
+            deep, faint = in_hold(name, plan, before), in_hold(name, plan, light)
+            assert 2.9e-4 < faint.max() < 5.1e-4
+            assert deep[faint.argmax()] > faint.max()
+            assert light.held_s[0] - before.held_s[1] <= 2.0 + 1e-9
+
+
+def test_a_skin_that_keeps_nothing_is_felt_when_it_is_touched_and_never_in_the_air() -> None:
+    plain = replace(DEMO, mesh=Given(OFF))
+    found = touch_runs.play(plain, 0)
+    assert found.scans > 400
+    assert 0.4 < found.air / found.scans < 0.8
+    assert found.felt_in_air == found.missed == 0
+    assert found.light == 4
+    assert found.contacts == 10
+    assert len(found.error_mm) == len(found.converged) == len(AFTER)
+    assert found.error_mm[-1] < 5.0
+
+
+def test_what_is_felt_in_the_air_and_what_is_not_felt_is_counted() -> None:
+    """Nothing tells a skin that keeps all of a press from one that is still pressed, nor a light
+    touch from noise as large."""
+    keeps = {**OFF, "residue_slow": (0.95, 0.95), "loading_s": 0.05}
+    found = touch_runs.play(replace(DEMO, mesh=Given(keeps)), 0)
+    assert found.felt_in_air > 0.7 * found.air  # but for those before the first touch
+    deaf = {**OFF, "noise_counts": (600.0, 600.0)}
+    found = touch_runs.play(replace(DEMO, mesh=Given(deaf)), 0)
+    assert found.missed == found.light == 4
+
+
+def test_a_run_is_determined_by_its_seed() -> None:
+    stiff = DEMO.on("stiff")
+    assert touch_runs.play(stiff, 0) == touch_runs.play(stiff, 0)
+
+
+def run_of(seed: int, error: float) -> TouchRun:
+    return TouchRun(
+        "box", "poor", seed, [50.0, error, 1.0], [False, True, True], scans=500, air=300,
+        felt_in_air=50, contacts=10, silent_episodes=seed == 3, light=4, missed=seed,
+    )  # fmt: skip
+
+
+def test_the_summary_is_of_the_runs() -> None:
+    (row,) = touch_experiment.summary([run_of(seed, 3.0 * seed) for seed in range(4)])
+    assert row["error_mm"]["after_6"] == {
+        "median": 4.5, "p90": 8.1, "under_5_mm": 0.5, "under_10_mm": 1.0, "converged": 1.0
+    }  # fmt: skip
+    assert row["felt_in_air_of_scans"] == pytest.approx(0.1)
+    assert row["felt_in_air_of_air"] == pytest.approx(1.0 / 6.0)
+    assert row["light_missed"] == pytest.approx(6.0 / 16.0)
+    assert row["runs_with_a_silent_failure"] == 0.25
+    (line,) = list(touch_experiment.lines([row]))[2:]
+    assert line.startswith("| poor, box | 50 (50), 0% | 4.5 (8.1), 50% | 1 (1), 100% | 10.0% |")
+
+
+def test_only_whole_runs_of_the_same_code_are_remembered(tmp_path: Path) -> None:
+    memory = tmp_path / "runs.jsonl"
+    assert touch_experiment.remembered(memory, "now") == {}
+    rows = [{"code": code, **asdict(run_of(seed, 1.0))} for seed, code in enumerate(("old", "now"))]
+    text = "\n".join(map(json.dumps, [*rows, {**rows[1], "seed": 2}]))
+    memory.write_text(text[:-20], encoding="utf-8")
+    assert touch_experiment.remembered(memory, "now") == {("box", "poor", 1): run_of(1, 1.0)}
+    assert touch_experiment.digest("") != touch_experiment.digest("particles = 200")
+
+
+def test_the_command_goes_on_from_what_it_remembers(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["physics", "--touches", "--object", "box", "--skin", "stiff", "--workers", "1",
+               "--memory", str(tmp_path / "m" / "runs.jsonl"), "--out", str(tmp_path)]  # fmt: skip
+    assert not cli.main([*command, "--seeds", "1"])
+    first = capsys.readouterr()
+    assert "box, stiff, seed 0" in first.err
+    assert not cli.main([*command, "--seeds", "2"])
+    second = capsys.readouterr()
+    assert "1 of 2 runs are remembered" in second.err
+    assert "seed 0" not in second.err
+    result = json.loads((tmp_path / "touches.json").read_text(encoding="utf-8"))
+    assert [run["seed"] for run in result["runs"]] == [0, 1]
+    assert result["summary"][0]["seeds"] == 2
+    assert "| stiff, box |" in second.out
+
+
+def test_wrong_options_are_refused_with_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    for option, value, message in (
+        ("--skin", "marble", "no skin 'marble'"),
+        ("--skin", "scene", "--skin scene: no soft skin"),
+        ("--object", "party", "scene.bundle: no bundle 'party'"),
+        ("--seeds", "-1", "--seeds and --workers must be at least 1"),
+        ("--workers", "0", "--seeds and --workers must be at least 1"),
+        ("--memory", str(tmp_path / "file" / "m"), f"--memory: {tmp_path / 'file' / 'm'}: "),
+    ):
+        assert cli.main(["physics", "--touches", option, value, "--out", str(tmp_path)]) == 2
+        error = capsys.readouterr().err
+        assert error.startswith(message)
+        assert error.count("\n") == 1
