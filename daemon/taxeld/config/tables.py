@@ -124,6 +124,9 @@ class SensorPoseConfig:
     endpoint: str = key("", doc="SUB endpoint of the robot; empty: the sensor stands still")
     max_age_s: float = key(0.2, between(0.001, 60), "a scan whose pose is older is not used")
     wait_s: float = key(0.02, between(0, 1), "a scan waits so long for a pose at or after its time")
+    sigma_m: float = key(
+        0.001, between(0, 0.05), "sd of the sensor's place, the same throughout a touch"
+    )
     within_m: float = key(
         10.0, between(0.01, 1e6), "a pose whose x or y lies farther from the origin is not taken"
     )
@@ -172,6 +175,7 @@ class FilterConfig:
     motion: str = key(
         "none", one_of("none", "push"), "what the object does: stands still, or gives way to a push"
     )
+    nudge_m: float = key(0.001, between(0, 0.05), "sd of what the object gives way at a touch")
     memory: int = key(8, between(1, 100), "injection mixture: touches remembered")
     sampler: str = key("", doc="which of the bundle's samplers; empty: as proposal says")
     seed: int = key(0, between(0, 2**63), "of the one random generator")

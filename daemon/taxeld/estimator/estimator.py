@@ -8,11 +8,12 @@ belief learn from them by the configured rule (`rules`), and says what the resul
 import numpy as np
 
 from taxeld.arrays import Poses
-from taxeld.config.tables import FilterConfig
+from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import confidence
 from taxeld.estimator.counters import EstimatorCounters
 from taxeld.estimator.estimate import Estimate
 from taxeld.estimator.intake import Intake
+from taxeld.estimator.memory import Slack
 from taxeld.estimator.news import News
 from taxeld.estimator.rules import RULES
 from taxeld.estimator.sampling import Sampling
@@ -25,7 +26,15 @@ class Estimator:
     """A belief about one object, changed by one scan at a time; the same scans and seed give the
     same estimates, bit for bit."""
 
-    def __init__(self, model: ObservationModel, proposal: Proposal, config: FilterConfig) -> None:
+    def __init__(
+        self,
+        model: ObservationModel,
+        proposal: Proposal,
+        config: FilterConfig,
+        robot_m: float = SensorPoseConfig().sigma_m,
+    ) -> None:
+        """`robot_m`: standard deviation of the sensor's place at a touch, in each direction."""
+        self.slack = Slack(robot_m, config.nudge_m)
         self.model = model
         self.proposal = proposal
         self.config = config
@@ -36,7 +45,7 @@ class Estimator:
         """Forget every contact; the random generator begins anew as well."""
         config, layout = self.config, self.model.layout
         rng = np.random.default_rng(config.seed)
-        self.rule = RULES[config.injection](self.model, config, rng)
+        self.rule = RULES[config.injection](self.model, config, self.slack, rng)
         self.rule.counters = self.counters.rule
         self._sampling = Sampling(self.model, self.proposal, rng, project=config.project)
         self._intake = Intake(len(layout), layout.radius_m, self.counters)

@@ -31,14 +31,16 @@ def paper(belief: Belief, poses: Poses) -> None:
     pf.normalise(belief)
 
 
-def anneal(samples: Belief, own: Floats, explain: Explain, rng: np.random.Generator) -> Belief:
-    """Equally weighted samples of ∏ p(z_k | q)^own_k brought to ∏ p(z_k | q): the other scans
-    count by degrees, and after each step the samples are drawn anew and moved (an SMC sampler, Del
-    Moral et al. 2006). A step is as large as leaves the share KEPT of them.
+def anneal(
+    samples: Belief, own: Floats, share: Floats, explain: Explain, rng: np.random.Generator
+) -> Belief:
+    """Equally weighted samples of ∏ p(z_k | q)^own_k brought to ∏ p(z_k | q)^share_k: the other
+    scans count by degrees, and after each step the samples are drawn anew and moved (an SMC
+    sampler, Del Moral et al. 2006). A step is as large as leaves the share KEPT of them.
 
     own (terms,) in 0..1: the terms that the samples have taken into account.
     """
-    n, rest = len(samples), 1.0 - own
+    n, rest = len(samples), share - own
     degree = 0.0
     for stage in range(STAGES_MAX):
         gain = samples.remembered @ rest
@@ -54,21 +56,21 @@ def anneal(samples: Belief, own: Floats, explain: Explain, rng: np.random.Genera
     return samples
 
 
-def merge(a: Belief, b: Belief) -> Belief:
+def merge(a: Belief, b: Belief, share: Floats) -> Belief:
     """Both, each weighed by its evidence."""
     made = Belief(
         np.concatenate([a.pose, b.pose]),
-        np.concatenate([a.log_weight + evidence(a), b.log_weight + evidence(b)]),
+        np.concatenate([a.log_weight + evidence(a, share), b.log_weight + evidence(b, share)]),
         np.concatenate([a.remembered, b.remembered]),
     )
     pf.normalise(made)
     return made
 
 
-def evidence(belief: Belief) -> float:
+def evidence(belief: Belief, share: Floats) -> float:
     """log ∫ ∏ p(z_k | q) dq up to a constant: the mean logarithm of the integrand, and the room
     that the belief takes (its entropy, as the cells that it occupies)."""
-    support = belief.remembered.sum(axis=1)
+    support = belief.remembered @ share
     return float(belief.weight @ support) + float(np.log(pf.occupied(belief.pose, FINE)))
 
 

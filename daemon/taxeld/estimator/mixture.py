@@ -1,6 +1,8 @@
 """The rule that remembers: samples stand beside the belief by their evidence, and the past is
 dropped when the object has moved."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from taxeld.arrays import Bools, Poses
@@ -9,7 +11,7 @@ from taxeld.estimator import consistency, injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.counters import RuleCounters
-from taxeld.estimator.memory import Memory
+from taxeld.estimator.memory import Memory, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.prior import Prior
 from taxeld.estimator.push import push
@@ -19,16 +21,21 @@ from taxeld.model.observation import Observation, ObservationModel
 MOVES = 2  # Metropolis steps a contact
 SILENT_MAX = 32  # silent scans remembered
 TELLING = 1.0  # nats by which a silent scan must part the particles to be remembered
+SCALES = (0.0, 0.5, 1.0, 2.0)  # of the configured slack
+SLACK_FROM = 3  # contacts: fewer agree whatever the slack
+SLACK_NATS = 1.0  # of evidence, for another scale
 REVISITS = 4  # a contact: second opinions taken while there is nothing to learn
 
 
 class Mixture:
     """Every remembered scan counts, and samples are weighed against all of them."""
 
-    def __init__(self, model: ObservationModel, config: FilterConfig, rng: np.random.Generator):
+    def __init__(
+        self, model: ObservationModel, config: FilterConfig, slack: Slack, rng: np.random.Generator
+    ) -> None:
         self._model, self._config, self._rng = model, config, rng
-        self._noise = noise_of(config)
-        self.memory = Memory(model, self._noise)
+        self._noise, self._slack = noise_of(config), slack
+        self.memory = Memory(model, self._noise, slack)
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene)
         self.counters = RuleCounters()
@@ -46,30 +53,48 @@ class Mixture:
         belief.pose = pose
         self.confidence.moved(belief)
         prior = Prior(metric, pose, belief.weight, self.confidence.summary.modes)
-        self.memory = Memory(self._model, self._noise, prior)
+        self.memory = Memory(self._model, self._noise, self._slack, prior)
         belief.remembered = self.memory.explain(pose)
 
     def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
         in_doubt = self.confidence.doubt
         samples = drawn(draw, observation, self._wanted())
-        log_evidence = self.update(observation, samples)
+        log_evidence = self.update(observation, samples, contacts)
         contact = contacts if observation.is_contact else 0
-        remembered = int(np.count_nonzero(self.memory.contact))
-        self.confidence.learned(self.belief, len(samples), contact, remembered, in_doubt=in_doubt)
+        self.confidence.learned(
+            self.belief, len(samples), contact, self.memory.contacts, in_doubt=in_doubt
+        )
         return len(samples), log_evidence
 
-    def update(self, observation: Observation, samples: Poses) -> float:
-        """Learn from a scan and samples of it, without judging the result; → log evidence."""
-        self.memory.add(observation)
+    def update(self, observation: Observation, samples: Poses, number: int = 0) -> float:
+        """Learn from a scan of the contact of this number, or a silent one after it, and samples of
+        it, without judging the result; → log evidence."""
+        self._age(number)
+        before = self.memory.share
+        self.memory.add(observation, number)
         newest = self.memory.explain_newest(self.belief.pose)
-        evidence = pf.reweight(self.belief, newest)
+        remembered = np.column_stack([self.belief.remembered, newest])
+        evidence = pf.reweight(
+            self.belief, remembered @ self.memory.share - self.belief.remembered @ before
+        )
         if evidence is None:
             self.counters.impossible += 1
-            self._begin_anew(observation, samples)
+            self._begin_anew(observation, samples, number)
             return 0.0
-        self.belief.remembered = np.column_stack([self.belief.remembered, newest])
+        self.belief.remembered = remembered
         self._weigh(observation, samples, telling=bool(np.ptp(newest) >= TELLING))
         return evidence
+
+    def _age(self, number: int) -> None:
+        """The object may have given way to a contact that begins."""
+        memory, belief, nudge_m = self.memory, self.belief, self._slack.nudge_m * self._slack.scale
+        if not nudge_m or not len(memory) or number <= memory.newest:
+            return
+        memory.newest = number
+        step = nudge_m * self._rng.standard_normal((len(belief), 3))
+        step[:, 2] /= max(self.confidence.metric.arm_m, nudge_m)
+        belief.pose = belief.pose + step
+        belief.remembered = memory.explain(belief.pose)
 
     def revisit(self, draw: Draw) -> int:
         """Samples of a remembered contact, brought to explain all, as a second opinion."""
@@ -83,7 +108,7 @@ class Mixture:
         if not len(samples):  # none are asked for, or there is no time for any
             return 0
         self._revisits += 1
-        self._become(injection.merge(self.belief, self._opinion(samples, memory, scan)), moves=1)
+        self._become(injection.merge(self.belief, self._opinion(samples, memory, scan), memory.share), moves=1)
         excess = consistency.excess(memory, self.belief)
         newest = contacts[-1]
         confidence.doubt = bool(excess[newest] > 0.0) or consistency.is_excessive(
@@ -108,16 +133,42 @@ class Mixture:
         if len(samples):
             self._take(samples)
             self._reconsider(samples)
+            self._fit_slack()
         elif pf.resampling_is_due(self.belief):
             self._become(self.belief, moves=1)
         self.counters.inconsistent += confidence.doubt
 
-    def _begin_anew(self, observation: Observation, samples: Poses) -> None:
+    def _fit_slack(self) -> None:
+        """How far scans are off, by the evidence of the belief: contacts that agree exactly are
+        believed exactly, and others are given more room."""
+        memory, belief = self.memory, self.belief
+        if memory.contacts < SLACK_FROM or not (memory.slack.robot_m or memory.slack.nudge_m):
+            return
+        share, now = memory.share, memory.slack
+        support = belief.remembered @ share
+        best, gained, found = now, 0.0, belief.remembered
+        for scale in SCALES:
+            if scale == now.scale:
+                continue
+            memory.slack = replace(now, scale=scale)
+            remembered = memory.explain(belief.pose)
+            gain = belief.log_weight + remembered @ share - support
+            gain = float(gain.max() + np.log(np.exp(gain - gain.max()).sum()))
+            if gain > max(gained, SLACK_NATS):
+                best, gained, found = memory.slack, gain, remembered
+        memory.slack = self._slack = best
+        if best is now:
+            return
+        pf.reweight(belief, (found - belief.remembered) @ share)
+        belief.remembered = found
+        self._become(belief, moves=MOVES)
+
+    def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> None:
         """From the samples of a contact, or from nothing."""
-        self.memory = Memory(self._model, self._noise)
+        self.memory = Memory(self._model, self._noise, self._slack)
         self.belief = anew(self._config, self._rng)
         if len(samples):
-            self.memory.add(observation)
+            self.memory.add(observation, number)
             self._become(pf.equal(samples, self.memory.explain(samples)), moves=MOVES)
 
     def _take(self, samples: Poses) -> None:
@@ -126,20 +177,22 @@ class Mixture:
         memory = self.memory
         opinion = self._opinion(samples, memory, len(memory) - 1)
         if np.count_nonzero(memory.contact) > 1 or memory.prior is not None:
-            opinion = injection.merge(self.belief, opinion)
+            opinion = injection.merge(self.belief, opinion, memory.share)
         self._become(opinion, moves=MOVES)
 
     def _opinion(self, samples: Poses, memory: Memory, scan: int) -> Belief:
         """Samples of one of its scans brought to explain a whole memory."""
         own = np.zeros(memory.terms)
         memory.of_scans(own)[scan] = 1.0
+        samples = samples.copy()
+        samples[:, :2] += memory.slack_m(scan) * self._rng.standard_normal((len(samples), 2))
         opinion = pf.equal(samples, memory.explain(samples))
-        return injection.anneal(opinion, own, memory.explain, self._rng)
+        return injection.anneal(opinion, own, memory.share, memory.explain, self._rng)
 
     def _become(self, belief: Belief, moves: int) -> None:
         """Have as many particles as so wide a belief needs, all equal, and part the copies."""
         self.belief = pf.resample(belief, self._size(belief), self._rng)
-        share = np.ones(self.memory.terms)
+        share = self.memory.share
         for _ in range(moves):
             pf.rejuvenate(self.belief, self.memory.explain, share, self._rng)
 

@@ -74,7 +74,7 @@ class News:
         if used is None:
             return True
         moved = moved_m(used.sensor, observation.sensor, self.radius_m) / MOTION_M
-        changed = float(np.abs(observation.z - used.z).max()) / ACTIVATION
+        changed = float((observation.z - used.z).max()) / ACTIVATION
         return moved + changed >= 1.0
 
 

@@ -8,7 +8,7 @@ from taxeld.estimator import consistency, injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.counters import RuleCounters
-from taxeld.estimator.memory import Memory
+from taxeld.estimator.memory import Memory, Slack
 from taxeld.estimator.push import push
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
@@ -19,8 +19,10 @@ SETTLED_SHARE = 0.5  # of S when settled: a wrong belief must find out
 class Paper:
     """Algorithm 1: samples take the mean weight, and nothing is remembered but the newest scan."""
 
-    def __init__(self, model: ObservationModel, config: FilterConfig, rng: np.random.Generator):
-        self._model, self._config, self._rng = model, config, rng
+    def __init__(
+        self, model: ObservationModel, config: FilterConfig, slack: Slack, rng: np.random.Generator
+    ) -> None:
+        self._model, self._config, self._rng, self._slack = model, config, rng, slack
         self._noise = noise_of(config)
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0)
@@ -45,7 +47,7 @@ class Paper:
     def update(self, observation: Observation, samples: Poses) -> float:
         """Learn from a scan and samples of it, without judging the result; → log evidence."""
         injection.paper(self.belief, samples)
-        memory = Memory(self._model, self._noise)
+        memory = Memory(self._model, self._noise, self._slack)
         memory.add(observation)
         self.belief.remembered = memory.explain(self.belief.pose)
         evidence = pf.reweight(self.belief, self.belief.remembered[:, 0])

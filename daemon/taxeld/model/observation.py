@@ -6,6 +6,7 @@ noise. Under the taxel's floor it is reported as 0, and over full scale as 1.
 """
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +88,9 @@ def normal_cdf(x: Floats) -> Floats:
 
 
 BLOCK = 65_536  # points looked up at once: they stay in the cache
+BAND_M = 0.005  # that a pose or a sensor may be off, as far as a taxel beside a press is looked up
+
+Nearby: TypeAlias = tuple[NDArray[np.intp], Floats, Floats, Floats]
 
 
 class ObservationModel:
@@ -99,43 +103,54 @@ class ObservationModel:
         self.scene = scene
         self.layout = layout
         self.depth_max_m = depth_max_m
-        ny, nx = scene.silhouette.shape
         place, group = np.unique(layout.position_m[:, :2], axis=0, return_inverse=True)
         self._places = np.vstack([place.T, np.ones(len(place))])  # (3, P): taxels stand in columns
         self._column = _padded(group, len(place))  # (P, most) taxels there
-        self._offset = scene.slice_of(layout)[self._column] * (ny * nx)
+        self._offset = scene.slice_of(layout)[self._column] * scene.silhouette.size
         self._flat = scene.slices.ravel()
-        inside = scene.silhouette < 0.0
-        near = np.zeros_like(inside)  # cells with a corner inside: elsewhere nothing is pressed
-        near[:-1, :-1] = inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:]
-        self._near = near.ravel()
         farthest = float(np.hypot(*place.T).max()) + 1.5 * scene.cell
-        self._reach = (scene.silhouette < farthest).ravel()
+        self._masks = {band: _masks(scene.silhouette, band, farthest) for band in (0.0, BAND_M)}
 
     def pressed(self, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
         """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into
         (N, M) and their h > 0."""
-        return self._pressed(*axis_in_object(poses), -poses[:, 2])
+        at, depth, _, _ = self._near(*axis_in_object(poses), -poses[:, 2], 0.0)
+        return at, np.minimum(depth, 1.0)
 
     def pressed_from(self, sensors: Floats, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
         """The same of sensors (K, 3) and objects (N, 3), both in the world: flat indices into
         (K, N, M)."""
-        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-        x, y = sensors[:, :1] - poses[:, 0], sensors[:, 1:2] - poses[:, 1]
-        turn = sensors[:, 2:] - poses[:, 2]
-        return self._pressed((c * x + s * y).ravel(), (c * y - s * x).ravel(), turn.ravel())
+        at, depth, _, _ = self._near(*_in_object(sensors, poses), 0.0)
+        return at, np.minimum(depth, 1.0)
 
-    def _pressed(self, x: Floats, y: Floats, turn: Floats) -> tuple[NDArray[np.intp], Floats]:
-        """`pressed`, the sensor at (x, y) and turned by `turn`, in the object's frame: all (N,)."""
-        reached = np.flatnonzero(self._reach.take(self._cell(x, y)))
+    def near_from(self, sensors: Floats, poses: Floats) -> Nearby:
+        """Taxels that are pressed or lie within BAND_M of that, of sensors (K, 3) and objects
+        (N, 3), both in the world: flat indices into (K, N, M), depths as shares of full scale
+        (beyond 0 and 1 as well), and how these grow with the sensor's x and y [1/m] in the object's
+        frame."""
+        return self._near(*_in_object(sensors, poses), BAND_M)
+
+    def activation(self, poses: Floats) -> Floats:
+        """h: poses (N, 3) of the object in the sensor frame → (N, M) in 0..1."""
+        h = np.zeros((len(poses), len(self.layout)))
+        at, values = self.pressed(poses)
+        h.flat[at] = values
+        return h
+
+    def _near(self, x: Floats, y: Floats, turn: Floats, band_m: float) -> Nearby:
+        """`near_from`, the sensor at (x, y) and turned by `turn`, in the object's frame: all (N,);
+        no gradients where `band_m` is 0."""
+        near, reach = self._masks[band_m]
+        reached = np.flatnonzero(reach.take(self._cell(x, y)))
         size = max(BLOCK // len(self._column), 1)
         blocks = [
-            self._look_up(rows, x.take(rows), y.take(rows), turn.take(rows))
+            self._look_up(rows, x.take(rows), y.take(rows), turn.take(rows), near, band_m)
             for rows in (reached[at : at + size] for at in range(0, max(len(reached), 1), size))
         ]
         if len(blocks) == 1:
             return blocks[0]
-        return np.concatenate([at for at, _ in blocks]), np.concatenate([h for _, h in blocks])
+        at, depth, gx, gy = (np.concatenate(part) for part in zip(*blocks, strict=True))
+        return at, depth, gx, gy
 
     def _cell(self, x: Floats, y: Floats) -> NDArray[np.intp]:
         """The grid's cell that holds the sensor's axis: one look tells whether the link reaches."""
@@ -146,8 +161,8 @@ class ObservationModel:
         return np.asarray(v.astype(np.intp) * nx + u.astype(np.intp))
 
     def _look_up(
-        self, rows: NDArray[np.intp], x: Floats, y: Floats, turn: Floats
-    ) -> tuple[NDArray[np.intp], Floats]:
+        self, rows: NDArray[np.intp], x: Floats, y: Floats, turn: Floats, near: Bools, band_m: float
+    ) -> Nearby:
         scene = self.scene
         ny, nx = scene.silhouette.shape
         c, s = np.cos(turn) / scene.cell, np.sin(turn) / scene.cell
@@ -157,28 +172,43 @@ class ObservationModel:
         np.clip(u, 0.0, nx - 1.001, out=u)
         np.clip(v, 0.0, ny - 1.001, out=v)
         cell = v.astype(np.intp) * nx + u.astype(np.intp)
-        at = np.flatnonzero(self._near.take(cell))
+        at = np.flatnonzero(near.take(cell))
         row, place = np.divmod(at, cell.shape[1])
         u, v, cell = u.take(at)[:, None], v.take(at)[:, None], cell.take(at)[:, None]
         u -= np.floor(u)
         v -= np.floor(v)
         cell = cell + self._offset.take(place, axis=0)
         flat = self._flat
-        low = flat.take(cell) * (1.0 - u) + flat.take(cell + 1) * u
-        high = flat.take(cell + nx) * (1.0 - u) + flat.take(cell + nx + 1) * u
+        a, b, c, d = (flat.take(cell + step) for step in (0, 1, nx, nx + 1))
+        low, high = a * (1.0 - u) + b * u, c * (1.0 - u) + d * u
         depth = -(low * (1.0 - v) + high * v)
         taxel = self._column.take(place, axis=0)
-        pressed = np.flatnonzero((depth > 0.0) & (taxel >= 0))
-        h = np.minimum(depth.take(pressed) / self.depth_max_m, 1.0)
-        row = rows.take(row.take(pressed // taxel.shape[1]))
-        return row * len(self.layout) + taxel.take(pressed), h
+        kept = np.flatnonzero((depth > -band_m) & (taxel >= 0))
+        at = rows.take(row.take(kept // taxel.shape[1])) * len(self.layout) + taxel.take(kept)
+        depth = depth.take(kept) / self.depth_max_m
+        if not band_m:
+            return at, depth, depth, depth
+        rate = -1.0 / (scene.cell * self.depth_max_m)
+        gx = rate * ((b - a) * (1.0 - v) + (d - c) * v).take(kept)
+        gy = rate * (high - low).take(kept)
+        return at, depth, gx, gy
 
-    def activation(self, poses: Floats) -> Floats:
-        """h: poses (N, 3) of the object in the sensor frame → (N, M) in 0..1."""
-        h = np.zeros((len(poses), len(self.layout)))
-        at, values = self.pressed(poses)
-        h.flat[at] = values
-        return h
+
+def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
+    """Sensors (K, 3) as seen from objects (N, 3), both in the world: x, y and turn, (K · N,)."""
+    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    x, y = sensors[:, :1] - poses[:, 0], sensors[:, 1:2] - poses[:, 1]
+    turn = sensors[:, 2:] - poses[:, 2]
+    return (c * x + s * y).ravel(), (c * y - s * x).ravel(), turn.ravel()
+
+
+def _masks(silhouette: Floats, band_m: float, farthest_m: float) -> tuple[Bools, Bools]:
+    """Cells of the grid with a corner so near the object that a taxel there counts, and cells from
+    which a link's taxels reach those."""
+    inside = silhouette < band_m
+    near = np.zeros_like(inside)
+    near[:-1, :-1] = inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:]
+    return near.ravel(), (silhouette < farthest_m + band_m).ravel()
 
 
 def _padded(group: NDArray[np.intp], groups: int) -> NDArray[np.intp]:
