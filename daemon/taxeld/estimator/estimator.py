@@ -48,7 +48,7 @@ class Estimator:
         self.rule = RULES[config.injection](self.model, config, self.slack, rng)
         self.rule.counters = self.counters.rule
         self._sampling = Sampling(self.model, self.proposal, rng, project=config.project)
-        self._intake = Intake(len(layout), layout.radius_m, self.counters)
+        self._intake = Intake(layout, self.counters)
         self._news = News(layout.radius_m)
         self._before: Observation | None = None
         self.estimate = self._estimate(0.0)

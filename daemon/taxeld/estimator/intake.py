@@ -7,19 +7,24 @@ from taxeld.estimator.counters import EstimatorCounters
 from taxeld.estimator.news import moved_m
 from taxeld.estimator.stuck import Stuck
 from taxeld.model.activation import Activation
+from taxeld.layout.layout import Layout
+from taxeld.model.leak import Leak
 from taxeld.model.observation import Observation
 from taxeld.model.se2 import JUMP_M
 
+import os
+FLOORED = float(os.environ.get("FLOORED","1"))
 
 class Intake:
     """Makes observations of one skin's activations; what is wrong with them is counted."""
 
-    def __init__(self, taxels: int, radius_m: float, counters: EstimatorCounters) -> None:
+    def __init__(self, layout: Layout, counters: EstimatorCounters) -> None:
         self.t = -np.inf  # of the last scan that was used
         self._counters = counters
-        self._radius_m = radius_m
+        self._radius_m = layout.radius_m
+        self._leak = Leak(layout)
         self._sensor: Poses | None = None
-        self._stuck = Stuck(taxels)
+        self._stuck = Stuck(len(layout))
 
     def observation(self, activation: Activation, sensor: Poses) -> Observation | None:
         """A scan at the sensor's pose (3,) in the world as evidence; None: it is of no use."""
@@ -31,9 +36,11 @@ class Intake:
         stuck = self._stuck.on_scan(z, moved) & activation.live
         self._counters.stuck += bool(stuck.any())
         live = activation.live & ~stuck
-        return Observation(
-            sensor, np.where(live, z, 0.0), live, activation.floor, activation.residue
-        )
+        z = np.where(live, z, 0.0)
+        leak = self._leak.of(z)
+        floor = np.maximum(activation.floor, FLOORED * leak)
+        residue = np.hypot(activation.residue, leak)
+        return Observation(sensor, np.where(z < floor, 0.0, z), live, floor, residue)
 
     def _is_usable(self, activation: Activation, sensor: Poses) -> bool:
         counters, t, z = self._counters, activation.t, activation.z

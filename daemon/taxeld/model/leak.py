@@ -1,0 +1,33 @@
+"""What a taxel may read of presses beside it: cross-talk of its module, and skin that sags."""
+
+import numpy as np
+
+from taxeld.arrays import Floats
+from taxeld.layout.layout import Layout
+
+import os
+CROSS_TALK = float(os.environ.get('XT','.05')) # of what the other taxels of its module read together (docs/physics.md)
+SAG = float(os.environ.get('SAG','.1'))  # of the most that a taxel beside it reads
+BESIDE = 1.5  # nearest distances
+
+
+class Leak:
+    """Of one skin's M taxels."""
+
+    def __init__(self, layout: Layout) -> None:
+        module = layout.uid >> 4
+        place = layout.position_m
+        apart = np.linalg.norm(place[:, None] - place, axis=-1)
+        np.fill_diagonal(apart, np.inf)
+        self._coupled = CROSS_TALK * (module[:, None] == module)
+        np.fill_diagonal(self._coupled, 0.0)
+        beside = apart <= BESIDE * np.median(apart.min(axis=1))
+        most = int(beside.sum(axis=1).max(initial=1))
+        order = np.argsort(apart, axis=1)[:, :most]
+        self._beside = order
+        self._share = SAG * np.take_along_axis(beside, order, axis=1)
+
+    def of(self, z: Floats) -> Floats:
+        """Activations z (M,) → (M,) about the most that each may have from elsewhere."""
+        sag = (self._share * z.take(self._beside)).max(axis=1)
+        return np.asarray(self._coupled @ z + sag)
