@@ -13,7 +13,7 @@ from taxeld_training.cli import main
 from taxeld_training.filters import cells, stability
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.filter import shares
-from taxeld_training.filters.follow import Method, TouchResult
+from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.stability import LEVELS, Level
 from taxeld_training.objects.setting import Setting, ring
 

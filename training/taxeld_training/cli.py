@@ -20,7 +20,16 @@ from taxeld_training.objects.setting import DEPTH_MAX_M, HEIGHT_M
 from taxeld_training.samplers.candidates import VARIANTS, Candidates
 
 DEFAULT_SKIN = SkinConfig().layout
-EXPERIMENTS = ("proposals", "frontier", "gallery", "damage", "filter", "stability", "push")
+EXPERIMENTS = (
+    "proposals",
+    "frontier",
+    "gallery",
+    "damage",
+    "filter",
+    "shipped",
+    "stability",
+    "push",
+)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -90,7 +99,7 @@ def _scene(args: argparse.Namespace) -> int:
 def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.filters import filter as filter_experiment
     from taxeld_training.filters import push as push_experiment
-    from taxeld_training.filters import stability
+    from taxeld_training.filters import shipped, stability
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import damage, evaluate, gallery
 
@@ -115,6 +124,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "gallery": gallery.run,
         "damage": damage.run,
         "filter": filter_experiment.run,
+        "shipped": shipped.run,
         "stability": stability.run,
         "push": push_experiment.run,
     }
@@ -167,7 +177,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     add(
         "--objects", default="", metavar="A,B",
-        help="default: the paper's ten; of stability and push, box and mug",
+        help="default: the paper's ten; of shipped, stability and push, box and mug",
     )  # fmt: skip
     add("--columns", default="", metavar="N,M", help="of the 5-row skins")
     add("--skin", metavar="LAYOUT", help="this layout in place of them")

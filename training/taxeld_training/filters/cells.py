@@ -11,9 +11,9 @@ from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
-from taxeld_training.filters import follow, trained
+from taxeld_training.filters import fingerprint, follow, trained
 from taxeld_training.filters.conditions import Conditions
-from taxeld_training.filters.follow import Method, TouchResult
+from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.trained import DENSITY
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.jobs import Job
@@ -88,7 +88,7 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
         block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
         for first in range(0, count, block):
             seeds = (SEEDS_APART * options.seed + first, min(block, count - first))
-            arguments = (cell, *seeds, follow.code(cell.method.proposal))
+            arguments = (cell, *seeds, fingerprint.of(cell.method.proposal))
             todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))
     todo.sort(key=lambda each: (each[1].method.proposal == GRID, each[0]))
     done = run_jobs([job for _, _, job in todo], options)

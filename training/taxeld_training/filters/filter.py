@@ -7,10 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.config.tables import FilterConfig
 from taxeld_training.filters import cells
 from taxeld_training.filters.cells import COLUMNS, Cell, setting_of
-from taxeld_training.filters.follow import Method, TouchResult
+from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trained import DENSITY
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID
@@ -24,7 +23,7 @@ METHODS = (
         for proposal in (DENSITY, "table", "manifold", "projection")
         for injection in ("mixture", "paper")
     ),
-    Method(DENSITY, "mixture", FilterConfig().particles, FilterConfig().particles_max),
+    SHIPPED,
     Method(GRID),
 )
 

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld_training.filters import follow, trained
+from taxeld_training.filters import fingerprint, follow, trained
 from taxeld_training.filters.cells import COLUMNS, setting_of
 from taxeld_training.filters.filter import quantiles
 from taxeld_training.filters.pusher import PushedTrial
@@ -37,7 +37,7 @@ def run(options: Options) -> list[Path]:
         cell: [
             Job(
                 f"push-{cell[0].name}-{cell[1]}-{first}", play,
-                (*cell, first, min(BLOCK, seeds - first), follow.code(DENSITY)),
+                (*cell, first, min(BLOCK, seeds - first), fingerprint.of(DENSITY)),
             )
             for first in range(0, seeds, BLOCK)
         ]

@@ -16,7 +16,8 @@ from taxeld.arrays import Floats, Poses
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.conditions import Conditions, TrialSkin
-from taxeld_training.filters.trials import BETWEEN_S, SCAN_S, Moment, Trial
+from taxeld_training.filters.motion import SCAN_S
+from taxeld_training.filters.trials import Moment, Trial
 
 TOUCHES = 6  # before the push
 PATH_M = 0.25  # of the sensor in contact
@@ -26,6 +27,7 @@ FRICTION = 0.4
 LIMIT, LIMIT_SPREAD = 0.6, 0.2  # the load's spread in the outline's mean radius, ± this share
 OFF_CENTRE = 0.3  # of that radius: distance of the push from the centre, at most
 STANDOFF_M = 0.06
+BETWEEN_S = 1.0  # the last touch and the push
 SETTLING = 4  # steps of projection that end the overlap
 
 

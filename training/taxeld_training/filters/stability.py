@@ -11,7 +11,7 @@ from taxeld_training.filters import cells
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, Cell, Results, setting_of
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.filter import shares
-from taxeld_training.filters.follow import Method
+from taxeld_training.filters.methods import Method
 from taxeld_training.filters.soft_skin import SKINS
 from taxeld_training.filters.trained import DENSITY
 from taxeld_training.jobs.options import Options, write
