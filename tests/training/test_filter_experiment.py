@@ -18,12 +18,14 @@ from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.proposals.analytic import Table
 from taxeld_training.cli import main
 from taxeld_training.filters import cells, fingerprint, follow, methods, trained
+from taxeld_training.filters import filter as filter_experiment
 from taxeld_training.filters.cells import Cell
 from taxeld_training.filters.conditions import SILENT, Conditions
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.options import Options
 from taxeld_training.jobs.rows import GRID
+from taxeld_training.models.diffusion import Solver
 from taxeld_training.objects.setting import Setting, ring
 
 KEYS = {
@@ -83,22 +85,39 @@ def test_an_unknown_proposal_is_refused_in_one_line(
     assert "--groups: no 'magic'" in capsys.readouterr().err
 
 
-def test_a_shipped_density_is_not_trained(tmp_path: Path) -> None:
+def test_a_shipped_density_is_not_trained() -> None:
     shipped = Setting("003_cracker_box", ring(16), 16)
-    other = Setting("003_cracker_box", ring(8), 8)
-    assert trained.trainings([shipped, other], tmp_path).keys() == {other}
+    assert not trained.is_learned("density", shipped)
+    assert trained.is_learned("density", replace(shipped, skin=ring(8), columns=8))
+    assert trained.is_learned("paper", shipped)  # no bundle has the paper's
+    assert not trained.is_learned("table", shipped)
     assert trained.proposal_of("density", shipped, "").name == "density"
 
 
 def test_a_density_is_trained_once_and_read_from_its_file(block: Path, tmp_path: Path) -> None:
     setting = Setting(str(block), ring(8), 8, updates=0.001)
-    job = trained.trainings([setting], tmp_path)[setting]
+    job = trained.trainings([(setting, "density")], tmp_path)[setting, "density"]
     job.work(*job.arguments, *job.beside)
     (file,) = job.beside
     assert Path(file).parent == tmp_path
     sampler = trained.proposal_of("density", setting, file)
     z, live = np.eye(1, 40)[0], np.ones(40, dtype=bool)
     assert sampler.propose(z, live, 5, np.random.default_rng(0)).shape == (5, 3)
+
+
+def test_the_papers_own_diffusion_is_run_by_the_papers_own_rule(
+    block: Path, tmp_path: Path
+) -> None:
+    assert Method("paper", "paper", 100) in filter_experiment.METHODS
+    variant = trained.LEARNED["paper"]
+    assert (variant.training.contacts, variant.frame, variant.view) == (10_000, "pose", "plain")
+    few = replace(variant, samplers=((Solver.DDIM, 2),))  # a hundred steps are slow to export
+    setting = Setting(str(block), ring(8), 8, updates=0.001)
+    file = tmp_path / "paper.onnx"
+    trained.train(setting, few, str(file))
+    cell = Cell(setting, Method("paper", "paper", 20))
+    ((first, *_),) = cells.play(cell, 0, 1, "", str(file))
+    assert first[0] is not None
 
 
 def test_more_trials_add_to_those_that_are_remembered(

@@ -14,7 +14,6 @@ from taxeld.estimator.estimate import Status
 from taxeld_training.filters import fingerprint, follow, trained
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.methods import Method, TouchResult
-from taxeld_training.filters.trained import DENSITY
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs
@@ -74,17 +73,21 @@ def chosen(methods: Sequence[Method], proposals: Sequence[str]) -> list[Method]:
 def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Results]:
     """Results of cells, of as many trials of each as given, or as time allows.
 
-    Densities are trained first. Then every cell gets a first block of trials before any gets a
+    What is learned is trained first. Then every cell gets a first block of trials before any gets a
     second one; the grid filter, which takes longest, comes last.
     """
     counts = dict(wanted)
-    files = _train({cell.setting for cell in counts if cell.method.proposal == DENSITY}, options)
+    learned = {
+        cell: (cell.setting, cell.method.proposal)
+        for cell in counts
+        if trained.is_learned(cell.method.proposal, cell.setting)
+    }
+    files = _train(set(learned.values()), options)
     todo: list[tuple[int, Cell, Job]] = []
     for cell, count in counts.items():
-        density = cell.method.proposal == DENSITY
-        if density and cell.setting not in files:
+        file = files.get(learned[cell]) if cell in learned else ""
+        if file is None:
             continue
-        file = files[cell.setting] if density else ""
         block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
         for first in range(0, count, block):
             seeds = (SEEDS_APART * options.seed + first, min(block, count - first))
@@ -99,7 +102,7 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
 
 
 def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[Any]]:
-    """Results of the trials of `count` seeds, with the density of `file`, as JSON has them.
+    """Results of the trials of `count` seeds, as JSON has them; `file` has a learned proposal.
 
     `code` is part of the job's key alone.
     """
@@ -121,14 +124,12 @@ def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[
     ]
 
 
-def _train(settings: Iterable[Setting], options: Options) -> dict[Setting, str]:
-    """The file of each setting's density, "" where one is shipped. A setting is left out where
-    time ran out before its training."""
-    settings = sorted(settings, key=lambda setting: setting.name)
-    todo = trained.trainings(settings, options.memory.resolve())
+def _train(wanted: Iterable[trained.Wanted], options: Options) -> dict[trained.Wanted, str]:
+    """The file of each; one is left out where time ran out before its training."""
+    ordered = sorted(wanted, key=lambda each: (each[0].name, each[1]))
+    todo = trained.trainings(ordered, options.memory.resolve())
     done = run_jobs(list(todo.values()), options) if todo else {}
-    files = {setting: "" for setting in settings if setting not in todo}
-    return files | {each: job.beside[0] for each, job in todo.items() if done[job.name]}
+    return {each: job.beside[0] for each, job in todo.items() if done[job.name]}
 
 
 def _rounded(error_mm: float) -> float | None:

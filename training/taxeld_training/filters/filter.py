@@ -10,7 +10,7 @@ import numpy as np
 from taxeld_training.filters import cells
 from taxeld_training.filters.cells import COLUMNS, Cell, setting_of
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
-from taxeld_training.filters.trained import DENSITY
+from taxeld_training.filters.trained import DENSITY, PAPER
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.objects import meshes
@@ -23,6 +23,7 @@ METHODS = (
         for proposal in (DENSITY, "table", "manifold", "projection")
         for injection in ("mixture", "paper")
     ),
+    Method(PAPER, "paper", 100),  # both of the paper: its Fig. 3
     SHIPPED,
     Method(GRID),
 )
