@@ -17,12 +17,13 @@ from taxeld.estimator.rule import noise_of
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.proposals.analytic import Table
 from taxeld_training.cli import main
-from taxeld_training.filters import cells, fingerprint, follow, methods, trained
+from taxeld_training.filters import cells, follow, methods, trained
 from taxeld_training.filters import filter as filter_experiment
 from taxeld_training.filters.cells import Cell
 from taxeld_training.filters.conditions import SILENT, Conditions
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
+from taxeld_training.jobs import fingerprint
 from taxeld_training.jobs.options import Options
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.models.diffusion import Solver
@@ -32,7 +33,11 @@ KEYS = {
     "object", "proposal", "injection", "particles", "contact", "map_mm", "mean_mm", "success_rate",
     "seeds",
 }  # fmt: skip
-ADDED = {"flagged_rate", "silent_failure_rate", "particles_mean", "particles_max"}
+ADDED = {
+    "flagged_rate", "silent_failure_rate", "silent_failure_ci", "silent_so_far_rate",
+    "silent_so_far_ci", "success_ci", "success_meant_rate", "map_mm_ci", "mean_mm_ci", "p_shipped",
+    "particles_mean", "particles_max",
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +70,11 @@ def test_rows_have_the_contracts_keys_and_are_remembered(block: Path, tmp_path: 
         assert row["map_mm"]["q10"] <= row["map_mm"]["median"] <= row["map_mm"]["q90"]
         assert row["seeds"] == 3
         assert row["silent_failure_rate"] + row["flagged_rate"] <= 1.0
+        assert row["silent_failure_rate"] <= row["silent_so_far_rate"]
+        assert row["success_ci"][0] <= row["success_rate"] <= row["success_ci"][1]
+        assert row["map_mm_ci"][0] <= row["map_mm"]["median"] <= row["map_mm_ci"][1]
+        assert row["success_meant_rate"] == row["success_rate"]  # there is one object
+        assert row["p_shipped"] is None  # which was not run
     best = [row for row in rows if (row["proposal"], row["injection"]) == ("table", "mixture")]
     assert [row["contact"] for row in best] == list(range(1, 9))
     assert best[-1]["map_mm"]["median"] < best[0]["map_mm"]["median"]
@@ -131,7 +141,7 @@ def test_more_trials_add_to_those_that_are_remembered(
     begun = {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
     more = cells.run([(cell, 4)], options)[cell]
     assert len(few) == 2
-    assert more[:2] == few
+    assert {seed: more[seed] for seed in few} == few
     assert len(more) == 4
     assert all(path.stat().st_mtime_ns == at for path, at in begun.items())
     assert more[2] != few[0]
@@ -155,7 +165,7 @@ def test_cells_that_differ_are_named_differently() -> None:
 
 
 def test_other_code_makes_another_job_and_other_comments_do_not() -> None:
-    assert fingerprint.of("table") == fingerprint.of("density") != fingerprint.of(GRID)
+    assert methods.code("table") == methods.code("density") != methods.code(GRID)
     source = "class A:\n    def f(self):\n        return 1\n"
     documented = (
         '"""Doc."""\nclass A:\n    """Doc."""\n\n    def f(self):  # why\n        return 1\n'
@@ -167,12 +177,10 @@ def test_other_code_makes_another_job_and_other_comments_do_not() -> None:
 def test_each_room_that_decides_results_is_in_the_key_of_a_job(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    names = {fingerprint.of("table")}
-    for rooms in (fingerprint.ROOMS[:1], fingerprint.ROOMS[1:]):
-        monkeypatch.setattr(fingerprint, "ROOMS", rooms)
-        fingerprint.of.cache_clear()
-        names.add(fingerprint.of("table"))
-    fingerprint.of.cache_clear()
+    names = {methods.code("table")}
+    for rooms in (methods.ROOMS[:1], methods.ROOMS[1:]):
+        monkeypatch.setattr(methods, "ROOMS", rooms)
+        names.add(methods.code("table"))
     assert len(names) == 3
 
 
@@ -212,7 +220,7 @@ def test_a_methods_filter_has_its_sizes_and_the_given_seed() -> None:
 def test_a_touch_succeeds_or_fails_by_its_error_and_status(
     error_mm: float, status: Status, succeeded: bool, silent: bool
 ) -> None:
-    result = TouchResult(error_mm, error_mm, status, 100)
+    result = TouchResult(error_mm, error_mm, status, 100, error_mm)
     assert (result.succeeded, result.failed_silently) == (succeeded, silent)
 
 

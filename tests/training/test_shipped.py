@@ -7,7 +7,8 @@ import pytest
 
 from taxeld.estimator.estimate import Status
 from taxeld_training.cli import main
-from taxeld_training.filters import cells, shipped
+from taxeld_training.filters import cells
+from taxeld_training.filters.figures import p_success, shares
 from taxeld_training.filters.methods import TouchResult
 
 
@@ -32,8 +33,22 @@ def test_a_row_an_object_condition_and_contact_and_a_table_of_them(
 
 
 def test_a_silent_failure_counts_at_its_contact_and_ever_after() -> None:
-    right, wrong = (TouchResult(mm, mm, Status.CONVERGED, 100) for mm in (1.0, 99.0))
-    trials = [[right, wrong, right], [right, right, right]]
-    rows = [shipped._row([trial[:k] for trial in trials]) for k in (1, 2, 3)]
+    right, wrong = (TouchResult(mm, mm, Status.CONVERGED, 100, mm) for mm in (1.0, 99.0))
+    trials = {0: [right, wrong, right], 1: [right, right, right]}
+    rows = [shares(trials, contact) for contact in (1, 2, 3)]
     assert [row["silent_failure_rate"] for row in rows] == [0.0, 0.5, 0.0]
     assert [row["silent_so_far_rate"] for row in rows] == [0.0, 0.5, 0.5]
+
+
+def test_methods_are_compared_on_the_trials_that_both_have() -> None:
+    right, wrong = (TouchResult(mm, mm, Status.CONVERGED, 100, mm) for mm in (1.0, 99.0))
+    better = {seed: [right] for seed in range(10)}
+    worse = {seed: [right if seed < 4 else wrong] for seed in range(30)}
+    assert p_success(better, worse, 1) == pytest.approx(2.0 * 0.5**6)  # six differ, all one way
+    assert p_success(better, better, 1) == 1.0
+
+
+def test_of_two_objects_both_readings_of_success_are_counted() -> None:
+    other = TouchResult(1.0, 1.0, Status.CONVERGED, 100, 80.0)
+    rates = shares({0: [other], 1: [other._replace(meant_mm=1.0)]}, 1)
+    assert (rates["success_rate"], rates["success_meant_rate"]) == (1.0, 0.5)

@@ -15,6 +15,7 @@ from taxeld.layout import read as layouts
 from taxeld.model.scene import CONTINUOUS
 from taxeld_training import bundles
 from taxeld_training.build import build
+from taxeld_training.limits.quality import BANK
 from taxeld_training.models.variants import trained_with
 from taxeld_training.objects.setting import DEPTH_MAX_M, HEIGHT_M
 from taxeld_training.samplers.candidates import VARIANTS, Candidates
@@ -47,6 +48,7 @@ def _build(args: argparse.Namespace) -> int:
     given = Candidates(
         variants=tuple(trained_with(v, args.effort, args.contacts, args.seed) for v in VARIANTS),
         bank=args.bank,
+        readings=args.readings,
         seed=args.seed,
     )
     columns = (SpinnerColumn(), *Progress.get_default_columns(), TimeElapsedColumn())
@@ -154,7 +156,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--contacts", type=int, default=300_000, help="simulated, to train on")
     one.add_argument(
-        "--bank", type=int, default=1_000_000, help="contacts of the exact posterior measured to"
+        "--bank", type=int, default=BANK, help="contacts that exact posteriors begin with"
+    )
+    one.add_argument(
+        "--readings", type=int, default=Candidates.readings, help="that samplers are measured on"
     )
     one.add_argument("--seed", type=int, default=0)
     one.set_defaults(command=_build)

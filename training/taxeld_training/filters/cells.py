@@ -11,7 +11,7 @@ from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
-from taxeld_training.filters import fingerprint, follow, trained
+from taxeld_training.filters import follow, methods, trained
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.trials import Trial
@@ -26,7 +26,7 @@ BLOCK, GRID_BLOCK = 25, 5  # seeds a job; a trial of the grid filter takes secon
 SEEDS_APART = 100_000  # from the first trial of one --seed to that of the next
 QUICK_UPDATES = 0.02
 
-Results = list[list[TouchResult]]  # of each trial, one a touch
+Results = dict[int, list[TouchResult]]  # of each trial by its seed, one a touch
 
 
 @dataclass(frozen=True)
@@ -90,14 +90,15 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
             continue
         block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
         for first in range(0, count, block):
-            seeds = (SEEDS_APART * options.seed + first, min(block, count - first))
-            arguments = (cell, *seeds, fingerprint.of(cell.method.proposal))
+            seeds = (_seed(options, first), min(block, count - first))
+            arguments = (cell, *seeds, methods.code(cell.method.proposal))
             todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))
     todo.sort(key=lambda each: (each[1].method.proposal == GRID, each[0]))
     done = run_jobs([job for _, _, job in todo], options)
-    found: dict[Cell, Results] = {cell: [] for cell in counts}
-    for _, cell, job in todo:
-        found[cell] += [[_read(*touch) for touch in trial] for trial in done[job.name] or []]
+    found: dict[Cell, Results] = {cell: {} for cell in counts}
+    for first, cell, job in sorted(todo, key=lambda each: each[0]):
+        for seed, trial in enumerate(done[job.name] or [], _seed(options, first)):
+            found[cell][seed] = [_read(*touch) for touch in trial]
     return {cell: results for cell, results in found.items() if results}
 
 
@@ -115,7 +116,13 @@ def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[
         proposal = trained.proposal_of(cell.method.proposal, cell.setting, file)
     return [
         [
-            (_rounded(touch.map_mm), _rounded(touch.mean_mm), touch.status, touch.particles)
+            (
+                _rounded(touch.map_mm),
+                _rounded(touch.mean_mm),
+                touch.status,
+                touch.particles,
+                _rounded(touch.meant_mm),
+            )
             for touch in follow.follow(
                 Trial(touched, seed, TOUCHES, cell.conditions), cell.method, model, proposal
             )
@@ -132,16 +139,18 @@ def _train(wanted: Iterable[trained.Wanted], options: Options) -> dict[trained.W
     return {each: job.beside[0] for each, job in todo.items() if done[job.name]}
 
 
+def _seed(options: Options, first: int) -> int:
+    return SEEDS_APART * options.seed + first
+
+
 def _rounded(error_mm: float) -> float | None:
     return round(error_mm, 4) if math.isfinite(error_mm) else None
 
 
 def _read(
-    map_mm: float | None, mean_mm: float | None, status: int | None, particles: int
-) -> TouchResult:
-    return TouchResult(
-        math.nan if map_mm is None else map_mm,
-        math.nan if mean_mm is None else mean_mm,
-        None if status is None else Status(status),
-        particles,
-    )
+    map_mm: float | None, mean_mm: float | None, status: int | None, particles: int,
+    meant_mm: float | None,
+) -> TouchResult:  # fmt: skip
+    found = (math.nan if error is None else error for error in (map_mm, mean_mm, meant_mm))
+    peak, mean, meant = found
+    return TouchResult(peak, mean, None if status is None else Status(status), particles, meant)

@@ -10,8 +10,8 @@ from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.soft_skin import SKINS, SoftSkin
+from taxeld_training.models.dataset import SILENT
 
-SILENT = 5.0  # standard deviations of noise under which a reading is 0: a trial's noise is no touch
 MODULE = 10  # taxels
 SIDE_RAD = np.pi / 4.0  # a side reaches this far in both directions
 NUDGE_RAD = np.pi / 6.0  # between a nudge and the contact's normal, at most: friction

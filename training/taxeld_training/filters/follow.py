@@ -33,8 +33,8 @@ def follow(
     for _, moments in groupby(trial, key=lambda moment: moment.touch):
         for moment in moments:
             estimate = estimator.on_scan(moment.activation, moment.sensor)
-        errors = _errors(trial, model, moment, estimate.map, estimate.mean)
-        found.append(TouchResult(*errors, estimate.status, estimate.particles))
+        peak, mean, meant = _errors(trial, model, moment, estimate.map, estimate.mean)
+        found.append(TouchResult(peak, mean, estimate.status, estimate.particles, meant))
     return found
 
 
@@ -50,10 +50,10 @@ def _follow_grid(trial: Trial, model: ObservationModel) -> list[TouchResult]:
             new = news.on_scan(read.t, scan)
             if new is not None:
                 grid.update(new, touched=new.is_contact)
-        errors = (math.nan, math.nan)
+        peak = mean = meant = math.nan
         if len(grid):
-            errors = _errors(trial, model, moment, *grid.estimate())
-        found.append(TouchResult(*errors, None, len(grid)))
+            peak, mean, meant = _errors(trial, model, moment, *grid.estimate())
+        found.append(TouchResult(peak, mean, None, len(grid), meant))
     return found
 
 
@@ -81,11 +81,12 @@ def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str
 
 def _errors(
     trial: Trial, model: ObservationModel, moment: Moment, peak: Poses, mean: Poses
-) -> tuple[float, float]:
-    """Symmetric ADD [mm] of the heaviest mode and of the mean. Where two objects of one kind are
-    touched the nearer counts, as no reading tells which of them is meant."""
+) -> tuple[float, float, float]:
+    """Symmetric ADD [mm] of the heaviest mode and of the mean, and of the mode once more. Where two
+    objects of one kind are touched the nearer counts for the first two, as no reading tells which
+    of them is meant; for the last the one that the trial means."""
     if trial.model is not model:
-        return math.nan, math.nan
+        return math.nan, math.nan, math.nan
     truths = [moment.truth] if moment.twin is None else [moment.truth, moment.twin]
-    off = [min(add_m(model.scene, pose, truth)[1] for truth in truths) for pose in (peak, mean)]
-    return off[0] * 1e3, off[1] * 1e3
+    peaks, means = ([add_m(model.scene, p, truth)[1] for truth in truths] for p in (peak, mean))
+    return min(peaks) * 1e3, min(means) * 1e3, peaks[0] * 1e3

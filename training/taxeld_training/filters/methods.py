@@ -11,7 +11,14 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.rule import noise_of
 from taxeld.model.symmetry import SILENT_MM
-from taxeld_training.jobs.rows import SUCCESS_MM
+from taxeld_training.jobs import fingerprint
+from taxeld_training.jobs.rows import GRID, SUCCESS_MM
+
+# what decides a filter's estimates in a trial; where it has particles, their samples as well
+ROOMS = ("taxeld.model", "taxeld.estimator", "taxeld_training.filters")
+DRAWN = ("taxeld.config.tables", "taxeld_training.models.dataset")
+GRIDS = ("taxeld_training.limits.grid_filter", "taxeld_training.limits.grid_cells")
+SAMPLES = ("taxeld.proposals",)
 
 NOISE = noise_of(FilterConfig())  # of the grid filter as well
 
@@ -51,14 +58,19 @@ class TouchResult(NamedTuple):
     """A filter's estimate after a touch; errors are nan where there is none, and where the filter
     assumes another object than the one touched."""
 
-    map_mm: float
+    map_mm: float  # to the nearest of the objects of the kind, if there are two
     mean_mm: float
     status: Status | None  # None: the grid filter has none
     particles: int
+    meant_mm: float  # of the map, to the one that the trial means
 
     @property
     def succeeded(self) -> bool:
         return self.map_mm < SUCCESS_MM
+
+    @property
+    def found_the_one_meant(self) -> bool:
+        return self.meant_mm < SUCCESS_MM
 
     @property
     def converged(self) -> bool:
@@ -67,3 +79,9 @@ class TouchResult(NamedTuple):
     @property
     def failed_silently(self) -> bool:
         return self.converged and not self.map_mm <= SILENT_MM
+
+
+def code(proposal: str) -> str:
+    """Hash of the code that decides a trial's results with such a proposal, so that other code is
+    another job."""
+    return fingerprint.of(*ROOMS, *DRAWN, *(GRIDS if proposal == GRID else SAMPLES))

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld_training.filters import fingerprint, follow, trained
+from taxeld_training.filters import follow, methods, trained
 from taxeld_training.filters.cells import COLUMNS, setting_of
-from taxeld_training.filters.filter import quantiles
+from taxeld_training.filters.figures import quantiles
 from taxeld_training.filters.pusher import PushedTrial
 from taxeld_training.filters.trained import DENSITY
 from taxeld_training.jobs.jobs import Job
@@ -37,7 +37,7 @@ def run(options: Options) -> list[Path]:
         cell: [
             Job(
                 f"push-{cell[0].name}-{cell[1]}-{first}", play,
-                (*cell, first, min(BLOCK, seeds - first), fingerprint.of(DENSITY)),
+                (*cell, first, min(BLOCK, seeds - first), methods.code(DENSITY)),
             )
             for first in range(0, seeds, BLOCK)
         ]

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from taxeld_training.filters import cells
-from taxeld_training.filters.cells import COLUMNS, Cell, setting_of
+from taxeld_training.filters.cells import COLUMNS, Cell, Results, setting_of
 from taxeld_training.filters.conditions import Conditions
-from taxeld_training.filters.filter import quantiles, shares
-from taxeld_training.filters.methods import SHIPPED, TouchResult
+from taxeld_training.filters.figures import errors, shares
+from taxeld_training.filters.methods import SHIPPED
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.objects import meshes
 
@@ -27,8 +27,8 @@ CONDITIONS = {
 
 
 def run(options: Options) -> list[Path]:
-    """Rows {object, condition, contact, success_rate, flagged_rate, silent_failure_rate,
-    silent_so_far_rate, map_mm, seeds} and a table of them."""
+    """Rows {object, condition, contact, map_mm, seeds and what `figures.shares` has}, and a table
+    of them."""
     objects = options.objects or OBJECTS
     for name in objects:
         meshes.find(name)
@@ -41,8 +41,7 @@ def run(options: Options) -> list[Path]:
     }
     found = cells.run([(cell, seeds) for cell in wanted.values()], options)
     rows = [
-        {"object": name, "condition": condition, "contact": contact}
-        | _row([trial[:contact] for trial in found[cell]])
+        {"object": name, "condition": condition, "contact": contact} | _row(found[cell], contact)
         for (name, condition), cell in wanted.items()
         if cell in found
         for contact in range(1, cells.TOUCHES + 1)
@@ -53,16 +52,9 @@ def run(options: Options) -> list[Path]:
     return [data, table]
 
 
-def _row(trials: Sequence[Sequence[TouchResult]]) -> dict[str, Any]:
-    """Of trials up to a contact."""
-    last = [trial[-1] for trial in trials]
-    so_far = [any(result.failed_silently for result in trial) for trial in trials]
-    return {
-        **shares(last),
-        "silent_so_far_rate": round(float(np.mean(so_far)), 4),
-        "map_mm": quantiles([result.map_mm for result in last]),
-        "seeds": len(trials),
-    }
+def _row(results: Results, contact: int) -> dict[str, Any]:
+    last = [trial[contact - 1] for trial in results.values()]
+    return shares(results, contact) | errors(last, "map_mm") | {"seeds": len(results)}
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> str:
