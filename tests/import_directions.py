@@ -53,14 +53,14 @@ ROOMS = {  # what a room may import of its package, beside itself and what stand
     "taxeld_training": {
         "objects": "",
         "models": "",
-        "limits": "models",
+        "limits": "models jobs",
         "jobs": "",
         "charts": "jobs",
         "samplers": "objects models limits jobs charts",
         "filters": "objects models limits jobs charts",
         "bundles": "",
         "build": "objects samplers bundles",
-        "cli": "objects models jobs samplers filters bundles build",
+        "cli": "objects models limits jobs samplers filters bundles build",
     },
 }
 EVERYWHERE = {"", "arrays", "errors"}  # a package itself, and these of its modules

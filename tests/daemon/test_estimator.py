@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from taxeld.arrays import Poses
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
@@ -186,6 +186,26 @@ def test_by_the_papers_rule_nothing_is_remembered(box_model: ObservationModel) -
     assert subject.counters.injections == 1
     assert len(subject.rule.belief) == 100
     assert not hasattr(subject.rule, "memory")
+
+
+@pytest.mark.parametrize(
+    ("decay", "expected"), [(0.5, [50, 25, 12, 6, 3, 2, 1]), (0.0, [50]), (1.0, [50] * 8)]
+)
+def test_by_the_papers_rule_a_contact_asks_for_fewer_samples_than_the_one_before_down_to_none(
+    box_model: ObservationModel, decay: float, expected: list[int]
+) -> None:
+    asked = []
+
+    class Asked(Projection):
+        def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
+            asked.append(n)
+            return super().propose(z, live, n, rng)
+
+    config = FilterConfig(injection="paper", injected_decay=decay)
+    subject = Estimator(box_model, Asked(box_model), config)
+    for k in range(8):
+        approach(subject, box_model, t=10.0 * k)
+    assert asked == expected
 
 
 def test_the_memory_is_bounded(box_model: ObservationModel) -> None:

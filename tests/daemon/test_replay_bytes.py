@@ -23,7 +23,7 @@ FIXED = {
 }
 DIGESTS = {
     'proposal = "table"': "acef83c2a357803e",
-    'proposal = "manifold"\ninjection = "paper"': "ffcd74a792e83c26",
+    'proposal = "manifold"\ninjection = "paper"': "c9531063bd1cfe10",
     'proposal = "table"\nmotion = "push"': "1a8ff07d8ae7cadc",
     'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "52d25d9eb5dd4df3",
 }

@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +26,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh.invert()
     mesh.export(place / "block.stl")
     arguments = ["build", str(place / "block.stl"), "--skin", SKIN, "--out", str(place / "block")]
-    small = ["--effort", "0.01", "--contacts", "5000", "--bank", "5000"]
+    small = ["--effort", "0.01", "--contacts", "5000", "--bank", "5000", "--readings", "12"]
     assert main(arguments + small) == 0
     return place / "block"
 
@@ -62,19 +63,40 @@ def test_the_bundle_records_each_samplers_cost_and_distance(built: Path) -> None
     assert "exact draws" in info["measured"]
 
 
-def test_the_daemons_order_begins_with_the_cheapest_that_is_as_good_as_the_best() -> None:
+def measured(mean: float, ms: float, spread: float = 0.2, readings: int = 200) -> dict[str, Any]:
+    """A proposal's distances to as many readings, some of which are hard for all proposals."""
+    rng = np.random.default_rng(0)
+    hard = rng.lognormal(0.0, 0.5, readings)
+    own = np.random.default_rng(round(1e6 * mean)).normal(1.0, spread, readings)
+    distances = hard * own
+    distances *= mean / distances.mean()
+    return {"energy_distance": mean, "ms": ms, "distances": distances}
+
+
+def test_the_daemons_order_begins_with_the_cheapest_that_is_shown_to_be_as_good_as_the_best() -> (
+    None
+):
     candidates = {
-        "dear": {"energy_distance": 0.100, "ms": 9.0},
-        "cheap": {"energy_distance": 0.114, "ms": 0.2},
-        "bad": {"energy_distance": 0.300, "ms": 0.1},
-        "worst": {"energy_distance": 0.900, "ms": 0.1},
+        "dear": measured(0.100, 9.0),
+        "cheap": measured(0.105, 0.2),
+        "bad": measured(0.300, 0.1),
+        "worst": measured(0.900, 0.1),
     }
     chosen = choose(candidates, 1.15)
     assert chosen["order"] == ["cheap", "dear", "bad", "worst"]
     assert "cheap" in chosen["why"]
     assert "1.15" in chosen["why"]
-    assert choose(candidates, 1.1)["order"] == ["dear", "cheap", "bad", "worst"]
+    assert choose(candidates, 1.0)["order"] == ["dear", "cheap", "bad", "worst"]
     assert choose(candidates, 4.0)["order"][0] == "bad"
+
+
+def test_what_noise_alone_makes_as_good_is_not_preferred() -> None:
+    """Of few readings with errors of their own a mean within the tolerance says nothing."""
+    few = {
+        "dear": measured(0.100, 9.0, spread=0.6, readings=12),
+        "cheap": measured(0.110, 0.2, spread=0.6, readings=12),
+    }
+    assert choose(few, 1.15)["order"] == ["dear", "cheap"]
 
 
 def test_the_bundle_records_repairs_and_the_grids_error(built: Path) -> None:

@@ -8,7 +8,7 @@ from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import add_m
-from taxeld_training.limits.metrics import add, add_s, add_symmetric, sample_errors
+from taxeld_training.limits.metrics import add, add_s, add_symmetric, sample_errors, summary
 from taxeld_training.models.dataset import simulate
 from taxeld_training.objects import scenes
 
@@ -53,9 +53,31 @@ def test_residuals_are_zero_at_the_truth_and_grow_with_the_error(model: Observat
     truth, z = touch.pose[0], touch.activation[0].astype(float)
     direction = truth[:2] / np.linalg.norm(truth[:2])
     farther = truth + np.array([*(0.002 * direction), 0.0])
-    errors = sample_errors(model, z, truth, np.stack([truth, farther]))
+    poses = np.stack([truth, farther])
+    errors = sample_errors(model, z, truth, poses, np.random.default_rng(0))
     assert errors.contact_residual_mm[0] == pytest.approx(0.0, abs=1e-9)
     assert 0.5 < errors.contact_residual_mm[1] <= 2.01
     assert errors.observation_residual[0] < 1e-6
     assert errors.observation_residual[1] > 0.05
     assert errors.add_mm[1] == pytest.approx(2.0)
+
+
+def test_the_few_samples_of_costly_errors_are_drawn_from_all(model: ObservationModel) -> None:
+    """A sampler may give its samples in order: the nearest first, or one mode after another."""
+    touches = simulate(model, 40, np.random.default_rng(0))
+    z, truth = touches.activation.astype(float), touches.pose
+    ordered = [
+        np.concatenate([np.repeat(pose[None], 50, 0), np.repeat(pose[None] + [0.05, 0, 0], 50, 0)])
+        for pose in truth
+    ]
+    found = [
+        summary(model, z, truth, samples, np.random.default_rng(1))
+        for samples in (ordered, [poses[::-1] for poses in ordered])
+    ]
+    for figures in found:
+        each = sample_errors(model, z[0], truth[0], ordered[0], np.random.default_rng(2))
+        assert 0.0 < each.add_sym_mm.mean() < 50.0
+        low, high = figures["add_sym_mm_ci"]
+        assert low <= figures["add_sym_mm"] <= high
+        assert low < 1.0
+        assert high > 40.0  # half of the samples are 50 mm off

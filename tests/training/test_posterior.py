@@ -7,9 +7,17 @@ import torch
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
+from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Noise, ObservationModel
 from taxeld_training.limits.posterior import ExactPosterior, energy_distance
-from taxeld_training.models.dataset import MIN_ACTIVATION, Batches, simulate
+from taxeld_training.models.dataset import (
+    FLOOR_MAX,
+    MIN_ACTIVATION,
+    Batches,
+    floor_of,
+    read,
+    simulate,
+)
 from taxeld_training.models.frames import PoseFrame
 
 from .conftest import RING
@@ -39,6 +47,50 @@ def test_batches_are_readings_of_their_poses(model: ObservationModel) -> None:
     expected = model.activation(pose.astype(np.float64)) * live
     assert np.abs(expected - z).mean() < 1e-3
     assert 0.01 < (live == 0).mean() < 0.2
+
+
+def test_training_meets_readings_that_are_0_under_a_floor(model: ObservationModel) -> None:
+    """Of any height up to that of the trials' skins; what is learned holds for all."""
+    touches = simulate(model, 3000, np.random.default_rng(0))
+    batches = Batches(touches, PoseFrame().encode(touches.pose), NOISE, 1, torch.device("cpu"))
+    z = batches.draw(3000)[0].numpy()
+    least = np.where(z > 0.0, z, np.inf).min(axis=1)
+    assert (least >= FLOOR).all()
+    assert 0.3 < np.mean(least > 0.5 * FLOOR_MAX) < 1.0  # of an unthresholded skin hardly any
+    assert floor_of(NOISE) < FLOOR_MAX
+    assert (z.max(axis=1) > 0.0).mean() > 0.99
+
+
+def test_readings_are_as_a_filter_sees_them(model: ObservationModel) -> None:
+    seen = read(model, NOISE, 500, np.random.default_rng(0), dead=0.3)
+    assert len(seen) == 500
+    assert seen.floor == 0.1
+    assert ((seen.z == 0.0) | (seen.z >= seen.floor)).all()
+    assert seen.z.any(axis=1).all()  # each is felt
+    assert (seen.z[~seen.live] == 0.0).all()
+    assert np.mean(~seen.live) == pytest.approx(0.3, abs=0.02)
+
+
+def test_what_lies_under_the_floor_is_censored_by_the_exact_posterior(
+    model: ObservationModel,
+) -> None:
+    """Against importance weights by the daemon's own likelihood with that floor."""
+    rng = np.random.default_rng(0)
+    bank = simulate(model, 4000, rng)
+    seen = read(model, NOISE, 5, rng)
+    told = []
+    for floor in (seen.floor, FLOOR):
+        posterior = ExactPosterior(bank, SKIN, NOISE, floor)
+        for z, live in zip(seen.z, seen.live, strict=True):
+            log_w = np.concatenate([
+                NOISE.log_density(z, bank.activation[:, turn].astype(float), seen.floor).sum(axis=1)
+                for turn in SKIN.turns
+            ])  # fmt: skip
+            w = np.exp(log_w - log_w.max())
+            ess = posterior.sample(z, live, 1, rng).ess
+            told.append(np.isclose(ess, w.sum() ** 2 / (w**2).sum(), rtol=0.05))
+    assert all(told[:5])
+    assert not all(told[5:])
 
 
 def test_the_exact_posterior_finds_the_true_pose(model: ObservationModel) -> None:

@@ -6,15 +6,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import optimize
 
+from taxeld.arrays import Floats
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters import push
+from taxeld_training.filters.ground import Ground
 from taxeld_training.filters.pusher import DEPTH_M, STEP_M, TOUCHES, PushedTrial, gave_way
 from taxeld_training.jobs.options import Options
 
-LIMIT_M = 0.03
+
+def even(friction: float = 0.4) -> Ground:
+    """A load that is the same all around the centre."""
+    angle = np.arange(16) * np.pi / 8.0
+    points = 0.03 * np.column_stack([np.cos(angle), np.sin(angle)])
+    return Ground(points, np.full(16, 1.0 / 16.0), friction)
 
 
 def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> float:
@@ -46,8 +54,58 @@ def test_the_object_stands_until_it_is_pushed_and_moves_no_farther_than_the_sens
 def test_a_push_through_the_centre_does_not_turn_the_object(ring_model: ObservationModel) -> None:
     before = np.array([0.03 + 0.04 - DEPTH_M, 0.0, 0.0])
     after = before - [STEP_M, 0.0, 0.0]
-    pose = gave_way(ring_model, np.zeros(3), before, after, LIMIT_M)
+    pose = gave_way(ring_model, np.zeros(3), before, after, even())
     assert np.allclose(pose, [-STEP_M, 0.0, 0.0], atol=[2e-4, 2e-4, 2e-3])
+
+
+def test_an_object_slides_with_the_least_power_that_follows_the_push() -> None:
+    """Against a search over all turns, which leave a contact that sticks one choice."""
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        angle = rng.uniform(-np.pi, np.pi, 16)
+        points = rng.uniform(0.0, 0.05, (16, 1)) * np.column_stack([np.cos(angle), np.sin(angle)])
+        load = rng.random(16)
+        ground = Ground(points, load / load.sum(), 100.0)  # never slips
+        contact, wanted = np.array([0.05, rng.uniform(-0.04, 0.04)]), np.array([-0.002, 0.0005])
+
+        def power(
+            turn: float, given: Ground = ground, at: Floats = contact, wanted: Floats = wanted
+        ) -> float:
+            shift = wanted - turn * np.array([-at[1], at[0]])
+            x, y = given.points.T
+            return float(given.load @ np.hypot(shift[0] - turn * y, shift[1] + turn * x))
+
+        best = optimize.minimize_scalar(power, bounds=(-0.2, 0.2), method="bounded")
+        motion = ground.slide(contact, wanted, np.array([-1.0, 0.0]))
+        assert power(float(motion[2])) <= power(float(best.x)) * 1.01
+        held = motion[:2] + motion[2] * np.array([-contact[1], contact[0]])
+        assert np.allclose(held, wanted, atol=1e-9)
+
+
+def test_a_contact_slips_where_its_friction_is_too_small() -> None:
+    contact, wanted = np.array([0.03, 0.0]), np.array([-0.001, 0.002])  # mostly sideways
+    inwards = np.array([-1.0, 0.0])
+    stuck = even(100.0).slide(contact, wanted, inwards)
+    slips = even(0.2).slide(contact, wanted, inwards)
+    for motion, holds in ((stuck, True), (slips, False)):
+        held = motion[:2] + motion[2] * np.array([-contact[1], contact[0]])
+        assert held @ inwards == pytest.approx(0.001)  # it follows all the same
+        assert np.allclose(held, wanted) == holds
+    smooth = even(0.0).slide(contact, wanted, inwards)
+    assert np.allclose(smooth, [-0.001, 0.0, 0.0], atol=1e-6)
+
+
+def test_no_filter_knows_the_grounds_of_the_trials(ring_model: ObservationModel) -> None:
+    grounds = [PushedTrial(ring_model, seed).ground for seed in range(40)]
+    off = [np.linalg.norm(g.centre - ring_model.scene.centre) for g in grounds]
+    radius_m = ring_model.scene.mean_radius
+    assert 0.1 * radius_m < np.median(off) < 0.4 * radius_m  # no filter has a load off the centre
+    frictions = [g.friction for g in grounds]
+    assert min(frictions) < 0.3
+    assert max(frictions) > 0.5
+    again = PushedTrial(ring_model, 0).ground
+    assert np.array_equal(again.points, grounds[0].points)
+    assert all(np.isclose(g.load.sum(), 1.0) for g in grounds)
 
 
 def test_the_quick_run_writes_a_row_an_object_and_motion(tmp_path: Path) -> None:
@@ -60,6 +118,9 @@ def test_the_quick_run_writes_a_row_an_object_and_motion(tmp_path: Path) -> None
     assert [(row["object"], row["motion"]) for row in rows] == [
         ("003_cracker_box", "push"), ("003_cracker_box", "none"),
     ]  # fmt: skip
+    assert rows[0]["p_push"] is None
+    assert 0.0 < rows[1]["p_push"] <= 1.0
+    assert all(r["end_mm_ci"][0] <= r["end_mm"]["median"] <= r["end_mm_ci"][1] for r in rows)
     followed, ignored = (row["path_mm"]["median"] for row in rows)
     assert followed < ignored
 

@@ -13,7 +13,7 @@ from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world import electronics
 from taxeld_training.filters import cells
 from taxeld_training.filters.conditions import Conditions
-from taxeld_training.filters.follow import Method
+from taxeld_training.filters.methods import Method
 from taxeld_training.filters.soft_skin import SKINS, Figures, SoftSkin
 from taxeld_training.filters.trials import Trial
 from taxeld_training.objects.setting import Setting, ring

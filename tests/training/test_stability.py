@@ -12,14 +12,15 @@ from taxeld_training.charts import stability_map
 from taxeld_training.cli import main
 from taxeld_training.filters import cells, stability
 from taxeld_training.filters.conditions import Conditions
-from taxeld_training.filters.filter import shares
-from taxeld_training.filters.follow import Method, TouchResult
+from taxeld_training.filters.figures import shares
+from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.stability import LEVELS, Level
 from taxeld_training.objects.setting import Setting, ring
 
 KEYS = {
-    "object", "factor", "level", "proposal", "injection", "success_rate", "flagged_rate",
-    "silent_failure_rate", "seeds",
+    "object", "factor", "level", "proposal", "injection", "success_rate", "success_ci",
+    "success_meant_rate", "flagged_rate", "silent_failure_rate", "silent_failure_ci",
+    "silent_so_far_rate", "silent_so_far_ci", "p_first", "seeds",
 }  # fmt: skip
 
 
@@ -54,7 +55,7 @@ def test_rows_and_map_of_an_object(
         assert row.keys() == KEYS
         assert row["seeds"] == 2
     assert 10_000 < file.with_suffix(".png").stat().st_size < 300_000
-    assert "| table mixture | 3 |" in file.with_suffix(".md").read_text(encoding="utf-8")
+    assert "| table mixture | all | 3 |" in file.with_suffix(".md").read_text(encoding="utf-8")
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
     assert main([*arguments, "--minutes", "0"]) == 0
     assert json.loads(file.read_text(encoding="utf-8")) == rows
@@ -65,12 +66,14 @@ def test_a_wrong_object_is_never_a_success() -> None:
     """And a filter that converges on it fails silently."""
     level = Level("wrong object", "003_cracker_box", touched="003_cracker_box")
     mug = Setting("025_mug", ring(16), 16)
-    cell = stability.cell_of(level, Method("table", "mixture"), mug)
+    cell = stability.cell_of(level, Method("table", "mixture", 100), mug)
     found = cells.play(cell, 0, 6, "", "")
     assert all(map_mm is None for trial in found for map_mm, *_ in trial)
-    wrong = TouchResult(math.nan, math.nan, Status.CONVERGED, 100)
-    rates = shares([wrong, wrong, wrong._replace(status=Status.AMBIGUOUS), wrong])
-    assert rates == {"success_rate": 0.0, "flagged_rate": 0.25, "silent_failure_rate": 0.75}
+    wrong = TouchResult(math.nan, math.nan, Status.CONVERGED, 100, math.nan)
+    flagged = wrong._replace(status=Status.AMBIGUOUS)
+    rates = shares({k: [each] for k, each in enumerate((wrong, wrong, flagged, wrong))}, 1)
+    assert (rates["success_rate"], rates["flagged_rate"]) == (0.0, 0.25)
+    assert rates["silent_failure_rate"] == rates["silent_so_far_rate"] == 0.75
 
 
 def test_every_factor_has_levels_of_its_own_that_differ() -> None:
@@ -98,7 +101,8 @@ def test_a_map_of_all_levels_is_small(tmp_path: Path) -> None:
             "object": name, "factor": level.factor, "level": level.level,
             "proposal": method.proposal, "injection": method.injection,
             "success_rate": (i % 11) / 10.0, "flagged_rate": 0.3,
-            "silent_failure_rate": 0.05 * (i % 3 == 0), "seeds": 100,
+            "silent_failure_rate": 0.05 * (i % 3 == 0), "silent_so_far_rate": 0.1, "seeds": 100,
+            "success_meant_rate": 0.2,
         }
         for i, level in enumerate(LEVELS)
         for name in level.objects or stability.OBJECTS

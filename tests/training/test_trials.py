@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
-from taxeld_training.filters import trials
+from taxeld_training.filters import motion, trials
 from taxeld_training.filters.conditions import SIDE_RAD, TWIN_GAP_M, Conditions, TrialSkin, Twin
 from taxeld_training.filters.trials import Moment, Trial
 
@@ -22,32 +22,94 @@ def moments(model: ObservationModel, seed: int = 3, **given: float) -> list[Mome
     return list(Trial(model, seed, TOUCHES, conditions))
 
 
+def by_touch(found: list[Moment]) -> list[list[Moment]]:
+    return [list(each) for _, each in groupby(found, key=lambda m: m.touch)]
+
+
 def true_pose(moment: Moment) -> NDArray[np.float64]:
     """Of the object in the frame of the sensor as reported."""
     return se2.compose(se2.inverse(moment.sensor), moment.truth)
 
 
-def test_the_default_conditions_are_the_plain_trial(ring_model: ObservationModel) -> None:
-    """As it was before there were any: what is drawn, and in which order."""
+def test_the_readings_of_a_plain_trial_are_noisy_activations_of_where_the_skin_is(
+    ring_model: ObservationModel,
+) -> None:
+    """With gains that last; what is drawn, and in which order."""
     model, rng = ring_model, np.random.default_rng(3)
     most = np.array([trials.PLACE_M, trials.PLACE_M, np.pi])
     truth = rng.uniform(-most, most)
     gain = np.maximum(1.0 + 0.17 * rng.standard_normal(len(model.layout)), 0.1)
     presses = trials.presses(model, TOUCHES, rng)
-    scans = iter(Trial(model, 3, TOUCHES))
-    for touch, press in enumerate(presses):
-        path = trials.approach(model, press)
-        for pose in (*path, press, press, press, path[-2]):
-            h = model.activation(pose[None])[0]
-            z = gain * h + 0.02 * rng.standard_normal(len(h))
-            z = np.where(z < 0.08, 0.0, np.minimum(z, 1.0))
-            moment = next(scans)
-            assert moment.touch == touch
-            assert np.array_equal(moment.activation.z, z)
-            assert moment.activation.live.all()
-            assert np.array_equal(moment.truth, truth)
-            assert np.array_equal(moment.sensor, se2.compose(truth, se2.inverse(pose)))
-    assert next(scans, None) is None
+    found = moments(model)
+    assert {m.touch for m in found} == set(range(TOUCHES))
+    for moment in found:
+        pose = true_pose(moment)
+        h = model.activation(pose[None])[0]
+        z = gain * h + 0.02 * rng.standard_normal(len(h))
+        z = np.where(z < 0.1, 0.0, np.minimum(z, 1.0))
+        assert np.allclose(moment.activation.z, z, atol=1e-6)
+        assert moment.activation.live.all()
+        assert moment.activation.floor == 0.1
+        assert np.allclose(moment.truth, truth)
+    for press, scans in zip(presses, by_touch(found), strict=True):
+        assert any(np.allclose(true_pose(scan), press) for scan in scans)
+
+
+def test_a_touch_is_approached_pressed_held_and_released_by_degrees(
+    ring_model: ObservationModel,
+) -> None:
+    """A filter meets rising and falling presses, and silence on the way, as on a robot."""
+    for scans in by_touch(moments(ring_model)):
+        gap_m = contacts.clearance(
+            ring_model.scene, ring_model.layout.radius_m, np.array([true_pose(m) for m in scans])
+        )
+        pressed = np.flatnonzero(gap_m < -1e-5)
+        assert (np.diff(pressed) == 1).all()  # one contact
+        deep = -gap_m[pressed]
+        held = np.flatnonzero(deep > deep.max() - 1e-5)
+        assert len(held) == Conditions().scans
+        assert (np.diff(deep[: held[0] + 1]) > 0.0).all()
+        assert (np.diff(deep[held[-1] :]) < 0.0).all()
+        assert held[0] >= 3
+        assert len(deep) - 1 - held[-1] >= 2
+        assert pressed[0] >= 6
+        assert 20 <= len(scans) <= 30
+        t = np.diff([m.activation.t for m in scans])
+        assert (t > 0.0).all()
+        assert np.allclose(t[pressed], motion.SCAN_S)
+
+
+def test_between_touches_the_skin_is_clear_of_every_object(ring_model: ObservationModel) -> None:
+    for given in ({}, {"both": 3}):
+        for scans in by_touch(moments(ring_model, **given)):
+            for moment in scans[: motion.FREE]:
+                for truth in (moment.truth, moment.twin):
+                    if truth is not None:
+                        seen = se2.compose(se2.inverse(moment.sensor), truth)
+                        gap_m = contacts.clearance(ring_model.scene, 0.04, seen[None])[0]
+                        assert gap_m > 0.02  # a grid of distances reaches no farther
+
+
+def test_a_press_nudges_the_object_away_from_the_skin_and_it_stays_there(
+    ring_model: ObservationModel,
+) -> None:
+    plain, given = moments(ring_model), moments(ring_model, nudged_m=0.002)
+    before = given[0].truth
+    assert np.array_equal(before, plain[0].truth)
+    for scans in by_touch(given):
+        free = scans[: motion.FREE + len(motion.APPROACH_M)]
+        assert all(np.allclose(m.truth, before) for m in free)
+        after = scans[-1].truth
+        moved = after[:2] - before[:2]
+        assert 0.0004 < np.hypot(*moved) < 0.006  # of the origin, as the object turns as well
+        inwards = scans[0].truth[:2] - scans[-1].sensor[:2]
+        assert moved @ inwards > -0.002 * np.hypot(*inwards)
+        steps = np.array([m.truth for m in scans])[len(free) - 1 :]
+        held = np.flatnonzero((np.abs(np.diff(steps, axis=0)) > 1e-12).any(axis=1))
+        assert len(held) == len(motion.PRESSING) + 1  # it gives way as it is pressed
+        before = after
+    for a, b in zip(plain, given, strict=True):  # the touches are the same
+        assert np.allclose(true_pose(a), true_pose(b), atol=1e-9)
 
 
 def test_a_seed_replays_a_trial(ring_model: ObservationModel) -> None:
@@ -80,7 +142,7 @@ def test_a_pushed_object_goes_along_a_line(ring_model: ObservationModel) -> None
     "given",
     [
         {"kidnapped_after": 2}, {"pushed_m": 0.02}, {"dead_share": 0.3}, {"stuck": 3},
-        {"drift": 0.1}, {"sensor_sd_m": 0.005},
+        {"drift": 0.1}, {"sensor_sd_m": 0.005}, {"nudged_m": 0.002},
     ],
 )  # fmt: skip
 def test_conditions_leave_the_touches_of_a_seed_as_they_are(
@@ -90,8 +152,8 @@ def test_conditions_leave_the_touches_of_a_seed_as_they_are(
     for a, b in zip(moments(ring_model), moments(ring_model, **given), strict=True):
         if "sensor_sd_m" not in given:
             assert np.allclose(true_pose(a), true_pose(b))
-        if given.keys() <= {"kidnapped_after", "pushed_m", "sensor_sd_m"}:
-            assert np.array_equal(a.activation.z, b.activation.z)
+        if given.keys() <= {"kidnapped_after", "pushed_m", "nudged_m", "sensor_sd_m"}:
+            assert np.allclose(a.activation.z, b.activation.z)
 
 
 def test_dead_taxels_are_known_and_read_zero(ring_model: ObservationModel) -> None:
@@ -112,8 +174,8 @@ def test_stuck_taxels_count_as_live(ring_model: ObservationModel) -> None:
         z = np.array([m.activation.z for m in found])
         assert (z == at).all(axis=0).sum() >= 3
         assert all(m.activation.live.all() for m in found)
-    free = [m.activation.z for m in moments(ring_model, stuck=3) if m.activation.t == 0.0]
-    assert (free[0] == 1.0).sum() == 3
+    free = moments(ring_model, stuck=3)[0].activation.z
+    assert (free == 1.0).sum() == 3
 
 
 def test_drift_grows_to_its_given_size(ring_model: ObservationModel) -> None:
@@ -176,12 +238,13 @@ def test_another_object_stands_beside_and_is_pressed_as_often_as_asked(
     assert len(pressed) == 2
 
 
-def test_a_press_has_as_many_scans_as_asked(ring_model: ObservationModel) -> None:
+def test_a_press_is_held_for_as_many_scans_as_asked(ring_model: ObservationModel) -> None:
+    usual = len(moments(ring_model)) // TOUCHES - Conditions().scans
     for scans in (1, 20):
         found = moments(ring_model, scans=scans, slip_m=0.001)
-        assert len(found) == TOUCHES * (len(trials.APPROACH_M) + scans + 1)
-        poses = np.array([true_pose(m) for m in found if m.touch == 0])
-        held = poses[len(trials.APPROACH_M) : -1]
+        assert len(found) == TOUCHES * (usual + scans)
+        first = motion.FREE + len(motion.APPROACH_M) + len(motion.PRESSING)
+        held = np.array([true_pose(m) for m in found if m.touch == 0])[first : first + scans]
         assert (np.ptp(held[:, :2], axis=0) < 0.01).all()
         assert scans == 1 or (np.ptp(held[:, :2], axis=0) > 1e-4).all()
 

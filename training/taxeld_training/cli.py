@@ -15,12 +15,22 @@ from taxeld.layout import read as layouts
 from taxeld.model.scene import CONTINUOUS
 from taxeld_training import bundles
 from taxeld_training.build import build
+from taxeld_training.limits.quality import BANK
 from taxeld_training.models.variants import trained_with
 from taxeld_training.objects.setting import DEPTH_MAX_M, HEIGHT_M
 from taxeld_training.samplers.candidates import VARIANTS, Candidates
 
 DEFAULT_SKIN = SkinConfig().layout
-EXPERIMENTS = ("proposals", "frontier", "gallery", "damage", "filter", "stability", "push")
+EXPERIMENTS = (
+    "proposals",
+    "frontier",
+    "gallery",
+    "damage",
+    "filter",
+    "shipped",
+    "stability",
+    "push",
+)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -38,6 +48,7 @@ def _build(args: argparse.Namespace) -> int:
     given = Candidates(
         variants=tuple(trained_with(v, args.effort, args.contacts, args.seed) for v in VARIANTS),
         bank=args.bank,
+        readings=args.readings,
         seed=args.seed,
     )
     columns = (SpinnerColumn(), *Progress.get_default_columns(), TimeElapsedColumn())
@@ -90,7 +101,7 @@ def _scene(args: argparse.Namespace) -> int:
 def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.filters import filter as filter_experiment
     from taxeld_training.filters import push as push_experiment
-    from taxeld_training.filters import stability
+    from taxeld_training.filters import shipped, stability
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import damage, evaluate, gallery
 
@@ -115,6 +126,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "gallery": gallery.run,
         "damage": damage.run,
         "filter": filter_experiment.run,
+        "shipped": shipped.run,
         "stability": stability.run,
         "push": push_experiment.run,
     }
@@ -144,7 +156,10 @@ def _parser() -> argparse.ArgumentParser:
     )
     one.add_argument("--contacts", type=int, default=300_000, help="simulated, to train on")
     one.add_argument(
-        "--bank", type=int, default=1_000_000, help="contacts of the exact posterior measured to"
+        "--bank", type=int, default=BANK, help="contacts that exact posteriors begin with"
+    )
+    one.add_argument(
+        "--readings", type=int, default=Candidates.readings, help="that samplers are measured on"
     )
     one.add_argument("--seed", type=int, default=0)
     one.set_defaults(command=_build)
@@ -167,7 +182,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     add(
         "--objects", default="", metavar="A,B",
-        help="default: the paper's ten; of stability and push, box and mug",
+        help="default: the paper's ten; of shipped, stability and push, box and mug",
     )  # fmt: skip
     add("--columns", default="", metavar="N,M", help="of the 5-row skins")
     add("--skin", metavar="LAYOUT", help="this layout in place of them")

@@ -162,6 +162,7 @@ class FilterConfig:
     kld_error: float = key(0.05, between(0.001, 10), "nats between a wide belief and its particles")
     kld_confidence: float = key(0.99, between(0.5, 0.999999), "probability of no more than that")
     injected: int = key(50, between(0, 10_000), "S, samples a touch brings")
+    injected_decay: float = key(0.5, between(0, 1), "injection paper: S times this a contact more")
     proposal: str = key(
         "auto",
         one_of("auto", "density", "ddpm", "table", "manifold", "projection"),

@@ -13,8 +13,6 @@ from taxeld.estimator.push import push
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
-SETTLED_SHARE = 0.5  # of S when settled: a wrong belief must find out
-
 
 class Paper:
     """Algorithm 1: samples take the mean weight, and nothing is remembered but the newest scan."""
@@ -70,7 +68,8 @@ class Paper:
         return 0
 
     def _wanted(self, contacts: int) -> int:
-        """S falls as the belief settles on one mode."""
-        settled = self.confidence.summary.modes[0].weight if contacts > 1 else 0.0
-        share = max(1.0 - settled, SETTLED_SHARE)
-        return min(round(share * self._config.injected), len(self.belief))
+        """S falls with each contact, to nothing: the paper's algorithm has no floor under it, so a
+        belief that settled wrongly stays wrong."""
+        config = self._config
+        share = config.injected_decay ** max(contacts - 1, 0)
+        return min(round(share * config.injected), len(self.belief))

@@ -10,9 +10,11 @@ from matplotlib.patches import Rectangle
 
 from taxeld_training.charts import picture
 from taxeld_training.jobs.rows import Row, object_name
+from taxeld_training.jobs.statistics import of_count
 
 WRONG = "wrong object"
 SYMMETRIC = "symmetric"
+TWO = "two objects"
 COLOURS = "RdYlBu"  # from failure to success, for colour-blind readers too
 SILENT_MAX = 0.01  # a cell with a larger share of silent failures is framed
 LABELS = {
@@ -111,19 +113,28 @@ def _panel(
 def table(rows: Sequence[Row], path: Path) -> None:
     """Each method over the whole map, and the cells where every method fails, in Markdown."""
     methods = list(dict.fromkeys((row["proposal"], row["injection"]) for row in rows))
-    heads = ["method", "cells", "success", "flagged", "silent failures", "worst cell"]
+    objects = list(dict.fromkeys(row["object"] for row in rows))
+    heads = [
+        "method", "object", "cells", "success", "flagged", "silent failures",
+        "silent at any contact", "worst cell",
+    ]  # fmt: skip
     lines = [heads, ["---"] * len(heads)]
     for proposal, injection in methods:
         mine = [r for r in rows if (r["proposal"], r["injection"]) == (proposal, injection)]
-        worst = max(mine, key=lambda row: float(row["silent_failure_rate"]))
-        lines.append([
-            f"{proposal} {injection}", str(len(mine)),
-            *(f"{_mean(mine, key):.1%}" for key in ("success_rate", "flagged_rate",
-                                                    "silent_failure_rate")),
-            f"{object_name(worst['object'])}, {label_of(worst)}: "
-            f"{worst['silent_failure_rate']:.0%}",
-        ])  # fmt: skip
+        lines += [
+            _line(
+                f"{proposal} {injection}", name, [r for r in mine if name in ("all", r["object"])]
+            )
+            for name in ("all", *objects)
+            if name == "all" or any(r["object"] == name for r in mine)
+        ]
     parts = ["\n".join("| " + " | ".join(line) + " |" for line in lines)]
+    parts.append("Two objects of a kind: either is found / the one that the trial means.")
+    parts.append("\n".join(
+        f"- {object_name(row['object'])}, {label_of(row)}, {row['proposal']} {row['injection']}: "
+        f"{row['success_rate']:.0%} / {row['success_meant_rate']:.0%}"
+        for row in rows if row["factor"] == TWO
+    ) or "none")  # fmt: skip
     by_cell: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         by_cell.setdefault((object_name(row["object"]), label_of(row)), []).append(row)
@@ -136,10 +147,24 @@ def table(rows: Sequence[Row], path: Path) -> None:
     path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 
 
+def _line(method: str, name: str, rows: Sequence[Row]) -> list[str]:
+    worst = max(rows, key=lambda row: float(row["silent_failure_rate"]))
+    return [
+        method, object_name(name), str(len(rows)),
+        *(_pooled(rows, key) for key in ("success_rate", "flagged_rate", "silent_failure_rate",
+                                         "silent_so_far_rate")),
+        f"{object_name(worst['object'])}, {label_of(worst)}: {worst['silent_failure_rate']:.0%}",
+    ]  # fmt: skip
+
+
+def _pooled(rows: Sequence[Row], key: str) -> str:
+    """A share of all the rows' trials, with its interval."""
+    trials = sum(int(row["seeds"]) for row in rows)
+    count = round(sum(float(row[key]) * int(row["seeds"]) for row in rows))
+    low, high = of_count(count, trials)
+    return f"{count / trials:.1%} ({low:.1%} – {high:.1%})"
+
+
 def _good(row: Row) -> float:
     """The share that did what it should: succeed, or flag a wrong object."""
     return float(row["flagged_rate"] if row["factor"] == WRONG else row["success_rate"])
-
-
-def _mean(rows: Sequence[Row], key: str) -> float:
-    return sum(float(row[key]) for row in rows) / len(rows)

@@ -11,10 +11,9 @@ from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
-from taxeld_training.filters import follow, trained
+from taxeld_training.filters import follow, methods, trained
 from taxeld_training.filters.conditions import Conditions
-from taxeld_training.filters.follow import Method, TouchResult
-from taxeld_training.filters.trained import DENSITY
+from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs
@@ -27,7 +26,7 @@ BLOCK, GRID_BLOCK = 25, 5  # seeds a job; a trial of the grid filter takes secon
 SEEDS_APART = 100_000  # from the first trial of one --seed to that of the next
 QUICK_UPDATES = 0.02
 
-Results = list[list[TouchResult]]  # of each trial, one a touch
+Results = dict[int, list[TouchResult]]  # of each trial by its seed, one a touch
 
 
 @dataclass(frozen=True)
@@ -74,32 +73,37 @@ def chosen(methods: Sequence[Method], proposals: Sequence[str]) -> list[Method]:
 def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Results]:
     """Results of cells, of as many trials of each as given, or as time allows.
 
-    Densities are trained first. Then every cell gets a first block of trials before any gets a
+    What is learned is trained first. Then every cell gets a first block of trials before any gets a
     second one; the grid filter, which takes longest, comes last.
     """
     counts = dict(wanted)
-    files = _train({cell.setting for cell in counts if cell.method.proposal == DENSITY}, options)
+    learned = {
+        cell: (cell.setting, cell.method.proposal)
+        for cell in counts
+        if trained.is_learned(cell.method.proposal, cell.setting)
+    }
+    files = _train(set(learned.values()), options)
     todo: list[tuple[int, Cell, Job]] = []
     for cell, count in counts.items():
-        density = cell.method.proposal == DENSITY
-        if density and cell.setting not in files:
+        file = files.get(learned[cell]) if cell in learned else ""
+        if file is None:
             continue
-        file = files[cell.setting] if density else ""
         block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
         for first in range(0, count, block):
-            seeds = (SEEDS_APART * options.seed + first, min(block, count - first))
-            arguments = (cell, *seeds, follow.code(cell.method.proposal))
+            seeds = (_seed(options, first), min(block, count - first))
+            arguments = (cell, *seeds, methods.code(cell.method.proposal))
             todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))
     todo.sort(key=lambda each: (each[1].method.proposal == GRID, each[0]))
     done = run_jobs([job for _, _, job in todo], options)
-    found: dict[Cell, Results] = {cell: [] for cell in counts}
-    for _, cell, job in todo:
-        found[cell] += [[_read(*touch) for touch in trial] for trial in done[job.name] or []]
+    found: dict[Cell, Results] = {cell: {} for cell in counts}
+    for first, cell, job in sorted(todo, key=lambda each: each[0]):
+        for seed, trial in enumerate(done[job.name] or [], _seed(options, first)):
+            found[cell][seed] = [_read(*touch) for touch in trial]
     return {cell: results for cell, results in found.items() if results}
 
 
 def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[Any]]:
-    """Results of the trials of `count` seeds, with the density of `file`, as JSON has them.
+    """Results of the trials of `count` seeds, as JSON has them; `file` has a learned proposal.
 
     `code` is part of the job's key alone.
     """
@@ -112,7 +116,13 @@ def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[
         proposal = trained.proposal_of(cell.method.proposal, cell.setting, file)
     return [
         [
-            (_rounded(touch.map_mm), _rounded(touch.mean_mm), touch.status, touch.particles)
+            (
+                _rounded(touch.map_mm),
+                _rounded(touch.mean_mm),
+                touch.status,
+                touch.particles,
+                _rounded(touch.meant_mm),
+            )
             for touch in follow.follow(
                 Trial(touched, seed, TOUCHES, cell.conditions), cell.method, model, proposal
             )
@@ -121,14 +131,16 @@ def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[
     ]
 
 
-def _train(settings: Iterable[Setting], options: Options) -> dict[Setting, str]:
-    """The file of each setting's density, "" where one is shipped. A setting is left out where
-    time ran out before its training."""
-    settings = sorted(settings, key=lambda setting: setting.name)
-    todo = trained.trainings(settings, options.memory.resolve())
+def _train(wanted: Iterable[trained.Wanted], options: Options) -> dict[trained.Wanted, str]:
+    """The file of each; one is left out where time ran out before its training."""
+    ordered = sorted(wanted, key=lambda each: (each[0].name, each[1]))
+    todo = trained.trainings(ordered, options.memory.resolve())
     done = run_jobs(list(todo.values()), options) if todo else {}
-    files = {setting: "" for setting in settings if setting not in todo}
-    return files | {each: job.beside[0] for each, job in todo.items() if done[job.name]}
+    return {each: job.beside[0] for each, job in todo.items() if done[job.name]}
+
+
+def _seed(options: Options, first: int) -> int:
+    return SEEDS_APART * options.seed + first
 
 
 def _rounded(error_mm: float) -> float | None:
@@ -136,11 +148,9 @@ def _rounded(error_mm: float) -> float | None:
 
 
 def _read(
-    map_mm: float | None, mean_mm: float | None, status: int | None, particles: int
-) -> TouchResult:
-    return TouchResult(
-        math.nan if map_mm is None else map_mm,
-        math.nan if mean_mm is None else mean_mm,
-        None if status is None else Status(status),
-        particles,
-    )
+    map_mm: float | None, mean_mm: float | None, status: int | None, particles: int,
+    meant_mm: float | None,
+) -> TouchResult:  # fmt: skip
+    found = (math.nan if error is None else error for error in (map_mm, mean_mm, meant_mm))
+    peak, mean, meant = found
+    return TouchResult(peak, mean, None if status is None else Status(status), particles, meant)

@@ -10,10 +10,11 @@ from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.soft_skin import SKINS, SoftSkin
+from taxeld_training.models.dataset import SILENT
 
-SILENT = 4.0  # standard deviations of noise under which a reading is 0
 MODULE = 10  # taxels
 SIDE_RAD = np.pi / 4.0  # a side reaches this far in both directions
+NUDGE_RAD = np.pi / 6.0  # between a nudge and the contact's normal, at most: friction
 TWIN_GAP_M = 0.01  # between the object and the one beside it
 TWIN_STEP_M = 0.002  # in which that gap is searched
 
@@ -35,10 +36,11 @@ class Conditions:
     kidnapped_after: int = 0  # touches, after which the object is put elsewhere; 0: never
     pushed_m: float = 0.0  # between two touches, all along one line
     pushed_rad: float = 0.0
+    nudged_m: float = 0.0  # by each press, away from the skin: about so far
     both: int = 0  # touches that press a second object of the same kind, beside it, as well
     one_side: bool = False  # all touches come from one quarter of the directions
     skin: str = ""  # of SKINS: its gains and noise in place of these, and all else it does
-    scans: int = 3  # of a press
+    scans: int = 5  # of a press while it is held
     slip_m: float = 0.0  # sd of the sensor's place in each of them
 
     def gains(self, taxels: int, rng: np.random.Generator) -> Floats:
@@ -88,6 +90,21 @@ def places(given: Conditions, start: Poses, touches: int, rng: np.random.Generat
         given.pushed_m * np.cos(along), given.pushed_m * np.sin(along), turned * given.pushed_rad
     ]  # fmt: skip
     return np.asarray(start + np.arange(touches)[:, None] * np.array(step))
+
+
+def nudged(
+    given: Conditions, model: ObservationModel, press: Poses, rng: np.random.Generator
+) -> Poses:
+    """How far (3,) a press (3,) moves the object and turns it about its centre, in its own frame:
+    0.5 to 1.5 × `nudged_m`, along the contact's normal or up to `NUDGE_RAD` beside it."""
+    size, aside, turn = rng.uniform([0.5, -1.0, -1.0], [1.5, 1.0, 1.0])
+    ax, ay = contacts.axis_in_object(press[None])
+    _, gx, gy = model.scene.clearance(ax, ay)
+    angle = float(np.arctan2(-gy, -gx)[0]) + NUDGE_RAD * aside
+    moved = given.nudged_m * size * np.array([np.cos(angle), np.sin(angle)])
+    centre, turned = model.scene.centre, given.nudged_m / model.scene.mean_radius * turn
+    about = se2.rotation_about(centre, turned)
+    return np.array([*(about[:2] + moved), turned])
 
 
 def reported(given: Conditions, sensor: Poses, error: Poses) -> Poses:

@@ -1,17 +1,17 @@
 """`taxeld-train evaluate filter`: a filter's error after each contact, by proposal and injection
 rule (the paper's Fig. 3 and beyond), with the grid filter as the limit."""
 
-from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from taxeld.config.tables import FilterConfig
 from taxeld_training.filters import cells
-from taxeld_training.filters.cells import COLUMNS, Cell, setting_of
-from taxeld_training.filters.follow import Method, TouchResult
-from taxeld_training.filters.trained import DENSITY
+from taxeld_training.filters.cells import COLUMNS, Cell, Results, setting_of
+from taxeld_training.filters.figures import errors, p_success, shares
+from taxeld_training.filters.methods import SHIPPED, Method
+from taxeld_training.filters.trained import DENSITY, PAPER
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.objects import meshes
@@ -24,7 +24,8 @@ METHODS = (
         for proposal in (DENSITY, "table", "manifold", "projection")
         for injection in ("mixture", "paper")
     ),
-    Method(DENSITY, "mixture", FilterConfig().particles, FilterConfig().particles_max),
+    Method(PAPER, "paper", 100),  # both of the paper: its Fig. 3
+    SHIPPED,
     Method(GRID),
 )
 
@@ -53,47 +54,32 @@ def rows(options: Options) -> list[dict[str, Any]]:
     ]
     found = cells.run([(cell, seeds) for cell in wanted], options)
     return [
-        _row(cell, contact, results)
+        _row(cell, contact, found[cell], found.get(_shipped(cell)))
         for cell in wanted
         if cell in found
-        for contact, results in enumerate(zip(*found[cell], strict=True), 1)
+        for contact in range(1, cells.TOUCHES + 1)
     ]
 
 
-def _row(cell: Cell, contact: int, results: Sequence[TouchResult]) -> dict[str, Any]:
+def _shipped(cell: Cell) -> Cell:
+    """The same trials by the configuration that ships."""
+    return replace(cell, method=SHIPPED)
+
+
+def _row(cell: Cell, contact: int, results: Results, shipped: Results | None) -> dict[str, Any]:
     method = cell.method
+    last = [trial[contact - 1] for trial in results.values()]
     return {
         "object": cell.setting.object,
         "proposal": method.proposal,
         "injection": method.injection,
         "particles": method.particles,
         "contact": contact,
-        "map_mm": quantiles([result.map_mm for result in results]),
-        "mean_mm": quantiles([result.mean_mm for result in results]),
-        **shares(results),
+        **errors(last, "map_mm"),
+        **errors(last, "mean_mm"),
+        **shares(results, contact),
+        "p_shipped": None if shipped is None else p_success(results, shipped, contact),
         "particles_max": method.particles_max or method.particles,
-        "particles_mean": round(float(np.mean([result.particles for result in results])), 1),
+        "particles_mean": round(float(np.mean([result.particles for result in last])), 1),
         "seeds": len(results),
     }
-
-
-def shares(results: Sequence[TouchResult]) -> dict[str, float | None]:
-    """Shares of trials that succeeded, were flagged and failed silently; the last two are None for
-    a filter without a status. Where another object is touched than the filter assumes no trial
-    succeeds, and one that converged failed silently."""
-
-    def share(*rule: bool) -> float:
-        return round(sum(rule) / len(rule), 4)
-
-    has_status = results[0].status is not None
-    return {
-        "success_rate": share(*(result.succeeded for result in results)),
-        "flagged_rate": share(*(not r.converged for r in results)) if has_status else None,
-        "silent_failure_rate": share(*(r.failed_silently for r in results)) if has_status else None,
-    }
-
-
-def quantiles(values: Sequence[float], digits: int = 3) -> dict[str, float]:
-    """As the rows of experiments have them."""
-    low, median, high = np.quantile(values, [0.1, 0.5, 0.9]).tolist()
-    return {"q10": round(low, digits), "median": round(median, digits), "q90": round(high, digits)}

@@ -1,28 +1,33 @@
 """`taxeld-train evaluate push`: a located object is pushed, with and without a motion model."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld_training.filters import follow, trained
+from taxeld_training.filters import follow, methods, trained
 from taxeld_training.filters.cells import COLUMNS, setting_of
-from taxeld_training.filters.filter import quantiles
+from taxeld_training.filters.figures import quantiles
 from taxeld_training.filters.pusher import PushedTrial
 from taxeld_training.filters.trained import DENSITY
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs, write
+from taxeld_training.jobs.statistics import of_median, of_share, p_paired, rounded
 from taxeld_training.objects.setting import Setting
 
 OBJECTS = ("003_cracker_box", "025_mug")
 MOTIONS = ("push", "none")
-SEEDS, QUICK_SEEDS, BLOCK = 100, 2, 20
+SEEDS, QUICK_SEEDS, BLOCK = 200, 2, 20
+
+Trials: TypeAlias = dict[int, dict[str, Any]]  # results by seed, as `follow_push` has them
 
 
 def run(options: Options) -> list[Path]:
-    """Rows {object, motion, moved_mm, turned_deg, path_mm and end_mm{q10, median, q90},
-    silent_failure_rate, seeds}: errors over the push, and at its end.
+    """Rows {object, motion, moved_mm, turned_deg, path_mm and end_mm{q10, median, q90} with
+    intervals of their medians, silent_failure_rate and _ci, p_push, seeds}: errors over the push,
+    and at its end. `p_push`: how likely chance alone parts the ends so far from those of the same
+    trials with `motion` push.
 
     Raises:
         SetupError: an object without a shipped bundle.
@@ -37,18 +42,26 @@ def run(options: Options) -> list[Path]:
         cell: [
             Job(
                 f"push-{cell[0].name}-{cell[1]}-{first}", play,
-                (*cell, first, min(BLOCK, seeds - first), follow.code(DENSITY)),
+                (*cell, first, min(BLOCK, seeds - first), methods.code(DENSITY)),
             )
             for first in range(0, seeds, BLOCK)
         ]
         for cell in cells
     }  # fmt: skip
     done = run_jobs([job for each in todo.values() for job in each], options)
-    rows = []
-    for (setting, motion), each in todo.items():
-        trials = [trial for job in each for trial in done[job.name] or []]
-        if trials:
-            rows.append(_row(setting.object, motion, trials))
+    found = {
+        cell: {
+            seed: trial
+            for number, job in enumerate(each)
+            for seed, trial in enumerate(done[job.name] or [], BLOCK * number)
+        }
+        for cell, each in todo.items()
+    }
+    rows = [
+        _row(setting.object, motion, trials, found[setting, MOTIONS[0]])
+        for (setting, motion), trials in found.items()
+        if trials
+    ]
     return [write(options, "push", rows)]
 
 
@@ -61,15 +74,21 @@ def play(setting: Setting, motion: str, first: int, count: int, code: str) -> li
     return [follow.follow_push(PushedTrial(model, seed), motion, proposal) for seed in seeds]
 
 
-def _row(name: str, motion: str, trials: list[dict[str, Any]]) -> dict[str, Any]:
-    spread = {
-        key: quantiles([trial[key] for trial in trials], 2)
-        for key in ("moved_mm", "turned_deg", "path_mm", "end_mm")
-    }
+def _row(name: str, motion: str, trials: Trials, pushed: Trials) -> dict[str, Any]:
+    spread: dict[str, Any] = {}
+    rng = np.random.default_rng(0)
+    for key in ("moved_mm", "turned_deg", "path_mm", "end_mm"):
+        values = [trial[key] for trial in trials.values()]
+        spread |= {key: quantiles(values, 2), f"{key}_ci": rounded(of_median(values, rng), 2)}
+    silent = [bool(trial["silent"]) for trial in trials.values()]
+    both = sorted(trials.keys() & pushed.keys())
+    ends = [[each[seed]["end_mm"] for seed in both] for each in (trials, pushed)]
     return {
         "object": name,
         "motion": motion,
         **spread,
-        "silent_failure_rate": float(np.mean([trial["silent"] for trial in trials])),
+        "silent_failure_rate": float(np.mean(silent)),
+        "silent_failure_ci": rounded(of_share(silent)),
+        "p_push": p_paired(*ends) if both and trials is not pushed else None,
         "seeds": len(trials),
     }

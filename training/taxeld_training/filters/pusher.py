@@ -1,10 +1,7 @@
 """An object that is touched while it stands, and then pushed along: a quasi-static world.
 
-The object lies on a table and gives way when the skin presses deeper than its friction resists.
-Its motion is that of an ellipsoidal limit surface under a contact with Coulomb friction. The
-contact sticks while the force that sticking needs is inside the friction cone; otherwise it slips
-along the cone's edge (Lynch, Maekawa & Tanie 1992). The filter knows neither the friction nor the
-true spread of the load.
+The object lies on a table (`ground`) and gives way when the skin presses deeper than its friction
+resists. Friction and load differ from trial to trial, and from what a filter assumes.
 """
 
 from collections.abc import Iterator
@@ -12,20 +9,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Poses
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.conditions import Conditions, TrialSkin
-from taxeld_training.filters.trials import BETWEEN_S, SCAN_S, Moment, Trial
+from taxeld_training.filters.ground import Ground
+from taxeld_training.filters.motion import SCAN_S
+from taxeld_training.filters.trials import Moment, Trial
 
 TOUCHES = 6  # before the push
 PATH_M = 0.25  # of the sensor in contact
 STEP_M = 0.002  # between two scans
 DEPTH_M = 0.003  # of the skin, at which the object's friction gives way
-FRICTION = 0.4
-LIMIT, LIMIT_SPREAD = 0.6, 0.2  # the load's spread in the outline's mean radius, ± this share
 OFF_CENTRE = 0.3  # of that radius: distance of the push from the centre, at most
 STANDOFF_M = 0.06
+BETWEEN_S = 1.0  # the last touch and the push
 SETTLING = 4  # steps of projection that end the overlap
 
 
@@ -36,6 +34,11 @@ class PushedTrial:
     model: ObservationModel
     seed: int
 
+    @property
+    def ground(self) -> Ground:
+        """That of this trial."""
+        return Ground.drawn(self.model.scene, np.random.default_rng((self.seed, 3)))
+
     def __iter__(self) -> Iterator[Moment]:
         model, rng = self.model, np.random.default_rng((self.seed, 2))
         for scan in Trial(model, self.seed, TOUCHES):
@@ -44,7 +47,7 @@ class PushedTrial:
         given = Conditions()
         skin = TrialSkin(given, model.layout, given.gains(len(model.layout), rng), rng)
         radius_m = model.scene.mean_radius
-        limit_m = LIMIT * radius_m * rng.uniform(1.0 - LIMIT_SPREAD, 1.0 + LIMIT_SPREAD)
+        ground = self.ground
         heading, yaw = rng.uniform(-np.pi, np.pi, 2)
         ahead = np.array([np.cos(heading), np.sin(heading)])
         aside = np.array([-ahead[1], ahead[0]]) * rng.uniform(-OFF_CENTRE, OFF_CENTRE) * radius_m
@@ -56,7 +59,7 @@ class PushedTrial:
             at = at + STEP_M * ahead
             way_m += STEP_M
             sensor = np.array([*at, yaw])
-            truth = gave_way(model, truth, before, sensor, limit_m)
+            truth = gave_way(model, truth, before, sensor, ground)
             h = model.activation(se2.compose(se2.inverse(sensor), truth)[None])[0]
             path_m += STEP_M if h.any() else 0.0
             activation = skin.read(h, t, 0.0, rng)
@@ -65,7 +68,7 @@ class PushedTrial:
 
 
 def gave_way(
-    model: ObservationModel, pose: Poses, before: Poses, after: Poses, limit_m: float
+    model: ObservationModel, pose: Poses, before: Poses, after: Poses, ground: Ground
 ) -> Poses:
     """The object's pose (3,) once the sensor has moved from one pose (3,) to another."""
     moved = after[:2] - before[:2]
@@ -75,17 +78,12 @@ def gave_way(
         too_deep = model.layout.radius_m - clearance - DEPTH_M
         if too_deep <= 0.0:
             break
+        inwards = -np.array([gx, gy])
         c, s = np.cos(pose[2]), np.sin(pose[2])
-        inwards = -np.array([c * gx - s * gy, s * gx + c * gy])
-        centre = se2.compose(pose, np.array([*model.scene.centre, 0.0]))[:2]
-        arm = after[:2] + clearance * inwards - centre
-        across = np.array([-arm[1], arm[0]]) / limit_m
-        force = _stuck(too_deep * inwards + moved - (moved @ inwards) * inwards, across)
-        sideways = force - (force @ inwards) * inwards
-        if np.linalg.norm(sideways) > FRICTION * (force @ inwards):
-            edge = inwards + FRICTION * sideways / np.linalg.norm(sideways)
-            force = edge * too_deep / ((edge + across * (across @ edge)) @ inwards)
-        pose = _moved(model, pose, force, float(across @ force) / limit_m)
+        seen = np.array([c * moved[0] + s * moved[1], c * moved[1] - s * moved[0]])
+        wanted = too_deep * inwards + seen - (seen @ inwards) * inwards
+        contact = np.array([ax[0], ay[0]]) + clearance * inwards
+        pose = se2.compose(pose, ground.slide(contact, wanted, inwards))
         moved = np.zeros(2)
     return pose
 
@@ -94,15 +92,3 @@ def travel(start: Poses, end: Poses) -> tuple[float, float]:
     """Distance [m] and turn [rad] from one pose (3,) to another."""
     gap = se2.compose(se2.inverse(start), end)
     return float(np.hypot(gap[0], gap[1])), float(abs(gap[2]))
-
-
-def _stuck(wanted: Floats, across: Floats) -> Floats:
-    """The force (2,) under which the contact moves by `wanted` (2,) without slipping."""
-    return np.asarray(wanted - across * (across @ wanted) / (1.0 + across @ across))
-
-
-def _moved(model: ObservationModel, pose: Poses, by: Floats, turn: float) -> Poses:
-    centre = se2.compose(pose, np.array([*model.scene.centre, 0.0]))[:2] + by
-    turned = np.array([0.0, 0.0, pose[2] + turn])
-    at = centre - se2.compose(turned, np.array([*model.scene.centre, 0.0]))[:2]
-    return np.array([*at, se2.wrap(turned[2])])

@@ -10,8 +10,8 @@ import numpy as np
 from taxeld_training.filters import cells
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, Cell, Results, setting_of
 from taxeld_training.filters.conditions import Conditions
-from taxeld_training.filters.filter import shares
-from taxeld_training.filters.follow import Method
+from taxeld_training.filters.figures import p_success, shares
+from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.filters.soft_skin import SKINS
 from taxeld_training.filters.trained import DENSITY
 from taxeld_training.jobs.options import Options, write
@@ -22,8 +22,8 @@ OBJECTS = ("003_cracker_box", "025_mug")
 SYMMETRIC = ("002_master_chef_can", "024_bowl", "061_foam_brick")
 SEEDS, QUICK_SEEDS = 100, 3
 METHODS = (
-    Method(DENSITY, "mixture", 100),
-    Method("table", "mixture", 100),
+    SHIPPED,  # the others are compared with it
+    replace(SHIPPED, proposal="table"),
     Method(DENSITY, "paper", 100),
     Method("projection", "paper", 100),
 )
@@ -37,7 +37,7 @@ class Level:
     level: float | str
     conditions: Conditions = field(default_factory=Conditions)
     columns: int = COLUMNS
-    particles: int = 100
+    particles: int = 0  # 0: the method's own
     touched: str = ""  # object of the trials; empty: the one that the filter assumes
     objects: tuple[str, ...] = ()  # the filter assumes, in place of the experiment's
     seeds: float = 1.0  # times a cell's trials
@@ -53,7 +53,7 @@ def _levels(factor: str, key: str, values: Sequence[float], unit: float = 1.0) -
 
 LEVELS = (
     Level("as assumed", 0),
-    *_levels("noise", "sigma", (0.05, 0.1, 0.2)),
+    *_levels("noise", "sigma", (0.04, 0.08, 0.15)),
     *_levels("gain spread", "gain_cv", (0.0, 0.3, 0.5)),
     *_levels("dead share", "dead_share", (0.2, 0.4, 0.6)),
     *_levels("dead modules", "dead_modules", (2, 4)),
@@ -113,21 +113,33 @@ def rows(options: Options) -> list[dict[str, Any]]:
         for method in methods
     ]
     found = cells.run([(cell, round(level.seeds * seeds)) for level, cell in wanted], options)
-    return [_row(level, cell, found[cell]) for level, cell in wanted if cell in found]
+    first = {
+        (cell.conditions, cell.setting, cell.touched, level.particles): cell
+        for level, cell in reversed(wanted)
+    }  # by the first of the methods
+    return [
+        _row(level, cell, found[cell], found.get(
+            first[cell.conditions, cell.setting, cell.touched, level.particles]))
+        for level, cell in wanted
+        if cell in found
+    ]  # fmt: skip
 
 
 def cell_of(level: Level, method: Method, setting: Setting) -> Cell:
-    method = replace(method, particles=level.particles)
+    if level.particles:
+        method = replace(method, particles=level.particles, particles_max=0)
     return Cell(setting, method, level.conditions, level.touched)
 
 
-def _row(level: Level, cell: Cell, results: Results) -> dict[str, Any]:
+def _row(level: Level, cell: Cell, results: Results, to: Results | None) -> dict[str, Any]:
+    """Of a cell; `to`: the first method's trials under the same conditions."""
     return {
         "object": cell.setting.object,
         "factor": level.factor,
         "level": level.level,
         "proposal": cell.method.proposal,
         "injection": cell.method.injection,
-        **shares([trial[-1] for trial in results]),
+        **shares(results, TOUCHES),
+        "p_first": None if to is None else p_success(results, to, TOUCHES),
         "seeds": len(results),
     }

@@ -1,6 +1,7 @@
-"""Proposals for the filter experiments: analytic ones, and a density, shipped or trained once.
+"""Proposals for the filter experiments: analytic ones, a density, shipped or trained once, and the
+paper's own diffusion.
 
-A trained density is kept as a file beside the experiments' results.
+What is trained is kept as a file beside the experiments' results.
 """
 
 import time
@@ -9,6 +10,7 @@ from dataclasses import replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,11 +25,13 @@ from taxeld_training.jobs import jobs
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.models import export, variants
 from taxeld_training.models.dataset import simulate
-from taxeld_training.models.variants import MODELS
+from taxeld_training.models.variants import MODELS, Variant
 from taxeld_training.objects.setting import DEPTH_MAX_M, Setting
 
-DENSITY = "density"
-VARIANT = MODELS["density-64"]
+DENSITY, PAPER = "density", "paper"
+LEARNED = {DENSITY: MODELS["density-64"], PAPER: MODELS["paper"]}
+
+Wanted: TypeAlias = tuple[Setting, str]  # a proposal of LEARNED, for an object on a skin
 
 
 @lru_cache(maxsize=8)
@@ -51,35 +55,41 @@ def model_of(setting: Setting) -> ObservationModel:
     return setting.model() if found is None else found.model
 
 
+def is_learned(name: str, setting: Setting) -> bool:
+    """Whether a proposal comes from a file that an experiment trains: none ships it."""
+    return name in LEARNED and not (name == DENSITY and shipped(setting) is not None)
+
+
 def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
-    """By name; a density that is not shipped is taken from `file`."""
+    """By name; a learned one that is not shipped is taken from `file`."""
     model = model_of(setting)
     if name in ANALYTIC:
         return ANALYTIC[name](model)
+    if is_learned(name, setting):
+        return Sampler.read(Path(file), model.layout, LEARNED[name].kind)
     found = shipped(setting)
-    if found is not None:
-        return found.proposal(name)
-    return Sampler.read(Path(file), model.layout, name)
+    if found is None:
+        raise SetupError(f"{setting.object}: no bundle with a '{name}' is shipped")
+    return found.proposal(name)
 
 
-def trainings(settings: Iterable[Setting], memory: Path) -> dict[Setting, Job]:
-    """A job for each density that is not shipped; `beside` its arguments is the file it makes."""
+def trainings(wanted: Iterable[Wanted], memory: Path) -> dict[Wanted, Job]:
+    """A job for each learned proposal; `beside` its arguments is the file it makes."""
     found = {}
-    for setting in settings:
-        if shipped(setting) is None:
-            job = Job(f"{DENSITY}-{setting.name}", train, (setting,))
-            file = memory / f"{job.key}.onnx"
-            found[setting] = replace(job, beside=(str(file),))
-            if not file.is_file():
-                jobs.forget(job, memory)
+    for setting, name in wanted:
+        job = Job(f"{name}-{setting.name}", train, (setting, LEARNED[name]))
+        file = memory / f"{job.key}.onnx"
+        found[setting, name] = replace(job, beside=(str(file),))
+        if not file.is_file():
+            jobs.forget(job, memory)
     return found
 
 
-def train(setting: Setting, file: str) -> dict[str, float]:
-    """Train the setting's density and keep it in `file`."""
+def train(setting: Setting, given: Variant, file: str) -> dict[str, float]:
+    """Train a model for the setting and keep its sampler in `file`."""
     start = time.monotonic()
     model = model_of(setting)
-    variant = variants.trained_with(VARIANT, setting.updates, seed=setting.seed)
+    variant = variants.trained_with(given, setting.updates, seed=setting.seed)
     touches = simulate(model, variant.training.contacts, np.random.default_rng(setting.seed))
     network = variants.fit(variant, model, Noise(), touches)
     (sampler,) = variants.samplers(variant, network).values()

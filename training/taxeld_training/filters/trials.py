@@ -1,10 +1,10 @@
 """Trials: a seeded sequence of touches of an object, as the estimator meets them.
 
-Each touch has a random side and depth: the skin approaches along the contact's normal, presses,
-holds and leaves. Wire and skin processing are left out, so that thousands of trials are affordable.
-Each taxel has a gain of its own, the same throughout a trial. `Conditions` add what else may be
-amiss. They draw from a generator of their own, so a seed has the same touches under all conditions
-but those that choose among touches.
+Each touch has a random side and depth; `motion` has the way to it and from it. Wire and skin
+processing are left out, so that thousands of trials are affordable. Each taxel has a gain of its
+own, the same throughout a trial. `Conditions` add what else may be amiss. They draw from a
+generator of their own, so a seed has the same touches under all conditions but those that choose
+among touches.
 """
 
 from collections.abc import Callable, Iterator
@@ -19,13 +19,19 @@ from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
-from taxeld_training.filters.conditions import Conditions, Side, TrialSkin, Twin, places, reported
+from taxeld_training.filters import motion
+from taxeld_training.filters.conditions import (
+    Conditions,
+    Side,
+    TrialSkin,
+    Twin,
+    nudged,
+    places,
+    reported,
+)
 
 PLACE_M = 0.15  # the object is within ± this of the origin, at any yaw
 MIN_ACTIVATION = 0.1  # of the strongest taxel in a press
-APPROACH_M = (0.03, 0.01, 0.002)  # clearances of the scans before a press
-SCAN_S = 0.05
-BETWEEN_S = 1.0  # touches
 BATCH, PAIR_BATCH = 64, 4096  # poses drawn to choose presses from
 BATCHES_MAX = 1000  # of poses, without enough presses among them
 
@@ -63,20 +69,24 @@ class Trial:
         twin = Twin(model, extra) if given.both else None
         wanted = self._presses(twin, rng, extra)
         t = 0.0
-        for touch, (press, truth) in enumerate(zip(wanted, truths, strict=True)):
-            path = approach(model, press)
+        before = _opposite(wanted[0])
+        moved = se2.IDENTITY  # by the presses so far, in the object's frame
+        for touch, (press, place) in enumerate(zip(wanted, truths, strict=True)):
+            nudge = nudged(given, model, press, extra)
             slips = given.slip_m * extra.standard_normal((given.scans, 3)) * (1.0, 1.0, 0.0)
             error = extra.standard_normal(3)
-            twin_pose = None if twin is None else se2.compose(truth, twin.pose)
-            for pose in (*path, *(press + slips), path[-2]):
-                h = model.activation(pose[None])[0]
+            steps = motion.touch(press, model, given, slips)
+            for step in (*motion.around(model, before, steps[0].pose, twin), *steps):
+                t += step.after_s
+                truth = se2.compose(place, se2.compose(moved, step.gave * nudge))
+                h = model.activation(step.pose[None])[0]
                 if twin is not None:
-                    h = np.maximum(h, twin.activation(pose[None])[0])
+                    h = np.maximum(h, twin.activation(step.pose[None])[0])
                 reading = skin.read(h, t, (touch + 1) / self.touches, rng)
-                sensor = reported(given, se2.compose(truth, se2.inverse(pose)), error)
+                sensor = reported(given, se2.compose(truth, se2.inverse(step.pose)), error)
+                twin_pose = None if twin is None else se2.compose(truth, twin.pose)
                 yield Moment(touch, reading, sensor, truth, twin_pose)
-                t += SCAN_S
-            t += BETWEEN_S
+            before, moved = step.pose, se2.compose(moved, nudge)
 
     def _presses(
         self, twin: Twin | None, rng: np.random.Generator, extra: np.random.Generator
@@ -88,11 +98,14 @@ class Trial:
         if twin is None:
             return presses(model, count, rng, given.depth)
 
+        way = np.array(motion.APPROACH_M)
+
         def clear(poses: Poses, depth_m: float) -> NDArray[np.bool_]:
             """(N,) whether the approach, too, presses the twin no deeper."""
             kept = twin.is_clear(poses, depth_m)
             kept[kept] = [
-                bool(twin.is_clear(approach(model, pose), depth_m).all()) for pose in poses[kept]
+                bool(twin.is_clear(motion.along(model, pose, way), depth_m).all())
+                for pose in poses[kept]
             ]
             return kept
 
@@ -131,14 +144,11 @@ def presses(
     raise SetupError("a trial's touches hardly exist: the skin misses the object there")
 
 
-def approach(model: ObservationModel, press: Poses) -> Poses:
-    """Poses (A, 3) before the press (3,): the skin backed off along the contact's normal."""
-    ax, ay = contacts.axis_in_object(press[None])
-    clearance, gx, gy = model.scene.clearance(ax, ay)
-    away = model.layout.radius_m - clearance + np.array(APPROACH_M)
-    return contacts.pose_of_axis(ax + away * gx, ay + away * gy, press[2])
-
-
 def _placed(rng: np.random.Generator) -> Poses:
     most = np.array([PLACE_M, PLACE_M, np.pi])
     return np.asarray(rng.uniform(-most, most))
+
+
+def _opposite(press: Poses) -> Poses:
+    """Where the robot comes from first: a press (3,) with the object turned by half a turn."""
+    return se2.compose(se2.rotation_about(press[:2], np.pi), press)

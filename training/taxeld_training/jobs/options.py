@@ -9,7 +9,7 @@ from typing import Any
 
 from taxeld_training.jobs import jobs
 from taxeld_training.jobs.jobs import Job
-from taxeld_training.jobs.rows import Row
+from taxeld_training.jobs.rows import DISTANCES, Row
 
 
 @dataclass(frozen=True)
@@ -42,6 +42,7 @@ def write(options: Options, name: str, rows: Sequence[Row]) -> Path:
     """Rows as the experiment's JSON file, a row a line: a diff can be read."""
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / f"{name}.json"
-    lines = ",\n".join(json.dumps(row) for row in rows)
+    kept = ({key: value for key, value in row.items() if key != DISTANCES} for row in rows)
+    lines = ",\n".join(json.dumps(row) for row in kept)
     path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
     return path

@@ -1,16 +1,19 @@
-"""Rows of an experiment as a table in Markdown: means over the objects."""
+"""Rows of samplers compared with each other, and as a table in Markdown: means over the objects,
+with their intervals over readings."""
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from taxeld_training.jobs.rows import Row, label
+from taxeld_training.jobs.rows import DISTANCES, EXACT, USED, Row, label
+from taxeld_training.jobs.statistics import of_mean, p_paired
 
 # heading: how a mean of rows is written
 COLUMNS = {
     "objects": lambda rows: str(len(rows)),
-    "energy distance": lambda rows: f"{_mean(rows, 'energy_distance'):.4f}",
+    "energy distance": lambda rows: f"{_mean(rows, 'energy_distance'):.4f}{_interval(rows)}",
     "× floor": lambda rows: f"{_mean(rows, 'energy_distance') / _mean(rows, 'energy_floor'):.2f}",
     "in 90 % region": lambda rows: f"{_mean(rows, 'coverage_90'):.0%}",
     "MFLOP": lambda rows: f"{_mean(rows, 'flops') / 1e6:.1f}" if rows[0]["flops"] else "",
@@ -32,6 +35,20 @@ SOURCE = {
 }  # fmt: skip
 
 
+def compared(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows with `p_nearest`: how likely chance alone parts a sampler so far from the nearest one,
+    limits left out, on the same object, skin and readings."""
+    nearest: dict[tuple[str, int], dict[str, Any]] = {}
+    for row in sorted(rows, key=lambda row: -float(row["energy_distance"])):
+        if row["proposal"] not in (EXACT, USED):
+            nearest[row["object"], row["columns"]] = row
+    best = [nearest.get((row["object"], row["columns"])) for row in rows]
+    return [
+        row | {"p_nearest": to and p_paired(row[DISTANCES], to[DISTANCES])}
+        for row, to in zip(rows, best, strict=True)
+    ]
+
+
 def write(rows: Sequence[Row], data: Path) -> None:
     """The table beside the rows' own file."""
     data.with_suffix(".md").write_text(means(rows) + "\n", encoding="utf-8")
@@ -49,11 +66,34 @@ def _table(rows: Sequence[Row]) -> str:
     of: dict[str, list[Row]] = {}
     for row in rows:
         of.setdefault(label(row), []).append(row)
+    limits = [name for name in of if name in (EXACT, USED)]
+    nearest = min(of.keys() - set(limits), key=lambda name: _mean(of[name], "energy_distance"))
     shown = [h for h in COLUMNS if SOURCE.get(h, "object") in rows[0]]
     order = sorted(of, key=lambda name: _mean(of[name], "energy_distance"))
-    lines = [["sampler", *shown], ["---"] * (len(shown) + 1)]
-    lines += [[name, *(COLUMNS[heading](of[name]) for heading in shown)] for name in order]
+    lines = [["sampler", *shown, "p"], ["---"] * (len(shown) + 2)]
+    lines += [
+        [name, *(COLUMNS[heading](of[name]) for heading in shown), _p(of[name], of[nearest])]
+        for name in order
+    ]
     return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def _interval(rows: Sequence[Row]) -> str:
+    """Of a mean over objects of means over readings."""
+    if not all(DISTANCES in row for row in rows):
+        return ""
+    low, high = of_mean([row[DISTANCES] for row in rows], np.random.default_rng(0))
+    return f" ({low:.4f} – {high:.4f})"
+
+
+def _p(rows: Sequence[Row], nearest: Sequence[Row]) -> str:
+    """That a sampler is as near as the nearest, over the readings that both have."""
+    theirs = {row["object"]: row for row in nearest}
+    both = [(row, theirs[row["object"]]) for row in rows if row["object"] in theirs]
+    if rows[0] is nearest[0] or not all(DISTANCES in row for pair in both for row in pair):
+        return ""
+    mine, best = (np.concatenate([pair[i][DISTANCES] for pair in both]) for i in (0, 1))
+    return f"{p_paired(mine, best):.2g}"
 
 
 def _mean(rows: Sequence[Row], key: str) -> float:

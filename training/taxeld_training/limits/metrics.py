@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import Scene
+from taxeld_training.jobs.statistics import of_mean, of_median, of_share, rounded
 from taxeld_training.limits.posterior import embed
 
-FEW = 10  # samples of a reading, for the errors that are costly
+FEW = 10  # samples of a reading, drawn from all of them, for the errors that are costly
 LEVEL = 0.9  # of a credible region
 
 
@@ -32,11 +33,13 @@ class SampleErrors:
     observation_residual: Floats  # (n,) max over taxels |h(q) − z|
 
 
-def sample_errors(model: ObservationModel, z: Floats, truth: Poses, poses: Poses) -> SampleErrors:
+def sample_errors(
+    model: ObservationModel, z: Floats, truth: Poses, poses: Poses, rng: np.random.Generator
+) -> SampleErrors:
     """Errors of poses (n, 3) sampled for a reading z (M,) of the pose `truth` (3,), all in the
-    sensor frame."""
+    sensor frame. A sampler may give its samples in order, so the few are drawn."""
     radius_m = model.layout.radius_m
-    few = poses[:FEW]
+    few = rng.permutation(poses)[:FEW]
     pressed = contacts.clearance(model.scene, radius_m, truth[None])
     residual = np.abs(contacts.clearance(model.scene, radius_m, poses) - pressed)
     return SampleErrors(
@@ -55,29 +58,42 @@ def summary(
     """Errors over readings z (B, M) of poses `truth` (B, 3), each with samples (n, 3).
 
     `add_mm` as in the paper: the median of all samples, and the best and the worst of a reading's,
-    averaged. ADD-S and the symmetric ADD are medians over the first FEW samples of a reading.
+    averaged. ADD-S and the symmetric ADD are medians over FEW samples of a reading. A `_ci` is the
+    interval of the figure before it, over readings.
     """
-    each = [sample_errors(model, *one) for one in zip(z, truth, samples, strict=True)]
-    adds = [e.add_mm for e in each]
+    each = [sample_errors(model, *one, rng) for one in zip(z, truth, samples, strict=True)]
+    adds = np.array([e.add_mm for e in each])
+    add_s = np.array([e.add_s_mm for e in each])
+    add_sym = np.array([e.add_sym_mm for e in each])
+    contact = np.array([e.contact_residual_mm.mean() for e in each])
+    observation = np.array([e.observation_residual.mean() for e in each])
+    inside = coverage(truth, samples, model.scene.size, rng)
     return {
         "add_mm": {
-            "median": float(np.median(np.concatenate(adds))),
-            "best": float(np.mean([a.min() for a in adds])),
-            "worst": float(np.mean([a.max() for a in adds])),
+            "median": float(np.median(adds)),
+            "best": float(adds.min(axis=1).mean()),
+            "worst": float(adds.max(axis=1).mean()),
         },
-        "add_s_mm": float(np.median(np.concatenate([e.add_s_mm for e in each]))),
-        "add_sym_mm": float(np.median(np.concatenate([e.add_sym_mm for e in each]))),
-        "contact_residual_mm": float(np.mean([e.contact_residual_mm.mean() for e in each])),
-        "observation_residual": float(np.mean([e.observation_residual.mean() for e in each])),
-        "coverage_90": coverage(truth, samples, model.scene.size, rng),
+        "add_mm_ci": rounded(of_median(adds, rng)),
+        "add_s_mm": float(np.median(add_s)),
+        "add_s_mm_ci": rounded(of_median(add_s, rng)),
+        "add_sym_mm": float(np.median(add_sym)),
+        "add_sym_mm_ci": rounded(of_median(add_sym, rng)),
+        "contact_residual_mm": float(contact.mean()),
+        "contact_residual_mm_ci": rounded(of_mean([contact], rng)),
+        "observation_residual": float(observation.mean()),
+        "observation_residual_ci": rounded(of_mean([observation], rng)),
+        "coverage_90": float(inside.mean()),
+        "coverage_90_ci": rounded(of_share(inside.tolist())),
         "contacts": len(z),
     }
 
 
 def coverage(
     truth: Poses, samples: Sequence[Poses], length_m: float, rng: np.random.Generator
-) -> float:
-    """The share of truths (B, 3) inside their samples' LEVEL credible region; LEVEL if calibrated.
+) -> Bools:
+    """(B,) which truths (B, 3) are inside their samples' LEVEL credible region: LEVEL of them if
+    calibrated.
 
     Regions are balls about a random other truth (TARP, Lemos et al. 2023). This finds samples that
     are too narrow, too wide or biased anywhere in the prior.
@@ -89,7 +105,7 @@ def coverage(
         to_truth = np.linalg.norm(embed(true[None], length_m) - about)
         nearer = np.linalg.norm(embed(drawn, length_m) - about, axis=1) < to_truth
         inside.append(nearer.mean() < LEVEL)
-    return float(np.mean(inside))
+    return np.array(inside)
 
 
 def add(scene: Scene, poses: Poses, truth: Poses) -> Floats:

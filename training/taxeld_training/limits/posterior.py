@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from taxeld.arrays import Floats, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
+from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Noise
 from taxeld_training.models.dataset import Touches
 
@@ -32,8 +33,10 @@ class ExactPosterior:
     likelihood is that of a silent taxel, the same in every touch.
     """
 
-    def __init__(self, bank: Touches, layout: Layout, noise: Noise) -> None:
+    def __init__(self, bank: Touches, layout: Layout, noise: Noise, floor: float = FLOOR) -> None:
+        """`floor`: under which a reading is 0."""
         self.noise = noise
+        self.floor = floor
         self.layout = layout
         self._pose = bank.pose
         self._sector = layout.sector[bank.activation.argmax(axis=1)]
@@ -42,8 +45,12 @@ class ExactPosterior:
         order = len(layout.turns)
         self._back = layout.turns[-np.arange(order) % order]
 
-    def sample(self, z: Floats, live: NDArray[np.bool_], n: int, rng: np.random.Generator) -> Draws:
-        """`n` draws with replacement, by importance weight, for z (M,) and live (M,)."""
+    def sample(
+        self, z: Floats, live: NDArray[np.bool_], n: int, rng: np.random.Generator,
+        least: float = 0.0,
+    ) -> Draws:  # fmt: skip
+        """`n` draws with replacement, by importance weight, for z (M,) and live (M,). The weights
+        are flattened until they have an effective number of `least`."""
         order = len(self.layout.turns)
         target = self.layout.sector[np.where(live, z, -1.0).argmax()]
         # noise moves the strongest taxel, but hardly ever farther than to a neighbour
@@ -53,23 +60,43 @@ class ExactPosterior:
             by = (self._sector - target - offset) % order
             log_w.append(self._log_weights(z, live, by))
             turn.append(by)
-        weights = np.concatenate(log_w)
-        weights = np.exp(weights - weights.max())
-        weights /= weights.sum()
+        weights = flattened(np.concatenate(log_w), least)
         pick = rng.choice(len(weights), n, p=weights)
         angle = -2.0 * np.pi * np.concatenate(turn)[pick] / order
         zero = np.zeros(n)
         turned = np.stack([zero, zero, angle], axis=1)
         pose = se2.compose(turned, self._pose[pick % len(self._pose)])
-        return Draws(pose, float(1.0 / np.sum(weights**2)))
+        return Draws(pose, effective(weights))
 
     def _log_weights(self, z: Floats, live: NDArray[np.bool_], by: NDArray[np.int64]) -> Floats:
         """Log-likelihood (B,) of z for every stored contact, turned by −2π·by/order, by (B,)."""
-        silent = np.where(live, self.noise.log_density(z, np.zeros(1)), 0.0)
+        silent = np.where(live, self.noise.log_density(z, np.zeros(1), self.floor), 0.0)
         # turning a stored contact by −k is the same as turning z by +k
         at = self._back[by[self._row], self._taxel]
-        gain = (self.noise.log_density(z[at], self._h) - silent[at]) * live[at]
+        gain = (self.noise.log_density(z[at], self._h, self.floor) - silent[at]) * live[at]
         return np.asarray(silent.sum() + np.bincount(self._row, gain, len(by)))
+
+
+def flattened(log_weight: Floats, least: float = 0.0) -> Floats:
+    """(n,) weights that sum to 1, of the highest power, up to 1, that leaves `least` effective."""
+    log_weight = log_weight - log_weight.max()
+
+    def at(power: float) -> Floats:
+        weight = np.exp(power * log_weight)
+        return np.asarray(weight / weight.sum())
+
+    low, high = 0.0, 1.0
+    if effective(at(high)) >= least:
+        return at(high)
+    for _ in range(20):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if effective(at(middle)) >= least else (low, middle)
+    return at(low)
+
+
+def effective(weight: Floats) -> float:
+    """The effective number of weights (n,) that sum to 1."""
+    return float(1.0 / (weight @ weight))
 
 
 def energy_distance(a: Poses, b: Poses, length_m: float) -> float:

@@ -7,16 +7,21 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Poses
+from taxeld.arrays import Floats, Poses
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.rule import noise_of
 from taxeld.model.observation import Noise, ObservationModel
 from taxeld.model.proposal import Proposal
-from taxeld_training.limits.posterior import ExactPosterior, energy_distance
-from taxeld_training.models.dataset import simulate
+from taxeld_training.limits.dense import Dense
+from taxeld_training.limits.posterior import Draws, ExactPosterior, energy_distance
+from taxeld_training.models.dataset import Touches, floor_of, read, simulate
 
 SAMPLES = 100
-BANK = 1_000_000
-LIMIT_ESS = 50.0  # readings with a smaller effective bank are left out
+BANK = 300_000
+THIN_ESS = 1000.0  # effective contacts of the bank, under which more are made around the reading
+LIMIT_ESS = 50.0  # readings with fewer all the same are left out
 TIMED_CALLS = 30
+IN_USE = noise_of(FilterConfig())
 
 
 @dataclass(frozen=True)
@@ -24,21 +29,27 @@ class Reference:
     """Readings with draws of their exact posteriors, made once and used for every sampler."""
 
     truth: list[Poses]  # (3,) each
-    z: list[NDArray[np.float64]]  # (M,) each
+    z: list[NDArray[np.float64]]  # (M,) each, as a filter sees it
     live: list[NDArray[np.bool_]]  # (M,) each
     exact: list[Poses]  # (2 · SAMPLES, 3) each: one half to measure to, one for the floor
-    ess: list[float]  # of the bank, for each reading
+    used: list[Poses]  # (SAMPLES, 3) each, by the likelihood that the shipped filter uses; or none
+    ess: list[float]  # effective contacts behind the draws of each reading
     length_m: float
     left_out: int
     bank: int
     ms: float  # CPU time of one exact posterior
 
     @property
-    def floor(self) -> float:
-        """Mean energy distance of two sets of exact draws; no sampler can be expected nearer."""
-        return float(np.mean([
+    def floors(self) -> Floats:
+        """(readings,) energy distances of two sets of exact draws."""
+        return np.array([
             energy_distance(e[SAMPLES:], e[:SAMPLES], self.length_m) for e in self.exact
-        ]))  # fmt: skip
+        ])  # fmt: skip
+
+    @property
+    def floor(self) -> float:
+        """Their mean; no sampler can be expected nearer."""
+        return float(self.floors.mean())
 
     @property
     def error(self) -> float:
@@ -49,32 +60,52 @@ class Reference:
 
 def reference(
     model: ObservationModel, noise: Noise, readings: int, rng: np.random.Generator,
-    *, dead: float = 0.0, bank: int = BANK,
+    *, dead: float = 0.0, bank: int = BANK, used: bool = False,
 ) -> Reference:  # fmt: skip
     """Exact posteriors of `readings` simulated readings, a share `dead` of the taxels dead in
-    each. Dead taxels are drawn again where no live one is pressed."""
-    posterior = ExactPosterior(simulate(model, bank, rng), model.layout, noise)
-    touches = simulate(model, readings, rng)
-    kept = Reference([], [], [], [], [], model.scene.size, 0, bank, 0.0)
-    start = time.thread_time()
-    for pose, h in zip(touches.pose, touches.activation, strict=True):
-        z = noise.draw(h.astype(np.float64), rng)
-        live = rng.random(len(z)) >= dead
-        while not (h * live).any():
-            live = rng.random(len(z)) >= dead
-        z = np.where(live, z, 0.0)
-        draws = posterior.sample(z, live, 2 * SAMPLES, rng)
+    each. Where the bank is too thin for one, contacts are made around it. `used`: with what the
+    shipped filter's likelihood would make of them."""
+    floor = floor_of(noise)
+    contacts = simulate(model, bank, rng)
+    exact, other = (Posterior(model, contacts, n, floor, rng) for n in (noise, IN_USE))
+    kept = Reference([], [], [], [], [], [], model.scene.size, 0, bank, 0.0)
+    drawn = read(model, noise, readings, rng, dead)
+    spent_s = 0.0
+    for pose, z, live in zip(drawn.pose, drawn.z, drawn.live, strict=True):
+        start = time.thread_time()
+        draws = exact.sample(z, live, 2 * SAMPLES, rng)
+        spent_s += time.thread_time() - start
         if draws.ess < LIMIT_ESS:
             continue
         kept.truth.append(pose)
         kept.z.append(z)
         kept.live.append(live)
         kept.exact.append(draws.pose)
+        if used:
+            kept.used.append(other.sample(z, live, SAMPLES, rng).pose)
         kept.ess.append(draws.ess)
     return Reference(
-        kept.truth, kept.z, kept.live, kept.exact, kept.ess,
-        kept.length_m, readings - len(kept.z), bank, (time.thread_time() - start) / readings * 1e3,
+        kept.truth, kept.z, kept.live, kept.exact, kept.used, kept.ess,
+        kept.length_m, readings - len(kept.z), bank, spent_s / readings * 1e3,
     )  # fmt: skip
+
+
+class Posterior:
+    """The exact posterior by a bank and, where that is too thin, by contacts made for a reading."""
+
+    def __init__(
+        self, model: ObservationModel, bank: Touches, noise: Noise, floor: float,
+        rng: np.random.Generator,
+    ) -> None:  # fmt: skip
+        self._bank = ExactPosterior(bank, model.layout, noise, floor)
+        self._dense = Dense(model, noise, floor, rng)
+
+    def sample(self, z: Floats, live: NDArray[np.bool_], n: int, rng: np.random.Generator) -> Draws:
+        """`n` draws for z (M,) and live (M,)."""
+        draws = self._bank.sample(z, live, n, rng)
+        if draws.ess >= THIN_ESS:
+            return draws
+        return self._dense.sample(z, live, n, rng, self._bank)
 
 
 def save(to: Reference, path: Path) -> None:
@@ -91,6 +122,7 @@ def load(path: Path) -> Reference:
             z=list(kept["z"]),
             live=list(kept["live"]),
             exact=list(kept["exact"]),
+            used=list(kept["used"]),
             ess=list(kept["ess"]),
             length_m=float(kept["length_m"]),
             left_out=int(kept["left_out"]),
@@ -99,12 +131,17 @@ def load(path: Path) -> Reference:
         )
 
 
-def distance(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:
-    """Mean energy distance of SAMPLES samples to the exact draws."""
-    return float(np.mean([
+def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Floats:
+    """(readings,) energy distances of SAMPLES samples to the exact draws."""
+    return np.array([
         energy_distance(proposal.propose(z, live, SAMPLES, rng), exact[:SAMPLES], to.length_m)
         for z, live, exact in zip(to.z, to.live, to.exact, strict=True)
-    ]))  # fmt: skip
+    ])  # fmt: skip
+
+
+def distance(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:
+    """Their mean."""
+    return float(distances(proposal, to, rng).mean())
 
 
 def cost_ms(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:

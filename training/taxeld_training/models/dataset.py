@@ -1,4 +1,5 @@
-"""Simulated touches: contact poses with their true activations, and batches of readings of them."""
+"""Simulated touches: contact poses with their true activations, and readings of them as a filter
+sees them, 0 under a floor."""
 
 from dataclasses import dataclass
 
@@ -8,10 +9,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from taxeld.errors import SetupError
+from taxeld.model.activation import FLOOR
 from taxeld.model.contacts import synthesise
 from taxeld.model.observation import Noise, ObservationModel
 
 MIN_ACTIVATION = 0.05  # of the strongest taxel: weaker contacts are neither learned nor sampled
+SILENT = 5.0  # standard deviations of noise under which a reading is 0: noise is no touch
+FLOOR_MAX = 0.12  # in training the floor is anything from FLOOR to this: skins and places differ
 DEAD_SHARE = 0.3  # of training touches have dead taxels
 DEAD_MAX = 0.3  # of a skin's taxels are dead at most
 
@@ -49,6 +53,43 @@ def simulate(model: ObservationModel, n: int, rng: np.random.Generator) -> Touch
     return Touches(np.concatenate(poses)[:n], np.concatenate(activations)[:n], dropped / drawn)
 
 
+@dataclass(frozen=True)
+class Readings:
+    """n readings: poses (n, 3) in the sensor frame, z (n, M), live (n, M), the floor of all."""
+
+    pose: NDArray[np.float64]
+    z: NDArray[np.float64]
+    live: NDArray[np.bool_]
+    floor: float
+
+    def __len__(self) -> int:
+        return len(self.pose)
+
+
+def floor_of(noise: Noise) -> float:
+    """Of full scale, under which a skin with such noise reports 0."""
+    return max(FLOOR, SILENT * noise.sigma)
+
+
+def read(
+    model: ObservationModel, noise: Noise, n: int, rng: np.random.Generator, dead: float = 0.0
+) -> Readings:
+    """`n` simulated contacts as a filter sees them: each is felt by a live taxel at least. A share
+    `dead` of the taxels is dead in each."""
+    floor, found = floor_of(noise), 0
+    parts = []
+    while found < n:
+        touches = simulate(model, n, rng)
+        z = noise.draw(touches.activation.astype(np.float64), rng)
+        live = rng.random(z.shape) >= dead
+        z = np.where(live & (z >= floor), z, 0.0)
+        felt = z.any(axis=1)
+        found += int(felt.sum())
+        parts.append((touches.pose[felt], z[felt], live[felt]))
+    pose, z, live = (np.concatenate(part)[:n] for part in zip(*parts, strict=True))
+    return Readings(pose, z, live, floor)
+
+
 class Batches:
     """Batches of noisy readings with the coordinates of their poses, drawn with replacement."""
 
@@ -72,7 +113,15 @@ class Batches:
         gain = 1.0 + self.noise.gain_cv * torch.randn(h.shape, generator=g, device=device)
         z = gain * h + self.noise.sigma * torch.randn(h.shape, generator=g, device=device)
         live = self._live(h)
-        return z.clamp(0.0, 1.0) * live, live, self.coordinates[i]
+        return self._over_floor(z * live).clamp(0.0, 1.0), live, self.coordinates[i]
+
+    def _over_floor(self, z: Tensor) -> Tensor:
+        """z (n, M), 0 where it is under a floor of each reading's own; the least of floors where
+        nothing would be felt."""
+        g, device = self.generator, z.device
+        floor = torch.rand((len(z), 1), generator=g, device=device) * (FLOOR_MAX - FLOOR) + FLOOR
+        floor = torch.where(z.amax(dim=1, keepdim=True) >= floor, floor, FLOOR)
+        return torch.where(z >= floor, z, 0.0)
 
     def _live(self, h: Tensor) -> Tensor:
         """live (n, M): dead taxels in DEAD_SHARE of the touches, uniformly 0..DEAD_MAX of the skin;

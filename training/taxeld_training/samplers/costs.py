@@ -22,7 +22,7 @@ from taxeld.model.observation import Noise
 from taxeld.model.proposal import Proposal
 from taxeld.proposals.sampler import Sampler
 from taxeld_training.limits import quality
-from taxeld_training.models.dataset import simulate
+from taxeld_training.models.dataset import read
 from taxeld_training.models.export import export
 from taxeld_training.models.variants import Variant
 from taxeld_training.samplers import experiment
@@ -39,7 +39,7 @@ def time_calls(
     cold and warm; `groups` as in `experiment.measure`."""
     model = setting.model()
     rng = np.random.default_rng(0)
-    readings = Noise().draw(simulate(model, CALLS + 1, rng).activation.astype(np.float64), rng)
+    readings = read(model, Noise(), CALLS + 1, rng).z
     untrained = replace(setting, updates=0.0)
     with tempfile.TemporaryDirectory() as place:
         timed = [

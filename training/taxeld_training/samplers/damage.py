@@ -14,6 +14,7 @@ from taxeld.model.observation import Noise
 from taxeld.proposals import bundle
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs, write
+from taxeld_training.jobs.statistics import of_mean, p_paired, rounded
 from taxeld_training.limits import quality
 from taxeld_training.objects.setting import DEPTH_MAX_M
 
@@ -44,14 +45,19 @@ def measure(name: str, dead: float, readings: int, bank: int, seed: int) -> list
     loaded = bundle.load(name, layouts.load(SkinConfig().layout), DEPTH_MAX_M)
     rng = np.random.default_rng(seed)
     to = quality.reference(loaded.model, Noise(), readings, rng, dead=dead, bank=bank)
+    found = {kind: quality.distances(loaded.proposal(kind), to, rng) for kind in PROPOSALS}
+    nearest = min(found.values(), key=lambda distances: float(distances.mean()))
     return [
         {
             "object": loaded.info["object"],
             "dead_share": dead,
             "proposal": kind,
-            "energy_distance": quality.distance(loaded.proposal(kind), to, rng),
+            "energy_distance": float(distances.mean()),
+            "energy_distance_ci": rounded(of_mean([distances], rng), 5),
+            "p_nearest": p_paired(distances, nearest),
             "energy_floor": to.floor,
             "readings": len(to.z),
+            "left_out": to.left_out,
         }
-        for kind in PROPOSALS
+        for kind, distances in found.items()
     ]

@@ -1,13 +1,12 @@
-"""Measurements of samplers on an object and a skin, against the exact posterior.
+"""The samplers that experiments compare, on an object and a skin.
 
-A `Measurement` names all that its rows depend on. Each group of samplers (analytic proposals, one
-trained model, one rival) is a job of its own; the jobs share the exact posteriors through a file.
+A `Measurement` names all that its rows depend on. Samplers come in groups: the analytic proposals,
+one trained model, one rival.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -17,8 +16,13 @@ from taxeld.arrays import Floats, Poses
 from taxeld.model.observation import Noise, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.proposals.analytic import ANALYTIC, Table
-from taxeld_training.limits import metrics, quality
-from taxeld_training.limits.rivals import train_rival
+from taxeld_training.limits import quality
+from taxeld_training.limits.rivals import (
+    LARGE,
+    LARGE_CONTACTS,
+    LARGE_EPOCHS,
+    train_rival,
+)
 from taxeld_training.models import variants
 from taxeld_training.models.dataset import simulate
 from taxeld_training.models.export import AnySampler, flops
@@ -72,62 +76,10 @@ class Eager:
         return np.column_stack([x, y, np.arctan2(s, c)])
 
 
-def make_reference(setting: Measurement, path: str) -> dict[str, float]:
-    """Write the exact posteriors to `path` for the other jobs; → figures about them."""
-    rng = np.random.default_rng(setting.seed + 1)
-    to = quality.reference(setting.model(), Noise(), setting.readings, rng, bank=setting.bank)
-    quality.save(to, Path(path))
-    return {"floor": to.floor, "error": to.error, "left_out": to.left_out, "ms": to.ms}
-
-
-def measure(
-    setting: Measurement, group: str, reference: str, variant: Variant | None
-) -> list[dict[str, Any]]:
-    """Rows of all samplers of a group: `analytic`, a rival of sbi, or a model by its variant."""
-    model = setting.model()
-    to = quality.load(Path(reference))
-    rng = np.random.default_rng(setting.seed + 2)
-    touches = simulate(model, setting.contacts, rng)
-    z = Noise().draw(touches.activation.astype(np.float64), rng)
-    rows = []
-    for tried in samplers_of(setting, group, variant, model):
-        slow = tried.sampler.name in ("npse", "fmpe") or (tried.steps or 0) > 50
-        count = setting.slow_contacts if slow else setting.contacts
-        live = np.ones(len(model.layout), dtype=bool)
-        samples = [tried.sampler.propose(each, live, quality.SAMPLES, rng) for each in z[:count]]
-        rows.append({
-            **_named(setting, tried),
-            **metrics.summary(model, z[:count], touches.pose[:count], samples, rng),
-            "energy_distance": quality.distance(tried.sampler, to, rng),
-            "energy_floor": to.floor,
-        })  # fmt: skip
-    if group == "analytic":
-        exact = [draws[: quality.SAMPLES] for draws in to.exact]
-        limit = Tried("exact", None, None, None, ANALYTIC["projection"](model))
-        rows.append({
-            **_named(setting, limit),
-            **metrics.summary(model, np.array(to.z), np.array(to.truth), exact, rng),
-            "energy_distance": to.floor,
-            "energy_floor": to.floor,
-        })  # fmt: skip
-    return rows
-
-
-def _named(setting: Measurement, tried: Tried) -> dict[str, Any]:
-    return {
-        "object": setting.object,
-        "columns": setting.columns,
-        "proposal": tried.proposal,
-        "steps": tried.steps,
-        "width": tried.width,
-        "flops": tried.flops,
-    }
-
-
 def samplers_of(
     setting: Measurement, group: str, variant: Variant | None, model: ObservationModel
 ) -> Iterator[Tried]:
-    """The samplers of a group, as `measure` has it, trained for `setting.updates`."""
+    """The samplers of a group, trained for `setting.updates`."""
     if group == "analytic":
         for name, make in ANALYTIC.items():
             yield Tried(name, None, None, None, make(model))
@@ -147,5 +99,11 @@ def samplers_of(
                 Eager(sampler),
             )
     else:
-        rival = train_rival(group, model, Noise(), seed=setting.seed, max_epochs=setting.epochs)
+        kind = LARGE.get(group, group)
+        size = (
+            {"contacts": LARGE_CONTACTS, "max_epochs": LARGE_EPOCHS[kind]} if group in LARGE else {}
+        )
+        if setting.epochs is not None:
+            size = {"max_epochs": setting.epochs}
+        rival = train_rival(kind, model, Noise(), seed=setting.seed, **size)
         yield Tried(group, None, None, None, rival)

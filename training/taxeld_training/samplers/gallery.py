@@ -12,9 +12,9 @@ from taxeld_training.jobs.options import Options, run_jobs
 from taxeld_training.limits import quality
 from taxeld_training.models import variants
 from taxeld_training.models.variants import Variant
-from taxeld_training.samplers import experiment
-from taxeld_training.samplers.evaluate import reference_file, settings
+from taxeld_training.samplers import experiment, measured
 from taxeld_training.samplers.experiment import Measurement
+from taxeld_training.samplers.runs import reference_file, settings
 
 OBJECT, COLUMNS = "025_mug", (16,)
 READINGS = 8  # of which the strongest is drawn
@@ -28,7 +28,7 @@ def run(options: Options) -> list[Path]:
     cell = settings(replace(options, objects=(name,)), COLUMNS)[0]
     cell = replace(cell, readings=READINGS)
     path = reference_file(cell, options.memory.resolve())
-    job = Job(f"gallery-{cell.name}", draw, (cell, path, variants.diffusion()))
+    job = Job(f"gallery-{cell.name}", draw, (cell, variants.diffusion(), measured.code()), (path,))
     drawn = run_jobs([job], options)[job.name]
     panels = {key: np.array(drawn[key]) for key in ("projection", "ddpm", "exact posterior")}
     options.out.mkdir(parents=True, exist_ok=True)
@@ -37,10 +37,10 @@ def run(options: Options) -> list[Path]:
     return [picture]
 
 
-def draw(setting: Measurement, reference: str, variant: Variant) -> dict[str, Any]:
+def draw(setting: Measurement, variant: Variant, code: str, reference: str) -> dict[str, Any]:
     """Samples by three samplers for the strongest of the readings."""
     model = setting.model()
-    experiment.make_reference(setting, reference)
+    measured.make_reference(setting, code, reference)
     to = quality.load(Path(reference))
     i = int(np.argmax([z.max() for z in to.z]))
     rng = np.random.default_rng(setting.seed)

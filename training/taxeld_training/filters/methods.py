@@ -1,0 +1,87 @@
+"""Filters by their parts, as the daemon's configuration has them, and what is kept of a touch.
+
+What a method does not name is the configuration that ships, its model of a reading's errors above
+all: a trial's own noise is a condition of its world, and no filter knows it.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.estimate import Status
+from taxeld.estimator.rule import noise_of
+from taxeld.model.symmetry import SILENT_MM
+from taxeld_training.jobs import fingerprint
+from taxeld_training.jobs.rows import GRID, SUCCESS_MM
+
+# what decides a filter's estimates in a trial; where it has particles, their samples as well
+ROOMS = ("taxeld.model", "taxeld.estimator", "taxeld_training.filters")
+DRAWN = ("taxeld.config.tables", "taxeld_training.models.dataset")
+GRIDS = ("taxeld_training.limits.grid_filter", "taxeld_training.limits.grid_cells")
+SAMPLES = ("taxeld.proposals",)
+
+NOISE = noise_of(FilterConfig())  # of the grid filter as well
+
+
+@dataclass(frozen=True)
+class Method:
+    """A filter by its parts."""
+
+    proposal: str  # GRID: the limit, which has neither injection nor particles
+    injection: str = ""
+    particles: int = 0
+    particles_max: int = 0  # 0: no more than that
+
+    @property
+    def name(self) -> str:
+        size = f"{self.particles}{f'..{self.particles_max}' if self.particles_max else ''}"
+        return "-".join(part for part in (self.proposal, self.injection, size) if part != "0")
+
+    def config(self, seed: int, motion: str = FilterConfig().motion) -> FilterConfig:
+        return FilterConfig(
+            particles=self.particles,
+            particles_max=self.particles_max or self.particles,
+            injected=self.particles // 2,
+            injection=self.injection,
+            motion=motion,
+            seed=seed,
+        )
+
+
+_DEFAULT = FilterConfig()
+SHIPPED = Method(
+    "density", _DEFAULT.injection, _DEFAULT.particles, _DEFAULT.particles_max
+)  # what the daemon runs with a bundle of ours if nothing is configured
+
+
+class TouchResult(NamedTuple):
+    """A filter's estimate after a touch; errors are nan where there is none, and where the filter
+    assumes another object than the one touched."""
+
+    map_mm: float  # to the nearest of the objects of the kind, if there are two
+    mean_mm: float
+    status: Status | None  # None: the grid filter has none
+    particles: int
+    meant_mm: float  # of the map, to the one that the trial means
+
+    @property
+    def succeeded(self) -> bool:
+        return self.map_mm < SUCCESS_MM
+
+    @property
+    def found_the_one_meant(self) -> bool:
+        return self.meant_mm < SUCCESS_MM
+
+    @property
+    def converged(self) -> bool:
+        return self.status is Status.CONVERGED
+
+    @property
+    def failed_silently(self) -> bool:
+        return self.converged and not self.map_mm <= SILENT_MM
+
+
+def code(proposal: str) -> str:
+    """Hash of the code that decides a trial's results with such a proposal, so that other code is
+    another job."""
+    return fingerprint.of(*ROOMS, *DRAWN, *(GRIDS if proposal == GRID else SAMPLES))

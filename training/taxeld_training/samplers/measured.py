@@ -1,0 +1,100 @@
+"""Measurements of samplers on an object and a skin, against the exact posterior.
+
+Each group of samplers is a job of its own; the jobs share the exact posteriors through a file.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taxeld.arrays import Floats, Poses
+from taxeld.model.observation import Noise, ObservationModel
+from taxeld.proposals.analytic import ANALYTIC
+from taxeld_training.jobs import fingerprint
+from taxeld_training.jobs.rows import DISTANCES, EXACT, USED
+from taxeld_training.jobs.statistics import of_mean, rounded
+from taxeld_training.limits import metrics, quality
+from taxeld_training.limits.posterior import energy_distance
+from taxeld_training.models.dataset import read
+from taxeld_training.models.variants import Variant
+from taxeld_training.samplers.experiment import Measurement, Tried, samplers_of
+
+ROOMS = "taxeld.model", "taxeld.proposals", "taxeld_training.models", "taxeld_training.limits"
+
+
+def code() -> str:
+    """Of what decides a sampler's rows, so that other code is another job."""
+    return fingerprint.of(*ROOMS)
+
+
+def make_reference(setting: Measurement, code: str, path: str) -> dict[str, float]:
+    """Write the exact posteriors to `path` for the other jobs; → figures about them. `code` is part
+    of the job's key alone."""
+    del code
+    rng = np.random.default_rng(setting.seed + 1)
+    to = quality.reference(
+        setting.model(), Noise(), setting.readings, rng, bank=setting.bank, used=True
+    )
+    quality.save(to, Path(path))
+    return {"floor": to.floor, "error": to.error, "left_out": to.left_out, "ms": to.ms}
+
+
+def measure(
+    setting: Measurement, group: str, variant: Variant | None, code: str, reference: str
+) -> list[dict[str, Any]]:
+    """Rows of all samplers of a group: `analytic`, a rival of sbi, or a model by its variant.
+    `code` is part of the job's key alone."""
+    del code
+    model = setting.model()
+    to = quality.load(Path(reference))
+    rng = np.random.default_rng(setting.seed + 2)
+    seen = read(model, Noise(), setting.contacts, rng)
+
+    def row(
+        tried: Tried, z: Floats, truth: Poses, samples: Sequence[Poses], distances: Floats
+    ) -> dict[str, Any]:
+        return {
+            **_named(setting, tried),
+            **metrics.summary(model, z, truth, samples, rng),
+            "energy_distance": float(distances.mean()),
+            "energy_distance_ci": rounded(of_mean([distances], rng), 5),
+            "energy_floor": to.floor,
+            "left_out": to.left_out,
+            DISTANCES: [round(value, 5) for value in distances.tolist()],
+        }
+
+    rows = []
+    for tried in samplers_of(setting, group, variant, model):
+        slow = tried.sampler.name in ("npse", "fmpe") or (tried.steps or 0) > 50
+        count = setting.slow_contacts if slow else setting.contacts
+        some = zip(seen.z[:count], seen.live[:count], strict=True)
+        samples = [tried.sampler.propose(z, live, quality.SAMPLES, rng) for z, live in some]
+        distances = quality.distances(tried.sampler, to, rng)
+        rows.append(row(tried, seen.z[:count], seen.pose[:count], samples, distances))
+    if group == "analytic":
+        z, truth, n = np.array(to.z), np.array(to.truth), quality.SAMPLES
+        exact = [draws[:n] for draws in to.exact]
+        used = [
+            energy_distance(one, other, to.length_m)
+            for one, other in zip(to.used, exact, strict=True)
+        ]
+        rows.append(row(_limit(EXACT, model), z, truth, exact, to.floors))
+        rows.append(row(_limit(USED, model), z, truth, to.used, np.array(used)))
+    return rows
+
+
+def _limit(name: str, model: ObservationModel) -> Tried:
+    return Tried(name, None, None, None, ANALYTIC["projection"](model))
+
+
+def _named(setting: Measurement, tried: Tried) -> dict[str, Any]:
+    return {
+        "object": setting.object,
+        "columns": setting.columns,
+        "proposal": tried.proposal,
+        "steps": tried.steps,
+        "width": tried.width,
+        "flops": tried.flops,
+    }
