@@ -177,7 +177,7 @@ class FilterConfig:
         "none", one_of("none", "push"), "what the object does: stands still, or gives way to a push"
     )
     nudge_m: float = key(0.001, between(0, 0.05), "sd of what the object gives way at a touch")
-    memory: int = key(24, between(1, 100), "injection mixture: touches remembered")
+    memory: int = key(16, between(1, 100), "injection mixture: scans of touches remembered")
     sampler: str = key("", doc="which of the bundle's samplers; empty: as proposal says")
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")

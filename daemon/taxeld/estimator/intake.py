@@ -12,8 +12,6 @@ from taxeld.model.leak import Leak
 from taxeld.model.observation import Observation
 from taxeld.model.se2 import JUMP_M
 
-import os
-FLOORED = float(os.environ.get("FLOORED","1"))
 
 class Intake:
     """Makes observations of one skin's activations; what is wrong with them is counted."""
@@ -38,7 +36,7 @@ class Intake:
         live = activation.live & ~stuck
         z = np.where(live, z, 0.0)
         leak = self._leak.of(z)
-        floor = np.maximum(activation.floor, FLOORED * leak)
+        floor = np.maximum(activation.floor, leak)
         residue = np.hypot(activation.residue, leak)
         return Observation(sensor, np.where(z < floor, 0.0, z), live, floor, residue)
 

@@ -8,12 +8,14 @@ scans are remembered beside contacts: where the skin met nothing, the object is 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.offsets import Readings
 from taxeld.estimator.prior import Prior
 from taxeld.model.observation import Noise, Observation, ObservationModel
 
+HIDDEN = 1.5  # standard deviations of its offset that a silent scan may be off
 LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # of a reading: the activations that may explain it best
 
 
@@ -155,21 +157,44 @@ class Memory:
 
     def _explain(self, poses: Poses, since: int) -> Floats:
         """Of scans from `since` on: (N, 3) → (N, K − since)."""
-        silent = self._silent[since:]
-        k, n, taxels = len(silent), len(poses), len(self._model.layout)
+        explained = np.repeat(self._silent[since:].sum(axis=1)[None], len(poses), axis=0)
         variance = self.slack.variance(self.newest - self.number[since:])
-        slack = bool(variance.any())
-        look_up = self._model.near_from if slack else self._model.pressed_from
-        at, h, *gradient = look_up(self._sensor[since:], poses)
-        row, taxel = np.divmod(at, taxels)
-        cell = (row // max(n, 1) + since) * taxels + taxel
+        touched = self.contact[since:] & (variance > 0.0)
+        for chosen, met in ((touched, self._met_about), (~touched, self._met)):
+            rows = np.flatnonzero(chosen)
+            if len(rows):
+                explained[:, rows] += met(poses, rows + since, variance[rows])
+        return explained
+
+    def _met(self, poses: Poses, scans: NDArray[np.intp], variance: Floats) -> Floats:
+        """What taxels that poses press add to log p of scans (k,): (N, k). A silent scan tells of
+        what presses deeper than its offset may have hidden."""
+        at, h = self._model.pressed_from(self._sensor[scans], poses)
+        row, cell = self._pairs(at, scans, len(poses))
+        hidden = HIDDEN * np.sqrt(variance) / self._model.depth_max_m
+        h = np.maximum(h - hidden.take(row // len(poses)), 0.0)
+        gain = self._gain(cell, h, self._floor.take(cell))
+        return np.bincount(row, gain, len(scans) * len(poses)).reshape(len(scans), -1).T
+
+    def _met_about(self, poses: Poses, scans: NDArray[np.intp], variance: Floats) -> Floats:
+        """The same where each scan has an offset of its own."""
+        at, depth, gx, gy = self._model.near_from(self._sensor[scans], poses)
+        row, cell = self._pairs(at, scans, len(poses))
         z, floor = self._z.take(cell), self._floor.take(cell)
-        added: Floats | float = 0.0
-        if slack:
-            readings = Readings(row, z, floor, h, *gradient, self._weight.take(cell))
-            h, added = readings.offset(np.repeat(variance, n))
-            h = np.clip(h, 0.0, 1.0)
-        density = self._noise.log_density(z, h, floor, self._residue.take(cell))
-        gain = (density - self._silent.take(cell)) * self._live.take(cell)
-        met = np.bincount(row, gain, k * n) + added
-        return np.asarray((met.reshape(k, n) + silent.sum(axis=1, keepdims=True)).T)
+        readings = Readings(row, z, floor, depth, gx, gy, self._weight.take(cell))
+        depth, added = readings.offset(np.repeat(variance, len(poses)))
+        gain = self._gain(cell, np.clip(depth, 0.0, 1.0), floor)
+        met = np.bincount(row, gain, len(added)) + added
+        return np.asarray(met.reshape(len(scans), -1).T)
+
+    def _pairs(
+        self, at: NDArray[np.intp], scans: NDArray[np.intp], poses: int
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Indices into (k, N, M) → rows of (k · N), and places in what is kept, (K, M)."""
+        row, taxel = np.divmod(at, len(self._model.layout))
+        return row, scans.take(row // max(poses, 1)) * len(self._model.layout) + taxel
+
+    def _gain(self, cell: NDArray[np.intp], h: Floats, floor: Floats) -> Floats:
+        """By how much readings at places in what is kept are likelier at h than untouched."""
+        density = self._noise.log_density(self._z.take(cell), h, floor, self._residue.take(cell))
+        return np.asarray((density - self._silent.take(cell)) * self._live.take(cell))

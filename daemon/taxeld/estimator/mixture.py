@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from taxeld.arrays import Bools, Poses
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import consistency, injection
 from taxeld.estimator import particles as pf
@@ -23,6 +23,7 @@ SILENT_MAX = 32  # silent scans remembered
 TELLING = 1.0  # nats by which a silent scan must part the particles to be remembered
 SCALES = (0.0, 0.5, 1.0, 2.0)  # of the configured slack
 SLACK_FROM = 3  # contacts: fewer agree whatever the slack
+SLACK_PARTICLES = 64  # by which the evidence is found
 SLACK_NATS = 1.0  # of evidence, for another scale
 REVISITS = 4  # a contact: second opinions taken while there is nothing to learn
 
@@ -108,7 +109,10 @@ class Mixture:
         if not len(samples):  # none are asked for, or there is no time for any
             return 0
         self._revisits += 1
-        self._become(injection.merge(self.belief, self._opinion(samples, memory, scan), memory.share), moves=1)
+        self._become(
+            injection.merge(self.belief, self._opinion(samples, memory, scan), memory.share),
+            moves=1,
+        )
         excess = consistency.excess(memory, self.belief)
         newest = contacts[-1]
         confidence.doubt = bool(excess[newest] > 0.0) or consistency.is_excessive(
@@ -145,23 +149,22 @@ class Mixture:
         if memory.contacts < SLACK_FROM or not (memory.slack.robot_m or memory.slack.nudge_m):
             return
         share, now = memory.share, memory.slack
-        support = belief.remembered @ share
-        best, gained, found = now, 0.0, belief.remembered
+        some = slice(None, None, -(-len(belief) // SLACK_PARTICLES))
+        pose, support = belief.pose[some], belief.remembered[some] @ share
+        gained, best = {}, now
         for scale in SCALES:
-            if scale == now.scale:
-                continue
-            memory.slack = replace(now, scale=scale)
-            remembered = memory.explain(belief.pose)
-            gain = belief.log_weight + remembered @ share - support
-            gain = float(gain.max() + np.log(np.exp(gain - gain.max()).sum()))
-            if gain > max(gained, SLACK_NATS):
-                best, gained, found = memory.slack, gain, remembered
+            if scale != now.scale:
+                memory.slack = replace(now, scale=scale)
+                gained[memory.slack] = _log_mean(memory.explain(pose) @ share - support)
+        likeliest = max(gained, key=gained.__getitem__)
+        if gained[likeliest] > SLACK_NATS:
+            best = likeliest
         memory.slack = self._slack = best
-        if best is now:
-            return
-        pf.reweight(belief, (found - belief.remembered) @ share)
-        belief.remembered = found
-        self._become(belief, moves=MOVES)
+        if best is not now:
+            remembered = memory.explain(belief.pose)
+            pf.reweight(belief, (remembered - belief.remembered) @ share)
+            belief.remembered = remembered
+            self._become(belief, moves=MOVES)
 
     def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> None:
         """From the samples of a contact, or from nothing."""
@@ -258,3 +261,9 @@ class Mixture:
         self.memory.of_scans(terms)[:] = kept
         self.memory = self.memory.only(kept, prior=prior)
         self.belief.remembered = self.belief.remembered[:, terms]
+
+
+def _log_mean(values: Floats) -> float:
+    """Logarithm of the mean of exp(values)."""
+    top = float(values.max())
+    return top + float(np.log(np.exp(values - top).mean()))

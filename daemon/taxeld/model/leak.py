@@ -5,9 +5,8 @@ import numpy as np
 from taxeld.arrays import Floats
 from taxeld.layout.layout import Layout
 
-import os
-CROSS_TALK = float(os.environ.get('XT','.05')) # of what the other taxels of its module read together (docs/physics.md)
-SAG = float(os.environ.get('SAG','.1'))  # of the most that a taxel beside it reads
+CROSS_TALK = 0.05  # of what the other taxels of its module read together (docs/physics.md)
+SAG = 0.1  # of the most that a taxel beside it reads
 BESIDE = 1.5  # nearest distances
 
 
