@@ -38,7 +38,11 @@ def test_a_slide_counts_every_few_millimetres() -> None:
 
 
 def test_a_taxel_that_changes_much_counts() -> None:
-    assert [len(each) for each in told([0.9, 0.9, 0.5, 0.3])] == [0, 1, 0, 1]
+    assert [len(each) for each in told([0.3, 0.3, 0.6, 0.9, 0.9])] == [0, 1, 0, 0, 1]
+
+
+def test_a_release_tells_nothing_new() -> None:
+    assert [len(each) for each in told([0.9, 0.9, 0.5, 0.3, 0.1])] == [0, 1, 0, 0, 0]
 
 
 def test_silence_counts_as_the_sensor_moves_and_not_while_it_stands() -> None:

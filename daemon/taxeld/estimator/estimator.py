@@ -13,7 +13,6 @@ from taxeld.estimator import confidence
 from taxeld.estimator.counters import EstimatorCounters
 from taxeld.estimator.estimate import Estimate
 from taxeld.estimator.intake import Intake
-from taxeld.estimator.memory import Slack
 from taxeld.estimator.news import News
 from taxeld.estimator.rules import RULES
 from taxeld.estimator.sampling import Sampling
@@ -34,7 +33,7 @@ class Estimator:
         robot_m: float = SensorPoseConfig().sigma_m,
     ) -> None:
         """`robot_m`: standard deviation of the sensor's place at a touch, in each direction."""
-        self.slack = Slack(robot_m, config.nudge_m)
+        self.robot_m = robot_m
         self.model = model
         self.proposal = proposal
         self.config = config
@@ -45,10 +44,10 @@ class Estimator:
         """Forget every contact; the random generator begins anew as well."""
         config, layout = self.config, self.model.layout
         rng = np.random.default_rng(config.seed)
-        self.rule = RULES[config.injection](self.model, config, self.slack, rng)
+        self.rule = RULES[config.injection](self.model, config, self.robot_m, rng)
         self.rule.counters = self.counters.rule
         self._sampling = Sampling(self.model, self.proposal, rng, project=config.project)
-        self._intake = Intake(layout, self.counters)
+        self._intake = Intake(self.model, self.counters)
         self._news = News(layout.radius_m)
         self._before: Observation | None = None
         self.estimate = self._estimate(0.0)

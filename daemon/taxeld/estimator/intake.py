@@ -1,4 +1,5 @@
-"""What can be used of a scan: finite, in order, within its range, without taxels that are stuck."""
+"""What can be used of a scan: finite, in order, within its range, without taxels that are stuck,
+and not what may come from presses elsewhere."""
 
 import numpy as np
 
@@ -7,22 +8,20 @@ from taxeld.estimator.counters import EstimatorCounters
 from taxeld.estimator.news import moved_m
 from taxeld.estimator.stuck import Stuck
 from taxeld.model.activation import Activation
-from taxeld.layout.layout import Layout
-from taxeld.model.leak import Leak
-from taxeld.model.observation import Observation
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.se2 import JUMP_M
 
 
 class Intake:
     """Makes observations of one skin's activations; what is wrong with them is counted."""
 
-    def __init__(self, layout: Layout, counters: EstimatorCounters) -> None:
+    def __init__(self, model: ObservationModel, counters: EstimatorCounters) -> None:
         self.t = -np.inf  # of the last scan that was used
         self._counters = counters
-        self._radius_m = layout.radius_m
-        self._leak = Leak(layout)
+        self._radius_m = model.layout.radius_m
+        self._leak = model.leak
         self._sensor: Poses | None = None
-        self._stuck = Stuck(len(layout))
+        self._stuck = Stuck(len(model.layout))
 
     def observation(self, activation: Activation, sensor: Poses) -> Observation | None:
         """A scan at the sensor's pose (3,) in the world as evidence; None: it is of no use."""

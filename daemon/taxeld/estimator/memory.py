@@ -27,9 +27,12 @@ class Slack:
     nudge_m: float = 0.0  # sd of what the object gives way at each contact since
     scale: float = 1.0  # of both, as the contacts show it
 
-    def variance(self, age: Floats) -> Floats:
+    def variance(self, age: NDArray[np.intp]) -> Floats:
         """[m²] of scans that were followed by `age` contacts."""
         return np.asarray(self.scale**2 * (self.robot_m**2 + self.nudge_m**2 * age))
+
+
+EXACT = Slack()
 
 
 class Memory:
@@ -40,8 +43,8 @@ class Memory:
         self,
         model: ObservationModel,
         noise: Noise,
-        slack: Slack = Slack(),
         prior: Prior | None = None,
+        slack: Slack = EXACT,
     ) -> None:
         taxels = len(model.layout)
         self._model = model
@@ -58,7 +61,7 @@ class Memory:
         self.number = np.empty(0, dtype=np.intp)  # (K,) of the contact; the last, where silent
         self.newest = 0  # number of the contact that began last
         self.pressed = np.empty(0, dtype=np.intp)  # (K,) taxels that were pressed
-        self._ceiling = np.empty(0)  # (K,) log p(z | h) were each taxel pressed just as it reads
+        self.ceiling = np.empty(0)  # (K,) log p(z | h) were each taxel pressed just as it reads
 
     def __len__(self) -> int:
         return len(self._z)
@@ -93,11 +96,6 @@ class Memory:
         of_scans[touched] = 1.0 / count[which]
         return share
 
-    @property
-    def ceiling(self) -> Floats:
-        """(K,) log p(z | h) were each taxel pressed just as it reads."""
-        return self._ceiling
-
     def add(self, observation: Observation, number: int = 0) -> None:
         """A scan of the contact of that number, or a silent one after it."""
         z = observation.z[:, None]
@@ -116,7 +114,7 @@ class Memory:
         self.number = np.append(self.number, number)
         self.newest = max(self.newest, number)
         self.pressed = np.append(self.pressed, np.count_nonzero(observation.z))
-        self._ceiling = np.append(self._ceiling, density.max(axis=1).sum())
+        self.ceiling = np.append(self.ceiling, density.max(axis=1).sum())
 
     def scan(self, k: int) -> Observation:
         """The k-th scan."""
@@ -126,11 +124,11 @@ class Memory:
 
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """The scans that `kept` (K,) names, with the prior or without."""
-        made = Memory(self._model, self._noise, self.slack, self.prior if prior else None)
+        made = Memory(self._model, self._noise, self.prior if prior else None, self.slack)
         made.newest = self.newest
         for name in (
             "_sensor", "_z", "_live", "_floor", "_residue", "_weight", "_silent",
-            "number", "pressed", "_ceiling",
+            "number", "pressed", "ceiling",
         ):  # fmt: skip
             setattr(made, name, getattr(self, name)[kept])
         return made
@@ -174,7 +172,8 @@ class Memory:
         hidden = HIDDEN * np.sqrt(variance) / self._model.depth_max_m
         h = np.maximum(h - hidden.take(row // len(poses)), 0.0)
         gain = self._gain(cell, h, self._floor.take(cell))
-        return np.bincount(row, gain, len(scans) * len(poses)).reshape(len(scans), -1).T
+        met = np.bincount(row, gain, len(scans) * len(poses))
+        return np.asarray(met.reshape(len(scans), -1).T)
 
     def _met_about(self, poses: Poses, scans: NDArray[np.intp], variance: Floats) -> Floats:
         """The same where each scan has an offset of its own."""

@@ -32,11 +32,15 @@ class Mixture:
     """Every remembered scan counts, and samples are weighed against all of them."""
 
     def __init__(
-        self, model: ObservationModel, config: FilterConfig, slack: Slack, rng: np.random.Generator
+        self,
+        model: ObservationModel,
+        config: FilterConfig,
+        robot_m: float,
+        rng: np.random.Generator,
     ) -> None:
         self._model, self._config, self._rng = model, config, rng
-        self._noise, self._slack = noise_of(config), slack
-        self.memory = Memory(model, self._noise, slack)
+        self._noise, self._slack = noise_of(config), Slack(robot_m, config.nudge_m)
+        self.memory = Memory(model, self._noise, slack=self._slack)
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene)
         self.counters = RuleCounters()
@@ -54,7 +58,7 @@ class Mixture:
         belief.pose = pose
         self.confidence.moved(belief)
         prior = Prior(metric, pose, belief.weight, self.confidence.summary.modes)
-        self.memory = Memory(self._model, self._noise, self._slack, prior)
+        self.memory = Memory(self._model, self._noise, prior, self._slack)
         belief.remembered = self.memory.explain(pose)
 
     def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
@@ -168,7 +172,7 @@ class Mixture:
 
     def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> None:
         """From the samples of a contact, or from nothing."""
-        self.memory = Memory(self._model, self._noise, self._slack)
+        self.memory = Memory(self._model, self._noise, slack=self._slack)
         self.belief = anew(self._config, self._rng)
         if len(samples):
             self.memory.add(observation, number)

@@ -2,9 +2,9 @@
 
 - A press is used once, when it stops deepening, which is when it says most. A tap that ends before
   is used by its strongest scan.
-- After that, and in free motion, a scan is used again whenever the sensor has moved or the
-  activations have changed enough. Silence where the belief expects contact is evidence like any
-  other.
+- After that, and in free motion, a scan is used again whenever the sensor has moved or a taxel is
+  pressed much harder. A release tells nothing that the press did not. Silence where the belief
+  expects contact is evidence like any other.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ from taxeld.model import se2
 from taxeld.model.observation import Observation
 
 MOTION_M = 0.005  # a sensor that moved this far meets another place
-ACTIVATION = 0.5  # a taxel that changed this much is pressed in another way
+ACTIVATION = 0.5  # a taxel that rose this much is pressed in another way
 RISING = 0.02  # a strongest activation that grew by more is a press still deepening
 RELEASE_S = 0.15  # silence this long ends a contact: a flicker does not start another
 
@@ -74,8 +74,8 @@ class News:
         if used is None:
             return True
         moved = moved_m(used.sensor, observation.sensor, self.radius_m) / MOTION_M
-        changed = float((observation.z - used.z).max()) / ACTIVATION
-        return moved + changed >= 1.0
+        risen = float((observation.z - used.z).max()) / ACTIVATION
+        return moved + risen >= 1.0
 
 
 def moved_m(a: Poses, b: Poses, radius_m: float) -> float:

@@ -18,9 +18,14 @@ class Paper:
     """Algorithm 1: samples take the mean weight, and nothing is remembered but the newest scan."""
 
     def __init__(
-        self, model: ObservationModel, config: FilterConfig, slack: Slack, rng: np.random.Generator
+        self,
+        model: ObservationModel,
+        config: FilterConfig,
+        robot_m: float,
+        rng: np.random.Generator,
     ) -> None:
-        self._model, self._config, self._rng, self._slack = model, config, rng, slack
+        self._model, self._config, self._rng = model, config, rng
+        self._slack = Slack(robot_m)
         self._noise = noise_of(config)
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0)
@@ -45,7 +50,7 @@ class Paper:
     def update(self, observation: Observation, samples: Poses) -> float:
         """Learn from a scan and samples of it, without judging the result; → log evidence."""
         injection.paper(self.belief, samples)
-        memory = Memory(self._model, self._noise, self._slack)
+        memory = Memory(self._model, self._noise, slack=self._slack)
         memory.add(observation)
         self.belief.remembered = memory.explain(self.belief.pose)
         evidence = pf.reweight(self.belief, self.belief.remembered[:, 0])

@@ -5,13 +5,12 @@ from collections.abc import Callable
 import numpy as np
 
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.memory import Slack
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.rule import Rule
 from taxeld.model.observation import ObservationModel
 
-RULES: dict[str, Callable[[ObservationModel, FilterConfig, Slack, np.random.Generator], Rule]] = {
+RULES: dict[str, Callable[[ObservationModel, FilterConfig, float, np.random.Generator], Rule]] = {
     "paper": Paper,
     "mixture": Mixture,
 }

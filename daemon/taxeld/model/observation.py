@@ -15,6 +15,7 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.layout.layout import Layout
 from taxeld.model.activation import FLOOR
 from taxeld.model.contacts import axis_in_object
+from taxeld.model.leak import Leak
 from taxeld.model.scene import Scene
 
 LEAST = 1e-300  # of a probability: its logarithm is finite
@@ -103,6 +104,7 @@ class ObservationModel:
         self.scene = scene
         self.layout = layout
         self.depth_max_m = depth_max_m
+        self.leak = Leak(layout)
         place, group = np.unique(layout.position_m[:, :2], axis=0, return_inverse=True)
         self._places = np.vstack([place.T, np.ones(len(place))])  # (3, P): taxels stand in columns
         self._column = _padded(group, len(place))  # (P, most) taxels there
@@ -202,7 +204,9 @@ def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
     return (c * x + s * y).ravel(), (c * y - s * x).ravel(), turn.ravel()
 
 
-def _masks(silhouette: Floats, band_m: float, farthest_m: float) -> tuple[Bools, Bools]:
+def _masks(
+    silhouette: NDArray[np.float32], band_m: float, farthest_m: float
+) -> tuple[Bools, Bools]:
     """Cells of the grid with a corner so near the object that a taxel there counts, and cells from
     which a link's taxels reach those."""
     inside = silhouette < band_m

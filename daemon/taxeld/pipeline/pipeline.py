@@ -82,7 +82,7 @@ class Pipeline:
         if config.sensor_pose.endpoint:
             moves = config.sensor_pose
             self.poses = PoseTrack(moves.max_age_s, moves.within_m, on_pose)
-        self.estimator = Estimator(model, ladder, config.filter)
+        self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)
         square = config.filter.half_width_m + _reach_m(model)
         self.freshness = Freshness(config.loop.stale_s, config.filter.centre_m, square)
         self.estimate = self.freshness.judged(self.estimator.estimate)

@@ -1,0 +1,57 @@
+"""What a taxel reads of presses beside it is no evidence of a press."""
+
+import numpy as np
+
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.counters import EstimatorCounters
+from taxeld.estimator.intake import Intake
+from taxeld.layout.layout import Layout
+from taxeld.model.activation import Activation
+from taxeld.model.leak import CROSS_TALK, SAG, Leak
+from taxeld.model.observation import Noise, ObservationModel
+
+
+def one_pressed(taxels: int) -> np.ndarray:
+    z = np.zeros(taxels)
+    z[0] = 0.8
+    return z
+
+
+def test_a_press_leaks_into_its_module_and_beside_it(skin: Layout) -> None:
+    leak = Leak(skin).of(one_pressed(len(skin)))
+    apart = np.linalg.norm(skin.position_m - skin.position_m[0], axis=1)
+    module = skin.uid >> 4
+    far_away = (module != module[0]) & (apart > 0.03)
+    coupled = (module == module[0]) & (apart > 0.03)
+    assert leak[0] == 0.0
+    assert np.allclose(leak[coupled], CROSS_TALK * 0.8)
+    assert (leak[far_away] == 0.0).all()
+    beside = (apart > 0.0) & (apart < 0.016)
+    assert (leak[beside] >= SAG * 0.8 - 1e-12).all()
+
+
+def test_nothing_pressed_leaks_nothing(skin: Layout) -> None:
+    assert not Leak(skin).of(np.zeros(len(skin))).any()
+
+
+def test_a_reading_that_may_be_leaked_is_none_and_raises_what_is_felt(
+    box_model: ObservationModel,
+) -> None:
+    taxels = len(box_model.layout)
+    intake = Intake(box_model, EstimatorCounters())
+    z = one_pressed(taxels)
+    beside = int(np.argmax(box_model.leak.of(z)))
+    z[beside] = 0.03
+    live = np.ones(taxels, dtype=np.bool_)
+    seen = intake.observation(Activation(0.0, z, live), np.zeros(3))
+    assert seen is not None
+    assert seen.z[beside] == 0.0
+    assert seen.z[0] == 0.8
+    assert np.broadcast_to(seen.floor, taxels)[beside] >= SAG * 0.8
+
+
+def test_a_reading_that_leaks_may_have_costs_a_pose_little() -> None:
+    noise = Noise(FilterConfig().noise_sigma, FilterConfig().gain_cv)
+    plain = noise.log_density(np.array(0.2), np.array(0.0))
+    leaked = noise.log_density(np.array(0.2), np.array(0.0), residue=0.12)
+    assert leaked > plain + 3.0
