@@ -14,7 +14,7 @@ from taxeld.estimator.particles import Belief
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
 
-CONFIRMED_M = 0.02  # a heaviest mode that moved less than this has stayed
+CONFIRMED_M = 0.02  # a heaviest mode that moved less has stayed; less of a smaller object
 AGREEING = 4  # remembered contacts that must agree once any was refuted: a few may do so by chance
 SEARCHED = 100  # samples that must have left a narrow belief where it was
 
@@ -82,7 +82,8 @@ class Confidence:
         """Whether a change by so many samples has left a narrow belief where it was."""
         before, self.summary = self.summary, summarise(belief, self.metric)
         apart = self.metric.distance(before.modes[0].pose, self.summary.modes[0].pose)
-        stayed = before.is_narrow and self.summary.is_narrow and bool(apart < CONFIRMED_M)
+        near_m = CONFIRMED_M * min(self.metric.scale, 1.0)
+        stayed = before.is_narrow and self.summary.is_narrow and bool(apart < near_m)
         self.searched = self.searched + samples if stayed else 0
         return stayed
 

@@ -10,11 +10,12 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.particles import Belief
 from taxeld.model.symmetry import Mode, PoseMetric
 
+# lengths are for objects of a mean radius of 0.05 m; for others they are as much longer or shorter
 MODE_RADIUS_M = 0.02  # of root-mean-square surface displacement
 MODES_MAX = 5
 MODE_CANDIDATES = 64
 CONVERGED_WEIGHT = 0.9  # of the heaviest mode
-CONVERGED_SD_M = 0.02
+CONVERGED_SD_M = 0.02  # and no more, however large the object
 SEARCHING_WEIGHT = 0.2  # of the heaviest mode: below, no mode is worth its name
 
 
@@ -50,11 +51,7 @@ class Summary:
     cov: Poses  # (3, 3) about the mean
     ess: float
     particles: int
-    sd_m: float  # of surface points, root mean square
-
-    @property
-    def is_narrow(self) -> bool:
-        return self.modes[0].weight >= CONVERGED_WEIGHT and self.sd_m < CONVERGED_SD_M
+    is_narrow: bool  # one mode, and surface points within a small part of the object's size
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +75,11 @@ class Estimate:
 
 def summarise(belief: Belief, metric: PoseMetric) -> Summary:
     weight = belief.weight
-    modes = metric.modes(belief.pose, weight, MODE_RADIUS_M, MODES_MAX, MODE_CANDIDATES)
+    radius_m = MODE_RADIUS_M * metric.scale
+    modes = metric.modes(belief.pose, weight, radius_m, MODES_MAX, MODE_CANDIDATES)
     mean, cov = metric.mean(belief.pose, weight, modes[0].pose)
     spread = float(np.sqrt(cov[0, 0] + cov[1, 1] + metric.arm_m**2 * cov[2, 2]))
     ess = pf.effective_sample_size(belief)
-    return Summary(tuple(modes), mean, cov, ess, len(belief), spread)
+    narrow = spread < CONVERGED_SD_M * min(metric.scale, 1.0)
+    is_narrow = modes[0].weight >= CONVERGED_WEIGHT and narrow
+    return Summary(tuple(modes), mean, cov, ess, len(belief), is_narrow)

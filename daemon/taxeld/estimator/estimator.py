@@ -66,6 +66,10 @@ class Estimator:
         self.estimate = self._estimate(self._intake.t, injected, log_evidence, blind=blind)
         return self.estimate
 
+    def figures(self) -> dict[str, float]:
+        """What contacts tell of their own exactness."""
+        return {"slack": self.rule.slack}
+
     def _follow(self, observation: Observation) -> None:
         """Between two scans of one contact the object may have been pushed."""
         before, self._before = self._before, observation

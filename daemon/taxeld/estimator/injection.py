@@ -37,13 +37,19 @@ def paper(belief: Belief, poses: Poses) -> None:
 
 
 def anneal(
-    samples: Belief, own: Floats, share: Floats, explain: Explain, rng: np.random.Generator
+    samples: Belief,
+    own: Floats,
+    share: Floats,
+    explain: Explain,
+    rng: np.random.Generator,
+    scale: float = 1.0,
 ) -> Belief:
     """Equally weighted samples of ∏ p(z_k | q)^own_k brought to ∏ p(z_k | q)^share_k: the other
     scans count by degrees, and after each step the samples are drawn anew and moved (an SMC
     sampler, Del Moral et al. 2006). A step is as large as leaves the share KEPT of them.
 
-    own (terms,) in 0..1: the terms that the samples have taken into account.
+    own (terms,) in 0..1: the terms that the samples have taken into account; `scale`: of the
+    object's size, to the usual.
     """
     n, rest = len(samples), share - own
     degree = 0.0
@@ -55,13 +61,13 @@ def anneal(
         pf.normalise(samples)
         samples = pf.resample(samples, n, rng)
         degree += step
-        pf.rejuvenate(samples, explain, own + degree * rest, rng)
+        pf.rejuvenate(samples, explain, own + degree * rest, rng, scale)
         if step == left:
             break
     return samples
 
 
-def merge(a: Belief, b: Belief, share: Floats) -> Belief:
+def merge(a: Belief, b: Belief, share: Floats, scale: float = 1.0) -> Belief:
     """Two samplings of one posterior as one: where both found a mode it is not doubled, and the
     larger sampling does not outweigh the other.
 
@@ -72,7 +78,7 @@ def merge(a: Belief, b: Belief, share: Floats) -> Belief:
     remembered = np.concatenate([a.remembered, b.remembered])
     count = np.concatenate([c.weight * pf.effective_sample_size(c) for c in (a, b)])
     support = remembered @ share
-    _, cell = np.unique(np.floor(pose / MODE), axis=0, return_inverse=True)
+    _, cell = np.unique(np.floor(pose / (MODE * [scale, scale, 1.0])), axis=0, return_inverse=True)
     top = np.full(int(cell.max()) + 1, -np.inf)
     np.maximum.at(top, cell, support)
     count = count * np.exp(-np.maximum(top.take(cell) - support - TYPICAL_NATS, 0.0))

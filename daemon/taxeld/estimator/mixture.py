@@ -43,8 +43,13 @@ class Mixture:
         self.memory = Memory(model, self._noise, slack=self._slack)
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene)
+        self._scale = self.confidence.metric.scale
         self.counters = RuleCounters()
         self._revisits = 0  # since the last contact
+
+    @property
+    def slack(self) -> float:
+        return self._slack.scale
 
     def follow(self, before: Observation, after: Observation) -> None:
         """What is remembered was read where the object no longer is: a prior stands for it."""
@@ -114,7 +119,9 @@ class Mixture:
             return 0
         self._revisits += 1
         self._become(
-            injection.merge(self.belief, self._opinion(samples, memory, scan), memory.share),
+            injection.merge(
+                self.belief, self._opinion(samples, memory, scan), memory.share, self._scale
+            ),
             moves=1,
         )
         excess = consistency.excess(memory, self.belief)
@@ -184,7 +191,7 @@ class Mixture:
         memory = self.memory
         opinion = self._opinion(samples, memory, len(memory) - 1)
         if np.count_nonzero(memory.contact) > 1 or memory.prior is not None:
-            opinion = injection.merge(self.belief, opinion, memory.share)
+            opinion = injection.merge(self.belief, opinion, memory.share, self._scale)
         self._become(opinion, moves=MOVES)
 
     def _opinion(self, samples: Poses, memory: Memory, scan: int) -> Belief:
@@ -194,21 +201,23 @@ class Mixture:
         samples = samples.copy()
         samples[:, :2] += memory.slack_m(scan) * self._rng.standard_normal((len(samples), 2))
         opinion = pf.equal(samples, memory.explain(samples))
-        return injection.anneal(opinion, own, memory.share, memory.explain, self._rng)
+        return injection.anneal(opinion, own, memory.share, memory.explain, self._rng, self._scale)
 
     def _become(self, belief: Belief, moves: int) -> None:
         """Have as many particles as so wide a belief needs, all equal, and part the copies."""
         self.belief = pf.resample(belief, self._size(belief), self._rng)
         share = self.memory.share
         for _ in range(moves):
-            pf.rejuvenate(self.belief, self.memory.explain, share, self._rng)
+            pf.rejuvenate(self.belief, self.memory.explain, share, self._rng, self._scale)
 
     def _size(self, belief: Belief) -> int:
         config = self._config
         if config.particles_max <= config.particles:
             return config.particles
         drawn = pf.resample(belief, config.particles, self._rng)
-        wanted = pf.enough(pf.occupied(drawn.pose), config.kld_error, config.kld_confidence)
+        wanted = pf.enough(
+            pf.occupied(drawn.pose, self._scale), config.kld_error, config.kld_confidence
+        )
         return min(max(wanted, config.particles), config.particles_max)
 
     def _reconsider(self, samples: Poses) -> None:

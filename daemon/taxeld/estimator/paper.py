@@ -31,6 +31,10 @@ class Paper:
         self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0)
         self.counters = RuleCounters()
 
+    @property
+    def slack(self) -> float:
+        return self._slack.scale
+
     def follow(self, before: Observation, after: Observation) -> None:
         self.belief.pose, pushed = push(
             self._model, self.confidence.metric, self.belief.pose, before.sensor, after.sensor,
@@ -65,7 +69,7 @@ class Paper:
         self.counters.inconsistent += self.confidence.doubt
         if pf.resampling_is_due(self.belief):
             self.belief = pf.resample(self.belief, len(self.belief), self._rng)
-            pf.roughen(self.belief, self._rng)
+            pf.roughen(self.belief, self._rng, self.confidence.metric.scale)
         return evidence
 
     def revisit(self, draw: Draw) -> int:  # noqa: ARG002

@@ -93,22 +93,24 @@ def resample(belief: Belief, n: int, rng: np.random.Generator) -> Belief:
     return equal(belief.pose.take(drawn, axis=0), belief.remembered.take(drawn, axis=0))
 
 
-def roughen(belief: Belief, rng: np.random.Generator) -> None:
+def roughen(belief: Belief, rng: np.random.Generator, scale: float = 1.0) -> None:
     """Part the copies that resampling made by random steps."""
-    belief.pose = belief.pose + _random_steps(len(belief), rng)
+    belief.pose = belief.pose + _random_steps(len(belief), rng, scale)
     belief.pose[:, 2] = se2.wrap(belief.pose[:, 2])
 
 
-def rejuvenate(belief: Belief, explain: Explain, share: Floats, rng: np.random.Generator) -> None:
+def rejuvenate(
+    belief: Belief, explain: Explain, share: Floats, rng: np.random.Generator, scale: float = 1.0
+) -> None:
     """One Metropolis step of every particle, which leaves the posterior ∏ p(z_k | q)^share_k as it
     is (resample-move, Gilks & Berzuini 2001).
 
     Half of the steps are random, half along the difference of two other particles, which has the
     posterior's own shape (differential evolution, ter Braak 2006). `share` (terms,): how
-    much each of what is remembered counts.
+    much each of what is remembered counts; `scale`: of the object's size, to the usual.
     """
     n = len(belief)
-    step = _random_steps(n, rng)
+    step = _random_steps(n, rng, scale)
     one, other = rng.integers(n, size=(2, n))
     apart = belief.pose[one] - belief.pose[other]
     apart[:, 2] = se2.wrap(apart[:, 2])
@@ -122,15 +124,16 @@ def rejuvenate(belief: Belief, explain: Explain, share: Floats, rng: np.random.G
     belief.remembered[taken] = remembered[taken]
 
 
-def _random_steps(n: int, rng: np.random.Generator) -> Poses:
+def _random_steps(n: int, rng: np.random.Generator, scale: float) -> Poses:
     low, high = MOVE_OCTAVES
     size = np.exp2(low + (high - low) * rng.random((n, 1)))
-    return np.asarray(rng.standard_normal((n, 3)) * MOVE * size)
+    move = MOVE * [min(scale, 1.0), min(scale, 1.0), 1.0 / max(scale, 1.0)]
+    return np.asarray(rng.standard_normal((n, 3)) * move * size)
 
 
-def occupied(poses: Poses, cell: Floats = CELL) -> int:
-    """How many cells of SE(2) hold a pose."""
-    at = np.floor(poses / cell).astype(np.int64)
+def occupied(poses: Poses, scale: float = 1.0) -> int:
+    """How many cells of SE(2) hold a pose; `scale`: of the object's size, to the usual."""
+    at = np.floor(poses / (CELL * [scale, scale, 1.0])).astype(np.int64)
     at -= at.min(axis=0)
     size = at.max(axis=0) + 1
     return len(np.unique((at[:, 0] * size[1] + at[:, 1]) * size[2] + at[:, 2]))

@@ -26,6 +26,11 @@ class Rule(Protocol):
     confidence: Confidence
     counters: RuleCounters
 
+    @property
+    def slack(self) -> float:
+        """How far scans are off, in units of what is configured."""
+        ...
+
     def follow(self, before: Observation, after: Observation) -> None:
         """Move the belief as the object does that is pushed from one scan to the next."""
         ...

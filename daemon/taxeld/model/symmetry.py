@@ -13,6 +13,7 @@ from taxeld.arrays import Floats, Poses
 from taxeld.model import se2
 from taxeld.model.scene import CONTINUOUS, Scene
 
+USUAL_RADIUS_M = 0.05  # of the objects for which lengths are given
 SILENT_MM = 20.0  # a converged estimate that is off by more, by `add_m`, is a silent failure
 
 
@@ -35,6 +36,7 @@ class PoseMetric:
         self.arm_m = float(np.sqrt(np.mean(np.sum(spread**2, axis=1))))  # turns a turn into metres
         if self.order == CONTINUOUS:
             self.arm_m = 0.0
+        self.scale = scene.mean_radius / USUAL_RADIUS_M  # of lengths that follow the object's size
 
     def centres(self, poses: Poses) -> Floats:
         """World positions (…, 2) of the symmetry's centre."""

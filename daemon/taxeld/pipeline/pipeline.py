@@ -149,6 +149,7 @@ class Pipeline:
         return {
             "skin": self.skin.counters,
             "estimator": self.estimator.counters,
+            "belief": self.estimator.figures(),
             "drift": self.skin.figures(),
             **self.skin.faults(),
         }

@@ -224,7 +224,9 @@ class GridFilter:
         at = (np.arange(PICKED).reshape(MODE_CANDIDATES, -1).T.ravel() + 0.5) / PICKED
         picked = pose[np.searchsorted(cumulative, at)]
         equal = np.full(PICKED, 1.0 / PICKED)
-        modes = self.metric.modes(picked, equal, MODE_RADIUS_M, MODES_MAX, MODE_CANDIDATES)
+        modes = self.metric.modes(
+            picked, equal, MODE_RADIUS_M * self.metric.scale, MODES_MAX, MODE_CANDIDATES
+        )
         best = modes[0].pose
         return best, self.metric.mean(pose, weight, best)[0]
 
