@@ -7,7 +7,6 @@ beside the belief by its evidence.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator import particles as pf
@@ -17,11 +16,7 @@ from taxeld.model.observation import ObservationModel
 
 KEPT = 0.25  # of the samples: effective number that a stage of annealing leaves
 STAGES_MAX = 6  # the last takes all that is left
-MODE = np.array([0.02, 0.02, 0.3])  # cells of poses, each taken for a Gaussian
-TYPICAL_NATS = 8.0  # by which a particle lies below its cell's best; one farther down is astray
-NARROWEST = np.array([1e-4, 1e-4, 1e-3])  # sd of a cell's particles: m, m, rad
-FREEDOM = 4.0  # particles' worth of what all cells together tell of a cell's spread
-LEAST_COUNT = 1e-12
+FINE = np.array([0.004, 0.004, 0.06])  # cells that measure how much room a belief takes
 
 
 def paper(belief: Belief, poses: Poses) -> None:
@@ -68,39 +63,22 @@ def anneal(
 
 
 def merge(a: Belief, b: Belief, share: Floats, scale: float = 1.0) -> Belief:
-    """Two samplings of one posterior as one: where both found a mode it is not doubled, and the
-    larger sampling does not outweigh the other.
-
-    Each cell of poses weighs what a Gaussian of its particles integrates to, whichever sampling
-    they are of: ∫ p ≈ exp(E log p) |2πe Σ|^½, as for any Gaussian.
-    """
-    pose = np.concatenate([a.pose, b.pose])
-    remembered = np.concatenate([a.remembered, b.remembered])
-    count = np.concatenate([c.weight * pf.effective_sample_size(c) for c in (a, b)])
-    support = remembered @ share
-    _, cell = np.unique(np.floor(pose / (MODE * [scale, scale, 1.0])), axis=0, return_inverse=True)
-    top = np.full(int(cell.max()) + 1, -np.inf)
-    np.maximum.at(top, cell, support)
-    count = count * np.exp(-np.maximum(top.take(cell) - support - TYPICAL_NATS, 0.0))
-    total = np.maximum(np.bincount(cell, count), LEAST_COUNT)
-    mass = np.bincount(cell, count * support) / total + 0.5 * _log_room(pose, cell, count, total)
+    """Both, each weighed by its evidence."""
     made = Belief(
-        pose, np.log(np.maximum(count, LEAST_COUNT)) + (mass - np.log(total)).take(cell), remembered
+        np.concatenate([a.pose, b.pose]),
+        np.concatenate([c.log_weight + evidence(c, share, scale) for c in (a, b)]),
+        np.concatenate([a.remembered, b.remembered]),
     )
     pf.normalise(made)
     return made
 
 
-def _log_room(pose: Poses, cell: NDArray[np.intp], count: Floats, total: Floats) -> Floats:
-    """log |Σ| of the particles of each cell. Few tell little of their spread: all cells together
-    tell the rest."""
-    at = [np.bincount(cell, count * column) / total for column in pose.T]
-    off = pose - np.stack(at, axis=1).take(cell, axis=0)
-    pairs = [(i, j) for i in range(3) for j in range(3)]
-    each = np.stack([np.bincount(cell, count * off[:, i] * off[:, j]) for i, j in pairs], axis=1)
-    usual = each.sum(axis=0) / total.sum() + np.diag(NARROWEST**2).ravel()
-    cov = (each + FREEDOM * usual) / (total + FREEDOM)[:, None]
-    return np.asarray(np.linalg.slogdet(cov.reshape(-1, 3, 3))[1])
+def evidence(belief: Belief, share: Floats, scale: float = 1.0) -> float:
+    """log ∫ ∏ p(z_k | q)^share_k dq up to a constant: the mean logarithm of the integrand, and the
+    room that the belief takes (its entropy, as the cells that it occupies)."""
+    support = belief.remembered @ share
+    cells = pf.occupied(belief.pose, FINE * [scale, scale, 1.0])
+    return float(belief.weight @ support) + float(np.log(cells))
 
 
 def project(model: ObservationModel, poses: Poses) -> Poses:

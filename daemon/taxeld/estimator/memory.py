@@ -32,9 +32,6 @@ class Slack:
         return np.asarray(self.scale**2 * (self.robot_m**2 + self.nudge_m**2 * age))
 
 
-EXACT = Slack()
-
-
 class Memory:
     """K scans to be explained by poses of the object in the world, and a prior that stands for all
     that was known before them, if there was anything."""
@@ -44,12 +41,12 @@ class Memory:
         model: ObservationModel,
         noise: Noise,
         prior: Prior | None = None,
-        slack: Slack = EXACT,
+        slack: Slack | None = None,
     ) -> None:
         taxels = len(model.layout)
         self._model = model
         self._noise = noise
-        self.slack = slack
+        self.slack = slack or Slack()
         self.prior = prior
         self._sensor = np.empty((0, 3))
         self._z = np.empty((0, taxels))

@@ -21,7 +21,7 @@ from taxeld.model.observation import Observation, ObservationModel
 MOVES = 2  # Metropolis steps a contact
 SILENT_MAX = 32  # silent scans remembered
 TELLING = 1.0  # nats by which a silent scan must part the particles to be remembered
-SCALES = (0.0, 0.5, 1.0, 2.0)  # of the configured slack
+SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # of the configured slack
 SLACK_FROM = 3  # contacts: fewer agree whatever the slack
 SLACK_PARTICLES = 64  # by which the evidence is found
 SLACK_NATS = 1.0  # of evidence, for another scale
@@ -163,7 +163,7 @@ class Mixture:
         some = slice(None, None, -(-len(belief) // SLACK_PARTICLES))
         pose, support = belief.pose[some], belief.remembered[some] @ share
         gained, best = {}, now
-        for scale in SCALES:
+        for scale in SCALES.tolist():
             if scale != now.scale:
                 memory.slack = replace(now, scale=scale)
                 gained[memory.slack] = _log_mean(memory.explain(pose) @ share - support)
@@ -216,7 +216,9 @@ class Mixture:
             return config.particles
         drawn = pf.resample(belief, config.particles, self._rng)
         wanted = pf.enough(
-            pf.occupied(drawn.pose, self._scale), config.kld_error, config.kld_confidence
+            pf.occupied(drawn.pose, pf.CELL * [self._scale, self._scale, 1.0]),
+            config.kld_error,
+            config.kld_confidence,
         )
         return min(max(wanted, config.particles), config.particles_max)
 

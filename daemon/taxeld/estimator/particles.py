@@ -131,9 +131,9 @@ def _random_steps(n: int, rng: np.random.Generator, scale: float) -> Poses:
     return np.asarray(rng.standard_normal((n, 3)) * move * size)
 
 
-def occupied(poses: Poses, scale: float = 1.0) -> int:
-    """How many cells of SE(2) hold a pose; `scale`: of the object's size, to the usual."""
-    at = np.floor(poses / (CELL * [scale, scale, 1.0])).astype(np.int64)
+def occupied(poses: Poses, cell: Floats = CELL) -> int:
+    """How many cells of SE(2) hold a pose."""
+    at = np.floor(poses / cell).astype(np.int64)
     at -= at.min(axis=0)
     size = at.max(axis=0) + 1
     return len(np.unique((at[:, 0] * size[1] + at[:, 1]) * size[2] + at[:, 2]))
