@@ -10,7 +10,7 @@ import pytest
 
 from taxeld.estimator.estimate import Status
 from taxeld_hil.grade import flags
-from taxeld_hil.grade.grade import Run, grade
+from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample, percentile
 from taxeld_hil.grade.reconcile import laws
 from taxeld_hil.rig.faults import Injector
@@ -195,15 +195,57 @@ def test_percentiles_are_of_the_counts() -> None:
 
 def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     path, quiet = tmp_path / "soak.json", lambda _: None
-    part = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", "scene", 0.01), path, quiet)
+    part = soak.soak_fake(DEMO, soak.resumed(path, DEMO, 5, "fake", 0.01), path, quiet)
     assert (part.laps, part.unexplained, part.daemons) == (1, 0, 1)
-    whole = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", "scene", 0.03), path, quiet)
+    whole = soak.soak_fake(DEMO, soak.resumed(path, DEMO, 5, "fake", 0.03), path, quiet)
     assert (whole.laps, whole.unexplained, whole.daemons) == (2, 0, 2)
+    assert (whole.object, whole.physics) == ("box", "scene")
     path.with_name("other").write_text("x")
     with pytest.raises(scenario.SetupError, match="is no report of a soak"):
-        soak.resumed(path.with_name("other"), 5, "fake", "scene", 1.0)
-    assert soak.resumed(path, 6, "fake", "scene", 1.0).laps == 0, "another seed: another soak"
-    assert soak.resumed(path, 5, "fake", "poor", 1.0).laps == 0, "another skin: another soak"
+        soak.resumed(path.with_name("other"), DEMO, 5, "fake", 1.0)
+    for another in (DEMO.on("poor"), DEMO.touching("mug")):
+        assert soak.resumed(path, another, 5, "fake", 1.0).laps == 0
+    assert soak.resumed(path, DEMO, 6, "fake", 1.0).laps == 0, "another seed: another soak"
+    assert soak.resumed(path, DEMO, 5, "fake", 1.0).laps == 2
+
+
+def of_a_lap(
+    faults: list[tuple[str, float]], silent_at_s: list[float], status: str, contacts: int
+) -> Grade:
+    figures = {
+        "silent_failures": {
+            "episodes": len(silent_at_s), "worst_mm": 30.0 * bool(silent_at_s), "at_s": silent_at_s
+        },
+        "faults": [
+            {"kind": kind, "at_s": at_s, "injected": False} for kind, at_s in faults
+        ],
+        "error_mm": 1.0, "status": status, "contacts": contacts, "laws": [],
+    }  # fmt: skip
+    return Grade(Run("lap", 0, "sim", "fake", "slcan"), (), figures)
+
+
+def test_a_lie_that_was_told_earlier_in_the_lap_explains_a_silent_failure_and_no_other_does() -> (
+    None
+):
+    lied = [("pose_jumping", 4.0), ("dropped", 9.0)]
+    for faults, at_s, blamed in (
+        (lied, 12.0, "pose_jumping"),
+        (lied, 3.0, "none"),
+        ([("reboot", 2.0), ("dropped", 9.0), ("pose_late", 20.0)], 12.0, "dropped"),
+    ):
+        seen = soak.Soak(0, "fake", "box", "typical", 1.0)
+        seen.add(0, of_a_lap(faults, [at_s], "converged", 8), 60.0)
+        assert seen.silent_after == {blamed: 1}
+        assert seen.passed == (blamed in laps.MISLEADING)
+
+
+def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
+    seen = soak.Soak(0, "fake", "box", "typical", 1.0)
+    for number, (status, contacts) in enumerate((
+        ("converged", 8), ("ambiguous", 8), ("converged", 5), ("ambiguous", 3), ("converged", 9)
+    )):  # fmt: skip
+        seen.add(number, of_a_lap([], [], status, contacts), 60.0)
+    assert (seen.found, seen.full, seen.full_found, seen.lost_laps) == (3, 3, 2, [1])
 
 
 def test_laps_differ_and_are_determined_by_seed_and_number() -> None:
