@@ -57,6 +57,12 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _soak(args: argparse.Namespace) -> int:
+    if args.table:
+        from taxeld_hil.run import soak_table
+
+        for line in soak_table.lines(args.table):
+            _say(line)
+        return 0
     from taxeld_hil.run.soak import resumed, soak_fake, soak_live
 
     base, real = _scenario(args), args.real_minutes is not None
@@ -293,6 +299,9 @@ def _add_many(commands: Commands) -> None:
     long.add_argument("--hours", type=float, default=1.0, help="of scans, on the fake clock")
     long.add_argument("--real-minutes", type=float, help="over the transport, in real time")
     soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
+    long.add_argument(
+        "--table", type=Path, nargs="+", metavar="REPORT", help="no soak: reports, as Markdown"
+    )
     _add_world(soak)
     soak.set_defaults(command=_soak)
 

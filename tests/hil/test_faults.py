@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from taxeld.estimator.estimate import Status
+from taxeld_hil import cli
 from taxeld_hil.grade import flags
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample, percentile
@@ -246,6 +247,29 @@ def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
     )):  # fmt: skip
         seen.add(number, of_a_lap([], [], status, contacts), 60.0)
     assert (seen.found, seen.full, seen.full_found, seen.lost_laps) == (3, 3, 2, [1])
+
+
+def test_reports_of_soaks_are_shown_side_by_side(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen = soak.Soak(0, "fake", "/there/is/a/drill", "typical", 1.0)
+    lied = [("pose_jumping", 4.0)]
+    for number, (faults, status, contacts) in enumerate((
+        (lied, "converged", 8), ([], "converged", 9), ([], "ambiguous", 8)
+    )):  # fmt: skip
+        seen.add(number, of_a_lap(faults, [12.0] * (number < 2), status, contacts), 60.0)
+    seen.write(tmp_path / "soak_drill.json")
+    assert cli.main(["soak", "--table", str(tmp_path / "soak_drill.json")]) == 0
+    shown = dict(line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[2:])
+    assert shown["object, skin, clock"] == "drill, `typical`, fake"
+    assert shown["silent failures without a misleading fault in the lap, and after one"] == "1, 1"
+    assert shown["object found at the lap's end"] == "2"
+    assert shown["of laps in which all 8 contacts were felt"] == "2 of 3 (66.7%)"
+    assert shown["passed"] == "no"
+    (tmp_path / "other").write_text("{}")
+    for name, message in (("other", "is no report of a soak"), ("none", "No such file")):
+        assert cli.main(["soak", "--table", str(tmp_path / name)]) == 2
+        assert message in capsys.readouterr().err
 
 
 def test_laps_differ_and_are_determined_by_seed_and_number() -> None:
