@@ -177,19 +177,20 @@ def _physics(args: argparse.Namespace) -> int:
         return _curves(args, _progress)
     if args.fit is not None:
         return _fit(args, _progress)
-    from taxeld_hil.experiment.physics_experiment import Plan, experiment
+    from taxeld_hil.experiment.physics_experiment import Plan, experiment, lines
 
     plan = Plan.quick if args.quick else Plan
     given = {
+        "skin": args.skin[0] if args.skin else None,
         "contacts": args.contacts,
-        "seeds": args.seeds,
         "seed": args.seed,
         "noise_sigma": args.noise_sigma,
     }
     objects = tuple(args.object or ("box", "mug"))
     chosen = plan(objects=objects, **{k: v for k, v in given.items() if v is not None})
-    for path in experiment(chosen, args.out, _progress):
-        print(path)
+    paths = list(experiment(chosen, args.out, _progress))
+    for line in (*map(str, paths), *lines(paths[0])):
+        print(line)
     return 0
 
 
@@ -358,7 +359,10 @@ def _add_measurements(commands: Commands) -> None:
     )
     physics.add_argument("--object", action="append", metavar="BUNDLE", help="default: box and mug")
     physics.add_argument(
-        "--skin", action="append", metavar="SKIN", help="of --touches and --curves"
+        "--skin",
+        action="append",
+        metavar="SKIN",
+        help="of --touches and --curves any number, else one (default typical)",
     )
     physics.add_argument("--workers", type=int, default=2, help="of --touches, a thread each")
     physics.add_argument(
@@ -366,7 +370,9 @@ def _add_measurements(commands: Commands) -> None:
         help="runs of --touches, from which one cut short goes on (default %(default)s)",
     )  # fmt: skip
     physics.add_argument("--contacts", type=int, metavar="N", help="an object, to compare readings")
-    physics.add_argument("--seeds", type=int, metavar="N", help="runs of each kind; skins drawn")
+    physics.add_argument(
+        "--seeds", type=int, metavar="N", help="runs of --touches; skins of --curves"
+    )
     physics.add_argument("--seed", type=int, help="of the contacts")
     physics.add_argument("--noise-sigma", type=float, metavar="SD", help="default: the daemon's")
     physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")

@@ -105,6 +105,8 @@ def test_the_command_goes_on_from_what_it_remembers(
         (0, False, []), (1, False, [])
     ]  # fmt: skip
     assert result["summary"][0]["runs"] == 2
+    outcomes = matrix.read(tmp_path / "scenarios.json")
+    assert list(matrix.lines(outcomes)) == second.out.splitlines()
     assert "| scenario | scene, box |" in second.out
 
 

@@ -82,7 +82,7 @@ def experiment(plan: Plan, out: Path, memory: Path, workers: int, say: Say) -> l
     wanted = list(_jobs(plan))
     codes = {job: digest(job.subject) for job in wanted}
     with Memory(memory) as remembered:
-        known = [Outcome(**row) for row in remembered.rows(set(codes.values()))]
+        known = map(_outcome_of, remembered.rows(set(codes.values())))
         done = {outcome.job: outcome for outcome in known}
         todo = [job for job in wanted if job not in done]
         if len(todo) < len(wanted):
@@ -152,6 +152,12 @@ def write(path: Path, plan: Plan, outcomes: list[Outcome]) -> None:
     path.write_text(f'{text},\n "runs": [\n  {each}\n ]\n}}\n', encoding="utf-8")
 
 
+def read(path: Path) -> list[Outcome]:
+    """The outcomes in such a file."""
+    rows = json.loads(path.read_text(encoding="utf-8"))["runs"]
+    return [_outcome_of(row) for row in rows]
+
+
 def _cell(mine: list[Outcome]) -> str:
     found = sum(o.found for o in mine)
     failed, silent = sum(o.found and not o.passed for o in mine), sum(o.silent > 0 for o in mine)
@@ -194,6 +200,11 @@ def _outcome(job: Job, grade: Grade, error_mm: float) -> Outcome:
         silent=figures["silent_failures"]["episodes"],
         failed=tuple(check.name for check in grade.checks if check.passed is False),
     )
+
+
+def _outcome_of(row: dict[str, Any]) -> Outcome:
+    """As JSON has it."""
+    return Outcome(**{**row, "failed": tuple(row["failed"])})
 
 
 def _silence(_: str) -> None:

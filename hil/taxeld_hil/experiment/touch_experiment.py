@@ -110,13 +110,13 @@ def summary(runs: list[TouchRun]) -> list[dict[str, Any]]:
 
 def lines(rows: list[dict[str, Any]]) -> Iterator[str]:
     """The summary as a Markdown table."""
-    after = [f"{what} after {n}" for n in AFTER for what in ("median (p90) mm, < 5 mm",)]
+    after = [f"median (p90) mm, < 5 mm after {n}" for n in AFTER]
     head = ["skin, object", *after, "felt in the air", "light ones missed", "silent"]
     yield "| " + " | ".join(head) + " |"
     yield "|---" * len(head) + "|"
     for row in rows:
         errors = [
-            f"{e['median']:.3g} ({e['p90']:.3g}), {e['under_5_mm']:.0%}"
+            f"{_mm(e['median'])} ({_mm(e['p90'])}), {e['under_5_mm']:.0%}"
             for e in row["error_mm"].values()
         ]
         cells = [
@@ -144,6 +144,10 @@ def read(path: Path) -> list[dict[str, Any]]:
     """The summary of such a file."""
     rows: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))["summary"]
     return rows
+
+
+def _mm(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
 def _scenario(job: Job) -> Scenario:
