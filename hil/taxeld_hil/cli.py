@@ -1,6 +1,7 @@
 """`taxeld-hil`: the harness's commands."""
 
 import argparse
+import os
 import signal
 import sys
 import tempfile
@@ -33,6 +34,9 @@ def main(argv: list[str] | None = None) -> int:
     except SetupError as error:
         print(error, file=sys.stderr)
         return 2
+    except BrokenPipeError:  # the reader of our output has gone: `taxeld-hil table | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
 

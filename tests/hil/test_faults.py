@@ -1,5 +1,7 @@
 """The injector does its faults and no more; the ledger and the judge find what is wrong."""
 
+import subprocess
+import sys
 from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
@@ -266,6 +268,15 @@ def test_reports_of_soaks_are_shown_side_by_side(
     assert shown["object found at the lap's end"] == "2"
     assert shown["of laps in which all 8 contacts were felt"] == "2 of 3 (66.7%)"
     assert shown["passed"] == "no"
+    command = f"{sys.executable} -m taxeld_hil.cli soak --table {tmp_path / 'soak_drill.json'}"
+    unread = subprocess.run(
+        f"{command} | true",
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert unread.stderr == "", "nor does a reader that has gone bring a traceback"
     (tmp_path / "other").write_text("{}")
     for name, message in (("other", "is no report of a soak"), ("none", "No such file")):
         assert cli.main(["soak", "--table", str(tmp_path / name)]) == 2
