@@ -67,9 +67,17 @@ def _soak(args: argparse.Namespace) -> int:
         for line in soak_table.lines(args.table):
             _say(line)
         return 0
-    from taxeld_hil.run.soak import resumed, soak_fake, soak_live
+    from taxeld_hil.grade import report
+    from taxeld_hil.run.soak import lap_alone, resumed, soak_fake, soak_live
 
     base, real = _scenario(args), args.real_minutes is not None
+    if args.lap is not None:
+        if args.lap < 0:
+            raise SetupError("--lap: must be at least 0")
+        grade = lap_alone(base, args.seed, args.lap)
+        for line in report.lines(grade):
+            _say(line)
+        return 0 if grade.passed else 1
     hours = args.real_minutes / 60.0 if real else args.hours
     soak = resumed(args.out, base, args.seed, "real" if real else "fake", hours)
     soak = (soak_live if real else soak_fake)(base, soak, args.out, _say)
@@ -304,6 +312,7 @@ def _add_many(commands: Commands) -> None:
     long.add_argument("--hours", type=float, default=1.0, help="of scans, on the fake clock")
     long.add_argument("--real-minutes", type=float, help="over the transport, in real time")
     soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
+    long.add_argument("--lap", type=int, metavar="N", help="no soak: this lap of one, by itself")
     long.add_argument(
         "--table", type=Path, nargs="+", metavar="REPORT", help="no soak: reports, as Markdown"
     )

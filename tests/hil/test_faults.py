@@ -283,6 +283,22 @@ def test_reports_of_soaks_are_shown_side_by_side(
         assert message in capsys.readouterr().err
 
 
+def test_a_lap_of_a_soak_can_be_run_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    """The object stands where it stood in the soak, on the same skin; the noise is another."""
+    run = FakeRun(laps.lap(DEMO, 5, 0), 5, rate_hz=soak.RATE_HZ)
+    run.lap(laps.lap(DEMO, 5, 2), 7)
+    assert cli.main(["soak", "--skin", "scene", "--seed", "5", "--lap", "2"]) in (0, 1)
+    alone = soak.lap_alone(DEMO, 5, 2)
+    assert capsys.readouterr().out.splitlines()[0].startswith("lap 2, seed 7, on sim over slcan")
+    faults = laps.lap(DEMO, 5, 2).fault
+    assert [row["at_s"] for row in alone.figures["faults"]] == [fault.at_s for fault in faults]
+    same = run.graded("lap 2").figures
+    assert (same["error_mm"], same["contacts"]) == (
+        alone.figures["error_mm"], alone.figures["contacts"]
+    )  # fmt: skip
+    assert cli.main(["soak", "--lap", "-1"]) == 2
+
+
 def test_laps_differ_and_are_determined_by_seed_and_number() -> None:
     made = [laps.lap(DEMO, 1, number) for number in range(30)]
     assert made == [laps.lap(DEMO, 1, number) for number in range(30)]

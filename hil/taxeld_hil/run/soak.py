@@ -203,6 +203,14 @@ def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
     return soak
 
 
+def lap_alone(base: Scenario, seed: int, number: int) -> Grade:
+    """A lap of a soak on the fake clock, of the same skin and object, on a daemon of its own."""
+    run = FakeRun(laps.lap(base, seed, 0), seed, rate_hz=RATE_HZ)
+    if number:
+        run.lap(laps.lap(base, seed, number), seed + number)
+    return run.graded(f"lap {number}")
+
+
 def soak_live(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
     """In real time, over the scenario's transport.
 
