@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from taxeld_hil.experiment import curves, matrix, touch_experiment
+from taxeld_hil.experiment import curves, matrix, physics_experiment, touch_experiment
 from taxeld_hil.run import soak_table
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -24,6 +24,7 @@ def scenarios(path: Path) -> Iterator[str]:
     ("document", "result", "lines"),
     [
         ("physics.md", "curves.json", curves.lines),
+        ("physics.md", "physics.json", physics_experiment.lines),
         ("physics.md", "touches_before.json", touches),
         ("physics.md", "touches.json", touches),
         ("harness.md", "scenarios.json", scenarios),
