@@ -1,6 +1,7 @@
 """`taxeld-hil`: the harness's commands."""
 
 import argparse
+import os
 import signal
 import sys
 import tempfile
@@ -33,6 +34,9 @@ def main(argv: list[str] | None = None) -> int:
     except SetupError as error:
         print(error, file=sys.stderr)
         return 2
+    except BrokenPipeError:  # the reader of our output has gone: `taxeld-hil table | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
 
@@ -42,7 +46,7 @@ def _run(args: argparse.Namespace) -> int:
     from taxeld_hil.run.run import on_hardware, simulate
 
     transport, _, channel = args.transport.partition(":")
-    scenario = scenarios.load(args.scenario).over(transport).on(args.skin)
+    scenario = _scenario(args).over(transport)
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
@@ -57,11 +61,25 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _soak(args: argparse.Namespace) -> int:
-    from taxeld_hil.run.soak import resumed, soak_fake, soak_live
+    if args.table:
+        from taxeld_hil.run import soak_table
 
-    base, real = scenarios.load(args.scenario).on(args.skin), args.real_minutes is not None
+        for line in soak_table.lines(args.table):
+            _say(line)
+        return 0
+    from taxeld_hil.grade import report
+    from taxeld_hil.run.soak import lap_alone, resumed, soak_fake, soak_live
+
+    base, real = _scenario(args), args.real_minutes is not None
+    if args.lap is not None:
+        if args.lap < 0:
+            raise SetupError("--lap: must be at least 0")
+        grade = lap_alone(base, args.seed, args.lap)
+        for line in report.lines(grade):
+            _say(line)
+        return 0 if grade.passed else 1
     hours = args.real_minutes / 60.0 if real else args.hours
-    soak = resumed(args.out, args.seed, "real" if real else "fake", base.physics, hours)
+    soak = resumed(args.out, base, args.seed, "real" if real else "fake", hours)
     soak = (soak_live if real else soak_fake)(base, soak, args.out, _say)
     _say(soak.line())
     _say("passed" if soak.passed else "failed; see failures in " + str(args.out))
@@ -71,15 +89,32 @@ def _soak(args: argparse.Namespace) -> int:
 def _table(args: argparse.Namespace) -> int:
     from taxeld_hil.run.table import rows
 
-    for row in rows(range(args.seeds), args.skin):
+    for row in rows(range(args.seeds), args.object, args.skin):
         _say(row)
     return 0
+
+
+def _matrix(args: argparse.Namespace) -> int:
+    from taxeld_hil.experiment.matrix import Plan, experiment, lines
+
+    names = tuple(args.scenario or scenarios.shipped())
+    plan = Plan(
+        scenarios=names,
+        objects=tuple(args.object or Plan.objects),
+        skins=tuple(args.skin or Plan.skins),
+        seeds=args.seeds,
+        real=args.real,
+    )
+    outcomes = experiment(plan, args.out, args.memory, args.workers, _progress)
+    for line in lines(outcomes):
+        _say(line)
+    return 0 if all(outcome.passed for outcome in outcomes) else 1
 
 
 def _emulate(args: argparse.Namespace) -> int:
     from taxeld_hil.run.emulate import emulate
 
-    scenario = scenarios.load(args.scenario).over("can" if args.can else "").on(args.skin)
+    scenario = _scenario(args).over("can" if args.can else "")
     if emulate(scenario, args.seed, args.poses, args.can or args.link, args.out):
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
@@ -148,28 +183,26 @@ def _draw(args: argparse.Namespace) -> int:
 
 
 def _physics(args: argparse.Namespace) -> int:
-    def progress(line: str) -> None:
-        print(line, file=sys.stderr, flush=True)
-
     if args.touches:
-        return _touches(args, progress)
+        return _touches(args, _progress)
     if args.curves:
-        return _curves(args, progress)
+        return _curves(args, _progress)
     if args.fit is not None:
-        return _fit(args, progress)
-    from taxeld_hil.experiment.physics_experiment import Plan, experiment
+        return _fit(args, _progress)
+    from taxeld_hil.experiment.physics_experiment import Plan, experiment, lines
 
     plan = Plan.quick if args.quick else Plan
     given = {
+        "skin": args.skin[0] if args.skin else None,
         "contacts": args.contacts,
-        "seeds": args.seeds,
         "seed": args.seed,
         "noise_sigma": args.noise_sigma,
     }
     objects = tuple(args.object or ("box", "mug"))
     chosen = plan(objects=objects, **{k: v for k, v in given.items() if v is not None})
-    for path in experiment(chosen, args.out, progress):
-        print(path)
+    paths = list(experiment(chosen, args.out, _progress))
+    for line in (*map(str, paths), *lines(paths[0])):
+        print(line)
     return 0
 
 
@@ -217,17 +250,33 @@ def _say(line: str) -> None:
     print(line, flush=True)
 
 
+def _progress(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _scenario(args: argparse.Namespace) -> scenarios.Scenario:
+    """With the object and the skin that are named beside it.
+
+    Raises:
+        SetupError: there is no such scenario or skin.
+    """
+    return scenarios.load(args.scenario).touching(args.object).on(args.skin)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="taxeld-hil", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_run(commands)
-    _add_soak_and_table(commands)
+    _add_many(commands)
     _add_measurements(commands)
     _add_parts(commands)
     return parser
 
 
-def _add_skin(command: argparse.ArgumentParser) -> None:
+def _add_world(command: argparse.ArgumentParser) -> None:
+    command.add_argument(
+        "--object", default="", metavar="BUNDLE", help="over the scenario's: box, mug, or a path"
+    )
     command.add_argument(
         "--skin", default="", metavar="SKIN", help="over the scenario's: scene, typical, poor, …"
     )
@@ -251,11 +300,11 @@ def _add_run(commands: Commands) -> None:
     run.add_argument(
         "--transport", default="", help="over the scenario's: slcan, native or can:INTERFACE"
     )
-    _add_skin(run)
+    _add_world(run)
     run.set_defaults(command=_run)
 
 
-def _add_soak_and_table(commands: Commands) -> None:
+def _add_many(commands: Commands) -> None:
     soak = commands.add_parser("soak", help="random faults, for hours")
     soak.add_argument("scenario", nargs="?", default="demo", metavar="SCENARIO")
     soak.add_argument("--seed", type=int, default=0)
@@ -263,13 +312,34 @@ def _add_soak_and_table(commands: Commands) -> None:
     long.add_argument("--hours", type=float, default=1.0, help="of scans, on the fake clock")
     long.add_argument("--real-minutes", type=float, help="over the transport, in real time")
     soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
-    _add_skin(soak)
+    long.add_argument("--lap", type=int, metavar="N", help="no soak: this lap of one, by itself")
+    long.add_argument(
+        "--table", type=Path, nargs="+", metavar="REPORT", help="no soak: reports, as Markdown"
+    )
+    _add_world(soak)
     soak.set_defaults(command=_soak)
 
     table = commands.add_parser("table", help="what each fault shows in, and how soon, as Markdown")
     table.add_argument("--seeds", type=int, default=5)
-    _add_skin(table)
+    _add_world(table)
     table.set_defaults(command=_table)
+
+    matrix = commands.add_parser("matrix", help="scenarios on objects and skins, seed by seed")
+    matrix.add_argument("scenario", nargs="*", metavar="SCENARIO", help="default: all shipped")
+    matrix.add_argument("--object", action="append", metavar="BUNDLE", help="default: box and mug")
+    matrix.add_argument("--skin", action="append", help="default: scene, typical and poor")
+    matrix.add_argument("--seeds", type=int, default=5)
+    matrix.add_argument(
+        "--real", action="store_true",
+        help="scenarios with faults that no fake clock can do in real time, not without the fault",
+    )  # fmt: skip
+    matrix.add_argument("--workers", type=int, default=2, help="a thread each")
+    matrix.add_argument(
+        "--memory", type=Path, default=Path(".experiments/scenarios.jsonl"), metavar="FILE",
+        help="runs, from which one cut short goes on (default %(default)s)",
+    )  # fmt: skip
+    matrix.add_argument("--out", type=Path, required=True, help="directory for scenarios.json")
+    matrix.set_defaults(command=_matrix)
 
 
 def _add_measurements(commands: Commands) -> None:
@@ -302,7 +372,10 @@ def _add_measurements(commands: Commands) -> None:
     )
     physics.add_argument("--object", action="append", metavar="BUNDLE", help="default: box and mug")
     physics.add_argument(
-        "--skin", action="append", metavar="SKIN", help="of --touches and --curves"
+        "--skin",
+        action="append",
+        metavar="SKIN",
+        help="of --touches and --curves any number, else one (default typical)",
     )
     physics.add_argument("--workers", type=int, default=2, help="of --touches, a thread each")
     physics.add_argument(
@@ -310,7 +383,9 @@ def _add_measurements(commands: Commands) -> None:
         help="runs of --touches, from which one cut short goes on (default %(default)s)",
     )  # fmt: skip
     physics.add_argument("--contacts", type=int, metavar="N", help="an object, to compare readings")
-    physics.add_argument("--seeds", type=int, metavar="N", help="runs of each kind; skins drawn")
+    physics.add_argument(
+        "--seeds", type=int, metavar="N", help="runs of --touches; skins of --curves"
+    )
     physics.add_argument("--seed", type=int, help="of the contacts")
     physics.add_argument("--noise-sigma", type=float, metavar="SD", help="default: the daemon's")
     physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")
@@ -328,7 +403,7 @@ def _add_parts(commands: Commands) -> None:
     where.add_argument("--can", metavar="INTERFACE", help="of this machine's kernel, as vcan0")
     emulate.add_argument("--poses", required=True, help="endpoint for the robot's poses")
     emulate.add_argument("--out", type=Path, required=True, help="directory for the session")
-    _add_skin(emulate)
+    _add_world(emulate)
     emulate.set_defaults(command=_emulate)
 
     watch = commands.add_parser("watch", help="a subscriber's table of contacts")

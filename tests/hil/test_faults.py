@@ -1,5 +1,7 @@
 """The injector does its faults and no more; the ledger and the judge find what is wrong."""
 
+import subprocess
+import sys
 from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
@@ -9,8 +11,9 @@ import numpy as np
 import pytest
 
 from taxeld.estimator.estimate import Status
+from taxeld_hil import cli
 from taxeld_hil.grade import flags
-from taxeld_hil.grade.grade import Run, grade
+from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample, percentile
 from taxeld_hil.grade.reconcile import laws
 from taxeld_hil.rig.faults import Injector
@@ -195,15 +198,105 @@ def test_percentiles_are_of_the_counts() -> None:
 
 def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     path, quiet = tmp_path / "soak.json", lambda _: None
-    part = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", "scene", 0.01), path, quiet)
+    part = soak.soak_fake(DEMO, soak.resumed(path, DEMO, 5, "fake", 0.01), path, quiet)
     assert (part.laps, part.unexplained, part.daemons) == (1, 0, 1)
-    whole = soak.soak_fake(DEMO, soak.resumed(path, 5, "fake", "scene", 0.03), path, quiet)
+    whole = soak.soak_fake(DEMO, soak.resumed(path, DEMO, 5, "fake", 0.03), path, quiet)
     assert (whole.laps, whole.unexplained, whole.daemons) == (2, 0, 2)
+    assert (whole.object, whole.physics) == ("box", "scene")
     path.with_name("other").write_text("x")
     with pytest.raises(scenario.SetupError, match="is no report of a soak"):
-        soak.resumed(path.with_name("other"), 5, "fake", "scene", 1.0)
-    assert soak.resumed(path, 6, "fake", "scene", 1.0).laps == 0, "another seed: another soak"
-    assert soak.resumed(path, 5, "fake", "poor", 1.0).laps == 0, "another skin: another soak"
+        soak.resumed(path.with_name("other"), DEMO, 5, "fake", 1.0)
+    for another in (DEMO.on("poor"), DEMO.touching("mug")):
+        assert soak.resumed(path, another, 5, "fake", 1.0).laps == 0
+    assert soak.resumed(path, DEMO, 6, "fake", 1.0).laps == 0, "another seed: another soak"
+    assert soak.resumed(path, DEMO, 5, "fake", 1.0).laps == 2
+
+
+def of_a_lap(
+    faults: list[tuple[str, float]], silent_at_s: list[float], status: str, contacts: int
+) -> Grade:
+    figures = {
+        "silent_failures": {
+            "episodes": len(silent_at_s), "worst_mm": 30.0 * bool(silent_at_s), "at_s": silent_at_s
+        },
+        "faults": [
+            {"kind": kind, "at_s": at_s, "injected": False} for kind, at_s in faults
+        ],
+        "error_mm": 1.0, "status": status, "contacts": contacts, "laws": [],
+    }  # fmt: skip
+    return Grade(Run("lap", 0, "sim", "fake", "slcan"), (), figures)
+
+
+def test_a_lie_that_was_told_earlier_in_the_lap_explains_a_silent_failure_and_no_other_does() -> (
+    None
+):
+    lied = [("pose_jumping", 4.0), ("dropped", 9.0)]
+    for faults, at_s, blamed in (
+        (lied, 12.0, "pose_jumping"),
+        (lied, 3.0, "none"),
+        ([("reboot", 2.0), ("dropped", 9.0), ("pose_late", 20.0)], 12.0, "dropped"),
+    ):
+        seen = soak.Soak(0, "fake", "box", "typical", 1.0)
+        seen.add(0, of_a_lap(faults, [at_s], "converged", 8), 60.0)
+        assert seen.silent_after == {blamed: 1}
+        assert seen.passed == (blamed in laps.MISLEADING)
+
+
+def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
+    seen = soak.Soak(0, "fake", "box", "typical", 1.0)
+    for number, (status, contacts) in enumerate((
+        ("converged", 8), ("ambiguous", 8), ("converged", 5), ("ambiguous", 3), ("converged", 9)
+    )):  # fmt: skip
+        seen.add(number, of_a_lap([], [], status, contacts), 60.0)
+    assert (seen.found, seen.full, seen.full_found, seen.lost_laps) == (3, 3, 2, [1])
+
+
+def test_reports_of_soaks_are_shown_side_by_side(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen = soak.Soak(0, "fake", "/there/is/a/drill", "typical", 1.0)
+    lied = [("pose_jumping", 4.0)]
+    for number, (faults, status, contacts) in enumerate((
+        (lied, "converged", 8), ([], "converged", 9), ([], "ambiguous", 8)
+    )):  # fmt: skip
+        seen.add(number, of_a_lap(faults, [12.0] * (number < 2), status, contacts), 60.0)
+    seen.write(tmp_path / "soak_drill.json")
+    assert cli.main(["soak", "--table", str(tmp_path / "soak_drill.json")]) == 0
+    shown = dict(line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[2:])
+    assert shown["object, skin, clock"] == "drill, `typical`, fake"
+    assert shown["silent failures without a misleading fault in the lap, and after one"] == "1, 1"
+    assert shown["object found at the lap's end"] == "2"
+    assert shown["of laps in which all 8 contacts were felt"] == "2 of 3 (66.7%)"
+    assert shown["passed"] == "no"
+    command = f"{sys.executable} -m taxeld_hil.cli soak --table {tmp_path / 'soak_drill.json'}"
+    unread = subprocess.run(
+        f"{command} | true",
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert unread.stderr == "", "nor does a reader that has gone bring a traceback"
+    (tmp_path / "other").write_text("{}")
+    for name, message in (("other", "is no report of a soak"), ("none", "No such file")):
+        assert cli.main(["soak", "--table", str(tmp_path / name)]) == 2
+        assert message in capsys.readouterr().err
+
+
+def test_a_lap_of_a_soak_can_be_run_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    """The object stands where it stood in the soak, on the same skin; the noise is another."""
+    run = FakeRun(laps.lap(DEMO, 5, 0), 5, rate_hz=soak.RATE_HZ)
+    run.lap(laps.lap(DEMO, 5, 2), 7)
+    assert cli.main(["soak", "--skin", "scene", "--seed", "5", "--lap", "2"]) in (0, 1)
+    alone = soak.lap_alone(DEMO, 5, 2)
+    assert capsys.readouterr().out.splitlines()[0].startswith("lap 2, seed 7, on sim over slcan")
+    faults = laps.lap(DEMO, 5, 2).fault
+    assert [row["at_s"] for row in alone.figures["faults"]] == [fault.at_s for fault in faults]
+    same = run.graded("lap 2").figures
+    assert (same["error_mm"], same["contacts"]) == (
+        alone.figures["error_mm"], alone.figures["contacts"]
+    )  # fmt: skip
+    assert cli.main(["soak", "--lap", "-1"]) == 2
 
 
 def test_laps_differ_and_are_determined_by_seed_and_number() -> None:

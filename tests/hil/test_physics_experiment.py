@@ -1,7 +1,6 @@
 """The comparison of the two models of a skin: what it reports, and its closed forms."""
 
 import json
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,9 @@ from taxeld.layout import read as layouts
 from taxeld.model.observation import Noise
 from taxeld.proposals import bundle
 from taxeld_hil import cli
-from taxeld_hil.experiment import physics_cost, physics_gap
+from taxeld_hil.experiment import physics_experiment, physics_gap
 from taxeld_hil.experiment.physics_gap import STAGES, ContactReadings, SkinComparison
 from taxeld_hil.scenario import scenario
-from taxeld_hil.scenario.mesh_config import POOR, TYPICAL
 from taxeld_hil.world.bundled import solid_of
 
 DEMO = scenario.load("demo").on("typical")
@@ -54,24 +52,11 @@ def test_the_same_seed_compares_the_same_readings() -> None:
     assert one.receding.tolist() == [0.0, 1.0] * 5
 
 
-def test_kinds_add_one_effect_after_the_other_up_to_all() -> None:
-    kinds = [
-        physics_cost.of(DEMO, "box", kind).skin
-        for kind in physics_cost.KINDS
-        if kind not in ("scene", "poor")
-    ]
-    names = type(kinds[0]).__dataclass_fields__
-    changed = [{n for n in names if getattr(a, n) != getattr(b, n)} for a, b in pairwise(kinds)]
-    assert all(changed)
-    assert sum(map(len, changed)) == len(set.union(*changed))
-    assert kinds[-1] == TYPICAL
-    assert physics_cost.of(DEMO, "box", "poor").skin == POOR
-
-
 def test_wrong_options_are_refused_with_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for option, value, message in (("--noise-sigma", "-1", "filter.noise_sigma: must be"),
+                                   ("--skin", "scene", "--skin scene: no soft skin"),
                                    ("--contacts", "0", "--contacts must be at least"),
                                    ("--object", "party", "no bundle 'party'")):  # fmt: skip
         assert cli.main(["physics", option, value, "--out", str(tmp_path)]) == 2
@@ -83,10 +68,11 @@ def test_the_command_writes_json_beside_a_picture(
 ) -> None:
     pytest.importorskip("matplotlib")
     assert not cli.main(["physics", "--quick", "--object", "box", "--contacts", "12",
-                         "--seeds", "1", "--out", str(tmp_path)])  # fmt: skip
+                         "--out", str(tmp_path)])  # fmt: skip
     printed = capsys.readouterr()
     assert "box: 12 of 12 contacts" in printed.err
     result = json.loads((tmp_path / "physics.json").read_text(encoding="utf-8"))
     assert [stage["stage"] for stage in result["gap"]["box"]["stages"]] == list(STAGES)
-    assert [row["kind"] for row in result["cost"]] == list(physics_cost.KINDS)
+    assert printed.out.splitlines()[2:] == list(physics_experiment.lines(tmp_path / "physics.json"))
+    assert "| sag | " in printed.out
     assert (tmp_path / "physics.png").stat().st_size < 300_000

@@ -59,11 +59,12 @@ def test_a_shipped_scenario_passes_in_the_estimators_own_world(name: str) -> Non
     assert grade.figures["ledger"]["fates"]["scans"] > 100
 
 
-@pytest.mark.xfail(reason="what foam keeps of a press is taken for touches, and laid to the object")
-def test_shipped_scenarios_pass_on_a_soft_skin() -> None:
+@pytest.mark.xfail(reason="what sags, couples and stays is taken for the object, and misleads")
+@pytest.mark.parametrize("skin", ["typical", "poor"])
+def test_shipped_scenarios_pass_on_a_soft_skin(skin: str) -> None:
     """On the fake clock."""
     for name in ("demo", "module_dead", "pose_frozen", "unplugged"):
-        grade = FakeRun(scenario.load(name).on("typical"), seed=0).graded(name)
+        grade = FakeRun(scenario.load(name).on(skin), seed=0).graded(name)
         assert failed(grade) == [], name
 
 

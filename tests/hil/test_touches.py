@@ -138,16 +138,6 @@ def test_the_summary_is_of_the_runs() -> None:
     assert line.startswith("| poor, box | 50 (50), 0% | 4.5 (8.1), 50% | 1 (1), 100% | 10.0% |")
 
 
-def test_only_whole_runs_of_the_same_code_are_remembered(tmp_path: Path) -> None:
-    memory = tmp_path / "runs.jsonl"
-    assert touch_experiment.remembered(memory, "now") == {}
-    rows = [{"code": code, **asdict(run_of(seed, 1.0))} for seed, code in enumerate(("old", "now"))]
-    text = "\n".join(map(json.dumps, [*rows, {**rows[1], "seed": 2}]))
-    memory.write_text(text[:-20], encoding="utf-8")
-    assert touch_experiment.remembered(memory, "now") == {("box", "poor", 1): run_of(1, 1.0)}
-    assert touch_experiment.digest("") != touch_experiment.digest("particles = 200")
-
-
 def test_the_command_goes_on_from_what_it_remembers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -5,12 +5,13 @@ from dataclasses import asdict, replace
 import numpy as np
 import pytest
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Floats, Poses
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.scenario.mesh_config import SKINS as HARNESS
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world import electronics
+from taxeld_hil.world.mesh_physics import MeshPhysics
 from taxeld_training.filters import cells
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.methods import Method
@@ -75,6 +76,53 @@ def test_what_stays_of_a_press_is_read_and_fades() -> None:
     left = [keeps.read(np.zeros(len(LAYOUT)), 9.95 + t)[0][24] for t in (0.0, 1.0, 30.0)]
     fading = [0.07, 0.05 * np.exp(-1.0) + 0.02 * np.exp(-1.0 / 30.0), 0.02 * np.exp(-1.0)]
     np.testing.assert_allclose(left, 0.8 * np.array(fading), rtol=0.02)
+
+
+class Pressed:
+    """Depths, given for each step, in place of a solid's."""
+
+    def __init__(self, depth_m: Floats) -> None:
+        self.depth_m = depth_m
+
+    def indentation(self, seen: Poses, _sag_m: Floats) -> Floats:
+        return np.asarray(self.depth_m[int(seen[0])])
+
+
+def test_presses_are_read_as_the_harness_reads_them() -> None:
+    """Whatever is drawn is given, and sag is off, which is a solid's there: then response, loop,
+    residues and cross-talk are the same, press after press, scan by scan."""
+    figures = replace(
+        Figures(), sag_m=NONE, onset=(1.5, 1.5), hysteresis=(0.03, 0.03), residue=(0.02, 0.02),
+        residue_slow=(0.05, 0.05), cross_talk=(0.03, 0.03), noise=NONE,
+    )  # fmt: skip
+    same = asdict(figures)
+    del same["noise"]
+    rng, taxels = np.random.default_rng(0), len(LAYOUT)
+    h = np.repeat(rng.uniform(0.0, 1.0, (40, taxels)), 5, axis=0)
+    h[np.repeat(rng.random((40, taxels)) < 0.8, 5, axis=0)] = 0.0
+    h[np.repeat(np.arange(40) % 4 == 3, 5)] = 0.0  # nothing is touched in every fourth
+    ours, depth_max_m = skin(figures), 0.005
+    theirs = MeshPhysics(
+        replace(HARNESS["typical"], **same), Pressed(depth_max_m * h), LAYOUT, depth_max_m,  # type: ignore[arg-type]
+        np.full(taxels, FULL), rng,
+    )  # fmt: skip
+    for k, pressed_by in enumerate(h):
+        z, _ = ours.read(pressed_by, 0.05 * k)
+        counts = theirs.press(np.array([k, 0.0, 0.0]), 0.05 * k)
+        np.testing.assert_allclose(z, counts / FULL, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", SKINS)
+def test_while_nothing_is_touched_no_reading_rises(name: str) -> None:
+    """But for noise."""
+    rng = np.random.default_rng(1)
+    for seed in range(20):
+        of = skin(replace(SKINS[name], noise=NONE), seed)
+        for k in range(20):
+            h = np.where(rng.random(len(LAYOUT)) < 0.2, rng.uniform(0.0, 1.0, len(LAYOUT)), 0.0)
+            of.read(h, 0.1 * k)
+        z = np.array([of.read(np.zeros(len(LAYOUT)), 2.0 + 0.1 * k)[0] for k in range(60)])
+        assert np.diff(z, axis=0).max() <= 1e-7
 
 
 @pytest.mark.parametrize("name", SKINS)

@@ -8,28 +8,25 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from taxeld_hil.experiment.physics_cost import BAD_MM, KINDS
 from taxeld_hil.experiment.physics_gap import STAGES
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#888888")  # Okabe and Ito's: an object each
 DPI = 110
-DODGE = 0.18  # between objects on a common tick
 
 
 def draw(result: dict[str, Any], path: Path) -> None:
     """`result`: as `experiment` writes it."""
-    figure = Figure(figsize=(11.0, 7.6), layout="constrained")
-    panels = figure.subplots(2, 2)
+    figure = Figure(figsize=(13.0, 4.4), layout="constrained")
+    panels = figure.subplots(1, 3)
     colour = dict(zip(result["gap"], COLOURS, strict=False))
     for axes in panels.flat:
         axes.spines[["top", "right"]].set_visible(False)
         axes.tick_params(labelsize=8)
         axes.grid(color="0.92", lw=0.6)
         axes.set_axisbelow(True)
-    _effects(panels[0, 0], result, colour)
-    _readings(panels[0, 1], result, colour)
-    _depths(panels[1, 0], result, colour)
-    _errors(panels[1, 1], result, colour)
+    _effects(panels[0], result, colour)
+    _readings(panels[1], result, colour)
+    _depths(panels[2], result, colour)
     handles = [Line2D([], [], color=c, lw=2, label=name) for name, c in colour.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(handles), frameon=False)
     figure.savefig(path, dpi=DPI, metadata={"Software": None})
@@ -81,20 +78,3 @@ def _depths(axes: Axes, result: dict[str, Any], colour: dict[str, str]) -> None:
     axes.set_xlabel("depth of the press [mm]", fontsize=8)
     axes.set_ylabel("rms difference of an activation", fontsize=8)
     axes.set_title("By depth", fontsize=10)
-
-
-def _errors(axes: Axes, result: dict[str, Any], colour: dict[str, str]) -> None:
-    kinds = list(KINDS)
-    for row in result["cost"]:
-        k = list(colour).index(row["object"])
-        at = kinds.index(row["kind"]) + DODGE * (k - 0.5)
-        errors = np.array(row["finals_mm"])
-        jitter = 0.05 * np.linspace(-1.0, 1.0, len(errors))
-        axes.plot(at + jitter, errors, ".", color=colour[row["object"]], ms=3, alpha=0.6)
-        axes.plot([at - 0.08, at + 0.08], 2 * [row["final_mm"]["median"]],
-                  color=colour[row["object"]], lw=2.5)  # fmt: skip
-    axes.axhline(BAD_MM, color="0.4", ls="--", lw=1)
-    axes.set_yscale("log")
-    axes.set_xticks(range(len(kinds)), kinds, rotation=15)
-    axes.set_ylabel("final error, up to symmetry [mm]", fontsize=8)
-    axes.set_title("What it costs on the demo's path, a dot a seed", fontsize=10)

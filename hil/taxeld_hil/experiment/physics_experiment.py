@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Self
 
@@ -11,9 +11,8 @@ import numpy as np
 from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
 from taxeld.model.observation import Noise
-from taxeld_hil.experiment import physics_cost, physics_gap
+from taxeld_hil.experiment import physics_gap
 from taxeld_hil.scenario import scenario, settings
-from taxeld_hil.scenario.mesh_config import TYPICAL
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.world import load_model
@@ -29,15 +28,14 @@ class Plan:
     """How much is measured."""
 
     objects: tuple[str, ...]  # bundles
+    skin: str = "typical"
     contacts: int = 2000  # with each object
-    seeds: int = 20  # of runs with each object and kind of physics
     seed: int = 0  # of the contacts
     noise_sigma: float = FilterConfig().noise_sigma  # that the daemon assumes
 
     @classmethod
-    def quick(cls, objects: tuple[str, ...], contacts: int = 60, seeds: int = 2, **keys: Any
-              ) -> Self:  # fmt: skip
-        return cls(objects, contacts, seeds, **keys)
+    def quick(cls, objects: tuple[str, ...], contacts: int = 60, **keys: Any) -> Self:
+        return cls(objects, contacts=contacts, **keys)
 
 
 def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
@@ -46,23 +44,17 @@ def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
     Raises:
         SetupError: an object has no mesh here; or, with the JSON written, nothing to draw with.
     """
-    if plan.contacts < LEAST_CONTACTS or plan.seeds < 1:
-        raise SetupError(f"--contacts must be at least {LEAST_CONTACTS}, --seeds at least 1")
-    demo = replace(scenario.load("demo"), physics="typical")
+    if plan.contacts < LEAST_CONTACTS:
+        raise SetupError(f"--contacts must be at least {LEAST_CONTACTS}")
+    base = scenario.load("demo").on(plan.skin)
+    if base.physics == "scene":
+        raise SetupError("--skin scene: no soft skin; it is what they are compared with")
     filter_keys = f"noise_sigma = {plan.noise_sigma}"
-    settings.on_a_fake_clock(demo, plan.seed, filter_keys)  # faults in it are raised at once
-    gaps = {name: _gap(demo, name, plan, say) for name in plan.objects}
-    done: list[physics_cost.RunResult] = []
-    for run in physics_cost.runs(demo, list(plan.objects), plan.seeds, filter_keys):
-        done.append(run)
-        if run.kind == list(physics_cost.KINDS)[-1]:
-            say(f"{run.object}, seed {run.seed}, {run.kind}: {run.final_mm:.2f} mm")
+    settings.on_a_fake_clock(base, plan.seed, filter_keys)  # faults in it are raised at once
     result = {
         "plan": asdict(plan),
-        "mesh": asdict(TYPICAL),
-        "gap": gaps,
-        "cost": physics_cost.summary(done),
-        "scan_cpu_ms": {name: _scan_ms(demo, name) for name in plan.objects},
+        "mesh": asdict(base.skin),
+        "gap": {name: _gap(base.touching(name), plan, say) for name in plan.objects},
     }
     out.mkdir(parents=True, exist_ok=True)
     path = out / "physics.json"
@@ -77,21 +69,28 @@ def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
     yield out / "physics.png"
 
 
-def _scan_ms(demo: Scenario, name: str) -> dict[str, dict[str, float]]:
-    return {
-        kind: physics_cost.scan_ms(physics_cost.of(demo, name, kind), seed=0)
-        for kind in ("scene", "typical")
-    }
+def lines(path: Path) -> Iterator[str]:
+    """Such a JSON file's effects as a Markdown table, a column an object."""
+    gaps = json.loads(path.read_text(encoding="utf-8"))["gap"]
+    heads = [f"{name}: bias, sd, correlation" for name in gaps]
+    alone = f"this effect alone changes (rms): {', '.join(gaps)}"
+    yield "| up to | " + " | ".join([*heads, alone]) + " |"
+    yield "|---" * (len(gaps) + 2) + "|"
+    for same in zip(*(gap["stages"] for gap in gaps.values()), strict=True):
+        each = [f"{s['bias']:+.3f}, {s['sd']:.3f}, {s['correlation']:.3f}" for s in same]
+        own = ", ".join(f"{s['step_rms']:.3f}" for s in same)
+        yield f"| {same[0]['stage']} | " + " | ".join([*each, own]) + " |"
 
 
-def _gap(demo: Scenario, name: str, plan: Plan, say: Say) -> dict[str, Any]:
-    model = load_model(replace(demo, bundle=name))
+def _gap(base: Scenario, plan: Plan, say: Say) -> dict[str, Any]:
+    model = load_model(base)
 
     def progress(done: int) -> None:
         if done * STEPS % plan.contacts < STEPS:
-            say(f"{name}: {done} of {plan.contacts} contacts")
+            say(f"{base.bundle}: {done} of {plan.contacts} contacts")
 
-    skins = physics_gap.SkinComparison(demo, model, solid_of(name, model.layout))
+    solid = solid_of(base.bundle, model.layout)
+    skins = physics_gap.SkinComparison(base, model, solid)
     readings = skins.readings(plan.contacts, np.random.default_rng(plan.seed), progress)
     return physics_gap.compare(readings, model.layout, Noise(plan.noise_sigma))
 

@@ -1,34 +1,28 @@
-"""`taxeld-hil physics --touches`: ten touches on soft skins, seed by seed, as JSON.
+"""`taxeld-hil physics --touches`: ten touches on soft skins, seed by seed, as JSON."""
 
-Seeds run side by side, one thread a worker. Each is remembered with a digest of the code that it
-ran on, so that a measurement that was cut short goes on, and one of other code begins anew.
-"""
-
-import hashlib
 import json
-import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import asdict, dataclass, replace
-from importlib import resources
-from multiprocessing import get_context
+from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld_hil.experiment import touch_runs
+from taxeld_hil.experiment.jobs import Memory, digest, played
 from taxeld_hil.experiment.touch_runs import AFTER, PAIRS, PRESSES, TouchRun
 from taxeld_hil.scenario import scenario
+from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.world import load_model
 
-ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 FOUND_MM, NEAR_MM = 5.0, 10.0
 QUICK_SEEDS = 2
 
 Say = Callable[[str], None]
+Job: TypeAlias = tuple[str, str, int]  # object, skin, seed
 
 
 @dataclass(frozen=True)
@@ -55,54 +49,29 @@ def experiment(plan: Plan, out: Path, memory: Path, workers: int, say: Say) -> P
         if base.on(skin).physics == "scene":
             raise SetupError("--skin scene: no soft skin; its taxels have no depth of their own")
     for name in plan.objects:  # each mesh is built once, and not by every worker
-        solid_of(name, load_model(replace(base, bundle=name)).layout)
+        solid_of(name, load_model(base.touching(name)).layout)
     wanted = [
         (name, skin, seed)
         for seed in range(plan.seeds)
         for skin in plan.skins
         for name in plan.objects
     ]
-    code = digest(plan.filter_keys)
-    done = remembered(memory, code)
-    todo = [each for each in wanted if each not in done]
-    if len(todo) < len(wanted):
-        say(f"{len(wanted) - len(todo)} of {len(wanted)} runs are remembered in {memory}")
-    with _opened(memory) as file:
-        for run in _played(todo, plan.filter_keys, workers):
-            done[run.object, run.skin, run.seed] = run
-            file.write(json.dumps({"code": code, **asdict(run)}) + "\n")
-            file.flush()
+    codes = {each: digest(_scenario(each), plan.filter_keys) for each in wanted}
+    with Memory(memory) as remembered:
+        runs = [TouchRun(**row) for row in remembered.rows(set(codes.values()))]
+        done = {(run.object, run.skin, run.seed): run for run in runs}
+        todo = [each for each in wanted if each not in done]
+        if len(todo) < len(wanted):
+            say(f"{len(wanted) - len(todo)} of {len(wanted)} runs are remembered in {memory}")
+        for run in played(partial(_play, plan.filter_keys), todo, workers):
+            job = run.object, run.skin, run.seed
+            done[job] = run
+            remembered.add(codes[job], asdict(run))
             say(f"{run.object}, {run.skin}, seed {run.seed}: {run.error_mm} mm after {AFTER}")
     out.mkdir(parents=True, exist_ok=True)
     path = out / "touches.json"
     write(path, plan, [done[each] for each in wanted])
     return path
-
-
-def digest(filter_keys: str) -> str:
-    """Of the code and the bundles that a run depends on."""
-    found = hashlib.sha256(filter_keys.encode())
-    for package in ("taxeld", "taxeld_protocol", "taxeld_hil"):
-        root = Path(str(resources.files(package)))
-        for path in sorted(root.rglob("*")):
-            if path.suffix in (".py", ".toml", ".npz", ".onnx") and path.is_file():
-                found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
-    return found.hexdigest()[:16]
-
-
-def remembered(memory: Path, code: str) -> dict[tuple[str, str, int], TouchRun]:
-    """The runs of this code in a file of a run a line; a last line that was cut short is none."""
-    found = {}
-    lines = memory.read_text(encoding="utf-8").splitlines() if memory.is_file() else []
-    for line in lines:
-        try:
-            row = json.loads(line)
-            if row.pop("code") == code:
-                run = TouchRun(**row)
-                found[run.object, run.skin, run.seed] = run
-        except (ValueError, KeyError, TypeError, AttributeError):
-            continue  # it is measured again
-    return found
 
 
 def summary(runs: list[TouchRun]) -> list[dict[str, Any]]:
@@ -141,13 +110,13 @@ def summary(runs: list[TouchRun]) -> list[dict[str, Any]]:
 
 def lines(rows: list[dict[str, Any]]) -> Iterator[str]:
     """The summary as a Markdown table."""
-    after = [f"{what} after {n}" for n in AFTER for what in ("median (p90) mm, < 5 mm",)]
+    after = [f"median (p90) mm, < 5 mm after {n}" for n in AFTER]
     head = ["skin, object", *after, "felt in the air", "light ones missed", "silent"]
     yield "| " + " | ".join(head) + " |"
     yield "|---" * len(head) + "|"
     for row in rows:
         errors = [
-            f"{e['median']:.3g} ({e['p90']:.3g}), {e['under_5_mm']:.0%}"
+            f"{_mm(e['median'])} ({_mm(e['p90'])}), {e['under_5_mm']:.0%}"
             for e in row["error_mm"].values()
         ]
         cells = [
@@ -177,35 +146,17 @@ def read(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def _opened(memory: Path) -> IO[str]:
-    """To add runs to."""
-    try:
-        memory.parent.mkdir(parents=True, exist_ok=True)
-        return memory.open("a", encoding="utf-8")
-    except OSError as error:
-        raise SetupError(f"--memory: {memory}: {error.strerror}") from None
+def _mm(value: float) -> str:
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
 
 
-def _played(todo: list[tuple[str, str, int]], filter_keys: str, workers: int) -> Iterator[TouchRun]:
-    """In any order."""
-    if workers <= 1 or len(todo) <= 1:
-        yield from (_play(*each, filter_keys) for each in todo)
-        return
-    for name in ONE_THREAD:
-        os.environ.setdefault(name, "1")  # inherited by the workers
-    with ProcessPoolExecutor(min(workers, len(todo)), get_context("spawn")) as pool:
-        try:
-            jobs = [pool.submit(_play, *each, filter_keys) for each in todo]
-            for job in as_completed(jobs):
-                yield job.result()
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+def _scenario(job: Job) -> Scenario:
+    name, skin, _ = job
+    return scenario.load("demo").touching(name).on(skin)
 
 
-def _play(name: str, skin: str, seed: int, filter_keys: str) -> TouchRun:
-    base = replace(scenario.load("demo"), bundle=name, physics=skin)
-    return touch_runs.play(base, seed, filter_keys)
+def _play(filter_keys: str, job: Job) -> TouchRun:
+    return touch_runs.play(_scenario(job), job[2], filter_keys)
 
 
 def _quantile(values: Any, share: float) -> float:

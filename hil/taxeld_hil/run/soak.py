@@ -35,6 +35,7 @@ class Soak:
 
     seed: int
     clock: str
+    object: str  # bundle
     physics: str  # of the skin
     hours: float  # asked for
     laps: int = 0
@@ -45,10 +46,13 @@ class Soak:
     injected: Counter[str] = field(default_factory=Counter)
     faults: Counter[str] = field(default_factory=Counter)  # windows, by kind
     found: int = 0  # laps that ended converged and right
+    full: int = 0  # laps in which the daemon felt as many contacts as there were,
+    full_found: int = 0  # and found the object
+    lost_laps: list[int] = field(default_factory=list)  # and did not
     silent_episodes: int = 0
     silent_worst_mm: float = 0.0
     silent_laps: list[int] = field(default_factory=list)
-    silent_after: Counter[str] = field(default_factory=Counter)  # the fault that began last
+    silent_after: Counter[str] = field(default_factory=Counter)  # the fault that explains it
     unexplained_before: int = 0  # of the daemons before this one
     unexplained: int = 0  # frames, packets, scans and poses that the daemon has not accounted for
     flags_missed: Counter[str] = field(default_factory=Counter)
@@ -89,10 +93,16 @@ class Soak:
         if silent["episodes"]:
             self.silent_laps.append(number)
         for at_s in silent["at_s"]:
-            begun = [row for row in figures["faults"] if row["at_s"] <= at_s]
-            self.silent_after[begun[-1]["kind"] if begun else "none"] += 1
+            begun = [row["kind"] for row in figures["faults"] if row["at_s"] <= at_s]
+            self.silent_after[_explains(begun)] += 1
         error = figures["error_mm"]
-        self.found += figures["status"] == "converged" and error is not None and error < 10.0
+        found = figures["status"] == "converged" and error is not None and error < 10.0
+        self.found += found
+        if figures["contacts"] >= laps.CONTACTS:
+            self.full += 1
+            self.full_found += found
+            if not found:
+                self.lost_laps.append(number)
         gaps = (abs(law["expected"] - law["counted"]) - law["slack"] for law in figures["laws"])
         self.unexplained = self.unexplained_before + sum(max(gap, 0) for gap in gaps)
         for row in figures["faults"]:
@@ -128,6 +138,7 @@ class Soak:
         return (
             f"{self.hours_done:6.2f} of {self.hours:g} h, lap {self.laps}, "
             f"{sum(self.faults.values())} faults, found {self.found}, "
+            f"of {self.full} with all contacts {self.full_found}, "
             f"silent {self.silent_episodes}, unexplained {self.unexplained}, "
             f"worst recovery {max(self.worst_recovery_s.values(), default=0.0):.2f} s, "
             f"{rss:.0f} MB"
@@ -137,26 +148,28 @@ class Soak:
 COUNTERS = ("injected", "faults", "flags_missed", "doubted", "not_recovered", "silent_after")
 
 
-def resumed(path: Path, seed: int, clock: str, physics: str, hours: float) -> Soak:
-    """The soak that a report holds, if it is one of this seed, clock and skin that is not over.
+def resumed(path: Path, base: Scenario, seed: int, clock: str, hours: float) -> Soak:
+    """The soak that a report holds, if it is one of this seed, clock, object and skin that is not
+    over.
 
     Raises:
         SetupError: there is a file that is no report.
     """
+    asked = seed, clock, base.bundle, base.physics
     if path.is_file():
         try:
             data = json.loads(path.read_text(encoding="utf-8"))
-            data["seed"], data["clock"], data["physics"], data["hours_done"]
-        except (ValueError, KeyError, TypeError):
+            same = tuple(data.pop(key) for key in ("seed", "clock", "object", "physics")) == asked
+            done = data["hours_done"] >= hours
+        except (ValueError, KeyError, TypeError, AttributeError):
             raise SetupError(f"{path}: is no report of a soak; name another file") from None
-        same = (data.pop("seed"), data.pop("clock"), data.pop("physics")) == (seed, clock, physics)
-        if same and data["hours_done"] < hours:
+        if same and not done:
             del data["growth_mb"], data["passed"], data["hours"]
             data["unexplained_before"] = data["unexplained"]
             for name in COUNTERS:
                 data[name] = Counter(data[name])
-            return Soak(seed, clock, physics, hours, **data)
-    return Soak(seed, clock, physics, hours)
+            return Soak(*asked, hours, **data)
+    return Soak(*asked, hours)
 
 
 def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
@@ -188,6 +201,14 @@ def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
             say(soak.line())
     soak.write(path)
     return soak
+
+
+def lap_alone(base: Scenario, seed: int, number: int) -> Grade:
+    """A lap of a soak on the fake clock, of the same skin and object, on a daemon of its own."""
+    run = FakeRun(laps.lap(base, seed, 0), seed, rate_hz=RATE_HZ)
+    if number:
+        run.lap(laps.lap(base, seed, number), seed + number)
+    return run.graded(f"lap {number}")
 
 
 def soak_live(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
@@ -233,6 +254,13 @@ def resident_mb(pid: int | str) -> float:
 
 def _silence(_: str) -> None:
     """The contacts of a soak are not printed."""
+
+
+def _explains(begun: list[str]) -> str:
+    """Of the faults that have begun in a lap, the one that a silent failure is put down to: the
+    last that misleads, as the daemon remembers what it was made to believe; else the last."""
+    lies = [kind for kind in begun if kind in laps.MISLEADING]
+    return (lies or begun or ["none"])[-1]
 
 
 def _worst(worst: dict[str, float], kind: str, seconds: float | None) -> None:

@@ -9,9 +9,9 @@ from taxeld_hil.scenario import scenario
 HEAD = ("fault", "scenario", "shows in", "within", "seen after", "fresh again after its end")
 
 
-def rows(seeds: Iterable[int], skin: str = "") -> Iterator[str]:
-    """A Markdown table: worst values over the seeds, on the fake clock; on the scenarios' own skins
-    where none is named.
+def rows(seeds: Iterable[int], bundle: str = "", skin: str = "") -> Iterator[str]:
+    """A Markdown table: worst values over the seeds, on the fake clock; with the scenarios' own
+    objects and skins where none is named.
 
     Raises:
         SetupError: there is no skin of that name.
@@ -20,7 +20,7 @@ def rows(seeds: Iterable[int], skin: str = "") -> Iterator[str]:
     yield "|---" * len(HEAD) + "|"
     seeds = list(seeds)
     for name in scenario.shipped():
-        subject = scenario.load(name).on(skin)
+        subject = scenario.load(name).touching(bundle).on(skin)
         if not subject.fault or name == "everything":
             continue
         runs = [FakeRun(subject, seed).graded(name).figures["faults"] for seed in seeds]

@@ -6,13 +6,13 @@ import numpy as np
 
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Expect, Fault, Scenario
 
-CONTACTS = 5
+CONTACTS = 8
 HOLDS_S = (0.3, 0.3, 0.3, 2.0, 6.0)  # one of these for each lap's presses
 FAULTS_MEAN = 1.5  # a lap
 FIRST_S, LAST_S = 3.0, 40.0  # between these a fault begins
 FOR_S = (0.2, 6.0)
 STUCK_S = (12.5, 15.0)  # long enough for the daemon to find a stuck taxel
-LAP_S = 60.0  # about
+LAP_S = 60.0  # at least; long holds take more
 
 FRAMES = ("dropped", "duplicated", "reordered", "corrupted", "late", "flooded")
 DEVICE = ("reboot", "unplugged")

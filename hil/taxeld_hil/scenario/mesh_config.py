@@ -55,7 +55,7 @@ class MeshConfig:
     loading_s: float = key(0.5, between(0.01, 100), "of a press, until that much stays")  # assumed
     gain_cv: float = key(0.15, between(0, 1), "spread of the taxels' gains")
     cross_talk: tuple[float, float] = key(
-        (0.01, 0.08), spread(0.5), "of its module's strongest press, read by each other taxel"
+        (0.01, 0.08), spread(0.5), "of a press, read by each other taxel of its module"
     )
     noise_counts: tuple[float, float] = key((24.0, 43.0), spread(1000), "sd of a reading")
     # "a few counts a minute", measured

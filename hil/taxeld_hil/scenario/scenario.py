@@ -92,6 +92,10 @@ class Scenario:
             raise SetupError(f"no skin '{skin}'; there are scene, {', '.join(SKINS)}")
         return replace(self, physics=skin) if skin else self
 
+    def touching(self, bundle: str) -> "Scenario":
+        """The same scenario with another object; with its own where none is named."""
+        return replace(self, bundle=bundle) if bundle else self
+
     def over(self, transport: str) -> "Scenario":
         """The same scenario over another transport; over its own where none is named.
 

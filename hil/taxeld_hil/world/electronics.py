@@ -44,25 +44,22 @@ class Response:
 
 
 class CrossTalk:
-    """What each taxel reads of its module's strongest press: a share of each pair's own."""
+    """What each taxel reads of the other presses on its module: a share of each, one for each pair.
+
+    They add up, as currents do. So what is read falls while all presses fade, whichever of them
+    then is the strongest.
+    """
 
     def __init__(self, layout: Layout, pair: Pair, rng: np.random.Generator) -> None:
-        taxels = len(layout)
-        _, self._module = np.unique(layout.uid >> 4, return_inverse=True)
-        members = [np.flatnonzero(self._module == m) for m in range(self._module.max() + 1)]
-        most = max(map(len, members))
-        self._members = np.array([np.pad(m, (0, most - len(m)), mode="edge") for m in members])
-        normal = rng.standard_normal((taxels, taxels))
-        self._share = drawn(pair, np.tril(normal) + np.tril(normal, -1).T)
+        normal = rng.standard_normal((len(layout), len(layout)))
+        share = drawn(pair, np.tril(normal) + np.tril(normal, -1).T)
+        module = layout.uid >> 4
+        self._share = np.where(module[:, None] == module, share, 0.0)
         np.fill_diagonal(self._share, 0.0)
 
     def add(self, counts: Floats) -> Floats:
         """Counts (M,) of presses with what the others of each module couple into them."""
-        rows = np.arange(len(self._members))
-        strongest = self._members[rows, counts[self._members].argmax(axis=1)]
-        source = strongest[self._module]
-        coupled = self._share[np.arange(len(counts)), source] * counts[source]
-        return np.asarray(counts + coupled)
+        return np.asarray(counts + self._share @ counts)
 
 
 class ThermalDrift:

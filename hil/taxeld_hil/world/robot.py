@@ -20,6 +20,7 @@ ARC_STEP_RAD = 0.1
 MARCH_M = 0.0005
 TOUCH = 0.1  # least activation of a press: a corner between two columns may give none,
 TRIES = 20  # and so many places are tried
+AROUND = 8  # contacts, at most, to once around the object: any so many in turn see all of its sides
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,8 +56,9 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
     poses: list[list[float]] = []
     times: list[float] = []
     now, yaw, before = 0.0, 0.0, start
+    step = 2.0 * np.pi / min(scenario.contacts, AROUND)
     for k in range(scenario.contacts):
-        angle = start + 2.0 * np.pi * (k + rng.uniform(-0.3, 0.3)) / scenario.contacts
+        angle = start + step * (k + rng.uniform(-0.3, 0.3))
         yaw_to = yaw + rng.uniform(-YAW_SPREAD_RAD, YAW_SPREAD_RAD)
         for _ in range(TRIES):
             depth = rng.uniform(scenario.press_min_m, scenario.press_max_m)

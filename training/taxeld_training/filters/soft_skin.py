@@ -72,8 +72,8 @@ class SoftSkin:
         normal = rng.standard_normal((m, m))
         share = _drawn(figures.cross_talk, np.tril(normal) + np.tril(normal, -1).T)
         module = layout.uid >> 4
-        self._module = module[:, None] == module
-        self._share = np.where(np.eye(m, dtype=bool), 0.0, share)
+        self._share = np.where(module[:, None] == module, share, 0.0)
+        np.fill_diagonal(self._share, 0.0)
         self._own = rng.standard_normal((3, m))  # of sag and both residues
         self._fading_s = np.array([[figures.residue_s], [figures.residue_slow_s]])
         self._left = np.zeros((2, m))
@@ -119,9 +119,8 @@ class SoftSkin:
         return np.asarray(h + self._figures.bend * h * (1.0 - h) + self._steeper * rise)
 
     def _coupled(self, z: Floats) -> Floats:
-        """(M,) with each taxel's share of its module's strongest press."""
-        source = np.where(self._module, z, -np.inf).argmax(axis=1)
-        return np.asarray(z + self._share[np.arange(len(z)), source] * z[source])
+        """(M,) with each taxel's shares of the other presses on its module."""
+        return np.asarray(z + self._share @ z)
 
 
 def _drawn(pair: Pair, normal: Floats) -> Floats:
