@@ -53,8 +53,8 @@ ROOMS = {  # what a room may import of its package, beside itself and what stand
     "taxeld_training": {
         "objects": "",
         "models": "",
-        "limits": "models jobs",
         "jobs": "",
+        "limits": "models jobs",
         "charts": "jobs",
         "samplers": "objects models limits jobs charts",
         "filters": "objects models limits jobs charts",
