@@ -7,8 +7,12 @@ from pathlib import Path
 import pytest
 import trimesh
 
+from taxeld.model.observation import ObservationModel
+from taxeld.proposals.analytic import Projection
 from taxeld_training.cli import main
 from taxeld_training.jobs.rows import DISTANCES, EXACT, USED
+from taxeld_training.limits.rivals import LARGE_EPOCHS
+from taxeld_training.models.variants import MODELS
 from taxeld_training.objects.setting import ring
 from taxeld_training.samplers import evaluate, experiment, runs
 from taxeld_training.samplers.experiment import Measurement
@@ -145,3 +149,21 @@ def test_every_sampler_of_the_results_has_a_command(block: Path, tmp_path: Path)
     names = {path.name for path in (tmp_path / "out").iterdir() if path.suffix == ".json"}
     assert len(names) == 1
     assert "proposals.json" not in names  # rows of another skin do not stand in the rings' place
+
+
+def test_a_large_rival_has_the_densitys_number_of_contacts(
+    monkeypatch: pytest.MonkeyPatch, ring_model: ObservationModel
+) -> None:
+    asked = []
+
+    def train(kind: str, *_: object, **more: int) -> Projection:
+        asked.append((kind, more.get("contacts"), more.get("max_epochs")))
+        return Projection(ring_model)
+
+    monkeypatch.setattr(experiment, "train_rival", train)
+    setting = Measurement("a", ring(16), 16)
+    for group in ("fmpe", "fmpe-3e5"):
+        (tried,) = experiment.samplers_of(setting, group, None, ring_model)
+        assert tried.proposal == group
+    assert asked == [("fmpe", None, None), ("fmpe", 300_000, LARGE_EPOCHS["fmpe"])]
+    assert MODELS["density-64"].training.contacts == 300_000
