@@ -118,6 +118,7 @@ def test_a_map_of_all_levels_is_small(tmp_path: Path) -> None:
     two = [
         line for line in text.splitlines() if "touches of two objects: 4, density mixture" in line
     ]
+    assert two
     assert all(line.endswith(" / 20%") for line in two)  # of the one that is meant
     for name in ("all", "cracker box", "mug"):
         assert f"| density mixture | {name} | " in text
