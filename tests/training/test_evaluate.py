@@ -1,14 +1,20 @@
 """The samplers' experiments, small: rows, files, and going on after one was cut short."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 import trimesh
 
+from taxeld.model.observation import ObservationModel
+from taxeld.proposals.analytic import Projection
 from taxeld_training.cli import main
+from taxeld_training.jobs.rows import DISTANCES, EXACT, USED
+from taxeld_training.limits.rivals import LARGE_EPOCHS
+from taxeld_training.models.variants import MODELS
 from taxeld_training.objects.setting import ring
-from taxeld_training.samplers import evaluate
+from taxeld_training.samplers import evaluate, experiment, runs
 from taxeld_training.samplers.experiment import Measurement
 
 FRONTIER = {
@@ -16,6 +22,9 @@ FRONTIER = {
     "speedup", "ms_warm", "ms_eager_ddpm100_warm", "speedup_warm", "energy_distance",
     "energy_floor",
 }  # fmt: skip
+
+
+LIMITS = (EXACT, USED)
 
 
 @pytest.fixture(scope="module")
@@ -43,18 +52,25 @@ def test_proposals_writes_a_row_a_sampler_and_remembers_its_jobs(
     ]  # fmt: skip
     rows = json.loads(Path(printed[0]).read_text(encoding="utf-8"))
     assert {row["proposal"] for row in rows} == {
-        "projection", "manifold", "table", "exact", "density",
+        "projection", "manifold", "table", "exact", "likelihood in use", "density",
     }  # fmt: skip
     for row in rows:
-        assert set(evaluate.PROPOSALS_KEYS) == row.keys()
+        assert set(evaluate.PROPOSALS_KEYS) - {DISTANCES} == row.keys()
+        low, high = row["energy_distance_ci"]
+        assert low <= row["energy_distance"] <= high
+        assert row["left_out"] == 0
         assert row["add_mm"]["best"] <= row["add_mm"]["median"] <= row["add_mm"]["worst"]
         assert row["add_sym_mm"] <= row["add_mm"]["worst"]
     table = Path(printed[0]).with_suffix(".md").read_text(encoding="utf-8").splitlines()
     assert table[0] == "8 columns:"
     assert table[2].startswith("| sampler | objects | energy distance | × floor |")
-    assert len(table) == 4 + 5
+    assert len(table) == 4 + 6
+    assert all(re.search(r"\| \d\.\d{4} \(\d\.\d{4} – \d\.\d{4}\) \|", line) for line in table[4:])
     by_name = {row["proposal"]: row for row in rows}
     assert by_name["exact"]["energy_distance"] == by_name["exact"]["energy_floor"]
+    informed = min(by_name, key=lambda name: (name in LIMITS, by_name[name]["energy_distance"]))
+    assert by_name[informed]["p_nearest"] == 1.0
+    assert by_name["projection"]["p_nearest"] < 0.05
     assert by_name["table"]["energy_distance"] < by_name["projection"]["energy_distance"]
     before = sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
     assert main(arguments) == 0
@@ -65,20 +81,20 @@ def test_frontier_writes_cost_and_distance_of_each_sampler(
     block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the two samplers of 100 steps, whose graphs are slow to export."""
-    monkeypatch.setitem(evaluate.GROUPS, "frontier", ("analytic", "density-16"))
-    monkeypatch.setattr(evaluate.costs, "EAGER", "density")
-    monkeypatch.setattr(evaluate, "EAGER_SIZE", (1, 16))
-    monkeypatch.setattr(evaluate, "EAGER_GROUP", "density-16")
+    monkeypatch.setitem(runs.GROUPS, "frontier", ("analytic", "density-16"))
+    monkeypatch.setattr(runs.costs, "EAGER", "density")
+    monkeypatch.setattr(runs, "EAGER_SIZE", (1, 16))
+    monkeypatch.setattr(runs, "EAGER_GROUP", "density-16")
     assert main(command("frontier", block, tmp_path)) == 0
     rows = json.loads((tmp_path / "out" / "frontier.json").read_text(encoding="utf-8"))
-    assert len(rows) == 5
+    assert len(rows) == 6
     for row in rows:
         assert row.keys() >= FRONTIER
         assert row["speedup"] == pytest.approx(row["ms_eager_ddpm100"] / row["ms"])
         assert row["speedup_warm"] == pytest.approx(row["ms_eager_ddpm100_warm"] / row["ms_warm"])
         assert row["proposal"] != "exact" or row["ms_warm"] == row["ms"]
     table = (tmp_path / "out" / "frontier.md").read_text(encoding="utf-8").splitlines()
-    assert table[2].endswith("| ms | ms warm | speed-up | speed-up warm |")
+    assert table[2].endswith("| ms | ms warm | speed-up | speed-up warm | p |")
     assert (tmp_path / "out" / "frontier_16.png").is_file()
 
 
@@ -102,7 +118,9 @@ def test_without_time_only_remembered_rows_are_written(block: Path, tmp_path: Pa
     more = ("--groups", "analytic,density-16", "--minutes", "0")
     assert main(command("proposals", block, tmp_path, *more)) == 0
     rows = json.loads((tmp_path / "out" / "proposals.json").read_text(encoding="utf-8"))
-    assert {row["proposal"] for row in rows} == {"projection", "manifold", "table", "exact"}
+    assert {row["proposal"] for row in rows} == {
+        "projection", "manifold", "table", *LIMITS,
+    }  # fmt: skip
 
 
 def test_an_unknown_group_or_object_is_refused_in_one_line(
@@ -119,3 +137,33 @@ def test_measurements_with_other_counts_are_other_jobs() -> None:
     other = Measurement("a", ring(8), 8, readings=9)
     assert repr(one) != repr(other)
     assert one.name == other.name == "a-8"
+
+
+def test_every_sampler_of_the_results_has_a_command(block: Path, tmp_path: Path) -> None:
+    """Also those not run before: the generator, and rivals with the density's contacts."""
+    wanted = {"generator-128", "diffusion-128", "paper", "table-1e5", "npe-3e5", "fmpe-3e5", "npse"}
+    assert wanted <= set(runs.GROUPS["frontier"])
+    assert experiment.COLUMNS == (8, 16, 32, 64)
+    out = command("proposals", block, tmp_path, "--groups", "analytic", "--skin", ring(4))
+    assert main(out) == 0
+    names = {path.name for path in (tmp_path / "out").iterdir() if path.suffix == ".json"}
+    assert len(names) == 1
+    assert "proposals.json" not in names  # rows of another skin do not stand in the rings' place
+
+
+def test_a_large_rival_has_the_densitys_number_of_contacts(
+    monkeypatch: pytest.MonkeyPatch, ring_model: ObservationModel
+) -> None:
+    asked = []
+
+    def train(kind: str, *_: object, **more: int) -> Projection:
+        asked.append((kind, more.get("contacts"), more.get("max_epochs")))
+        return Projection(ring_model)
+
+    monkeypatch.setattr(experiment, "train_rival", train)
+    setting = Measurement("a", ring(16), 16)
+    for group in ("fmpe", "fmpe-3e5"):
+        (tried,) = experiment.samplers_of(setting, group, None, ring_model)
+        assert tried.proposal == group
+    assert asked == [("fmpe", None, None), ("fmpe", 300_000, LARGE_EPOCHS["fmpe"])]
+    assert MODELS["density-64"].training.contacts == 300_000

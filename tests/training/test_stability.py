@@ -112,4 +112,13 @@ def test_a_map_of_all_levels_is_small(tmp_path: Path) -> None:
     stability_map.draw(rows, picture)
     assert 20_000 < picture.stat().st_size < 300_000
     stability_map.table(rows, table)
-    assert "- mug, is a power drill: at best 30%" in table.read_text(encoding="utf-8")
+    text = table.read_text(encoding="utf-8")
+    assert "- mug, is a power drill: at best 30%" in text
+    assert "- cracker box, touches of two objects: 8, density mixture: " in text
+    two = [
+        line for line in text.splitlines() if "touches of two objects: 4, density mixture" in line
+    ]
+    assert two
+    assert all(line.endswith(" / 20%") for line in two)  # of the one that is meant
+    for name in ("all", "cracker box", "mug"):
+        assert f"| density mixture | {name} | " in text

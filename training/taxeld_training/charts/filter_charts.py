@@ -16,7 +16,7 @@ ACROSS = 5  # objects side by side
 DASHES = {"mixture": "-", "paper": (0, (3, 1.5)), "": "-"}
 BANDS = (("density", "mixture"), (GRID, ""))  # 10 % to 90 % of their trials is shaded
 SHOWN_MM = (0.05, 300.0)
-AT_SUCCESS, AT_ERROR = 6, 3  # contacts, after which the table has success and error
+AT_SUCCESS, AT_ERROR = (6, 8), 3  # contacts, after which the table has success and error
 
 
 LineStyle = tuple[str, Any, float]  # colour, dashes, width
@@ -79,16 +79,29 @@ def table(rows: Sequence[Row], path: Path) -> None:
         return "\n".join([f"{what}:", "", *("| " + " | ".join(line) + " |" for line in lines)])
 
     parts = [
-        grid(f"Trials under {SUCCESS_MM:g} mm after {AT_SUCCESS} contacts", AT_SUCCESS, "success"),
+        *(
+            grid(f"Trials under {SUCCESS_MM:g} mm after {contact} contacts (95 % interval; p: as "
+                 "good as what ships)", contact, "success")
+            for contact in AT_SUCCESS
+        ),
         grid(f"Median error of the MAP after {AT_ERROR} contacts, mm", AT_ERROR, "error"),
-    ]
+        grid(f"Silent failures at contact {AT_SUCCESS[-1]} / at any up to it", AT_SUCCESS[-1],
+             "silent"),
+    ]  # fmt: skip
     path.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
 
 
 def _cell(row: Row, kind: str) -> str:
-    if kind == "success":
-        return f"{row['success_rate']:.1%}"
-    return f"{row['map_mm']['median']:.2g}"
+    if kind == "silent":
+        if row["silent_failure_rate"] is None:
+            return ""
+        return f"{row['silent_failure_rate']:.1%} / {row['silent_so_far_rate']:.1%}"
+    if kind == "error":
+        low, high = row["map_mm_ci"]
+        return f"{row['map_mm']['median']:.2g} ({low:.2g} – {high:.2g})"
+    low, high = row["success_ci"]
+    p = "" if row["p_shipped"] in (None, 1.0) else f", p {row['p_shipped']:.2g}"
+    return f"{row['success_rate']:.1%} ({100 * low:.0f} – {100 * high:.0f}{p})"
 
 
 def _styles(rows: Iterable[Row]) -> dict[str, LineStyle]:

@@ -1,4 +1,4 @@
-"""How experiments run: their options, jobs side by side that can be resumed, rows and tables.
+"""How experiments run: options, jobs side by side that can be resumed, rows, statistics, tables.
 
 Nothing here imports another room of training.
 """

@@ -28,7 +28,7 @@ RIVALS = ("npe", "npse", "fmpe")
 MAX_EPOCHS = {"npe": 50, "npse": 150, "fmpe": 200}  # about a minute on a core for 10⁴ contacts
 LARGE = {f"{kind}-3e5": kind for kind in RIVALS}  # with the density's number of contacts
 LARGE_CONTACTS = 300_000
-LARGE_EPOCHS = {"npe": 16, "npse": 50, "fmpe": 66}  # of them: ten times the updates, ten minutes
+LARGE_EPOCHS = {"npe": 19, "npse": 25, "fmpe": 28}  # of them: ten minutes on a core
 # sbi's 500 steps cost ten times as much and gain little: energy distances of 0.170, 0.178 and 0.162
 # with 50, 100 and 500 steps, over 30 readings of 035_power_drill on a 5×16 cylinder
 NPSE_STEPS = 50

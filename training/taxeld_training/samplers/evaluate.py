@@ -30,9 +30,9 @@ def proposals(options: Options) -> list[Path]:
         {key: row[key] for key in PROPOSALS_KEYS}
         for row in rows("proposals", options) if row["proposal"] in PROPOSALS
     ]  # fmt: skip
-    data = write(options, "proposals", found)
+    data = write(options, f"proposals{_of_skin(options)}", found)
     tables.write(found, data)
-    pictures = [data.with_suffix(".png"), data.with_name("proposals_posterior.png")]
+    pictures = [data.with_suffix(".png"), data.with_name(f"{data.stem}_posterior.png")]
     sampler_charts.proposals(found, pictures[0])
     sampler_charts.posterior_gap(found, pictures[1])
     return [data, *pictures]
@@ -43,10 +43,15 @@ def frontier(options: Options) -> list[Path]:
     from taxeld_training.charts import sampler_charts  # noqa: PLC0415
 
     found = rows("frontier", options)
-    data = write(options, "frontier", found)
+    data = write(options, f"frontier{_of_skin(options)}", found)
     tables.write(found, data)
     pictures = []
     for columns in sorted({row["columns"] for row in found}):
-        pictures.append(data.with_name(f"frontier_{columns}.png"))
+        pictures.append(data.with_name(f"{data.stem}_{columns}.png"))
         sampler_charts.frontier(found, columns, pictures[-1])
     return [data, *pictures]
+
+
+def _of_skin(options: Options) -> str:
+    """In a file's name: rows of another skin stand beside those of the rings."""
+    return f"_{Path(options.skin).stem}" if options.skin else ""
