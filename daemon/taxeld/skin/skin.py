@@ -55,6 +55,7 @@ class Skin:
         self.live: Bools | None = None  # of the last activation
         self.touched = False  # whether the last activation is of a touch
         self.threshold: Floats = np.zeros(taxels)
+        self.over: Floats = np.zeros(taxels)  # counts over baseline of the last activation
         self._silent_s = silent_s
         self._floor = FLOOR * config.full_scale_counts
         self._wiring = Wiring(layout)
@@ -234,7 +235,7 @@ class Skin:
     def _activation(self) -> Activation:
         full_scale, residue = self.config.full_scale_counts, self._residue
         live = (self._counts > 0) & self._usable
-        over = self._counts - self.baseline
+        over = self.over = self._counts - self.baseline
         residue.on_scan(np.where(live, over, 0.0), self.threshold)
         pressed = live & residue.pressed
         self.live, self.touched = live, bool(pressed.any())
