@@ -51,6 +51,9 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     dropped = ", ".join(f"{n} {cause}" for cause, n in source["dropped"].items() if n) or "none"
     yield "Frames", f"{source['frames']}, dropped {dropped}"
     yield "Device", _device(source, waits_for)
+    used = health.get("calibration")
+    if used:
+        yield "Calibration", _calibration(used)
     stale = [name for name in ("scans", "poses") if inputs[f"{name}_stale"]]
     yield "Stale inputs", ", ".join(stale) or "none"
     poses = f"{inputs['poses_malformed']} malformed, {inputs['poses_rejected']} rejected"
@@ -61,6 +64,13 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
         p50, p99, top = (us[key] / 1e3 for key in ("p50", "p99", "max"))
         figures = f"median {p50:.2f} ms, 99 % {p99:.2f} ms, max {top:.2f} ms"
         yield f"{stage.capitalize()} time", figures
+
+
+def _calibration(used: dict[str, Any]) -> str:
+    if not used["used"]:
+        return "none; full scale and mount are as configured"
+    age_days = used["age_s"] / 86_400.0
+    return f"{age_days:.1f} days old"
 
 
 def _device(source: dict[str, Any], waits_for: str | None) -> str:

@@ -59,9 +59,7 @@ class Scale:
         if calibration is None:
             return cls(full_scale_counts, full_scale_counts, None)
         c = calibration
-        return cls(
-            c.full_scale_counts, c.full_scale_counts * c.gain, Inverse(c.bend, c.onset)
-        )
+        return cls(c.full_scale_counts, c.full_scale_counts * c.gain, Inverse(c.bend, c.onset))
 
     def activation(self, over: Floats) -> Floats:
         """(M,) in 0..1, of counts (M,) over baseline."""

@@ -124,7 +124,9 @@ class CalibrationFit:
         free = start.object_sd > 0.0
         k, m = self._k, self._m
         sd = np.where(free, start.object_sd, 1.0)
-        self._free = np.concatenate([np.ones(5, dtype=bool), free, np.ones(2 * (k + m), dtype=bool)])
+        self._free = np.concatenate(
+            [np.ones(5, dtype=bool), free, np.ones(2 * (k + m), dtype=bool)]
+        )
         self._prior_sd = np.concatenate([
             [3.0, BEND_SD], MOUNT_SD, sd, np.full(2 * k, ROBOT_SD_M), np.full(m, GAIN_SD),
             np.full(m, ONSET_SD),
@@ -161,7 +163,9 @@ class CalibrationFit:
     def cost_of(self, mounts: Poses) -> Floats:
         """(N,) how badly mounts (N, 3) explain all that was read, each with its own best full
         scale: the share of the readings that is left."""
-        q = np.concatenate([self._seen(self._presses.sensor, m, self._start.object) for m in mounts])
+        q = np.concatenate(
+            [self._seen(self._presses.sensor, m, self._start.object) for m in mounts]
+        )
         h = self._model.activation(q).reshape(len(mounts), -1)
         y = np.where(self._presses.live, np.maximum(self._presses.counts, 0.0), 0.0).ravel()
         scale = h @ y / np.maximum((h * h).sum(axis=1), 1e-9)
@@ -191,11 +195,12 @@ class CalibrationFit:
 
     def _first_scale(self, x: Floats) -> float:
         h = self._model.activation(self._poses(x))
-        y = self._presses.counts
-        clear = (h > 0.3) & (h < DEEP) & self._presses.live
-        if not clear.any():
-            clear = (h > SHALLOW) & self._presses.live
-        return float(np.log(max(np.median((y / np.maximum(h, 0.05))[clear]), 1.0))) if clear.any() else float(np.log(max(y.max(), 1.0)))
+        y, live = self._presses.counts, self._presses.live
+        for least in (0.3, SHALLOW):
+            clear = (h > least) & (h < DEEP) & live
+            if clear.any():
+                return float(np.log(max(np.median(y[clear] / h[clear]), 1.0)))
+        return float(np.log(max(y.max(), 1.0)))  # nothing is met: another start will
 
     def _linear(self, x: Floats) -> tuple[float, Floats, Floats]:
         """Cost, normal matrix and downhill slope of the free parameters at x."""

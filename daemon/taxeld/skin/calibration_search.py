@@ -58,8 +58,19 @@ def sides(model: ObservationModel, presses: Presses) -> Index:
     """(K,) which eighth of the skin each press was felt by."""
     position = model.layout.position_m
     felt = np.where(presses.live, np.maximum(presses.counts, 0.0), 0.0) ** 2
-    x, y = felt @ position[:, 0], felt @ position[:, 1]
-    return np.floor((np.arctan2(y, x) / (2.0 * np.pi) + 1.0 / 16.0) % 1.0 * 8.0).astype(np.intp)
+    return _eighth(felt @ position[:, 0], felt @ position[:, 1])
+
+
+def covered(model: ObservationModel) -> Bools:
+    """(8,) which eighths of a turn have taxels."""
+    x, y, _ = model.layout.position_m.T
+    return np.bincount(_eighth(x, y), minlength=8) > 0
+
+
+def _eighth(x: Floats, y: Floats) -> Index:
+    """The first is about the x axis."""
+    turn = np.arctan2(y, x) / (2.0 * np.pi)
+    return np.floor((turn + 1.0 / 16.0) % 1.0 * 8.0).astype(np.intp)
 
 
 def _check_presses(model: ObservationModel, presses: Presses) -> None:
@@ -69,18 +80,11 @@ def _check_presses(model: ObservationModel, presses: Presses) -> None:
             "press the object more often, each time for a second without moving"
         )
     felt = np.unique(sides(model, presses))
-    if len(felt) < min(LEAST_SIDES, _covered(model)):
+    if len(felt) < min(LEAST_SIDES, np.count_nonzero(covered(model))):
         raise SetupError(
             f"calibrate: the presses are on {len(felt)} of the skin's sides (eighths of a turn), "
             f"and it takes {LEAST_SIDES}; turn the sensor about its axis between presses"
         )
-
-
-def _covered(model: ObservationModel) -> int:
-    """Eighths of a turn that have taxels."""
-    x, y = model.layout.position_m[:, 0], model.layout.position_m[:, 1]
-    turn = np.arctan2(y, x) / (2.0 * np.pi)
-    return len(np.unique(np.floor((turn + 1.0 / 16.0) % 1.0 * 8.0)))
 
 
 def _best(model: ObservationModel, presses: Presses, noise: Floats, known: Known) -> Fit:
@@ -159,10 +163,8 @@ def _spread(
         expected.append(model.activation(q)[live])
     z, h = np.concatenate(readings), np.concatenate(expected)
     told: Bools = (z > 0.0) | (h > 0.0)  # the rest is alike under all of them
+    tried = [(float(sigma), float(cv)) for sigma in SIGMAS for cv in GAIN_CVS]
     likely = [
-        (float(Noise(sigma, cv).log_density(z[told], h[told]).sum()), sigma, cv)
-        for sigma in SIGMAS
-        for cv in GAIN_CVS
+        float(Noise(sigma, gain_cv).log_density(z[told], h[told]).sum()) for sigma, gain_cv in tried
     ]
-    _, sigma, cv = max(likely)
-    return float(sigma), float(cv)
+    return tried[int(np.argmax(likely))]

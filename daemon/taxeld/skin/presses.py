@@ -61,10 +61,10 @@ class PressFinder:
     """Follows presses, scan by scan."""
 
     def __init__(self, radius_m: float) -> None:
-        self.moving = 0  # presses in which the sensor never stood still
         self._radius_m = radius_m
         self._found: list[_Hold] = []
-        self._peak = 0.0  # counts in all, of the press that is on
+        self._unheld: list[float] = []  # strongest reading of those that never stood still
+        self._peak = self._strongest = 0.0  # counts of the press that is on: in all, of a taxel
         self._now: _Hold | None = None
         self._best: _Hold | None = None
         self._before: Poses | None = None
@@ -73,18 +73,23 @@ class PressFinder:
         return len(self._found)
 
     @property
+    def moving(self) -> int:
+        """Presses in which the sensor never stood still."""
+        least = WEAK * np.median([h.mean.max() for h in self._found]) if self._found else 0.0
+        return int(np.count_nonzero(np.array(self._unheld) >= least))
+
+    @property
     def pressing(self) -> bool:
         return self._peak > 0.0
 
-    def on_scan(
-        self, t: float, counts: Floats, live: Bools, sensor: Poses, least: Floats
-    ) -> bool:
+    def on_scan(self, t: float, counts: Floats, live: Bools, sensor: Poses, least: Floats) -> bool:
         """Counts over baseline (M,) at the sensor's pose (3,), of which `least` (M,) are a touch;
         → whether a press has ended that is used."""
         before, self._before = self._before, sensor
         felt = np.where(live & (counts > least), counts, 0.0)
         strength = float(felt.sum())
         self._peak = max(self._peak, strength)
+        self._strongest = max(self._strongest, float(felt.max()))
         if not self._peak:
             return False
         if strength < ENDED * self._peak:
@@ -118,9 +123,10 @@ class PressFinder:
 
     def _end(self) -> bool:
         self._take_hold()
-        best, self._best, self._peak = self._best, None, 0.0
+        best, strongest = self._best, self._strongest
+        self._best, self._peak, self._strongest = None, 0.0, 0.0
         if best is None:
-            self.moving += 1
+            self._unheld.append(strongest)
             return False
         self._found.append(best)
         return True

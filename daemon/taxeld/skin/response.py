@@ -1,8 +1,8 @@
 """What a taxel reads at a depth, in shares of its own full scale, and the depth back from that.
 
-A taxel's curve is r(h) = h + bend·h(1 − h) + onset·d(h): the bend is all taxels', the onset its own.
-d rises at once and falls slowly; of recordings of an insole it is what most taxels differ by
-(docs/physics.md). Beyond full depth the curve is the line r = h.
+A taxel's curve is r(h) = h + bend·h(1 − h) + onset·d(h): the bend is common, the onset its own. The
+deviation d rises at once and falls slowly; of recordings of an insole it is what most taxels differ
+by (docs/physics.md). Beyond full depth the curve is the line r = h.
 """
 
 import numpy as np

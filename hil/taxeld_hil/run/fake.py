@@ -9,7 +9,8 @@ from typing import Any
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout.layout import Layout
-from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.state import SkinState
 from taxeld.source import dialects
