@@ -80,7 +80,7 @@ def _check_presses(model: ObservationModel, presses: Presses) -> None:
             "press the object more often, each time for a second without moving"
         )
     felt = np.unique(sides(model, presses))
-    if len(felt) < min(LEAST_SIDES, np.count_nonzero(covered(model))):
+    if len(felt) < min(LEAST_SIDES, int(np.count_nonzero(covered(model)))):
         raise SetupError(
             f"calibrate: the presses are on {len(felt)} of the skin's sides (eighths of a turn), "
             f"and it takes {LEAST_SIDES}; turn the sensor about its axis between presses"

@@ -5,6 +5,7 @@ from typing import NamedTuple
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
+from taxeld.skin.calibration import Calibration
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.grade.reconcile import laws
@@ -29,10 +30,15 @@ class FakeRun:
     """A scenario on the fake clock, tick by tick; or several, lap by lap, in one life."""
 
     def __init__(
-        self, scenario: Scenario, seed: int, rate_hz: float = 100.0, filter_keys: str = ""
+        self,
+        scenario: Scenario,
+        seed: int,
+        rate_hz: float = 100.0,
+        filter_keys: str = "",
+        calibration: Calibration | None = None,
     ) -> None:
         """`rate_hz`: of the daemon's loop, and of all that steps with it; `filter_keys`: lines of
-        TOML for the daemon's table [filter].
+        TOML for the daemon's table [filter]; `calibration`: of this very skin.
 
         Raises:
             SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
@@ -42,6 +48,7 @@ class FakeRun:
         self.config = settings.on_a_fake_clock(scenario, seed, filter_keys, rate_hz)
         self.skin = layouts.load(scenario.layout)
         self.scene = bundle.load(scenario.bundle, self.skin, self.config.skin.full_scale_depth_m)
+        self._calibration = calibration
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
         self.judge = self._judging()
@@ -127,4 +134,4 @@ class FakeRun:
     def _born(self) -> FakeDaemon:
         """A daemon with what the one before has stored of the skin."""
         kept = None if self._dead is None else self._dead.pipeline.skin.state()
-        return FakeDaemon(self.config, self.skin, self.scene, self.line, kept)
+        return FakeDaemon(self.config, self.skin, self.scene, self.line, kept, self._calibration)
