@@ -10,7 +10,7 @@ from taxeld.arrays import Floats
 from taxeld.commands.calibration_result import Result
 from taxeld.layout.draw import plane
 from taxeld.model import se2
-from taxeld.skin.response import GRID, response
+from taxeld.model.response import GRID, response
 
 
 def draw(result: Result, out: Path) -> None:

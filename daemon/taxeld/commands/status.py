@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from taxeld.estimator.calibration_check import Suspect
 from taxeld.estimator.estimate import ProposalKind, Status
 
 WIDTH = 14
@@ -67,10 +68,27 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
 
 
 def _calibration(used: dict[str, Any]) -> str:
-    if not used["used"]:
-        return "none; full scale and mount are as configured"
-    age_days = used["age_s"] / 86_400.0
-    return f"{age_days:.1f} days old"
+    days = f"{used['age_s'] / 86_400.0:.1f} days old"
+    line = days if used["used"] else "none; full scale and mount are as configured"
+    return line + _doubt(used)
+
+
+def _doubt(used: dict[str, Any]) -> str:
+    """What touches say against a calibration, and the cure."""
+    try:
+        suspect = Suspect(used["suspect"])
+    except ValueError:
+        return "; in doubt (by a newer daemon)"
+    if suspect is Suspect.NONE:
+        return ""
+    yaw = math.degrees(used["mount_yaw_rad"])
+    off = {
+        Suspect.SCALE: f"readings are {used['scale']:.2f} times what they should be",
+        Suspect.MOUNT: f"the mount seems {1e3 * used['mount_x_m']:+.1f} mm, "
+        f"{1e3 * used['mount_y_m']:+.1f} mm, {yaw:+.1f}° off",
+        Suspect.MODULES: "modules seem to have changed places",
+    }[suspect]
+    return f"; IN DOUBT: {off}; taxeld calibrate"
 
 
 def _device(source: dict[str, Any], waits_for: str | None) -> str:

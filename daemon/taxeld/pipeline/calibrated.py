@@ -1,9 +1,10 @@
 """What a calibration changes in a configuration, and what is told of it."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 from taxeld.config.tables import Config, FilterConfig
+from taxeld.estimator.calibration_check import CalibrationDoubt
 from taxeld.skin.calibration import DAY_S, Calibration
 
 
@@ -22,9 +23,12 @@ def calibrated(config: Config, calibration: Calibration | None) -> Config:
     return replace(config, skin=skin, filter=replace(own, **measured))
 
 
-def told(calibration: Calibration | None, now: float) -> dict[str, Any]:
-    """For health: whether one is in use, and how old it is at the Unix time `now`."""
+def told(calibration: Calibration | None, doubt: CalibrationDoubt, now: float) -> dict[str, Any]:
+    """For health: whether one is in use, how old it is at the Unix time `now`, and what touches say
+    against it, or against what is configured in its place."""
     return {
         "used": calibration is not None,
         "age_s": 0.0 if calibration is None else calibration.age_days(now) * DAY_S,
+        **asdict(doubt),
+        "suspect": int(doubt.suspect),
     }

@@ -54,6 +54,7 @@ class TaxelTable:
 
 @dataclass(frozen=True, slots=True)
 class CalibrationTable:
+    mount: MountTable = field(metadata=NO_CHECK)
     version: int = key(check=between(1, 1_000_000))
     t: float = key(check=between(0, 1e11), doc="Unix seconds")
     date: str = key(doc="the same, for a reader")
@@ -67,7 +68,6 @@ class CalibrationTable:
     bend_sd: float = key(check=between(0, 10))
     noise_sigma: float = key(check=between(1e-4, 1))
     gain_cv: float = key(check=between(0, 1))
-    mount: MountTable = field(metadata=NO_CHECK)
     taxel: tuple[TaxelTable, ...] = key()
 
 

@@ -278,7 +278,7 @@ class Daemon:
                 "waiting": bool(self.source.waits_for),
             },
             "skin_state": self.kept.counters,
-            "calibration": told(pipeline.calibration, t),
+            "calibration": told(pipeline.calibration, pipeline.estimator.calibration, t),
             "inputs": {
                 **pipeline.input_counts(),
                 "poses_malformed": poses.malformed,

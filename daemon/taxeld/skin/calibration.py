@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
-from taxeld.skin.response import Inverse
+from taxeld.model.response import Inverse
 
 DAY_S = 86_400.0
 

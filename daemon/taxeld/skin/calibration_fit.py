@@ -1,7 +1,7 @@
 """Fits what a calibration tells to presses of a known object: Gauss-Newton on robust residuals.
 
 A taxel that the skin's model expects to be pressed to a depth h (share of full depth) reads
-F·g·r(h) counts: F the full scale, g its gain, r its response (`skin.response`). The depth follows
+F·g·r(h) counts: F the full scale, g its gain, r its response (`model.response`). The depth follows
 from where the robot says the sensor is, the mount between the robot's frame and the sensor's, and
 where the object stands. All of these are sought together, each with what is known of it before:
 gains and onsets spread from taxel to taxel as in recordings, and a robot repeats itself to a tenth
@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from taxeld.arrays import Bools, Floats, Index, Poses
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
+from taxeld.model.response import bow, deviation, response
 from taxeld.skin.presses import Presses
-from taxeld.skin.response import bow, deviation, response
 
 GAIN_SD = 0.17  # of a gain's logarithm, before anything is known of it
 ONSET_MEAN, ONSET_SD = 0.1, 0.8  # of an onset, likewise (docs/physics.md)

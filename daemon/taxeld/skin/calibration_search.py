@@ -9,10 +9,10 @@ from taxeld.errors import SetupError
 from taxeld.model import se2
 from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.response import Inverse
 from taxeld.skin.calibration import Scale
 from taxeld.skin.calibration_fit import CalibrationFit, Fit, Start
 from taxeld.skin.presses import Presses
-from taxeld.skin.response import Inverse
 
 LEAST_PRESSES = 12
 LEAST_SIDES = 4  # of eight, of the skin

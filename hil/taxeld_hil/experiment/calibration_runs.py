@@ -4,21 +4,18 @@ A robot whose poses are off by a mount, a skin of a scenario, and a box that is 
 `world.calibration_touches` has it; then the same skin touches an object that stands elsewhere.
 """
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.commands import calibrate
+from taxeld.commands.calibration_result import Result
 from taxeld.commands.hearing import Hearing, uncalibrated
-from taxeld.config.tables import Config
 from taxeld.model import se2
-from taxeld.skin.calibration import Calibration
 from taxeld_hil.rig.faults import PoseRow
-from taxeld_hil.rig.rig import IDLE_S, Rig
+from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import calibration_touches, touches
+from taxeld_hil.world import calibration_touches
 from taxeld_hil.world.mesh_physics import MeshPhysics
 
 RATE_HZ = 40.0
@@ -39,7 +36,7 @@ def mounted(rig: Rig, mount: Poses) -> None:
 
 def calibrated(
     scenario: Scenario, seed: int, mount: Poses, *, given: bool = True, presses: int = PRESSES
-) -> calibrate.Result:
+) -> Result:
     """The result of pressing the scenario's object with its skin.
 
     Raises:
