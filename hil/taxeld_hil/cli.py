@@ -188,6 +188,25 @@ def _touches(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
     return 0
 
 
+def _calibration(args: argparse.Namespace) -> int:
+    from taxeld_hil.experiment.calibration_experiment import QUICK_SEEDS, Plan, experiment, lines
+
+    quick = QUICK_SEEDS if args.quick else None
+    plan = Plan(
+        skins=tuple(args.skin or Plan.skins),
+        seeds=args.seeds or quick or Plan.seeds,
+        right_seeds=args.right_seeds or quick or Plan.right_seeds,
+    )
+
+    def progress(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    path = experiment(plan, args.out, args.memory, args.workers, progress)
+    for line in (str(path), *lines(path)):
+        print(line)
+    return 0
+
+
 def _curves(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
     from taxeld_hil.experiment import curves
 
@@ -316,6 +335,23 @@ def _add_measurements(commands: Commands) -> None:
     physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")
     physics.add_argument("--out", type=Path, required=True, help="directory for JSON and PNG")
     physics.set_defaults(command=_physics)
+
+    calibration = commands.add_parser(
+        "calibration", help="what a calibration finds and buys, and what is noticed without"
+    )
+    calibration.add_argument(
+        "--skin", action="append", metavar="SKIN", help="default: typical, poor"
+    )
+    calibration.add_argument("--seeds", type=int, metavar="N", help="skins drawn, of each sort")
+    calibration.add_argument("--right-seeds", type=int, metavar="N", help="with nothing wrong")
+    calibration.add_argument("--workers", type=int, default=2, help="a thread each")
+    calibration.add_argument(
+        "--memory", type=Path, default=Path(".experiments/calibration.jsonl"), metavar="FILE",
+        help="runs, from which a measurement cut short goes on (default %(default)s)",
+    )  # fmt: skip
+    calibration.add_argument("--quick", action="store_true", help="a smoke run of minutes")
+    calibration.add_argument("--out", type=Path, required=True, help="directory for the JSON")
+    calibration.set_defaults(command=_calibration)
 
 
 def _add_parts(commands: Commands) -> None:

@@ -151,7 +151,7 @@ class CalibrationCheck:
         e = (z - expected) / self._sd(expected)
         e = np.where(_is_told(z, expected, floor) & live, e, 0.0)
         cost = 0.5 * (FREEDOM + 1.0) * np.log1p(e * e / FREEDOM).sum(axis=2)
-        return np.minimum(cost, TOUCH_MOST)
+        return np.asarray(np.minimum(cost, TOUCH_MOST))
 
     def _read(self) -> tuple[Floats, Bools, Floats]:
         """(K, M) activations, which live, and floors."""

@@ -67,7 +67,7 @@ def experiment(plan: Plan, out: Path, memory: Path, workers: int, say: Say) -> P
     todo = [each for each in wanted if each not in done]
     if len(todo) < len(wanted):
         say(f"{len(wanted) - len(todo)} of {len(wanted)} runs are remembered in {memory}")
-    with _opened(memory) as file:
+    with opened(memory) as file:
         for run in _played(todo, plan.filter_keys, workers):
             done[run.object, run.skin, run.seed] = run
             file.write(json.dumps({"code": code, **asdict(run)}) + "\n")
@@ -177,7 +177,7 @@ def read(path: Path) -> list[dict[str, Any]]:
     return rows
 
 
-def _opened(memory: Path) -> IO[str]:
+def opened(memory: Path) -> IO[str]:
     """To add runs to."""
     try:
         memory.parent.mkdir(parents=True, exist_ok=True)

@@ -51,7 +51,7 @@ class FakeRun:
         self._calibration = calibration
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
-        self.judge = self._judging()
+        self.judge = self.judging()
         self._seed = seed
         self._began_s = self._next_health_s = 0.0
 
@@ -60,7 +60,7 @@ class FakeRun:
         self._began_s = self.line.now + 1.0 / self.config.loop.rate_hz
         self._seed = seed
         self.rig.lap(scenario, seed)
-        self.judge = self._judging()
+        self.judge = self.judging()
         if self.daemon is not None:
             self.daemon.pipeline.reset()
 
@@ -118,7 +118,8 @@ class FakeRun:
     def _set(self, t: float) -> None:
         self.line.t, self.line.now = t, self._began_s + t
 
-    def _judging(self) -> Judge:
+    def judging(self) -> Judge:
+        """A judge of what is estimated from now on, by where the object stands now."""
         rig = self.rig
         scene, truth = rig.model.scene, rig.world.truth
         return Judge(rig.scenario, scene, truth, NOT_INJECTED, rig.taxels_of)
