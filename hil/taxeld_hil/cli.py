@@ -189,7 +189,8 @@ def _touches(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
 
 
 def _calibration(args: argparse.Namespace) -> int:
-    from taxeld_hil.experiment.calibration_experiment import QUICK_SEEDS, Plan, experiment, lines
+    from taxeld_hil.experiment.calibration_experiment import QUICK_SEEDS, Plan, experiment
+    from taxeld_hil.experiment.calibration_tables import lines
 
     quick = QUICK_SEEDS if args.quick else None
     plan = Plan(

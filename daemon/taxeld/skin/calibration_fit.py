@@ -108,6 +108,12 @@ class _Contacts:
         return np.asarray(np.maximum(most - depth, 0.0) + kink)
 
 
+def depths(model: ObservationModel, q: Poses) -> Floats:
+    """(K, M) how deep each taxel is pressed along its normal, in shares of full depth, the object
+    at poses (K, 3) in the sensor frame."""
+    return _Contacts(model).depth(q)[0]
+
+
 class CalibrationFit:
     """K presses on M taxels, as one problem."""
 
