@@ -1,4 +1,4 @@
-"""A skin of known gains, response and mount that presses an object: what a calibration must find."""
+"""A skin of known gains, response and mount that presses an object, for a calibration to find."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,7 +103,8 @@ def write_session(
                    ((at, pose.tolist()) for at, pose in poses))  # fmt: skip
     (directory / "sensor_pose.csv").write_text("t,x,y,theta\n" + rows, encoding="ascii")
     (directory / "config.toml").write_text(
-        config or '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
+        config
+        or '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
         '[filter]\nproposal = "manifold"\nparticles = 60\nparticles_max = 60\ninjected = 20\n',
         encoding="utf-8",
     )

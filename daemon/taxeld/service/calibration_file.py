@@ -123,6 +123,8 @@ def read(path: Path, layout: Layout, full_scale_depth_m: float) -> Calibration:
         SetupError: it is unreadable, damaged, or of another skin or depth.
     """
     cure = "; calibrate this skin (taxeld calibrate), or name its own file"
+    if not path.is_file():
+        raise SetupError(f"skin.calibration: there is no file {path}{cure}")
     try:
         table = parse(CalibrationTable, text_of(path), path.name)
     except ConfigError as error:
