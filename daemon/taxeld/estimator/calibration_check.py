@@ -27,7 +27,7 @@ ITERATIONS = 5  # of each fit after a touch, one a scan: a scan has little time
 STEP = np.array([1e-4, 1e-4, 2e-3])  # m, m, rad, for derivatives
 PRIOR_SD = np.array([1.0, 0.01, 0.01, 0.15, 0.02, 0.02, 0.2])  # log scale, mount, object
 SCALES = np.log([0.4, 1.0, 2.5])  # to begin with
-SHARES = np.array([0.0, 0.1, 0.3, 1.0])  # of a step, of which the best is taken
+SHARES = np.array([0.1, 0.3, 1.0])  # of a step, of which the best is taken
 FREEDOM = 4.0  # of the t distribution that residuals are weighed by
 ONSET_SD = 0.8  # of taxels' responses, as shares of `model.response.deviation` (docs/physics.md)
 MOVED_M = 0.02  # between fit and belief: what is believed is not what was fitted
@@ -127,30 +127,31 @@ class CalibrationCheck:
     def _better(self, x: Floats, free: Index) -> Floats:
         """One step of Gauss-Newton of the `free` on robust residuals, where it makes things
         better."""
-        residual, jacobian, weight = self._linear(x)
+        residual, jacobian, weight, now = self._linear(x)
         jacobian, prior = jacobian[:, free], PRIOR_SD[free] ** -2.0
         normal = (jacobian.T * weight) @ jacobian + np.diag(prior)
         slope = jacobian.T @ (weight * residual) - x[free] * prior
         tried = np.repeat(x[None], len(SHARES), axis=0)
         tried[:, free] += SHARES[:, None] * np.linalg.solve(normal, slope)
-        return np.asarray(tried[self._cost(tried).argmin()])
+        cost = self._cost(tried)
+        return np.asarray(tried[cost.argmin()] if cost.min() < now else x)
 
     def _cost(self, x: Floats) -> Floats:
         """(N,) of candidates (N, 7)."""
-        prior = 0.5 * np.square(x / PRIOR_SD).sum(axis=1)
-        return np.asarray(self._costs(x).sum(axis=1) + prior)
+        return np.asarray(self._costs(x).sum(axis=1) + _prior(x))
 
     def _costs(self, x: Floats) -> Floats:
         """(N, K) nats of candidates (N, 7), touch by touch: of all that was read or should have
         been."""
         n, k = len(x), len(self._touches)
-        q = np.concatenate([self._seen(each) for each in x])
-        h = self._model.activation(q).reshape(n, k, -1)
-        expected = np.exp(x[:, 0])[:, None, None] * h
-        z, live, floor = self._read()
+        h = self._model.activation(self._seen(x).reshape(-1, 3)).reshape(n, k, -1)
+        return self._nats(np.exp(x[:, 0])[:, None, None] * h, *self._read())
+
+    def _nats(self, expected: Floats, z: Floats, live: Bools, floor: Floats) -> Floats:
+        """(…, K) of readings (K, M) where such (…, K, M) are expected."""
         e = (z - expected) / self._sd(expected)
         e = np.where(_is_told(z, expected, floor) & live, e, 0.0)
-        cost = 0.5 * (FREEDOM + 1.0) * np.log1p(e * e / FREEDOM).sum(axis=2)
+        cost = 0.5 * (FREEDOM + 1.0) * np.log1p(e * e / FREEDOM).sum(axis=-1)
         return np.asarray(np.minimum(cost, TOUCH_MOST))
 
     def _read(self) -> tuple[Floats, Bools, Floats]:
@@ -166,39 +167,37 @@ class CalibrationCheck:
         own = ONSET_SD * deviation(within)
         return np.sqrt(self._noise.variance(within) + own * own)
 
-    def _linear(self, x: Floats) -> tuple[Floats, Floats, Floats]:
-        """Residuals (R,), their slopes (R, 7) and weights (R,), in standard deviations."""
+    def _linear(self, x: Floats) -> tuple[Floats, Floats, Floats, float]:
+        """Residuals (R,), their slopes (R, 7) and weights (R,), in standard deviations; and the
+        cost of x."""
         model = self._model
-        q = self._seen(x)
+        q = self._seen(x[None])[0]
         factor = np.exp(x[0])
-        h = model.activation(q)
-        ends = [model.activation(q + sign * step) for step in np.diag(STEP) for sign in (1.0, -1.0)]
-        by_pose = np.stack([a - b for a, b in zip(ends[::2], ends[1::2], strict=True)])
-        by_pose = factor * by_pose / (2.0 * STEP[:, None, None])
+        near = np.concatenate([q, *(q + step for step in np.diag(STEP))])
+        h, *ahead = model.activation(near).reshape(4, len(q), -1)
+        by_pose = factor * (np.stack(ahead) - h) / STEP[:, None, None]
         z, live, floor = self._read()
         expected = factor * h
+        cost = float(self._nats(expected, z, live, floor).sum() + _prior(x[None])[0])
         told = live & (h > 0.0) & _is_told(z, expected, floor)
         sd = self._sd(expected)
         e = ((z - expected) / sd)[told]
-        slopes = [expected]
-        for column in range(1, 7):
-            step = np.zeros(7)
-            step[column] = 1e-6
-            gap = self._seen(x + step) - self._seen(x - step)
-            gap[:, 2] = se2.wrap(gap[:, 2])
-            slopes.append(np.einsum("ckm,kc->km", by_pose, gap / 2e-6))
-        jacobian = np.stack([(slope / sd)[told] for slope in slopes], axis=1)
-        return e, jacobian, (FREEDOM + 1.0) / (FREEDOM + e * e)
+        moves = np.eye(7)[1:] * 1e-6
+        gap = self._seen(x + moves) - q
+        gap[..., 2] = se2.wrap(gap[..., 2])
+        slopes = np.einsum("ckm,nkc->nkm", by_pose, gap / 1e-6)
+        jacobian = np.vstack([expected[None], slopes])[:, told].T / sd[told][:, None]
+        return e, jacobian, (FREEDOM + 1.0) / (FREEDOM + e * e), cost
 
     def _seen(self, x: Floats) -> Poses:
-        """(K, 3) the object in the sensor's frame."""
+        """(N, K, 3) the object in the sensor's frame, by candidates (N, 7)."""
         sensor = np.array([touch.sensor for touch in self._touches])
-        placed = self._object + x[4:7]
-        return se2.compose(se2.inverse(se2.compose(sensor, x[1:4])), placed)
+        mounted = se2.compose(sensor[None], x[:, None, 1:4])
+        return se2.compose(se2.inverse(mounted), (self._object + x[:, 4:7])[:, None])
 
     def _judge(self) -> None:
         doubt, x = self.doubt, self._x
-        self._modules.take(self._touches[-1], self._seen(x)[-1])
+        self._modules.take(self._touches[-1], self._seen(x[None])[0, -1])
         right, best = self._costs(np.stack([self._right, x]))
         better = right - best
         doubt.touches, doubt.nats = len(better), float(better.sum() - better.max())
@@ -219,6 +218,11 @@ class CalibrationCheck:
             return Suspect.SCALE
         off = np.hypot(x[1], x[2]) > MOUNT_MOST_M or abs(x[3]) > YAW_MOST
         return Suspect.MOUNT if off else Suspect.NONE
+
+
+def _prior(x: Floats) -> Floats:
+    """(N,) nats of candidates (N, 7)."""
+    return np.asarray(0.5 * np.square(x / PRIOR_SD).sum(axis=1))
 
 
 def _is_told(z: Floats, expected: Floats, floor: Floats) -> Bools:
