@@ -192,6 +192,10 @@ def _calibration(args: argparse.Namespace) -> int:
     from taxeld_hil.experiment.calibration_experiment import QUICK_SEEDS, Plan, experiment
     from taxeld_hil.experiment.calibration_tables import lines
 
+    if args.picture:
+        return _calibration_picture(args)
+    if not args.out:
+        raise SetupError("--out: is required, unless --picture is given")
     quick = QUICK_SEEDS if args.quick else None
     plan = Plan(
         skins=tuple(args.skin or Plan.skins),
@@ -205,6 +209,19 @@ def _calibration(args: argparse.Namespace) -> int:
     path = experiment(plan, args.out, args.memory, args.workers, progress)
     for line in (str(path), *lines(path)):
         print(line)
+    return 0
+
+
+def _calibration_picture(args: argparse.Namespace) -> int:
+    from taxeld_hil.experiment.calibration_experiment import pictured
+
+    skin = args.skin[0] if args.skin else "typical"
+    try:
+        from taxeld.commands.calibration_draw import draw
+    except ImportError as error:
+        raise SetupError(f"--picture: {error}; pip install 'taxeld[view]'") from None
+    draw(pictured(skin), args.picture)
+    print(args.picture)
     return 0
 
 
@@ -351,7 +368,8 @@ def _add_measurements(commands: Commands) -> None:
         help="runs, from which a measurement cut short goes on (default %(default)s)",
     )  # fmt: skip
     calibration.add_argument("--quick", action="store_true", help="a smoke run of minutes")
-    calibration.add_argument("--out", type=Path, required=True, help="directory for the JSON")
+    calibration.add_argument("--out", type=Path, help="directory for the JSON")
+    calibration.add_argument("--picture", type=Path, metavar="FILE", help="instead: of one skin")
     calibration.set_defaults(command=_calibration)
 
 

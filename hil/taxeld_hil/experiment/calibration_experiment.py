@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taxeld.arrays import Poses
+from taxeld.commands.calibration_result import Result
 from taxeld.errors import SetupError
 from taxeld_hil.experiment import calibration_runs as runs
 from taxeld_hil.experiment.calibration_tables import rounded, summary
@@ -129,6 +130,13 @@ def play(job: Job) -> dict[str, Any]:
         "without, mount off": runs.errors_mm(at, job.seed, mount, None),
         "with": runs.errors_mm(at, job.seed, mount, result.calibration),
     }
+
+
+def pictured(skin: str) -> Result:
+    """A calibration to look at."""
+    at = replace(scenario.load("demo"), bundle="box", physics=skin)
+    mount = np.random.default_rng([0, 3]).uniform(-MOUNT_MOST, MOUNT_MOST)
+    return runs.calibrated(at, 0, mount)[0]
 
 
 def _found(at: scenario.Scenario, seed: int, mount: Poses, *, given: bool) -> dict[str, Any]:
