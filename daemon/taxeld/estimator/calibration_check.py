@@ -36,6 +36,7 @@ ALONE, TOGETHER = np.arange(4, 7), np.arange(7)  # what is free: the object's po
 SCALE_MOST = np.log(1.6)  # of the factor's logarithm: responses differ by up to a third in common
 MOUNT_MOST_M, YAW_MOST = 0.002, np.radians(2.0)
 TOUCH_MOST = 30.0  # nats that a touch may cost: one in the air is no evidence of anything
+BEYOND = 0.05  # of what it would cost beyond: one pose that misses it is still nearer
 CERTAIN_NATS = 12.0  # by which touches are likelier than with a right calibration, the best aside
 SWAPPED_NATS = 30.0  # by which two modules' readings are likelier in each other's place
 NAMES = 16  # that a module's taxels can have
@@ -152,7 +153,9 @@ class CalibrationCheck:
         e = (z - expected) / self._sd(expected)
         e = np.where(_is_told(z, expected, floor) & live, e, 0.0)
         cost = 0.5 * (FREEDOM + 1.0) * np.log1p(e * e / FREEDOM).sum(axis=-1)
-        return np.asarray(np.minimum(cost, TOUCH_MOST))
+        return np.asarray(
+            np.minimum(cost, TOUCH_MOST) + BEYOND * np.maximum(cost - TOUCH_MOST, 0.0)
+        )
 
     def _read(self) -> tuple[Floats, Bools, Floats]:
         """(K, M) activations, which live, and floors."""
