@@ -5,6 +5,7 @@ here is one that counts.
 """
 
 import time
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.proposals import bundle
 from taxeld.skin import calibration_search
+from taxeld.source import session
 from taxeld_protocol.decoder import Scan
 
 TELL_S = 10.0  # between two lines of the same
@@ -58,6 +60,7 @@ class Guided:
         self._pipeline = Pipeline(config, scene.model, scene.untimed(config.filter))
         self._hearing = Hearing(self._pipeline)
         self._recording = Recording(config, config_path, directory)
+        self._directory = directory
         self._idle_s, self._presses, self._say = idle_s, presses, say
         self._next_line_s = self._begun_s = time.monotonic()
         self._scans = self._moving = 0
@@ -65,8 +68,13 @@ class Guided:
 
     @staticmethod
     def place(out: Path) -> Path:
-        """Where the session of a calibration that is written to `out` is kept."""
-        return out.with_suffix(".session")
+        """Where the session of a calibration that is written to `out` is kept: beside it, in a
+        directory that holds none yet."""
+        for number in count(1):
+            place = out.with_suffix(".session" if number == 1 else f".session-{number}")
+            if not (place / session.ABOUT).exists():
+                return place
+        raise AssertionError
 
     def stop(self) -> None:
         """End before all presses are there."""
@@ -83,9 +91,11 @@ class Guided:
         if self._recording.failed:
             self._say("the disk took no more; make room and begin again")
         else:
-            self._say(
-                f"ended after {len(self._hearing)} of {self._presses} presses: nothing is fitted"
-            )
+            done = f"{len(self._hearing)} of {self._presses} presses"
+            least = calibration_search.LEAST_PRESSES
+            more = f"; what was recorded can be: taxeld calibrate {self._directory} --out FILE"
+            enough = more if len(self._hearing) >= least else ""
+            self._say(f"ended after {done}: nothing is fitted{enough}")
         return False
 
     def _on_poll(self, scans: list[Scan], track: PoseTrack) -> None:
@@ -133,16 +143,16 @@ class Guided:
             self._moving = hearing.moving
             self._say("   that one was not held still; it does not count")
             return
-        count = f"   {len(hearing)} of {self._presses}"
+        so_far = f"   {len(hearing)} of {self._presses}"
         if len(hearing) >= self._presses:
-            self._say(count)
+            self._say(so_far)
             self._recording.stopping = True
         elif ended:
-            self._say(f"{count}; next with the skin's side at {self._wanted():.0f}°")
+            self._say(f"{so_far}; next with the skin's side at {self._wanted():.0f}°")
         elif self._pipeline.poses.latest_t < 0.0:
-            self._say(f"{count}; no pose has come from the robot yet (sensor_pose.endpoint)")
+            self._say(f"{so_far}; no pose has come from the robot yet (sensor_pose.endpoint)")
         else:
-            self._say(f"{count}; waiting for a press")
+            self._say(f"{so_far}; waiting for a press")
 
     def _wanted(self) -> float:
         """The angle about the sensor's axis [°] of the side that was pressed least."""
