@@ -22,6 +22,7 @@ from taxeld.model.response import deviation
 
 TOUCHES = 16  # that are explained together, at most; of a large skin fewer
 LEAST_TOUCHES = 5
+FELT = 0.1  # of full scale: a touch whose strongest taxel reads less is left out
 ROOM = 16 * 80  # touches times taxels: what a step has time for
 ITERATIONS = 5  # of each fit after a touch, one a scan: a scan has little time
 STEP = np.array([1e-4, 1e-4, 2e-3])  # m, m, rad, for derivatives
@@ -37,7 +38,7 @@ SCALE_MOST = np.log(1.6)  # of the factor's logarithm: responses differ by up to
 MOUNT_MOST_M, YAW_MOST = 0.002, np.radians(2.0)
 TOUCH_MOST = 30.0  # nats that a touch may cost: one in the air is no evidence of anything
 BEYOND = 0.05  # of what it would cost beyond: one pose that misses it is still nearer
-CERTAIN_NATS = 12.0  # by which touches are likelier than with a right calibration, the best aside
+CERTAIN_NATS = 10.0  # by which touches are likelier than with a right calibration, the best aside
 SWAPPED_NATS = 30.0  # by which two modules' readings are likelier in each other's place
 NAMES = 16  # that a module's taxels can have
 
@@ -83,6 +84,7 @@ class CalibrationCheck:
         self._object: Poses = np.zeros(3)  # where it was believed first
         self._believed: Poses = np.zeros(3)  # and is now
         self._contact = self._due = 0
+        self._strength = 0.0  # of the last touch: all that it reads
         self._begun = False
 
     def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> None:
@@ -100,8 +102,14 @@ class CalibrationCheck:
                 self._judge()
 
     def _take(self, used: Observation, believed: Poses, contacts: int) -> None:
+        strength = float(used.z.sum())
+        if used.z.max() < FELT:  # noise and foam's residue touch lightly, and tell nothing
+            return
         if contacts == self._contact and self._touches:
-            self._touches.pop()  # the contact's later scan is read deeper, or elsewhere
+            if strength < self._strength:  # of a contact its strongest scan counts
+                return
+            self._touches.pop()
+        self._strength = strength
         self._contact = contacts
         self._touches = [*self._touches, used][-self._most :]
         if len(self._touches) >= LEAST_TOUCHES:

@@ -59,20 +59,14 @@ class Plan:
     right_seeds: int = 15  # of `notice` with nothing wrong, on each skin
 
     def jobs(self) -> list[Job]:
-        found = [
-            Job(sort, "box", skin, seed)
-            for seed in range(self.seeds)
+        return [
+            Job(sort, name, skin, seed)
+            for seed in range(max(self.seeds, self.right_seeds))
             for skin in self.skins
             for sort in ("find", "buy", *FAULTS)
-            if sort != "none"
+            for name in (("box", "mug") if sort == "none" else ("box",))
+            if seed < (self.right_seeds if sort == "none" else self.seeds)
         ]
-        right = [
-            Job("none", name, skin, seed)
-            for seed in range(self.right_seeds)
-            for skin in self.skins
-            for name in ("box", "mug")
-        ]
-        return found + right
 
 
 def experiment(plan: Plan, out: Path, memory: Path, workers: int, say: Say) -> Path:
