@@ -158,6 +158,7 @@ def _calibrate(args: argparse.Namespace) -> int:
         signal.signal(signal.SIGINT, lambda *_: guided.stop())
         if not guided.run():
             return FAILED
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     result = calibrate(directory, config, args.out, placed, say)
     print("\n".join([*lines(result), f"written: {args.out}, and beside it a text and a picture"]))
     return 0

@@ -35,12 +35,13 @@ class Touching:
         self.sensor = PressedSkin.drawn(MODEL, seed, presses=16).sensor
         self.order = np.arange(len(SKIN))
         self.contacts = 0
+        self.placed = self.believed = PLACED
 
     def touch(self, factor: float = 1.0, mount: Poses = se2.IDENTITY) -> None:
         """The next touch, and the scans after it; the daemon believes in a mount of zero."""
         sensor = self.sensor[self.contacts]
         self.contacts += 1
-        h = MODEL.activation(se2.compose(se2.inverse(sensor), PLACED)[None])[0]
+        h = MODEL.activation(se2.compose(se2.inverse(sensor), self.placed)[None])[0]
         noise = SIGMA * self.rng.standard_normal(len(h))
         z = np.where(h > 0.0, np.clip(factor * self.gain * h + noise, 0.0, 1.0), 0.0)[self.order]
         z = np.where(z < FLOOR, 0.0, z)
@@ -50,7 +51,7 @@ class Touching:
             self.scan(None)
 
     def scan(self, used: Observation | None) -> None:
-        self.check.on_scan(used, PLACED[None], self.contacts)
+        self.check.on_scan(used, self.believed[None], self.contacts)
 
     def touches(self, n: int, **wrong: object) -> Suspect:
         """What is suspected first in n touches."""
@@ -107,6 +108,26 @@ def test_one_touch_of_nothing_raises_no_doubt() -> None:
         touching.scan(None)
     assert touching.doubt.suspect is Suspect.NONE
     assert touching.touches(6) is Suspect.NONE
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("shift", [(0.06, -0.05, 0.0), (0.008, 0.005, 0.0)], ids=["far", "near"])
+def test_an_object_that_was_moved_is_no_wrong_calibration(
+    seed: int, shift: tuple[float, float, float]
+) -> None:
+    touching = Touching(seed)
+    assert touching.touches(6) is Suspect.NONE
+    touching.placed = PLACED + np.array(shift)
+    touching.sensor = touching.sensor + np.array(shift)
+    assert touching.touches(2) is Suspect.NONE  # the belief has not followed yet
+    touching.believed = touching.placed
+    assert touching.touches(8) is Suspect.NONE
+
+
+def test_an_object_that_gives_way_is_not_judged_by() -> None:
+    touching = Touching(0)
+    touching.check = CalibrationCheck(MODEL, FilterConfig(motion="push"), touching.doubt)
+    assert touching.touches(12, factor=2.5) is Suspect.NONE
 
 
 def test_a_doubt_that_lasts_is_counted_once() -> None:

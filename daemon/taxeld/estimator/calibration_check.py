@@ -76,6 +76,7 @@ class CalibrationCheck:
         self.doubt = doubt
         noise = noise_of(config)
         self._model, self._noise = model, noise
+        self._moves = config.motion != "none"  # touches are then not of one place
         self._modules = _Modules(model, noise)
         self._most = max(min(TOUCHES, ROOM // len(model.layout)), LEAST_TOUCHES + 1)
         self._touches: list[Observation] = []
@@ -90,6 +91,8 @@ class CalibrationCheck:
     def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> None:
         """What was learned from, if anything, in the last of so many contacts, and what is believed
         of the object's pose: (N, 3), the best first."""
+        if self._moves:
+            return
         if used is not None and used.is_contact:
             self._take(used, believed[:CANDIDATES], contacts)
         elif self._due:
