@@ -133,6 +133,37 @@ def _replay(args: argparse.Namespace) -> int:
     return 0
 
 
+def _calibrate(args: argparse.Namespace) -> int:
+    import numpy as np
+
+    from taxeld.commands.calibrate import calibrate
+    from taxeld.commands.calibration_text import lines
+
+    def say(line: str) -> None:
+        print(line, flush=True)
+
+    placed = None if args.object is None else np.array(args.object)
+    directory, config_path = args.source, args.config
+    if directory.is_dir():
+        config = load(config_path or directory / session.CONFIG)
+    else:
+        from taxeld.commands.calibrate_guided import Guided
+
+        if config_path:
+            raise SetupError("--config: is for a session; a running skin has its own")
+        config = load(directory)
+        directory = Guided.place(args.out)
+        guided = Guided(config, args.source, directory, args.idle_s, args.presses, say)
+        signal.signal(signal.SIGTERM, lambda *_: guided.stop())
+        signal.signal(signal.SIGINT, lambda *_: guided.stop())
+        if not guided.run():
+            return FAILED
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+    result = calibrate(directory, config, args.out, placed, say)
+    print("\n".join([*lines(result), f"written: {args.out}, and beside it a text and a picture"]))
+    return 0
+
+
 def _layout(args: argparse.Namespace) -> int:
     from taxeld.layout.summary import summary
 
@@ -216,6 +247,22 @@ def _parser() -> argparse.ArgumentParser:
     replay.add_argument("--config", type=Path, help="instead of the session's own config.toml")
     replay.add_argument("--seed", type=int, help="instead of the configured one")
     replay.set_defaults(command=_replay)
+
+    calibrate = commands.add_parser(
+        "calibrate", help="full scale, gains, noise and mount of a skin, from presses"
+    )
+    calibrate.add_argument(
+        "source", type=Path, metavar="CONFIG|SESSION", help="a skin to be pressed now, or recorded"
+    )
+    calibrate.add_argument("--out", type=Path, required=True, metavar="FILE", help="*.toml")
+    calibrate.add_argument(
+        "--object", type=float, nargs=3, metavar=("X", "Y", "YAW"),
+        help="its pose in the robot's world [m, m, rad]; else it is found by touch",
+    )  # fmt: skip
+    calibrate.add_argument("--config", type=Path, help="instead of the session's own config.toml")
+    calibrate.add_argument("--presses", type=int, default=20, metavar="N", help="to ask for")
+    calibrate.add_argument("--idle-s", type=float, default=60.0, help="untouched, at the start")
+    calibrate.set_defaults(command=_calibrate)
 
     skin = commands.add_parser("layout", help="what a skin's layout is, in words and as a picture")
     skin.add_argument("layout", metavar="LAYOUT", help="cylinder:…, wrap:…, a .json or a .txt")

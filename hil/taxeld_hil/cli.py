@@ -221,6 +221,43 @@ def _touches(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
     return 0
 
 
+def _calibration(args: argparse.Namespace) -> int:
+    from taxeld_hil.experiment.calibration_experiment import QUICK_SEEDS, Plan, experiment
+    from taxeld_hil.experiment.calibration_tables import lines
+
+    if args.picture:
+        return _calibration_picture(args)
+    if not args.out:
+        raise SetupError("--out: is required, unless --picture is given")
+    quick = QUICK_SEEDS if args.quick else None
+    plan = Plan(
+        skins=tuple(args.skin or Plan.skins),
+        seeds=args.seeds or quick or Plan.seeds,
+        right_seeds=args.right_seeds or quick or Plan.right_seeds,
+    )
+
+    def progress(line: str) -> None:
+        print(line, file=sys.stderr, flush=True)
+
+    path = experiment(plan, args.out, args.memory, args.workers, progress)
+    for line in (str(path), *lines(path)):
+        print(line)
+    return 0
+
+
+def _calibration_picture(args: argparse.Namespace) -> int:
+    from taxeld_hil.experiment.calibration_experiment import pictured
+
+    skin = args.skin[0] if args.skin else "typical"
+    try:
+        from taxeld.commands.calibration_draw import draw
+    except ImportError as error:
+        raise SetupError(f"--picture: {error}; pip install 'taxeld[view]'") from None
+    draw(pictured(skin), args.picture)
+    print(args.picture)
+    return 0
+
+
 def _curves(args: argparse.Namespace, progress: Callable[[str], None]) -> int:
     from taxeld_hil.experiment import curves
 
@@ -391,6 +428,24 @@ def _add_measurements(commands: Commands) -> None:
     physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")
     physics.add_argument("--out", type=Path, required=True, help="directory for JSON and PNG")
     physics.set_defaults(command=_physics)
+
+    calibration = commands.add_parser(
+        "calibration", help="what a calibration finds and buys, and what is noticed without"
+    )
+    calibration.add_argument(
+        "--skin", action="append", metavar="SKIN", help="default: typical, poor"
+    )
+    calibration.add_argument("--seeds", type=int, metavar="N", help="skins drawn, of each sort")
+    calibration.add_argument("--right-seeds", type=int, metavar="N", help="with nothing wrong")
+    calibration.add_argument("--workers", type=int, default=2, help="a thread each")
+    calibration.add_argument(
+        "--memory", type=Path, default=Path(".experiments/calibration.jsonl"), metavar="FILE",
+        help="runs, from which a measurement cut short goes on (default %(default)s)",
+    )  # fmt: skip
+    calibration.add_argument("--quick", action="store_true", help="a smoke run of minutes")
+    calibration.add_argument("--out", type=Path, help="directory for the JSON")
+    calibration.add_argument("--picture", type=Path, metavar="FILE", help="instead: of one skin")
+    calibration.set_defaults(command=_calibration)
 
 
 def _add_parts(commands: Commands) -> None:

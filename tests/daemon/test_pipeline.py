@@ -19,7 +19,8 @@ from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.pipeline.freshness import Freshness
-from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
 from taxeld.source import session

@@ -7,7 +7,7 @@ from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle, choice
-from taxeld.service import metrics
+from taxeld.service import calibration_file, metrics
 from taxeld.source import dialects, session
 from taxeld.source.session import Items
 from taxeld.source.slcan_device import adapter_line
@@ -36,6 +36,10 @@ def faults(config: Config) -> list[str]:
                 dialects.check_recording(config.source, skin, recorded, config.source.path)
             loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
             choice.open_all(loaded, config.filter)
+        except SetupError as error:
+            found.append(str(error))
+        try:
+            calibration_file.of(config, skin)
         except SetupError as error:
             found.append(str(error))
     found += away

@@ -4,6 +4,7 @@ A process of its own that brings the skin up itself; `taxeld run --record` recor
 """
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import zmq
@@ -17,9 +18,11 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source
 from taxeld.stream import curve
 from taxeld.stream.pose_input import PoseInput
-from taxeld_protocol.decoder import Decoder
+from taxeld_protocol.decoder import Decoder, Scan
 
 POLL_S = 0.002
+
+OnPoll = Callable[[list[Scan], PoseTrack], None]
 
 
 def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
@@ -30,7 +33,9 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
     """
     if config.source.kind == "replay":
         raise SetupError("source.kind: 'replay' is a recording already; use can or serial")
-    return Recorder(directory, moves=bool(config.sensor_pose.endpoint), config=config_path)
+    named = Path(config.skin.calibration) if config.skin.calibration else None
+    moves = bool(config.sensor_pose.endpoint)
+    return Recorder(directory, moves=moves, config=config_path, calibration=named)
 
 
 class Recording:
@@ -49,9 +54,10 @@ class Recording:
         """Whether the disk took no more; the log says why."""
         return self._recorder.counters.failed
 
-    def run(self) -> str:
+    def run(self, on_poll: OnPoll | None = None) -> str:
         """Record until `stopping`, or until the disk is full; → one line on what was recorded, and
-        where the modules are listed.
+        where the modules are listed. `on_poll` is given the scans of each poll and the sensor's
+        poses.
 
         Raises:
             SetupError: a device or the directory cannot be used.
@@ -67,7 +73,10 @@ class Recording:
                 while not self.stopping and not self.failed:
                     if robot is not None:
                         robot.poll()
-                    self.scans += len(source.poll(time.monotonic()))
+                    scans = source.poll(time.monotonic())
+                    self.scans += len(scans)
+                    if on_poll is not None:
+                        on_poll(scans, track)
                     time.sleep(POLL_S)
             finally:
                 if robot is not None:

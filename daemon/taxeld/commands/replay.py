@@ -10,8 +10,10 @@ from pathlib import Path
 
 from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
-from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
+from taxeld.service import calibration_file
 from taxeld.service.clock import is_step
 from taxeld.source import dialects, session
 from taxeld.source.session import Chunk, PoseRow
@@ -49,7 +51,9 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
     skin = layouts.load(config.skin.layout)
     loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
-    return Pipeline(config, loaded.model, loaded.untimed(config.filter))
+    begun = session.begun(directory) if config.skin.calibration else 0.0
+    calibration = calibration_file.load(config.skin, skin, begun, recorded=True)
+    return Pipeline(config, loaded.model, loaded.untimed(config.filter), calibration=calibration)
 
 
 def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
+from taxeld.estimator.calibration_check import Suspect
 from taxeld.estimator.estimate import ProposalKind, Status
 
 WIDTH = 14
@@ -51,6 +52,9 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     dropped = ", ".join(f"{n} {cause}" for cause, n in source["dropped"].items() if n) or "none"
     yield "Frames", f"{source['frames']}, dropped {dropped}"
     yield "Device", _device(source, waits_for)
+    used = health.get("calibration")
+    if used:
+        yield "Calibration", _calibration(used)
     stale = [name for name in ("scans", "poses") if inputs[f"{name}_stale"]]
     yield "Stale inputs", ", ".join(stale) or "none"
     poses = f"{inputs['poses_malformed']} malformed, {inputs['poses_rejected']} rejected"
@@ -61,6 +65,30 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
         p50, p99, top = (us[key] / 1e3 for key in ("p50", "p99", "max"))
         figures = f"median {p50:.2f} ms, 99 % {p99:.2f} ms, max {top:.2f} ms"
         yield f"{stage.capitalize()} time", figures
+
+
+def _calibration(used: dict[str, Any]) -> str:
+    days = f"{used['age_s'] / 86_400.0:.1f} days old"
+    line = days if used["used"] else "none; full scale and mount are as configured"
+    return line + _doubt(used)
+
+
+def _doubt(used: dict[str, Any]) -> str:
+    """What touches say against a calibration, and the cure."""
+    try:
+        suspect = Suspect(used["suspect"])
+    except ValueError:
+        return "; in doubt (by a newer daemon)"
+    if suspect is Suspect.NONE:
+        return ""
+    yaw = math.degrees(used["mount_yaw_rad"])
+    off = {
+        Suspect.SCALE: f"readings are {used['scale']:.2f} times what they should be",
+        Suspect.MOUNT: f"the mount seems {1e3 * used['mount_x_m']:+.1f} mm, "
+        f"{1e3 * used['mount_y_m']:+.1f} mm, {yaw:+.1f}° off",
+        Suspect.MODULES: "modules seem to have changed places",
+    }[suspect]
+    return f"; IN DOUBT: {off}; taxeld calibrate"
 
 
 def _device(source: dict[str, Any], waits_for: str | None) -> str:

@@ -17,7 +17,11 @@ def load(path: Path) -> Config:
     Raises:
         ConfigError: all faults at once.
     """
-    return _for_this_user(parse(text_of(path), str(path)))
+    config = _for_this_user(parse(text_of(path), str(path)))
+    if not config.skin.calibration:
+        return config
+    beside = str(path.parent / config.skin.calibration)  # an absolute path stays what it is
+    return replace(config, skin=replace(config.skin, calibration=beside))
 
 
 def text_of(path: Path) -> str:

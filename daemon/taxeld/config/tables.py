@@ -84,6 +84,15 @@ class SkinConfig:
     state_max_age_s: float = key(
         43_200.0, between(1, 1e8), "a baseline that was stored longer ago is not used"
     )
+    calibration: str = key(
+        "", doc="what taxeld calibrate wrote, relative to this file; empty: none is used"
+    )
+    calibration_max_age_days: float = key(
+        180.0, between(0.01, 1e5), "an older calibration is refused"
+    )
+    calibration_required: bool = key(
+        True, doc="false: where the calibration cannot be used, run without it"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,15 +10,15 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import confidence
+from taxeld.estimator.calibration_check import CalibrationCheck, CalibrationDoubt
 from taxeld.estimator.counters import EstimatorCounters
 from taxeld.estimator.estimate import Estimate
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.news import News
 from taxeld.estimator.rules import RULES
-from taxeld.estimator.sampling import Sampling
+from taxeld.estimator.sampling import Proposal, Sampling
 from taxeld.model.activation import Activation
 from taxeld.model.observation import Observation, ObservationModel
-from taxeld.model.proposal import Proposal
 
 
 class Estimator:
@@ -38,6 +38,7 @@ class Estimator:
         self.proposal = proposal
         self.config = config
         self.counters = EstimatorCounters()
+        self.calibration = CalibrationDoubt()
         self.reset()
 
     def reset(self) -> None:
@@ -50,6 +51,7 @@ class Estimator:
         self._intake = Intake(self.model, self.counters)
         self._news = News(layout.radius_m)
         self._before: Observation | None = None
+        self._check = CalibrationCheck(self.model, config, self.calibration)
         self.estimate = self._estimate(0.0)
 
     def on_scan(self, activation: Activation, sensor: Poses) -> Estimate:
@@ -83,6 +85,8 @@ class Estimator:
         and the scan's log evidence."""
         news = self._news
         used = news.on_scan(self._intake.t, observation) if observation.live.any() else None
+        believed = np.array([mode.pose for mode in self.rule.confidence.summary.modes])
+        self._check.on_scan(used, believed, news.contacts)
         if used is not None:
             self.counters.updates += 1
             return self.rule.learn(used, news.contacts, self._draw)

@@ -9,6 +9,8 @@ from taxeld.model import se2
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 
+__all__ = ["Proposal", "Sampling"]
+
 
 class Sampling:
     """A proposal as a rule sees it: `draw` of `estimator.rule`."""

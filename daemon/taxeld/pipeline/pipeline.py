@@ -7,20 +7,20 @@ measured by the ladder's clock, if it has one.
 
 from collections import deque
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 
-from taxeld.arrays import Poses
 from taxeld.config.tables import Config
-from taxeld.estimator.estimate import Estimate
 from taxeld.estimator.estimator import Estimator
-from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.freshness import Freshness
+from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import OnPose, PoseTrack, StandingStill
 from taxeld.proposals.ladder import Ladder
+from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
@@ -28,33 +28,6 @@ from taxeld_protocol.decoder import Scan
 FUTURE_S = 0.1  # a scan that is stamped later than now by more was stamped wrongly
 WAITING_MAX = 64  # scans; of more the oldest are dropped
 SILENT_PERIODS = 3.0  # without a scan of it for so long, a hub is silent
-
-Dated = TypeVar("Dated", Scan, Activation, Estimate, SkinState)
-
-
-@dataclass(frozen=True, slots=True)
-class Outcome:
-    """What one scan led to, and the time each stage took [ns]."""
-
-    estimate: Estimate
-    activation: Activation | None = None  # None while the baseline is learned, or not used
-    sensor: Poses | None = None  # (3,) in the world; None where it is not known
-    skin_ns: int = 0
-    propose_ns: int = 0
-    filter_ns: int = 0
-
-
-@dataclass(slots=True)
-class InputCounters:
-    """Since start."""
-
-    scans_old: int = 0  # that arrived when older than their limit, not used
-    scans_from_the_future: int = 0  # later than now, or of no time at all, not used
-    scans_without_pose: int = 0  # for which no sensor pose near in time came, not used
-    scans_waited: int = 0  # for a pose at or after their time
-    scans_put_off: int = 0  # to the next tick, as the time of this one was up
-    scans_crowded_out: int = 0  # by too many that waited, not used
-    clock_steps: int = 0  # of the Unix clock
 
 
 class Pipeline:
@@ -71,17 +44,22 @@ class Pipeline:
         model: ObservationModel,
         ladder: Ladder,
         on_pose: OnPose | None = None,
+        calibration: Calibration | None = None,
     ) -> None:
-        """`on_pose` hears every sensor pose (t, x, y, θ) that is taken."""
+        """`on_pose` hears every sensor pose (t, x, y, θ) that is taken, as the robot tells it.
+        `calibration`: of the skin and its mount on the robot."""
+        config = calibrated(config, calibration)
         self.config = config
+        self.calibration = calibration
         self.ladder = ladder
         period_s = config.source.period_ms / 1000.0
         silent_s = max(config.source.max_age_s, SILENT_PERIODS * period_s)
-        self.skin = Skin(model.layout, config.skin, silent_s)
+        self.skin = Skin(model.layout, config.skin, silent_s, calibration)
         self.poses: PoseTrack | StandingStill = StandingStill()
         if config.sensor_pose.endpoint:
             moves = config.sensor_pose
-            self.poses = PoseTrack(moves.max_age_s, moves.within_m, on_pose)
+            mount = None if calibration is None else calibration.mount
+            self.poses = PoseTrack(moves.max_age_s, moves.within_m, on_pose, mount)
         self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)
         square = config.filter.half_width_m + _reach_m(model)
         self.freshness = Freshness(config.loop.stale_s, config.filter.centre_m, square)
@@ -102,7 +80,7 @@ class Pipeline:
         for scan in scans:
             age = now - scan.t
             if -FUTURE_S <= age <= self.config.source.max_age_s:
-                self._waiting.append((now - by, _later(scan, -by)))
+                self._waiting.append((now - by, later(scan, -by)))
                 self.inputs.scans_waited += self.poses.latest_t < scan.t
             else:
                 yield self._refused(age)
@@ -130,7 +108,7 @@ class Pipeline:
         self._stepped_s += by
         self.poses.clear()
         if self.estimate.t:  # it is of a scan
-            self.estimate = _later(self.estimate, by)
+            self.estimate = later(self.estimate, by)
 
     def input_counts(self) -> dict[str, int]:
         """What became of scans and poses before they were used; what waits has no count yet."""
@@ -157,7 +135,7 @@ class Pipeline:
     def skin_state(self) -> SkinState | None:
         """What the skin has learned so far, of Unix time; None before there is anything."""
         state = self.skin.state()
-        return None if state is None else _later(state, self._stepped_s)
+        return None if state is None else later(state, self._stepped_s)
 
     def tare(self) -> None:
         """Learn the idle baseline anew; the skin must not be touched. The status is STARTING until
@@ -200,22 +178,17 @@ class Pipeline:
             self.inputs.scans_without_pose += 1
             self.freshness.unused()
             self.estimate = self.freshness.judged(replace(self.estimate, t=scan.t + by))
-            return Outcome(self.estimate, _later(activation, by), skin_ns=read - start)
+            return Outcome(self.estimate, later(activation, by), skin_ns=read - start)
         before = self.ladder.spent_ns
         self.freshness.used()
-        self.estimate = _later(self.estimator.on_scan(activation, sensor), by)
+        self.estimate = later(self.estimator.on_scan(activation, sensor), by)
         self.ladder.used()
         propose_ns = self.ladder.spent_ns - before
         filter_ns = clock() - read - propose_ns
-        activation = _later(activation, by)
+        activation = later(activation, by)
         return Outcome(self.estimate, activation, sensor, read - start, propose_ns, filter_ns)
 
 
 def _reach_m(model: ObservationModel) -> float:
     """How far from the square that it may be in an object that is felt in it may lie."""
     return float(np.hypot(*model.scene.outline.T).max()) + model.layout.radius_m
-
-
-def _later(dated: Dated, by: float) -> Dated:
-    """The same, of a time that is later by so much."""
-    return replace(dated, t=dated.t + by) if by else dated

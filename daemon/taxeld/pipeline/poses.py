@@ -21,10 +21,15 @@ class PoseTrack:
     """The last poses (t, x, y, θ) of the sensor in the world; bounded memory."""
 
     def __init__(
-        self, max_age_s: float, within_m: float = math.inf, on_pose: OnPose | None = None
+        self,
+        max_age_s: float,
+        within_m: float = math.inf,
+        on_pose: OnPose | None = None,
+        mount: Poses | None = None,
     ) -> None:
         """`within_m`: |x| and |y|, at most; `on_pose` is given every pose (t, x, y, θ) that is
-        taken."""
+        taken, as it came; `mount` (3,): the sensor's frame in the one that the poses are of."""
+        self._mount = mount
         self.max_age_s = max_age_s
         self._within_m = within_m
         self._on_pose = on_pose
@@ -81,8 +86,13 @@ class PoseTrack:
         return True
 
     def at(self, t: float) -> Poses | None:
-        """The pose (3,) at time t: interpolated, or the last one while it is young enough; None
-        where nothing that near in time is known."""
+        """The sensor's pose (3,) at time t: interpolated, or the last one while it is young enough;
+        None where nothing that near in time is known."""
+        came = self._came(t)
+        return came if came is None or self._mount is None else se2.compose(came, self._mount)
+
+    def _came(self, t: float) -> Poses | None:
+        """The same, of what the poses are of."""
         i = bisect_right(self._t, t)
         if i == 0:
             return None

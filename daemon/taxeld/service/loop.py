@@ -19,10 +19,12 @@ from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
-from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.pipeline.calibrated import told
+from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import bundle, choice
-from taxeld.service import metrics, realtime, state_file
+from taxeld.service import calibration_file, metrics, realtime, state_file
 from taxeld.service.clock import WallClock
 from taxeld.service.latency import Latencies
 from taxeld.service.metrics import MetricsFile
@@ -71,9 +73,10 @@ class Daemon:
         self.counters = LoopCounters()
         self.layout = layouts.load(config.skin.layout)
         scene = bundle.load(config.scene.bundle, self.layout, config.skin.full_scale_depth_m)
+        calibration = calibration_file.of(config, self.layout)
         ladder = choice.ladder(scene, config, time.perf_counter_ns)
         on_pose = recorder.pose if recorder else None
-        self.pipeline = Pipeline(config, scene.model, ladder, on_pose)
+        self.pipeline = Pipeline(config, scene.model, ladder, on_pose, calibration)
         self._recorder = recorder
         self.latencies = Latencies(messages.STAGES)
         self.clock = WallClock()
@@ -275,6 +278,7 @@ class Daemon:
                 "waiting": bool(self.source.waits_for),
             },
             "skin_state": self.kept.counters,
+            "calibration": told(pipeline.calibration, pipeline.estimator.calibration, t),
             "inputs": {
                 **pipeline.input_counts(),
                 "poses_malformed": poses.malformed,

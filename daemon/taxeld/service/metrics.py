@@ -20,6 +20,7 @@ CLOSE_S = 2.0  # that the last writing may take
 LEFT_OUT = {"v", "seq", "t"}  # of each message
 NOT_COUNTED = {  # whole numbers that go up and down
     *("source_pending", "inputs_scans_waiting", "realtime_fifo", "drift_t0_modules"),
+    *("calibration_suspect", "calibration_touches"),
 }
 UNITS = {"_us": ("_seconds", 1e-6), "_s": ("_seconds", 1.0)}
 

@@ -15,12 +15,12 @@ from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.activation import FLOOR, Activation
 from taxeld.skin import state as skin_state
+from taxeld.skin.calibration import Calibration, Scale
 from taxeld.skin.capture import Idle
 from taxeld.skin.channels import Wired, Wiring
 from taxeld.skin.drift import Drift, Slice
 from taxeld.skin.foam import Residue
-from taxeld.skin.frozen import Frozen
-from taxeld.skin.noise import IdleNoise
+from taxeld.skin.rest import Rest
 from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
 
@@ -44,8 +44,15 @@ class SkinCounters:
 class Skin:
     """Activations of one skin, from scans of all hubs that its taxels hang on."""
 
-    def __init__(self, layout: Layout, config: SkinConfig, silent_s: float = SILENT_S) -> None:
-        """`silent_s`: for so long a hub's readings hold without a new scan of it."""
+    def __init__(
+        self,
+        layout: Layout,
+        config: SkinConfig,
+        silent_s: float = SILENT_S,
+        calibration: Calibration | None = None,
+    ) -> None:
+        """`silent_s`: for so long a hub's readings hold without a new scan of it. `calibration`
+        takes the place of the configured full scale."""
         taxels = len(layout)
         self.layout = layout
         self.config = config
@@ -55,8 +62,10 @@ class Skin:
         self.live: Bools | None = None  # of the last activation
         self.touched = False  # whether the last activation is of a touch
         self.threshold: Floats = np.zeros(taxels)
+        self.over: Floats = np.zeros(taxels)  # counts over baseline of the last activation
         self._silent_s = silent_s
-        self._floor = FLOOR * config.full_scale_counts
+        self._scale = Scale.used(config.full_scale_counts, calibration)
+        self._floor = FLOOR * self._scale.full_scale_counts
         self._wiring = Wiring(layout)
         self._counts: Floats = np.zeros(taxels)  # of each taxel's last scan, 0 where not valid
         self._saturated: Bools = np.zeros(taxels, dtype=bool)
@@ -66,9 +75,8 @@ class Skin:
         self._state: SkinState | None = None  # stored, and not yet confirmed where
         self._pending = np.zeros(taxels, dtype=bool)
         self._slice = Slice(taxels, len(self._wiring.suis))
-        self._drift = Drift(layout, self._wiring, config.full_scale_counts, config.drift_s)
-        self._frozen = Frozen(taxels)
-        self._noise = IdleNoise(taxels)
+        self._drift = Drift(layout, self._wiring, self._scale.full_scale_counts, config.drift_s)
+        self._rest = Rest(taxels, calibration)
         self._residue = Residue(taxels)
         self.tare()
 
@@ -76,13 +84,18 @@ class Skin:
         """Forget the baseline; the next `baseline_scans` scans, untouched, make a new one."""
         config = self.config
         self._idle = Idle(
-            len(self.layout), config.baseline_scans, config.full_scale_counts, self._floor
+            len(self.layout), config.baseline_scans, self._scale.full_scale_counts, self._floor
         )
         self._state = None
         self._slice.begin(-np.inf)
         self._drift.release()
         self.live = None
         self.touched = False
+
+    @property
+    def counts(self) -> Floats:
+        """(M,) of each taxel's last scan, 0 where it was not valid."""
+        return self._counts
 
     @property
     def baseline(self) -> Floats:
@@ -147,7 +160,7 @@ class Skin:
             t=self._t,
             digest=self.digest,
             baseline=np.where(self._idle.known, self.baseline, np.nan),
-            noise=self._noise.sd.copy(),
+            noise=self._rest.noise.copy(),
             coefficient=temperature.coefficient.copy(),
             leak=temperature.leak.copy(),
             t0=temperature.level,
@@ -158,7 +171,7 @@ class Skin:
         live = self.live
         return {
             "dead_taxels": [] if live is None else np.flatnonzero(~live).tolist(),
-            "stuck_taxels": np.flatnonzero(self._frozen.mask).tolist(),
+            "stuck_taxels": np.flatnonzero(self._rest.frozen).tolist(),
             "saturated_taxels": np.flatnonzero(self._saturated).tolist(),
             "untared_taxels": np.flatnonzero(~self._idle.known).tolist(),
         }
@@ -223,36 +236,36 @@ class Skin:
         """These taxels have a baseline now [counts], and a noise."""
         self.captures += 1
         self._drift.take(taxels, baseline)
-        self._noise.take(taxels, noise, self.config.baseline_scans)
-        self.threshold[taxels] = self._threshold(noise)
-        self._usable = self._idle.known & ~self._frozen.mask
+        self._rest.take(taxels, noise, self.config.baseline_scans)
+        self.threshold[taxels] = self._threshold(self._rest.noise[taxels])
+        self._usable = self._idle.known & ~self._rest.frozen
         self._slice.begin(self._t)  # the readings before may be those of a touch
 
     def _threshold(self, noise: Floats) -> Floats:
         return np.maximum(self.config.threshold_sigmas * noise, self._floor)
 
     def _activation(self) -> Activation:
-        full_scale, residue = self.config.full_scale_counts, self._residue
+        scale, residue = self._scale, self._residue
         live = (self._counts > 0) & self._usable
-        over = self._counts - self.baseline
+        over = self.over = self._counts - self.baseline
         residue.on_scan(np.where(live, over, 0.0), self.threshold)
         pressed = live & residue.pressed
         self.live, self.touched = live, bool(pressed.any())
         self._drift.touched(self._t, pressed | (residue.level > self.threshold))
         return Activation(
             self._t,
-            z=np.where(pressed, np.clip(over / full_scale, 0.0, 1.0), 0.0),
+            z=np.where(pressed, scale.activation(over), 0.0),
             live=live,
-            floor=np.minimum((self.threshold + residue.level) / full_scale, 1.0),
-            residue=residue.level / full_scale,
+            floor=scale.activation(self.threshold + residue.level),
+            residue=scale.activation(residue.level),
         )
 
     def _settle(self) -> None:
         """Learn from a second of scans: frozen taxels, drift, noise and thresholds."""
         part, known = self._slice, self._idle.known
-        self._frozen.on_slice(part.scans, part.changed, self._noise.sd[known])
-        self._usable = known & ~self._frozen.mask
+        self._rest.stood_still(part.scans, part.changed, known)
+        self._usable = known & ~self._rest.frozen
         at_rest = self._drift.on_slice(part, self._usable, self.threshold)
-        self._noise.on_slice(part.variance, part.scans, at_rest)
-        self.threshold = self._threshold(self._noise.sd)
+        self._rest.varied(part.variance, part.scans, at_rest)
+        self.threshold = self._threshold(self._rest.noise)
         part.begin(self._t)

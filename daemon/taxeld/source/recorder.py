@@ -61,8 +61,16 @@ class Recorder:
     A recording into which nothing came leaves nothing behind.
     """
 
-    def __init__(self, directory: Path, *, moves: bool, config: Path | None = None) -> None:
-        """`moves`: whether a robot tells where the sensor is; `config` is kept with the session.
+    def __init__(
+        self,
+        directory: Path,
+        *,
+        moves: bool,
+        config: Path | None = None,
+        calibration: Path | None = None,
+    ) -> None:
+        """`moves`: whether a robot tells where the sensor is; `config` is kept with the session,
+        and so is the `calibration` that it names, where it lies beside it.
 
         Raises:
             SetupError: the directory holds a session already.
@@ -73,6 +81,7 @@ class Recorder:
         self._directory = directory
         self._moves = moves
         self._config = config
+        self._calibration = calibration
         self._waiting: deque[Item] = deque()
         self._offered = self._taken = 0  # bytes: the caller's count, and the thread's
         self._refused = self._lost = 0  # records, likewise
@@ -98,7 +107,12 @@ class Recorder:
     def __enter__(self) -> Self:
         """Raises SetupError where the directory cannot be made or written to."""
         try:
-            self._files = SessionFiles(self._directory, moves=self._moves, config=self._config)
+            self._files = SessionFiles(
+                self._directory,
+                moves=self._moves,
+                config=self._config,
+                calibration=self._calibration,
+            )
         except OSError as error:
             reason = error.strerror
             raise SetupError(f"{self._directory}: cannot be made ({reason})") from None
@@ -160,7 +174,9 @@ class Recorder:
 class SessionFiles:
     """The files of a session, appended to. All of it raises OSError."""
 
-    def __init__(self, directory: Path, *, moves: bool, config: Path | None) -> None:
+    def __init__(
+        self, directory: Path, *, moves: bool, config: Path | None, calibration: Path | None = None
+    ) -> None:
         self.frames = self.chunks = self.bytes = self.poses = 0
         self._directory = directory
         self._open: dict[str, FileIO] = {}
@@ -171,6 +187,7 @@ class SessionFiles:
             _append(self._file(ABOUT), f"version = {VERSION}\n".encode())
             if config is not None and not self._is_own(config):
                 _append(self._file(CONFIG), config.read_bytes())
+                self._keep_beside(config, calibration)
             if moves:
                 self._table(POSES, POSE_COLUMNS)
         except OSError:
@@ -254,6 +271,23 @@ class SessionFiles:
         """Whether that is the session's own configuration already."""
         path = self._directory / CONFIG
         return path.exists() and path.samefile(config)
+
+    def _keep_beside(self, config: Path, calibration: Path | None) -> None:
+        """A calibration that the configuration names by a path beside its own: at that path beside
+        the session's."""
+        if calibration is None or not calibration.is_file():
+            return
+        try:
+            name = str(calibration.relative_to(config.parent))
+        except ValueError:
+            return
+        if ".." in Path(name).parts or (self._directory / name).exists():
+            return
+        made = (self._directory / name).parent
+        if made != self._directory:
+            self._made[:0] = [p for p in (made, *made.parents) if not p.exists()]
+            made.mkdir(parents=True, exist_ok=True)
+        _append(self._file(name), calibration.read_bytes())
 
     def _discard(self) -> None:
         """Take away what was made, unless somebody else has put something there."""

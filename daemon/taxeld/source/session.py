@@ -54,6 +54,15 @@ def has_poses(directory: Path) -> bool:
     return (directory / POSES).exists()
 
 
+def begun(directory: Path) -> float:
+    """When a session began, in Unix seconds; nan of one that holds nothing. Raises SetupError."""
+    if (directory / SERIAL).exists() and not (directory / FRAMES).exists():
+        rows = _table(_Lines(directory / SERIAL_TIMES), SERIAL_COLUMNS)
+        return rows[0][0] if rows else math.nan
+    frames = (parse_log_line(text) for text in _Lines(directory / FRAMES))
+    return next((frame.t for frame in frames if frame is not None), math.nan)
+
+
 def read(directory: Path) -> Session:
     """A session, up to its last whole record; that it was cut is said in the log.
 

@@ -74,7 +74,7 @@ def play(scenario: Scenario, seed: int, filter_keys: str = "") -> TouchRun:
     assert daemon is not None  # noqa: S101  (no fault kills it)
     assert isinstance(rig.world.physics, MeshPhysics)  # noqa: S101  (a soft skin)
     witness = rig.world.physics = _Witness(rig.world.physics)
-    plan = _plan(scenario, run, seed)
+    plan = planned(scenario, run, seed)
     rig.path = plan.path
     found = TouchRun(scenario.bundle, scenario.physics, seed)
     notes = [IDLE_S + plan.touches[n].begin_s for n in AFTER if n < len(plan.touches)]
@@ -100,7 +100,10 @@ def play(scenario: Scenario, seed: int, filter_keys: str = "") -> TouchRun:
     return found
 
 
-def _plan(scenario: Scenario, run: FakeRun, seed: int) -> Touches:
+def planned(
+    scenario: Scenario, run: FakeRun, seed: int, presses: int = PRESSES, pairs: int = PAIRS
+) -> Touches:
+    """Touches of the scenario's object where it stands."""
     model, truth = run.rig.model, run.rig.world.truth
     solid, radius_m = solid_of(scenario.bundle, model.layout), scenario.skin.taxel_radius_m
     skin = MeshSkin(solid, model.layout, radius_m, sags=False)
@@ -109,7 +112,7 @@ def _plan(scenario: Scenario, run: FakeRun, seed: int) -> Touches:
     def deepest(sensor: Poses) -> float:
         return float(skin.indentation(se2.compose(se2.inverse(sensor), truth), hard).max())
 
-    return touches.plan(model, truth, deepest, seed, PRESSES, PAIRS)
+    return touches.plan(model, truth, deepest, seed, presses, pairs)
 
 
 def _note(found: TouchRun, run: FakeRun) -> None:

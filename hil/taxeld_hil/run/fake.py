@@ -9,8 +9,10 @@ from typing import Any
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout.layout import Layout
-from taxeld.pipeline.pipeline import Outcome, Pipeline
+from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals.bundle import Bundle
+from taxeld.skin.calibration import Calibration
 from taxeld.skin.state import SkinState
 from taxeld.source import dialects
 from taxeld.source.dialects import ToFrames
@@ -23,14 +25,21 @@ class FakeDaemon:
     """One life of a daemon."""
 
     def __init__(
-        self, config: Config, skin: Layout, scene: Bundle, line: MemoryLine, kept: SkinState | None
+        self,
+        config: Config,
+        skin: Layout,
+        scene: Bundle,
+        line: MemoryLine,
+        kept: SkinState | None,
+        calibration: Calibration | None = None,
     ) -> None:
         """`kept`: what the life before has learned of the skin."""
 
         def device(_: SourceConfig, __: ToFrames) -> MemoryDevice:
             return MemoryDevice(line)
 
-        self.pipeline = Pipeline(config, scene.model, scene.untimed(config.filter))
+        proposal = scene.untimed(config.filter)
+        self.pipeline = Pipeline(config, scene.model, proposal, calibration=calibration)
         self.source = LiveSource(config.source, dialects.live(config.source, skin), device, None)
         self.scans = 0
         self.outcomes: list[Outcome] = []  # of the last tick

@@ -5,6 +5,7 @@ from typing import NamedTuple
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
+from taxeld.skin.calibration import Calibration
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.grade.reconcile import laws
@@ -29,10 +30,15 @@ class FakeRun:
     """A scenario on the fake clock, tick by tick; or several, lap by lap, in one life."""
 
     def __init__(
-        self, scenario: Scenario, seed: int, rate_hz: float = 100.0, filter_keys: str = ""
+        self,
+        scenario: Scenario,
+        seed: int,
+        rate_hz: float = 100.0,
+        filter_keys: str = "",
+        calibration: Calibration | None = None,
     ) -> None:
         """`rate_hz`: of the daemon's loop, and of all that steps with it; `filter_keys`: lines of
-        TOML for the daemon's table [filter].
+        TOML for the daemon's table [filter]; `calibration`: of this very skin.
 
         Raises:
             SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
@@ -42,9 +48,10 @@ class FakeRun:
         self.config = settings.on_a_fake_clock(scenario, seed, filter_keys, rate_hz)
         self.skin = layouts.load(scenario.layout)
         self.scene = bundle.load(scenario.bundle, self.skin, self.config.skin.full_scale_depth_m)
+        self._calibration = calibration
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
-        self.judge = self._judging()
+        self.judge = self.judging()
         self._seed = seed
         self._began_s = self._next_health_s = 0.0
 
@@ -53,7 +60,7 @@ class FakeRun:
         self._began_s = self.line.now + 1.0 / self.config.loop.rate_hz
         self._seed = seed
         self.rig.lap(scenario, seed)
-        self.judge = self._judging()
+        self.judge = self.judging()
         if self.daemon is not None:
             self.daemon.pipeline.reset()
 
@@ -111,7 +118,8 @@ class FakeRun:
     def _set(self, t: float) -> None:
         self.line.t, self.line.now = t, self._began_s + t
 
-    def _judging(self) -> Judge:
+    def judging(self) -> Judge:
+        """A judge of what is estimated from now on, by where the object stands now."""
         rig = self.rig
         scene, truth = rig.model.scene, rig.world.truth
         return Judge(rig.scenario, scene, truth, NOT_INJECTED, rig.taxels_of)
@@ -127,4 +135,4 @@ class FakeRun:
     def _born(self) -> FakeDaemon:
         """A daemon with what the one before has stored of the skin."""
         kept = None if self._dead is None else self._dead.pipeline.skin.state()
-        return FakeDaemon(self.config, self.skin, self.scene, self.line, kept)
+        return FakeDaemon(self.config, self.skin, self.scene, self.line, kept, self._calibration)

@@ -47,7 +47,7 @@ class MeshPhysics:
         self._cross_talk = CrossTalk(layout, config.cross_talk, own)
         self._drift = ThermalDrift(taxels, config.drift_counts_per_min, config.drift_period_s,
                                    config.drift_cv, rng)  # fmt: skip
-        self._full_scale = full_scale
+        self.full_scale = full_scale
         self._depth_max_m = depth_max_m
 
     def press(self, seen: Poses, t: float) -> Floats:
@@ -57,7 +57,7 @@ class MeshPhysics:
             self._sag_m.draw()
             self._foam.end()
         reading = self._foam.press(self._response(self.depth_m / self._depth_max_m), t)
-        return self._cross_talk.add(self._full_scale * reading)
+        return self._cross_talk.add(self.full_scale * reading)
 
     def drift(self, t: float) -> tuple[Floats | float, float]:
         counts = self._drift.counts(t)

@@ -42,7 +42,7 @@ class Touches(NamedTuple):
     touches: tuple[Touch, ...]
 
 
-class _Track:
+class Track:
     """Waypoints as they are added."""
 
     def __init__(self, start: Poses) -> None:
@@ -76,7 +76,7 @@ def plan(
     centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
     circle = scene.size + model.layout.radius_m + robot.STANDOFF_M
     angle, yaw = rng.uniform(-np.pi, np.pi), 0.0
-    track = _Track(np.array([*_around(centre, circle, angle), yaw]))
+    track = Track(np.array([*_around(centre, circle, angle), yaw]))
     touches: list[Touch] = []
     out = track.poses[0][None]
     step = 2.0 * np.pi / max(presses, 1)

@@ -1,0 +1,289 @@
+"""Whether touches still agree with the skin's calibration: full scale, mount, and which module is
+where.
+
+A wrong full scale or mount hardly shows in one touch: the belief takes it for a slightly other
+pose. Over several touches it does, as the object does not move with the sensor. So the last touches
+are explained twice: by the object's pose alone, and by that, a factor on all readings and an offset
+of the mount together. A doubt is raised where the second is far likelier, and what it finds large.
+Two modules that have changed places show in readings that are likelier in each other's place.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from taxeld.arrays import Bools, Floats, Index, Poses
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.rule import noise_of
+from taxeld.model import se2
+from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.response import deviation
+
+TOUCHES = 16  # that are explained together, at most; of a large skin fewer
+LEAST_TOUCHES = 5
+FELT = 0.1  # of full scale: a touch whose strongest taxel reads less is left out
+ROOM = 16 * 80  # touches times taxels: what a step has time for
+ITERATIONS = 5  # of each fit after a touch, one a scan: a scan has little time
+STEP = np.array([1e-4, 1e-4, 2e-3])  # m, m, rad, for derivatives
+PRIOR_SD = np.array([1.0, 0.01, 0.01, 0.15, 0.02, 0.02, 0.2])  # log scale, mount, object
+SCALES = np.log([0.4, 1.0, 2.5])  # to begin with
+SHARES = np.array([0.1, 0.3, 1.0])  # of a step, of which the best is taken
+FREEDOM = 4.0  # of the t distribution that residuals are weighed by
+ONSET_SD = 0.8  # of taxels' responses, as shares of `model.response.deviation` (docs/physics.md)
+MOVED_M = 0.02  # between fit and belief: what is believed is not what was fitted
+CANDIDATES = 3  # modes of the belief that a fit may begin with
+ALONE, TOGETHER = np.arange(4, 7), np.arange(7)  # what is free: the object's pose, or all
+SCALE_MOST = np.log(1.6)  # of the factor's logarithm: responses differ by up to a third in common
+MOUNT_MOST_M, YAW_MOST = 0.002, np.radians(2.0)
+TOUCH_MOST = 30.0  # nats that a touch may cost: one in the air is no evidence of anything
+BEYOND = 0.05  # of what it would cost beyond: one pose that misses it is still nearer
+MOUNT_NATS = 22.0  # the same, for a mount: on a rough skin its gains imitate one, up to 20
+CERTAIN_NATS = 10.0  # by which touches are likelier than with a right calibration, the best aside
+SWAPPED_NATS = 30.0  # by which two modules' readings are likelier in each other's place
+NAMES = 16  # that a module's taxels can have
+
+
+class Suspect(IntEnum):
+    """What a doubt is about."""
+
+    NONE = 0
+    SCALE = 1
+    MOUNT = 2
+    MODULES = 3
+
+
+@dataclass(slots=True)
+class CalibrationDoubt:
+    """What the last touches say of the calibration; the figures are offsets from it."""
+
+    suspect: Suspect = Suspect.NONE
+    raised: int = 0  # times, since start
+    nats: float = 0.0  # by which touches are likelier so, the one that gains most left out
+    touches: int = 0  # that the figures rest on
+    scale: float = 1.0  # factor on all readings
+    mount_x_m: float = 0.0
+    mount_y_m: float = 0.0
+    mount_yaw_rad: float = 0.0
+
+
+class CalibrationCheck:
+    """Follows the touches of one belief."""
+
+    def __init__(
+        self, model: ObservationModel, config: FilterConfig, doubt: CalibrationDoubt
+    ) -> None:
+        """`doubt` is kept up to date."""
+        self.doubt = doubt
+        noise = noise_of(config)
+        self._model, self._noise = model, noise
+        self._moves = config.motion != "none"  # touches are then not of one place
+        self._modules = _Modules(model, noise)
+        self._most = max(min(TOUCHES, ROOM // len(model.layout)), LEAST_TOUCHES + 1)
+        self._touches: list[Observation] = []
+        self._x = np.zeros(7)  # log scale, mount, and the object's pose from `_object`
+        self._right = np.zeros(7)  # the same, of a right calibration: the object's pose alone
+        self._object: Poses = np.zeros(3)  # where it was believed first
+        self._believed: Poses = np.zeros(3)  # and is now
+        self._contact = self._due = 0
+        self._strength = 0.0  # of the last touch: all that it reads
+        self._begun = False
+
+    def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> None:
+        """What was learned from, if anything, in the last of so many contacts, and what is believed
+        of the object's pose: (N, 3), the best first."""
+        if self._moves:
+            return
+        if used is not None and used.is_contact:
+            self._take(used, believed[:CANDIDATES], contacts)
+        elif self._due:
+            self._due -= 1
+            if self._due % 2:
+                self._right = self._better(self._right, ALONE)
+            else:
+                self._x = self._better(self._x, TOGETHER)
+            if not self._due:
+                self._judge()
+
+    def _take(self, used: Observation, believed: Poses, contacts: int) -> None:
+        strength = float(used.z.sum())
+        if used.z.max() < FELT:  # noise and foam's residue touch lightly, and tell nothing
+            return
+        if contacts == self._contact and self._touches:
+            if strength < self._strength:  # of a contact its strongest scan counts
+                return
+            self._touches.pop()
+        self._strength = strength
+        self._contact = contacts
+        self._touches = [*self._touches, used][-self._most :]
+        if len(self._touches) >= LEAST_TOUCHES:
+            self._begin(believed)
+            self._due = 2 * ITERATIONS
+
+    def _begin(self, believed: Poses) -> None:
+        """Go on from where the last fits ended, or from what is believed now, if that is better."""
+        if not self._begun:
+            self._begun, self._object = True, believed[0].copy()
+        self._believed = believed[0]
+        apart = believed - self._object
+        apart[:, 2] = se2.wrap(apart[:, 2])
+        tried = np.zeros((len(SCALES), len(apart), 7))
+        tried[..., 0] = SCALES[:, None]
+        tried[..., 4:7] = apart
+        there = np.concatenate([np.zeros(4), self._x[4:7]])
+        flat = np.vstack([self._x, self._right, there, tried.reshape(-1, 7)])
+        cost = self._cost(flat)
+        self._x = flat[cost.argmin()]
+        right = np.flatnonzero((flat[:, :4] == 0.0).all(axis=1))
+        self._right = flat[right[cost[right].argmin()]]
+
+    def _better(self, x: Floats, free: Index) -> Floats:
+        """One step of Gauss-Newton of the `free` on robust residuals, where it makes things
+        better."""
+        residual, jacobian, weight, now = self._linear(x)
+        jacobian, prior = jacobian[:, free], PRIOR_SD[free] ** -2.0
+        normal = (jacobian.T * weight) @ jacobian + np.diag(prior)
+        slope = jacobian.T @ (weight * residual) - x[free] * prior
+        tried = np.repeat(x[None], len(SHARES), axis=0)
+        tried[:, free] += SHARES[:, None] * np.linalg.solve(normal, slope)
+        cost = self._cost(tried)
+        return np.asarray(tried[cost.argmin()] if cost.min() < now else x)
+
+    def _cost(self, x: Floats) -> Floats:
+        """(N,) of candidates (N, 7)."""
+        return np.asarray(self._costs(x).sum(axis=1) + _prior(x))
+
+    def _costs(self, x: Floats) -> Floats:
+        """(N, K) nats of candidates (N, 7), touch by touch: of all that was read or should have
+        been."""
+        n, k = len(x), len(self._touches)
+        h = self._model.activation(self._seen(x).reshape(-1, 3)).reshape(n, k, -1)
+        return self._nats(np.exp(x[:, 0])[:, None, None] * h, *self._read())
+
+    def _nats(self, expected: Floats, z: Floats, live: Bools, floor: Floats) -> Floats:
+        """(…, K) of readings (K, M) where such (…, K, M) are expected."""
+        e = (z - expected) / self._sd(expected)
+        e = np.where(_is_told(z, expected, floor) & live, e, 0.0)
+        cost = 0.5 * (FREEDOM + 1.0) * np.log1p(e * e / FREEDOM).sum(axis=-1)
+        return np.asarray(
+            np.minimum(cost, TOUCH_MOST) + BEYOND * np.maximum(cost - TOUCH_MOST, 0.0)
+        )
+
+    def _read(self) -> tuple[Floats, Bools, Floats]:
+        """(K, M) activations, which live, and floors."""
+        z = np.array([touch.z for touch in self._touches])
+        live = np.array([touch.live for touch in self._touches])
+        floor = np.array([np.broadcast_to(touch.floor, z.shape[1]) for touch in self._touches])
+        return z, live, floor
+
+    def _sd(self, expected: Floats) -> Floats:
+        """Of a reading, its taxel's own response included."""
+        within = np.minimum(expected, 1.0)
+        own = ONSET_SD * deviation(within)
+        return np.sqrt(self._noise.variance(within) + own * own)
+
+    def _linear(self, x: Floats) -> tuple[Floats, Floats, Floats, float]:
+        """Residuals (R,), their slopes (R, 7) and weights (R,), in standard deviations; and the
+        cost of x."""
+        model = self._model
+        q = self._seen(x[None])[0]
+        factor = np.exp(x[0])
+        near = np.concatenate([q, *(q + step for step in np.diag(STEP))])
+        h, *ahead = model.activation(near).reshape(4, len(q), -1)
+        by_pose = factor * (np.stack(ahead) - h) / STEP[:, None, None]
+        z, live, floor = self._read()
+        expected = factor * h
+        cost = float(self._nats(expected, z, live, floor).sum() + _prior(x[None])[0])
+        told = live & (h > 0.0) & _is_told(z, expected, floor)
+        sd = self._sd(expected)
+        e = ((z - expected) / sd)[told]
+        moves = np.eye(7)[1:] * 1e-6
+        gap = self._seen(x + moves) - q
+        gap[..., 2] = se2.wrap(gap[..., 2])
+        slopes = np.einsum("ckm,nkc->nkm", by_pose, gap / 1e-6)
+        jacobian = np.vstack([expected[None], slopes])[:, told].T / sd[told][:, None]
+        return e, jacobian, (FREEDOM + 1.0) / (FREEDOM + e * e), cost
+
+    def _seen(self, x: Floats) -> Poses:
+        """(N, K, 3) the object in the sensor's frame, by candidates (N, 7)."""
+        sensor = np.array([touch.sensor for touch in self._touches])
+        mounted = se2.compose(sensor[None], x[:, None, 1:4])
+        return se2.compose(se2.inverse(mounted), (self._object + x[:, 4:7])[:, None])
+
+    def _judge(self) -> None:
+        doubt, x = self.doubt, self._x
+        self._modules.take(self._touches[-1], self._seen(x[None])[0, -1])
+        right, best = self._costs(np.stack([self._right, x]))
+        better = right - best
+        doubt.touches, doubt.nats = len(better), float(better.sum() - better.max())
+        doubt.scale = float(np.exp(x[0]))
+        doubt.mount_x_m, doubt.mount_y_m, doubt.mount_yaw_rad = x[1:4].tolist()
+        before, doubt.suspect = doubt.suspect, self._suspect()
+        doubt.raised += doubt.suspect is not Suspect.NONE and before is Suspect.NONE
+
+    def _suspect(self) -> Suspect:
+        """What is wrong by much, if it is certain that something is."""
+        if self._modules.most_nats > SWAPPED_NATS:
+            return Suspect.MODULES
+        x = self._x
+        apart = self._believed[:2] - self._object[:2] - x[4:6]
+        if self.doubt.nats < CERTAIN_NATS or np.hypot(*apart) > MOVED_M:
+            return Suspect.NONE
+        if abs(x[0]) > SCALE_MOST:
+            return Suspect.SCALE
+        if self.doubt.nats < MOUNT_NATS:
+            return Suspect.NONE
+        off = np.hypot(x[1], x[2]) > MOUNT_MOST_M or abs(x[3]) > YAW_MOST
+        return Suspect.MOUNT if off else Suspect.NONE
+
+
+def _prior(x: Floats) -> Floats:
+    """(N,) nats of candidates (N, 7)."""
+    return np.asarray(0.5 * np.square(x / PRIOR_SD).sum(axis=1))
+
+
+def _is_told(z: Floats, expected: Floats, floor: Floats) -> Bools:
+    """Where a reading and what is expected can differ: not both beyond full scale, nor both too
+    light to be felt."""
+    saturated = (z >= 1.0) & (expected >= 1.0)
+    return np.asarray(~saturated & ~((z == 0.0) & (expected <= floor)))
+
+
+class _Modules:
+    """By how much the readings of each two modules would be likelier in each other's place."""
+
+    def __init__(self, model: ObservationModel, noise: Noise) -> None:
+        self._model, self._noise = model, noise
+        suis, module = np.unique(model.layout.uid >> 4, return_inverse=True)
+        self._place: Index = module * NAMES + (model.layout.uid & (NAMES - 1))
+        self._shape = len(suis), NAMES
+        self._has = self._spread(np.ones(len(module))) > 0.0
+        alike: Bools = (self._has[:, None] == self._has[None, :]).all(axis=2)
+        self._alike = alike & ~np.eye(len(suis), dtype=np.bool_)  # others cannot be swapped
+        self._gain = np.zeros(self._alike.shape)
+
+    @property
+    def most_nats(self) -> float:
+        return float(self._gain.max(initial=0.0))
+
+    def take(self, touch: Observation, seen: Poses) -> None:
+        """A touch, the object at a pose (3,) in the sensor's frame."""
+        z = self._spread(touch.z)
+        h = self._spread(self._model.activation(seen[None])[0])
+        live = self._spread(touch.live.astype(np.float64))
+        at = np.flatnonzero((z > 0.0).any(axis=1) | (h > 0.0).any(axis=1))
+        told = np.zeros(self._alike.shape)  # of the readings of column's module at row's place
+        told[at] = self._likely(z[None], h[at, None], live[None])
+        told[:, at] = self._likely(z[None, at], h[:, None], live[None, at])
+        own = np.diag(told)
+        gain = told + told.T - own[:, None] - own[None, :]
+        self._gain += np.where(self._alike, gain, 0.0)
+
+    def _likely(self, z: Floats, h: Floats, live: Floats) -> Floats:
+        return np.asarray((self._noise.log_density(z, h) * live).sum(axis=2))
+
+    def _spread(self, values: Floats) -> Floats:
+        """(M,) → (modules, NAMES), 0 where a module has no taxel of that name."""
+        spread = np.zeros(self._shape)
+        spread.ravel()[self._place] = values
+        return spread

@@ -1,0 +1,34 @@
+"""What a calibration changes in a configuration, and what is told of it."""
+
+from dataclasses import asdict, replace
+from typing import Any
+
+from taxeld.config.tables import Config, FilterConfig
+from taxeld.estimator.calibration_check import CalibrationDoubt
+from taxeld.skin.calibration import DAY_S, Calibration
+
+
+def calibrated(config: Config, calibration: Calibration | None) -> Config:
+    """The configuration with what was measured in place of defaults: full scale, and the filter's
+    noise and gain spread where the user has set no other."""
+    if calibration is None:
+        return config
+    usual, own = FilterConfig(), config.filter
+    measured: dict[str, Any] = {}
+    if own.noise_sigma == usual.noise_sigma:
+        measured["noise_sigma"] = calibration.noise_sigma
+    if own.gain_cv == usual.gain_cv:
+        measured["gain_cv"] = calibration.gain_cv
+    skin = replace(config.skin, full_scale_counts=calibration.full_scale_counts)
+    return replace(config, skin=skin, filter=replace(own, **measured))
+
+
+def told(calibration: Calibration | None, doubt: CalibrationDoubt, now: float) -> dict[str, Any]:
+    """For health: whether one is in use, how old it is at the Unix time `now`, and what touches say
+    against it, or against what is configured in its place."""
+    return {
+        "used": calibration is not None,
+        "age_s": 0.0 if calibration is None else calibration.age_days(now) * DAY_S,
+        **asdict(doubt),
+        "suspect": int(doubt.suspect),
+    }

@@ -1,0 +1,63 @@
+"""The presses of a calibration: round the object, with every side of the skin, held still.
+
+What a guided user is asked for, as a robot would do it: press after press on the next side of the
+object, the skin turned so that each press is felt by another stretch of it.
+"""
+
+import numpy as np
+
+from taxeld.arrays import Poses
+from taxeld.model import se2
+from taxeld.model.observation import ObservationModel
+from taxeld_hil.world import robot
+from taxeld_hil.world.robot import RobotPath
+from taxeld_hil.world.touches import Touch, Touches, Track
+
+GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # turns from one stretch of skin to the next: even at any count
+PRESS_MM = (3.4, 4.8)  # firm, but not beyond full depth
+SIDEWAYS = 0.35  # of the object's size, at most, an approach passes its centre by
+WAY_S = 1.2  # from one press to the next
+SLOW_FROM_M = 0.004
+IDLE_S = 20.0
+
+
+def plan(
+    model: ObservationModel, truth: Poses, seed: int, presses: int = 20, idle_s: float = IDLE_S
+) -> Touches:
+    """`idle_s` untouched, then so many presses of the object at `truth` (3,)."""
+    rng, scene = np.random.default_rng(seed), model.scene
+    centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
+    circle = scene.size + model.layout.radius_m + robot.STANDOFF_M
+    angle, skin = rng.uniform(-np.pi, np.pi, 2)
+    yaw = angle + np.pi - skin
+    track = Track(np.array([*_around(centre, circle, angle), yaw]))
+    track.go(track.poses[0][None], idle_s)
+    touches: list[Touch] = []
+    for k in range(presses):
+        before = angle
+        angle += 2.0 * np.pi / presses * rng.uniform(0.7, 1.3)
+        skin += 2.0 * np.pi * GOLDEN
+        yaw_to = yaw + se2.wrap(np.float64(angle + np.pi - skin - yaw))
+        span = PRESS_MM[1] - PRESS_MM[0]
+        for _ in range(robot.TRIES):
+            depth = 1e-3 * (PRESS_MM[0] + span * ((k * GOLDEN + 0.3 * rng.random()) % 1.0))
+            offset = rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
+            line = robot.approach(model, truth, centre, angle, offset, circle, depth, SLOW_FROM_M)
+            line = np.column_stack([line, np.full(3, yaw_to)])
+            if robot.strongest(model, truth, line[2]) > robot.TOUCH:
+                break
+        arc = np.linspace(before, angle, 2 + int(abs(angle - before) / robot.ARC_STEP_RAD))
+        way = np.column_stack([
+            *_around(centre, circle, arc).T, np.linspace(yaw, yaw_to, len(arc))
+        ])  # fmt: skip
+        track.go(np.vstack([way, line[:2]]), WAY_S)
+        touches.append(track.touch(line[2], is_light=False))
+        track.go(np.vstack([line[:1], way[-1:]]), 0.3)
+        yaw = yaw_to
+    track.go(track.poses[-1][None], 1.0)
+    return Touches(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
+
+
+def _around(centre: Poses, circle: float, angle: float | Poses) -> Poses:
+    """(…, 2)"""
+    return np.asarray(centre + circle * np.stack([np.cos(angle), np.sin(angle)], axis=-1))

@@ -1,0 +1,206 @@
+"""A calibration's file: written, read, refused in one line, and kept with sessions."""
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld.cli import main
+from taxeld.config.file import load
+from taxeld.config.tables import SkinConfig
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.service import calibration_file
+from taxeld.skin import state
+from taxeld.skin.calibration import DAY_S, Calibration
+from taxeld.source.recorder import Recorder
+from taxeld_protocol.frames import Frame
+
+NOW = 1_760_000_000.0
+OTHER = "cylinder:rows=5,columns=14,radius_m=0.04,pitch_m=0.015"
+
+
+def of(skin: Layout, **changed: object) -> Calibration:
+    rng, taxels = np.random.default_rng(0), len(skin)
+    usual = Calibration(
+        t=NOW, digest=state.digest(skin), object="box", presses=20, full_scale_depth_m=0.005,
+        full_scale_counts=18_432.1, full_scale_sd=0.02, bend=0.061, bend_sd=0.03,
+        mount=np.array([0.0012, -0.0007, 0.031]), mount_sd=np.array([1e-4, 1e-4, 2e-3]),
+        noise_sigma=0.045, gain_cv=0.11, gain=np.exp(0.15 * rng.standard_normal(taxels)),
+        gain_sd=rng.uniform(0.01, 0.17, taxels), onset=rng.standard_normal(taxels),
+        onset_sd=rng.uniform(0.1, 0.8, taxels), noise_counts=rng.uniform(5, 90, taxels),
+        frozen=np.arange(taxels) == 7,
+    )  # fmt: skip
+    return replace(usual, **changed)  # type: ignore[arg-type]
+
+
+def written(skin: Layout, place: Path, calibration: Calibration) -> Path:
+    place.write_text(calibration_file.dump(calibration, skin), encoding="utf-8")
+    return place
+
+
+def config_of(path: Path, **keys: object) -> SkinConfig:
+    return replace(SkinConfig(), calibration=str(path), **keys)  # type: ignore[arg-type]
+
+
+def test_what_is_written_is_read(skin: Layout, tmp_path: Path) -> None:
+    before = of(skin)
+    after = calibration_file.load(config_of(written(skin, tmp_path / "c", before)), skin, NOW)
+    assert after is not None
+    for name in Calibration.__dataclass_fields__:
+        expected = getattr(before, name)
+        if isinstance(expected, np.ndarray):
+            np.testing.assert_allclose(getattr(after, name), expected, atol=5e-3)
+        elif isinstance(expected, float):
+            assert getattr(after, name) == pytest.approx(expected, rel=1e-3)
+        else:
+            assert getattr(after, name) == expected
+
+
+def cut(text: str) -> str:
+    return text[: len(text) // 2]
+
+
+BAD: dict[str, tuple[Callable[[str], str], str]] = {
+    "truncated": (cut, "not TOML"),
+    "empty": (lambda _: "", "is required"),
+    "a number that is none": (
+        lambda text: text.replace("full_scale_counts = 18432.1", "full_scale_counts = nan"),
+        "full_scale_counts: must be a number",
+    ),
+    "an endless gain": (
+        lambda text: text.replace("gain = ", "gain = inf, onset_was = ", 1), "taxel[0]",
+    ),
+    "no mount": (lambda text: text[: text.index("[mount]")], "mount: is required"),
+    "a taxel too few": (
+        lambda text: text[: text.rindex("  {uid")] + text[text.index("]\n") :],
+        "is of another layout",
+    ),
+    "of a newer version": (
+        lambda text: text.replace("version = 1", "version = 2"), "is of version 2, not 1",
+    ),
+    "of another depth": (
+        lambda text: text.replace("full_scale_depth_m = 0.005", "full_scale_depth_m = 0.004"),
+        "is for skin.full_scale_depth_m = 0.004, not 0.005",
+    ),
+    "a list in place of a table": (
+        lambda text: text[: text.index("[mount]")] + "mount = [1, 2]\n", "mount",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_damaged_file_is_refused_in_one_line_with_the_cure(
+    name: str, skin: Layout, tmp_path: Path
+) -> None:
+    damage, what = BAD[name]
+    path = tmp_path / "c.toml"
+    path.write_text(damage(calibration_file.dump(of(skin), skin)), encoding="utf-8")
+    with pytest.raises(SetupError) as error:
+        calibration_file.load(config_of(path), skin, NOW)
+    message = str(error.value)
+    assert message.startswith("skin.calibration: c.toml")
+    assert what in message
+    assert "\n" not in message
+    assert message.endswith("; calibrate this skin (taxeld calibrate), or name its own file")
+
+
+def test_a_file_that_is_missing_or_no_text_is_refused(skin: Layout, tmp_path: Path) -> None:
+    (tmp_path / "noise").write_bytes(bytes(range(256)))
+    for name, what in (("nothing", "there is no"), (".", "there is no"), ("noise", "unreadable")):
+        with pytest.raises(SetupError, match=r"^skin\.calibration: ") as error:
+            calibration_file.load(config_of(tmp_path / name), skin, NOW)
+        assert what in str(error.value)
+
+
+def test_a_calibration_of_another_layout_is_refused_by_name(skin: Layout, tmp_path: Path) -> None:
+    other = layouts.load(OTHER)
+    path = written(other, tmp_path / "c.toml", of(other))
+    with pytest.raises(SetupError, match="is of another layout") as error:
+        calibration_file.load(config_of(path), skin, NOW)
+    assert state.digest(other) in str(error.value)
+    assert skin.name in str(error.value)
+
+
+def test_an_old_calibration_is_refused_with_its_age(skin: Layout, tmp_path: Path) -> None:
+    path = written(skin, tmp_path / "c.toml", of(skin))
+    config = config_of(path, calibration_max_age_days=30.0)
+    assert calibration_file.load(config, skin, NOW + 29 * DAY_S) is not None
+    with pytest.raises(SetupError, match=r"is 31 days old, more than skin\.calibration_max"):
+        calibration_file.load(config, skin, NOW + 31 * DAY_S)
+    with pytest.raises(SetupError, match="from 3 days ahead; set this machine's clock"):
+        calibration_file.load(config, skin, NOW - 3 * DAY_S)
+    assert calibration_file.load(config, skin, NOW - 3 * DAY_S, recorded=True) is not None
+
+
+def test_the_daemon_runs_without_a_calibration_only_if_told_to(
+    skin: Layout, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    config = config_of(tmp_path / "missing.toml", calibration_required=False)
+    with caplog.at_level(logging.WARNING):
+        assert calibration_file.load(config, skin, NOW) is None
+    assert "the daemon runs without it" in caplog.text
+
+
+def configured(place: Path, named: str) -> Path:
+    path = place / "config.toml"
+    path.write_text(
+        f'[skin]\ncalibration = "{named}"\n[source]\nkind = "can"\nchannel = "can0"\n'
+        f'interface = "virtual"\n[scene]\nbundle = "box"\n[publish]\n'
+        f'endpoints = ["ipc://{place}/s"]\n[control]\nendpoint = "ipc://{place}/c"\n',
+        encoding="utf-8",
+    )
+    return path
+
+
+def test_the_path_is_relative_to_the_configuration(skin: Layout, tmp_path: Path) -> None:
+    here = written(skin, tmp_path / "c.toml", of(skin))
+    assert load(configured(tmp_path, "c.toml")).skin.calibration == str(here)
+    assert load(configured(tmp_path, str(here))).skin.calibration == str(here)
+
+
+def test_check_refuses_what_run_would_refuse(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    skin = layouts.load(SkinConfig().layout)
+    path = configured(tmp_path, "c.toml")
+    assert main(["check", str(path)]) == 2
+    assert "skin.calibration: there is no file" in capsys.readouterr().err
+    written(skin, tmp_path / "c.toml", of(skin, t=time.time() - 400 * DAY_S))
+    assert main(["check", str(path)]) == 2
+    assert "is 400 days old" in capsys.readouterr().err
+    written(skin, tmp_path / "c.toml", of(skin, t=time.time()))
+    assert main(["check", str(path)]) == 0
+
+
+@pytest.mark.parametrize("named", ["c.toml", "skins/c.toml"])
+def test_a_recorded_session_has_its_calibration(skin: Layout, tmp_path: Path, named: str) -> None:
+    place = tmp_path / "robot"
+    (place / named).parent.mkdir(parents=True)
+    source = written(skin, place / named, of(skin))
+    config = configured(place, named)
+    session = tmp_path / "session"
+    calibration = Path(load(config).skin.calibration)
+    with Recorder(session, moves=False, config=config, calibration=calibration) as recorder:
+        recorder.take(Frame(NOW, 0x100, b"\x00" * 8))
+    assert (session / named).read_bytes() == source.read_bytes()
+    assert load(session / "config.toml").skin.calibration == str(session / named)
+
+
+def test_a_calibration_elsewhere_is_not_copied(skin: Layout, tmp_path: Path) -> None:
+    place = tmp_path / "robot"
+    place.mkdir()
+    written(skin, tmp_path / "c.toml", of(skin))
+    config = configured(place, "../c.toml")
+    session = tmp_path / "session"
+    calibration = Path(load(config).skin.calibration)
+    with Recorder(session, moves=False, config=config, calibration=calibration) as recorder:
+        recorder.take(Frame(NOW, 0x100, b"\x00" * 8))
+    assert sorted(p.name for p in session.iterdir()) == [
+        "config.toml", "frames.log", "session.toml",
+    ]  # fmt: skip

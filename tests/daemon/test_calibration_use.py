@@ -1,0 +1,116 @@
+"""A calibration in use: gains, response and full scale, frozen taxels, the mount, the noise."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taxeld.commands.status import lines
+from taxeld.config.file import parse
+from taxeld.config.tables import Config, FilterConfig, SkinConfig
+from taxeld.estimator.calibration_check import CalibrationDoubt, Suspect
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
+from taxeld.model.response import response
+from taxeld.pipeline.calibrated import calibrated, told
+from taxeld.pipeline.poses import PoseTrack
+from taxeld.skin.skin import Skin
+from tests.daemon.simulated_skin import SimulatedSkin
+from tests.daemon.test_calibration_file import NOW, of
+
+TEXT = '[scene]\nbundle = "box"\n[source]\nkind = "can"\nchannel = "can0"\n'
+
+
+def config_of(filter_keys: str = "") -> Config:
+    return parse(TEXT + f"[filter]\n{filter_keys}")
+
+
+def test_a_reading_becomes_the_depth_that_was_pressed(skin: Layout) -> None:
+    calibration = of(skin, frozen=np.zeros(len(skin), dtype=bool))
+    simulated = SimulatedSkin(skin, noise=0.0)
+    subject = Skin(skin, SkinConfig(), calibration=calibration)
+    simulated.run(subject, 3.0)
+    for depth in (0.2, 0.5, 0.8):
+        shape = response(np.full(len(skin), depth), calibration.bend, calibration.onset)
+        own = calibration.full_scale_counts * calibration.gain * shape
+        rising = shape > 0.1  # an onset that falls below is none of a real taxel
+        simulated.press = own
+        z = simulated.run(subject, 0.05).z
+        assert z[rising] == pytest.approx(depth, abs=0.03)
+        simulated.press = np.zeros(len(skin))
+        simulated.run(subject, 3.0)
+
+
+def test_without_a_calibration_a_reading_is_a_share_of_full_scale(skin: Layout) -> None:
+    simulated = SimulatedSkin(skin, noise=0.0)
+    subject = Skin(skin, SkinConfig())
+    simulated.run(subject, 3.0)
+    simulated.press = np.full(len(skin), 7000.0)
+    assert simulated.run(subject, 0.05).z == pytest.approx(0.35, abs=1e-3)
+
+
+def test_a_taxel_that_was_frozen_when_it_was_calibrated_is_not_believed(skin: Layout) -> None:
+    calibration = of(skin)
+    subject = Skin(skin, SkinConfig(), calibration=calibration)
+    activation = SimulatedSkin(skin, noise=0.3).run(subject, 3.0)
+    assert np.flatnonzero(~activation.live).tolist() == [7]
+    assert subject.faults()["stuck_taxels"] == [7]
+
+
+def test_thresholds_are_of_the_calibrations_noise_from_the_first_capture_on(skin: Layout) -> None:
+    calibration = of(skin, noise_counts=np.full(len(skin), 60.0))
+    subject = Skin(skin, SkinConfig(), calibration=calibration)
+    SimulatedSkin(skin, noise=30.0).run(subject, 1.3)
+    assert subject.threshold == pytest.approx(360.0, rel=0.02)
+
+
+def test_the_sensors_pose_is_the_robots_with_the_mount() -> None:
+    mount = np.array([0.01, -0.02, 0.3])
+    heard: list[tuple[float, ...]] = []
+    track = PoseTrack(1.0, on_pose=lambda *row: heard.append(row), mount=mount)
+    track.add(1.0, 0.1, 0.2, 0.5)
+    track.add(2.0, 0.1, 0.2, 0.5)
+    assert track.at(1.5) == pytest.approx(se2.compose(np.array([0.1, 0.2, 0.5]), mount))
+    assert heard[0] == (1.0, 0.1, 0.2, 0.5)  # what is recorded is what came
+    assert track.at(9.0) is None
+
+
+def test_measured_noise_takes_the_place_of_defaults_and_of_nothing_else(skin: Layout) -> None:
+    calibration, usual = of(skin), FilterConfig()
+    used = calibrated(config_of(), calibration)
+    assert (used.filter.noise_sigma, used.filter.gain_cv) == (0.045, 0.11)
+    assert used.skin.full_scale_counts == calibration.full_scale_counts
+    own = calibrated(config_of("noise_sigma = 0.07"), calibration)
+    assert (own.filter.noise_sigma, own.filter.gain_cv) == (0.07, 0.11)
+    assert calibrated(config_of(), None).filter == usual
+
+
+def test_status_tells_how_old_a_calibration_is_and_what_speaks_against_it(skin: Layout) -> None:
+    doubt = CalibrationDoubt()
+    fresh = told(of(skin), doubt, NOW + 2.5 * 86_400.0)
+    assert "2.5 days old" in _status(fresh)
+    assert "IN DOUBT" not in _status(fresh)
+    assert "none; full scale and mount are as configured" in _status(told(None, doubt, NOW))
+    wrong = replace(doubt, suspect=Suspect.SCALE, scale=0.41)
+    line = _status(told(of(skin), wrong, NOW))
+    assert "IN DOUBT: readings are 0.41 times what they should be; taxeld calibrate" in line
+    newer = told(of(skin), doubt, NOW) | {"suspect": 99}
+    assert "in doubt (by a newer daemon)" in _status(newer)
+
+
+def _status(calibration: dict[str, object]) -> str:
+    health = {
+        "uptime_s": 1.0, "loop": {"ticks": 1, "scans": 1, "overruns": 0, "own_overruns": 0},
+        "source": {"incomplete": 0, "frames": 1, "dropped": {}, "lost": 0, "unsent": 0},
+        "inputs": {"scans_stale": False, "poses_stale": False, "poses_malformed": 0,
+                   "poses_rejected": 0, "scans_without_pose": 0},
+        "over_budget": {}, "degraded": {}, "realtime": {"fifo": 0, "locked": False},
+        "dead_taxels": [], "lat_us": {}, "calibration": calibration,
+    }  # fmt: skip
+    pose = {"x": 0.0, "y": 0.0, "theta": 0.0}
+    estimate = {
+        "status": 1, "valid": False, "map": pose, "cov": np.eye(3).tolist(), "modes": [],
+        "contacts": 0, "contact": False, "age_us": 0.0, "particles": 1, "ess": 1.0, "proposal": 0,
+    }  # fmt: skip
+    found = list(lines({"estimate": estimate, "health": health, "waits_for": ""}))
+    return next(line for line in found if line.startswith("Calibration"))
