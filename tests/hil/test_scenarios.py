@@ -59,7 +59,6 @@ def test_a_shipped_scenario_passes_in_the_estimators_own_world(name: str) -> Non
     assert grade.figures["ledger"]["fates"]["scans"] > 100
 
 
-@pytest.mark.xfail(reason="what sags, couples and stays is taken for the object, and misleads")
 @pytest.mark.parametrize("skin", ["typical", "poor"])
 def test_shipped_scenarios_pass_on_a_soft_skin(skin: str) -> None:
     """On the fake clock."""
