@@ -115,7 +115,7 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
     assert set(health) == {
         "v", "seq", "t", "uptime_s", "loop", "over_budget", "degraded", "realtime", "source",
         "skin", "skin_state", "estimator", "inputs", "control", "recording", "subscribers",
-        "hoarders", "keys_refused", "lat_us", "drift", "dead_taxels", "stuck_taxels",
+        "hoarders", "keys_refused", "lat_us", "belief", "drift", "dead_taxels", "stuck_taxels",
         "saturated_taxels", "untared_taxels", "calibration",
     }  # fmt: skip
     assert health["source"]["frames"] == 0

@@ -22,10 +22,10 @@ FIXED = {
     "OPENBLAS_NUM_THREADS": "1",
 }
 DIGESTS = {
-    'proposal = "table"': "acef83c2a357803e",
-    'proposal = "manifold"\ninjection = "paper"': "c9531063bd1cfe10",
-    'proposal = "table"\nmotion = "push"': "1a8ff07d8ae7cadc",
-    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "52d25d9eb5dd4df3",
+    'proposal = "table"': "e2303376dc19f02f",
+    'proposal = "manifold"\ninjection = "paper"': "c543bb74fa1c2a50",
+    'proposal = "table"\nmotion = "push"': "f46dff63b66b3f90",
+    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "cf7bb5fc35a468b9",
 }
 
 

@@ -8,7 +8,7 @@ from taxeld.estimator import consistency, injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.counters import RuleCounters
-from taxeld.estimator.memory import Memory, Slack
+from taxeld.estimator.memory import Memory
 from taxeld.estimator.push import push
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
@@ -21,11 +21,10 @@ class Paper:
         self,
         model: ObservationModel,
         config: FilterConfig,
-        robot_m: float,
+        robot_m: float,  # noqa: ARG002  (the paper takes poses for exact)
         rng: np.random.Generator,
     ) -> None:
         self._model, self._config, self._rng = model, config, rng
-        self._slack = Slack(robot_m)
         self._noise = noise_of(config)
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0)
@@ -33,7 +32,7 @@ class Paper:
 
     @property
     def slack(self) -> float:
-        return self._slack.scale
+        return 0.0  # the paper takes poses for exact
 
     def follow(self, before: Observation, after: Observation) -> None:
         self.belief.pose, pushed = push(
@@ -54,7 +53,7 @@ class Paper:
     def update(self, observation: Observation, samples: Poses) -> float:
         """Learn from a scan and samples of it, without judging the result; → log evidence."""
         injection.paper(self.belief, samples)
-        memory = Memory(self._model, self._noise, slack=self._slack)
+        memory = Memory(self._model, self._noise)
         memory.add(observation)
         self.belief.remembered = memory.explain(self.belief.pose)
         evidence = pf.reweight(self.belief, self.belief.remembered[:, 0])
