@@ -17,7 +17,7 @@ SEEDS = 6
 def ends(
     given: Conditions, sigma_m: float = 0.001, nudge_m: float = 0.001
 ) -> list[tuple[float, float]]:
-    """Of trials with the shipped box: error [mm] after eight touches, and the scale of the slack."""
+    """Of trials with the box: error [mm] after eight touches, and the scale of the slack."""
     loaded = bundle.load("box", layouts.load(SKIN), 0.005)
     proposal = loaded.proposal("table")
     found = []
