@@ -26,6 +26,7 @@ def scenarios(path: Path) -> Iterator[str]:
         ("physics.md", "curves.json", curves.lines),
         ("physics.md", "physics.json", physics_experiment.lines),
         ("physics.md", "touches_before.json", touches),
+        ("physics.md", "touches_foam.json", touches),
         ("physics.md", "touches.json", touches),
         ("harness.md", "scenarios.json", scenarios),
     ],
