@@ -24,7 +24,7 @@ FIXED = {
 DIGESTS = {
     'proposal = "table"': "e2303376dc19f02f",
     'proposal = "manifold"\ninjection = "paper"': "c543bb74fa1c2a50",
-    'proposal = "table"\nmotion = "push"': "f46dff63b66b3f90",
+    'proposal = "table"\nmotion = "push"': "aa24f8a3c108258d",
     'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "cf7bb5fc35a468b9",
 }
 

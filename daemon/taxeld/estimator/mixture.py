@@ -39,7 +39,9 @@ class Mixture:
         rng: np.random.Generator,
     ) -> None:
         self._model, self._config, self._rng = model, config, rng
-        self._noise, self._slack = noise_of(config), Slack(robot_m, config.nudge_m)
+        self._noise, self._slack = noise_of(config), Slack()
+        if config.motion == "none":  # else the prior has room for what a push leaves unknown
+            self._slack = Slack(robot_m, config.nudge_m)
         self.memory = Memory(model, self._noise, slack=self._slack)
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene)
