@@ -103,6 +103,7 @@ def test_memory_that_nobody_sends_is_the_processs_own(sockets: Sockets, tmp_path
     greeted = sockets.keep(server.get_monitor_socket(zmq.EVENT_HANDSHAKE_SUCCEEDED))
     with hello(endpoint) as peer:
         assert greeted.poll(10_000), "until then it is sending"
+        time.sleep(0.3)  # the server's thread reads to the end after that event
         own = np.ones(2 * GROWTH_BYTES, np.uint8)
         hoard.look(1.0)
         hoard.look(1.0 + OWN_S)
