@@ -1,6 +1,7 @@
 """The fit of insole recordings: what a made-up recording was made of is found again."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from taxeld_hil.experiment import insole
 from taxeld_hil.scenario.mesh_config import TYPICAL
 from taxeld_hil.world.electronics import deviation, mean_response
 
-DATA = Path("/work/shared/data/insole")
-KEPT = Path(__file__).parent.parent.parent / "docs" / "results" / "insole.json"
+ROOT = Path(__file__).parents[2]
+DATA = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared")) / "data" / "insole"
+KEPT = ROOT / "docs" / "results" / "insole.json"
 TAXELS, LAG = 150, 20
 scipy_io = pytest.importorskip("scipy.io")
 

@@ -39,10 +39,10 @@ class Mixture:
         rng: np.random.Generator,
     ) -> None:
         self._model, self._config, self._rng = model, config, rng
-        self._noise, self._slack = noise_of(config), Slack()
-        if config.motion == "none":  # else the prior has room for what a push leaves unknown
-            self._slack = Slack(robot_m, config.nudge_m)
-        self.memory = Memory(model, self._noise, slack=self._slack)
+        self._noise = noise_of(config)
+        # of a pushed object the prior has room for what a push leaves unknown
+        slack = Slack(robot_m, config.nudge_m) if config.motion == "none" else Slack()
+        self.memory = Memory(model, self._noise, slack=slack)
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene)
         self._scale = self.confidence.metric.scale
@@ -51,7 +51,7 @@ class Mixture:
 
     @property
     def slack(self) -> float:
-        return self._slack.scale
+        return self.memory.slack.scale
 
     def follow(self, before: Observation, after: Observation) -> None:
         """What is remembered was read where the object no longer is: a prior stands for it."""
@@ -65,7 +65,7 @@ class Mixture:
         belief.pose = pose
         self.confidence.moved(belief)
         prior = Prior(metric, pose, belief.weight, self.confidence.summary.modes)
-        self.memory = Memory(self._model, self._noise, prior, self._slack)
+        self.memory = Memory(self._model, self._noise, prior, self.memory.slack)
         belief.remembered = self.memory.explain(pose)
 
     def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
@@ -99,7 +99,8 @@ class Mixture:
 
     def _age(self, number: int) -> None:
         """The object may have given way to a contact that begins."""
-        memory, belief, nudge_m = self.memory, self.belief, self._slack.nudge_m * self._slack.scale
+        memory, belief = self.memory, self.belief
+        nudge_m = memory.slack.nudge_m * memory.slack.scale
         if not nudge_m or not len(memory) or number <= memory.newest:
             return
         memory.newest = number
@@ -172,7 +173,7 @@ class Mixture:
         likeliest = max(gained, key=gained.__getitem__)
         if gained[likeliest] > SLACK_NATS:
             best = likeliest
-        memory.slack = self._slack = best
+        memory.slack = best
         if best is not now:
             remembered = memory.explain(belief.pose)
             pf.reweight(belief, (remembered - belief.remembered) @ share)
@@ -181,7 +182,7 @@ class Mixture:
 
     def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> None:
         """From the samples of a contact, or from nothing."""
-        self.memory = Memory(self._model, self._noise, slack=self._slack)
+        self.memory = Memory(self._model, self._noise, slack=self.memory.slack)
         self.belief = anew(self._config, self._rng)
         if len(samples):
             self.memory.add(observation, number)

@@ -91,6 +91,8 @@ def normal_cdf(x: Floats) -> Floats:
 BLOCK = 65_536  # points looked up at once: they stay in the cache
 BAND_M = 0.005  # that a pose or a sensor may be off, as far as a taxel beside a press is looked up
 
+NONE = np.empty(0)  # gradients where none are asked for
+
 Nearby: TypeAlias = tuple[NDArray[np.intp], Floats, Floats, Floats]
 
 
@@ -189,7 +191,7 @@ class ObservationModel:
         at = rows.take(row.take(kept // taxel.shape[1])) * len(self.layout) + taxel.take(kept)
         depth = depth.take(kept) / self.depth_max_m
         if not band_m:
-            return at, depth, depth, depth
+            return at, depth, NONE, NONE
         rate = -1.0 / (scene.cell * self.depth_max_m)
         gx = rate * ((b - a) * (1.0 - v) + (d - c) * v).take(kept)
         gy = rate * (high - low).take(kept)
