@@ -22,10 +22,10 @@ FIXED = {
     "OPENBLAS_NUM_THREADS": "1",
 }
 DIGESTS = {
-    'proposal = "table"': "e2303376dc19f02f",
-    'proposal = "manifold"\ninjection = "paper"': "c543bb74fa1c2a50",
-    'proposal = "table"\nmotion = "push"': "aa24f8a3c108258d",
-    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "cf7bb5fc35a468b9",
+    'proposal = "table"': "5636150065b1a024",
+    'proposal = "manifold"\ninjection = "paper"': "43da76a1d4bd4048",
+    'proposal = "table"\nmotion = "push"': "12785bc4568cbc74",
+    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "defeb6bbc939ff26",
 }
 
 
