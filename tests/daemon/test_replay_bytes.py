@@ -22,10 +22,10 @@ FIXED = {
     "OPENBLAS_NUM_THREADS": "1",
 }
 DIGESTS = {
-    'proposal = "table"': "5636150065b1a024",
+    'proposal = "table"': "9480e8fe05de4c7b",
     'proposal = "manifold"\ninjection = "paper"': "43da76a1d4bd4048",
-    'proposal = "table"\nmotion = "push"': "12785bc4568cbc74",
-    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "defeb6bbc939ff26",
+    'proposal = "table"\nmotion = "push"': "e5342987fc87054f",
+    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "cc8c1af114251c76",
 }
 
 

@@ -16,7 +16,6 @@ from taxeld.estimator.prior import Prior
 from taxeld.model.observation import Nearby, Noise, Observation, ObservationModel
 
 HIDDEN = 1.5  # standard deviations of its offset that a silent scan may be off
-LEAST_M2 = 1e-12  # variance of an offset: none at all
 LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # of a reading: the activations that may explain it best
 
 
@@ -54,9 +53,7 @@ class Memory:
         self._z = self._live = self._floor = self._residue = none
         self._level = none  # what is read, or the floor where that is 0
         self._low = self._high = none  # that a reading may be said to be above what is expected
-        self._root = (
-            none  # 1 / standard deviation about what is read, 0 where that pulls at no offset
-        )
+        self._root = none  # 1 / standard deviation about what is read, 0 where not live
         self._silent = none  # log p(z | h = 0): of a taxel that is not pressed
         self.number = np.empty(0, dtype=np.intp)  # (K,) of the contact; the last, where silent
         self.newest = 0  # number of the contact that began last
@@ -113,7 +110,7 @@ class Memory:
             "_level": np.where(z > 0.0, z, floor),
             "_low": np.where(z < 1.0, -np.inf, 0.0),
             "_high": np.where(z > 0.0, np.inf, 0.0),
-            "_root": live * z.any() / np.sqrt(self._noise.variance(z) + residue**2),
+            "_root": live / np.sqrt(self._noise.variance(z) + residue**2),
             "_silent": density[:, 0],
         }
         for name, values in kept.items():
@@ -163,46 +160,37 @@ class Memory:
         return self._explain(poses, len(self) - 1)[:, 0]
 
     def _explain(self, poses: Poses, since: int) -> Floats:
-        """Of scans from `since` on: (N, 3) → (N, K − since)."""
-        n = len(poses)
+        """Of scans from `since` on: (N, 3) → (N, K − since). Contacts have an offset each; a silent
+        scan tells of what presses deeper than its offset may have hidden."""
+        n, k = len(poses), len(self) - since
         variance = self.slack.variance(self.newest - self.number[since:])
-        if n and variance.any() and self.contact[since:].any():
-            met = self._met_about(poses, since, variance)
-        else:
-            met = self._met(poses, since, variance)
-        silent = self._silent[since:].sum(axis=1, dtype=np.float64)
-        return np.asarray((met.reshape(len(silent), n) + silent[:, None]).T)
-
-    def _met(self, poses: Poses, since: int, variance: Floats) -> Floats:
-        """What taxels that poses press add to log p of scans: (K − since · N,)."""
-        near = self._model.pressed_from(self._sensor[since:], poses)
-        cell = self._cell(near, since, len(poses))
-        depth = near.depth - self._hidden(near, since, variance, len(poses))
+        silent = self.silent[since:]
+        order = np.argsort(silent, kind="stable")  # contacts first
+        about = k - int(np.count_nonzero(silent)) if variance.any() else 0
+        near = self._model.pressed_from(self._sensor[since:][order], poses, about)
+        scan = order.take(near.row // max(n, 1))
+        cell = (scan + since) * len(self._model.layout) + near.taxel
+        depth, added, pairs = near.depth, np.zeros(k * n), len(near.gx)
+        if pairs:
+            offset = self._readings(near, cell).offset(np.repeat(variance[order[:about]], n))
+            depth[:pairs], added[: about * n] = offset
+        hidden = (HIDDEN / self._model.depth_max_m) * np.sqrt(variance)
+        depth[pairs:] -= hidden.astype(np.float32).take(scan[pairs:])
         gain = self._gain(cell, np.minimum(np.maximum(depth, 0.0), 1.0))
-        return np.asarray(np.bincount(near.row, gain, (len(self) - since) * len(poses)), np.float64)
+        explained = np.empty((n, k))
+        explained[:, order] = (np.bincount(near.row, gain, k * n) + added).reshape(k, n).T
+        explained += self._silent[since:].sum(axis=1, dtype=np.float64)
+        return explained
 
-    def _met_about(self, poses: Poses, since: int, variance: Floats) -> Floats:
-        """The same where each scan has an offset of its own. A silent scan pulls at none, and tells
-        of what presses deeper than its offset may have hidden."""
-        near = self._model.near_from(self._sensor[since:], poses)
-        cell = self._cell(near, since, len(poses))
+    def _readings(self, near: Nearby, cell: Index) -> Readings:
+        """Of taxels about a press, at these places in what is kept."""
+        pairs = len(near.gx)
+        cell = cell[:pairs]
         level, low, high, root = (
             kept.take(cell) for kept in (self._level, self._low, self._high, self._root)
         )
-        readings = Readings(near.row, level, low, high, near.depth, near.gx, near.gy, root)
-        depth, added = readings.offset(np.repeat(np.maximum(variance, LEAST_M2), len(poses)))
-        depth -= self._hidden(near, since, variance, len(poses))
-        gain = self._gain(cell, np.minimum(np.maximum(depth, 0.0), 1.0))
-        return np.asarray(np.bincount(near.row, gain, len(added)) + added)
-
-    def _cell(self, near: Nearby, since: int, poses: int) -> Index:
-        """Places in what is kept, (K, M), of taxels near a press."""
-        return (near.row // max(poses, 1) + since) * len(self._model.layout) + near.taxel
-
-    def _hidden(self, near: Nearby, since: int, variance: Floats, poses: int) -> Grid:
-        """Depths [full scale] that a silent scan's offset may have hidden; 0 of other scans."""
-        hidden = self.silent[since:] * (HIDDEN / self._model.depth_max_m) * np.sqrt(variance)
-        return np.repeat(hidden.astype(np.float32), poses).take(near.row)
+        row, depth = near.row[:pairs], near.depth[:pairs]
+        return Readings(row, level, low, high, depth, near.gx, near.gy, root)
 
     def _gain(self, cell: Index, h: Grid) -> Floats:
         """By how much readings at places in what is kept are likelier at h than untouched."""

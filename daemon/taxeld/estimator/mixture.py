@@ -75,19 +75,25 @@ class Mixture:
         in_doubt = self.confidence.doubt
         samples = drawn(draw, observation, self._wanted())
         log_evidence = yield from self._update(observation, samples, contacts)
+        if log_evidence is None:
+            return 0, 0.0
         contact = contacts if observation.is_contact else 0
         self.confidence.learned(
             self.belief, len(samples), contact, self.memory.contacts, in_doubt=in_doubt
         )
         return len(samples), log_evidence
 
-    def _update(self, observation: Observation, samples: Poses, number: int) -> Parts[float]:
+    def _update(self, observation: Observation, samples: Poses, number: int) -> Parts[float | None]:
         """Learn from a scan of the contact of this number, or a silent one after it, and samples of
-        it, without judging the result; → log evidence."""
+        it, without judging the result; → log evidence, None where nothing was learned."""
         self._age(number)
         before = self.memory.share
         self.memory.add(observation, number)
         newest = self.memory.explain_newest(self.belief.pose)
+        if not observation.is_contact and self._is_expected(newest):
+            self.memory = self.memory.only(np.arange(len(self.memory)) < len(self.memory) - 1)
+            self.confidence.doubt = False
+            return None
         remembered = np.column_stack([self.belief.remembered, newest])
         evidence = pf.reweight(
             self.belief, remembered @ self.memory.share - self.belief.remembered @ before
@@ -97,8 +103,15 @@ class Mixture:
             yield from self._begin_anew(observation, samples, number)
             return 0.0
         self.belief.remembered = remembered
-        yield from self._weigh(observation, samples, telling=bool(np.ptp(newest) >= TELLING))
+        yield from self._weigh(samples)
         return evidence
+
+    def _is_expected(self, newest: Floats) -> bool:
+        """Whether a silent scan, explained so by the particles (N,), parts none of them and refutes
+        none."""
+        refuting = self.memory.ceiling[-1] - newest.min() > consistency.MOST
+        lost = not np.isfinite(self.belief.log_weight.max())  # and must begin anew
+        return not (refuting or lost) and bool(np.ptp(newest) < TELLING)
 
     def _age(self, number: int) -> None:
         """The object may have given way to a contact that begins."""
@@ -141,12 +154,10 @@ class Mixture:
         size = config.particles_max if self.confidence.doubted else len(self.belief)
         return round(config.injected * max(size / config.particles, 1.0))
 
-    def _weigh(self, observation: Observation, samples: Poses, *, telling: bool) -> Parts[None]:
+    def _weigh(self, samples: Poses) -> Parts[None]:
         """Judge the newest scan, which the weights have taken, and change the particles by it."""
         confidence = self.confidence
         confidence.doubt = bool(consistency.excess(self.memory, self.belief)[-1] > 0.0)
-        if not observation.is_contact and not telling:
-            self._remember_only(np.arange(len(self.memory)) < len(self.memory) - 1)
         self._keep_to_size()
         if len(samples):
             yield from self._take(samples)

@@ -13,6 +13,7 @@ import numpy as np
 from taxeld.arrays import Floats, Grid, Index
 
 ITERATIONS = 2  # of Gauss and Newton: taxels come into touch, and leave it, once
+LEAST_M2 = 1e-12  # variance of an offset: none at all
 ROBUST = 3.0  # standard deviations from which a reading pulls no harder (Huber 1964)
 
 
@@ -39,7 +40,7 @@ class Readings:
         begins = np.flatnonzero(np.diff(self.row, prepend=-1))
         rows = self.row[begins]
         pairs = np.diff(begins, append=len(self.row))
-        precision = 1.0 / variance[rows]
+        precision = 1.0 / np.maximum(variance[rows], LEAST_M2)
         away = (self.level - self.depth) * self.root  # in standard deviations, at no offset
         slope = np.array([self.gx, self.gy])
         slope *= self.root

@@ -105,8 +105,8 @@ class Nearby(NamedTuple):
     row: Index  # sensor and pose that it is of
     taxel: Index
     depth: Grid  # as a share of full scale; below 0 where the taxel is not reached
-    gx: Grid  # by which the depth grows with the sensor's x in the object's frame [1/m]
-    gy: Grid
+    gx: Grid  # by which the depth grows with the sensor's x in the object's frame [1/m]: only of
+    gy: Grid  # those looked up about a press, which come first
 
 
 class ObservationModel:
@@ -128,23 +128,20 @@ class ObservationModel:
         self._offset = scene.slice_of(layout)[self._column] * scene.silhouette.size
         self._flat = scene.slices.ravel()
         farthest = float(np.hypot(*place.T).max()) + 1.5 * scene.cell
-        self._masks = {band: _masks(scene.silhouette, band, farthest) for band in (0.0, BAND_M)}
+        self._pressed = _touched(scene.silhouette, 0.0)
+        self._about = _touched(scene.silhouette, BAND_M)
+        self._reach: Bools = (scene.silhouette < farthest + BAND_M).ravel()
 
     def pressed(self, poses: Floats) -> tuple[Index, Grid]:
         """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into
         (N, M) and their h > 0."""
-        near = self._near(*axis_in_object(poses), -poses[:, 2], 0.0)
+        near = self._near(*axis_in_object(poses), -poses[:, 2], 0)
         return near.row * len(self.layout) + near.taxel, np.minimum(near.depth, 1.0)
 
-    def pressed_from(self, sensors: Floats, poses: Floats) -> Nearby:
-        """The same of sensors (K, 3) and objects (N, 3), both in the world; rows are of (K · N),
-        and there are no slopes."""
-        return self._near(*_in_object(sensors, poses), 0.0)
-
-    def near_from(self, sensors: Floats, poses: Floats) -> Nearby:
-        """Taxels that are pressed or lie within BAND_M of that, of sensors (K, 3) and objects
-        (N, 3), both in the world; rows are of (K · N)."""
-        return self._near(*_in_object(sensors, poses), BAND_M)
+    def pressed_from(self, sensors: Floats, poses: Floats, about: int = 0) -> Nearby:
+        """The same of sensors (K, 3) and objects (N, 3), both in the world; rows are of (K · N). Of
+        the first `about` sensors also the taxels within BAND_M of being pressed."""
+        return self._near(*_in_object(sensors, poses), about * len(poses))
 
     def activation(self, poses: Floats) -> Floats:
         """h: poses (N, 3) of the object in the sensor frame → (N, M) in 0..1."""
@@ -153,16 +150,15 @@ class ObservationModel:
         h.flat[at] = values
         return h
 
-    def _near(self, x: Floats, y: Floats, turn: Floats, band_m: float) -> Nearby:
-        """`near_from`, the sensor at (x, y) and turned by `turn`, in the object's frame: all (N,);
-        no slopes where `band_m` is 0."""
-        near, reach = self._masks[band_m]
+    def _near(self, x: Floats, y: Floats, turn: Floats, about: int) -> Nearby:
+        """`pressed_from`, the sensor at (x, y) and turned by `turn`, in the object's frame: all
+        (N,), of which the first `about` with the taxels about a press."""
         scene = self.scene
         x, y = (x - scene.origin[0]) / scene.cell, (y - scene.origin[1]) / scene.cell
-        reached = np.flatnonzero(reach.take(self._cell(x, y)))
+        reached = np.flatnonzero(self._reach.take(self._cell(x, y)))
         size = max(BLOCK // len(self._column), 1)
         blocks = [
-            self._look_up(rows, x.take(rows), y.take(rows), turn.take(rows), near, band_m)
+            self._look_up(rows, x.take(rows), y.take(rows), turn.take(rows), about)
             for rows in (reached[at : at + size] for at in range(0, max(len(reached), 1), size))
         ]
         if len(blocks) == 1:
@@ -177,17 +173,19 @@ class ObservationModel:
         row = np.minimum(np.maximum(v, 0.0), ny - 1.001).astype(np.int32)
         return np.asarray(row * nx + column, dtype=np.intp)
 
-    def _look_up(
-        self, rows: Index, x: Floats, y: Floats, turn: Floats, near: Bools, band_m: float
-    ) -> Nearby:
+    def _look_up(self, rows: Index, x: Floats, y: Floats, turn: Floats, about: int) -> Nearby:
         scene, most = self.scene, self._column.shape[1]
         ny, nx = scene.silhouette.shape
+        about = int(np.searchsorted(rows, about))
         cos, sin = np.cos(turn) / scene.cell, np.sin(turn) / scene.cell
         u: Grid = np.array([cos, -sin, x], np.float32).T @ self._places
         v: Grid = np.array([sin, cos, y], np.float32).T @ self._places
         cell = self._cell(u, v)
-        at = np.flatnonzero(near.take(cell))
+        near = self._pressed.take(cell)
+        near[:about] |= self._about.take(cell[:about])
+        at = np.flatnonzero(near)
         row, place = np.divmod(at, len(self._column))
+        about = int(np.searchsorted(row, about))
         u = np.minimum(np.maximum(u.take(at), 0.0), nx - 1.001)[:, None]
         v = np.minimum(np.maximum(v.take(at), 0.0), ny - 1.001)[:, None]
         u -= np.floor(u)
@@ -201,15 +199,20 @@ class ObservationModel:
         d10 -= d00  # along y
         d00 += d10 * v  # the distance itself
         taxel = self._column.take(place, axis=0)
-        kept = np.flatnonzero((d00 < band_m) & (taxel >= 0))
+        counts = taxel >= 0
+        counts[:about] &= d00[:about] < BAND_M
+        counts[about:] &= d00[about:] < 0.0
+        kept = np.flatnonzero(counts)
         row, taxel = rows.take(row.take(kept // most)), taxel.take(kept)
         depth = d00.take(kept) * (-1.0 / self.depth_max_m)
-        if not band_m:
+        if not about:
             return Nearby(row, taxel, depth, NONE, NONE)
-        rate = -1.0 / (scene.cell * self.depth_max_m)
+        kept = kept[: np.searchsorted(kept, about * most)]
+        d01, d11 = d01[:about], d11[:about]
         d11 -= d01
-        d11 *= v
+        d11 *= v[:about]
         d01 += d11
+        rate = -1.0 / (scene.cell * self.depth_max_m)
         return Nearby(row, taxel, depth, d01.take(kept) * rate, d10.take(kept) * rate)
 
 
@@ -221,15 +224,12 @@ def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
     return (c * x + s * y).ravel(), (c * y - s * x).ravel(), turn.ravel()
 
 
-def _masks(
-    silhouette: NDArray[np.float32], band_m: float, farthest_m: float
-) -> tuple[Bools, Bools]:
-    """Cells of the grid with a corner so near the object that a taxel there counts, and cells from
-    which a link's taxels reach those."""
+def _touched(silhouette: NDArray[np.float32], band_m: float) -> Bools:
+    """Cells of the grid with a corner so near the object that a taxel there counts."""
     inside = silhouette < band_m
     near = np.zeros_like(inside)
     near[:-1, :-1] = inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:]
-    return near.ravel(), (silhouette < farthest_m + band_m).ravel()
+    return near.ravel()
 
 
 def _padded(group: NDArray[np.intp], groups: int) -> NDArray[np.intp]:
