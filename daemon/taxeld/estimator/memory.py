@@ -173,7 +173,7 @@ class Memory:
         depth, added, pairs = near.depth, np.zeros(k * n), len(near.gx)
         if pairs:
             offset = self._readings(near, cell).offset(np.repeat(variance[order[:about]], n))
-            depth[:pairs], added[: about * n] = offset
+            depth[:pairs], added[: about * n], _ = offset
         hidden = (HIDDEN / self._model.depth_max_m) * np.sqrt(variance)
         depth[pairs:] -= hidden.astype(np.float32).take(scan[pairs:])
         gain = self._gain(cell, np.minimum(np.maximum(depth, 0.0), 1.0))

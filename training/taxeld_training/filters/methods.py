@@ -17,7 +17,11 @@ from taxeld_training.jobs.rows import GRID, SUCCESS_MM
 # what decides a filter's estimates in a trial; where it has particles, their samples as well
 ROOMS = ("taxeld.model", "taxeld.estimator", "taxeld_training.filters")
 DRAWN = ("taxeld.config.tables", "taxeld_training.models.dataset")
-GRIDS = ("taxeld_training.limits.grid_filter", "taxeld_training.limits.grid_cells")
+GRIDS = (
+    "taxeld_training.limits.grid_filter",
+    "taxeld_training.limits.grid_likelihood",
+    "taxeld_training.limits.grid_cells",
+)
 SAMPLES = ("taxeld.proposals",)
 
 NOISE = noise_of(FilterConfig())  # of the grid filter as well
