@@ -33,7 +33,7 @@ class Readings:
 
     def offset(self, variance: Floats) -> tuple[Grid, Floats, Floats]:
         """Of rows (R,) whose offsets have these variances [m²] → the depth (P,) there, log of what
-        the integral adds to the likelihood there (R,), and how large the best offset is (R,) [m]."""
+        the integral adds to the likelihood there (R,), and the length of the offset (R,) [m]."""
         added, size_m = np.zeros((2, len(variance)))
         if not len(self.row):
             return self.depth, added, size_m

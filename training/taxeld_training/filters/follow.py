@@ -7,21 +7,15 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Poses
-from taxeld.config.tables import FilterConfig, SensorPoseConfig
-from taxeld.estimator.counters import EstimatorCounters
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.intake import Intake
-from taxeld.estimator.memory import Slack
-from taxeld.estimator.news import News
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import SILENT_MM, add_m
-from taxeld_training.filters import methods, pusher
+from taxeld_training.filters import gridded, methods, pusher
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.pusher import PushedTrial
 from taxeld_training.filters.trials import Moment, Trial
-from taxeld_training.limits.grid_filter import GridFilter
 
 OWN_SEEDS = 2**31  # added to a trial's seed: a filter must not draw what its trial drew
 
@@ -43,20 +37,9 @@ def follow(
 
 
 def _follow_grid(trial: Trial, model: ObservationModel) -> list[TouchResult]:
-    """The same of the grid filter, which learns from the scans that the estimator learns from, as
-    the estimator sees them."""
-    slack = Slack(SensorPoseConfig().sigma_m, FilterConfig().nudge_m)
-    grid = GridFilter(model, methods.NOISE, slack)
-    intake, news = Intake(model, EstimatorCounters()), News(model.layout.radius_m)
+    """The same of the grid filter."""
     found = []
-    for _, moments in groupby(trial, key=lambda moment: moment.touch):
-        for moment in moments:
-            scan = intake.observation(moment.activation, moment.sensor)
-            if scan is None or not scan.live.any():
-                continue
-            new = news.on_scan(moment.activation.t, scan)
-            if new is not None:
-                grid.update(new, touched=new.is_contact, contact=news.contacts)
+    for moment, grid in gridded.after_touches(trial, model):
         peak = mean = meant = math.nan
         if len(grid):
             peak, mean, meant = _errors(trial, model, moment, *grid.estimate())

@@ -144,18 +144,21 @@ class GridFilter:
         if touched < SLACK_FROM or not (self.slack.robot_m or self.slack.nudge_m):
             return cells
         known = {self.slack.scale: cells}
+
+        def evidence(scale: float) -> float:
+            if scale not in known:
+                known[scale] = self._belief(replace(self.slack, scale=scale), tiled, newest)
+            return known[scale].log_evidence
+
         while True:
             now = self.slack.scale
             at = int(np.flatnonzero(now == SCALES)[0])
-            near = SCALES[max(at - 1, 0) : at + 2].tolist()
-            for scale in near:
-                if scale not in known:
-                    slack = replace(self.slack, scale=scale)
-                    known[scale] = self._belief(slack, tiled, newest)
-            best = max(near, key=lambda scale: known[scale].log_evidence)
-            if known[best].log_evidence - known[now].log_evidence <= SLACK_NATS:
+            near = (*SCALES[max(at - 1, 0) : at], *SCALES[at + 1 : at + 2])
+            # evidence has one peak: where a smaller scale is likelier, a larger one is not
+            better = next((float(n) for n in near if evidence(n) > evidence(now)), now)
+            if evidence(better) - evidence(now) <= SLACK_NATS:
                 return known[now]
-            self.slack = replace(self.slack, scale=best)
+            self.slack = replace(self.slack, scale=better)
 
     def _belief(self, slack: Slack, tiled: Scan, newest: int) -> Cells:
         """Of all scans, off by so much: from the poses that the tiled touch allows."""

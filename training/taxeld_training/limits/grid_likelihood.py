@@ -31,7 +31,7 @@ class Evidence(NamedTuple):
 
 
 class Pairs(NamedTuple):
-    """P pairs of a cell and a live taxel that some pose of the cell may press, in order of cells."""
+    """P pairs of a cell and a live taxel that some pose of it may press, in order of cells."""
 
     cell: NDArray[np.intp]  # (P,)
     taxel: NDArray[np.intp]  # (P,)
@@ -90,9 +90,7 @@ class CellLikelihood:
             for begin in range(0, len(near), BLOCK):
                 self._add_block(cells, near[begin : begin + BLOCK], each, taxel, silent)
 
-    def _near(
-        self, cells: Cells, sensor: Floats, taxel: Floats, band_m: float
-    ) -> NDArray[np.intp]:
+    def _near(self, cells: Cells, sensor: Floats, taxel: Floats, band_m: float) -> NDArray[np.intp]:
         """The cells of which some pose may press a taxel, or come within the band of it."""
         scene = self._model.scene
         c, s = np.cos(cells.mid[:, 2]), np.sin(cells.mid[:, 2])
@@ -183,9 +181,7 @@ class CellLikelihood:
         share = 3.0 * within / np.maximum(spread**2, 1e-30)
         return self._noise.log_of(z, off, variance), share / variance * _told(z, off)
 
-    def _pairs(
-        self, mid: Floats, edge: Floats, taxel: Floats, live: Bools, band_m: float
-    ) -> Pairs:
+    def _pairs(self, mid: Floats, edge: Floats, taxel: Floats, live: Bools, band_m: float) -> Pairs:
         """The pairs of n cells, midpoints (n, 3) and edges (n, 3, 3), and live taxels (M, 2)."""
         scene = self._model.scene
         reach = _reach_m(edge, float(np.hypot(*taxel.T).max())) + band_m
