@@ -1,10 +1,13 @@
 """The grid filter: its belief is the exact one, and the truth stays in it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 
 from taxeld.arrays import Poses
-from taxeld.estimator.memory import Memory
+from taxeld.estimator.memory import Memory, Slack
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2, symmetry
 from taxeld.model.observation import Noise, Observation, ObservationModel
@@ -234,3 +237,114 @@ def test_a_dead_taxels_reading_changes_nothing(model: ObservationModel) -> None:
     beliefs[1].update(Observation(SENSOR, np.where(live, z, 1.0), live), touched=True)
     assert beliefs[0].pose.tobytes() == beliefs[1].pose.tobytes()
     assert beliefs[0].weight.tobytes() == beliefs[1].weight.tobytes()
+
+
+def integrated(
+    model: ObservationModel, noise: Noise, scan: Observation, poses: Poses, sd_m: float
+) -> Poses:
+    """log p(scan | pose) of poses (N, 3) in the world by brute force: the sensor off by each of a
+    lattice of offsets, weighed as a normal distribution of `sd_m` has them. No linear step."""
+    at = np.linspace(-3.5, 3.5, 13)
+    density = np.exp(-0.5 * (at[:, None] ** 2 + at**2))
+    likely = []
+    for i, x in enumerate(at):
+        for k, y in enumerate(at):
+            if density[i, k] < 1e-4:
+                continue
+            sensor = scan.sensor + np.array([sd_m * x, sd_m * y, 0.0])
+            h = model.activation(se2.compose(se2.inverse(sensor), poses))
+            log_p = noise.log_density(scan.z, h, scan.floor, scan.residue) @ scan.live
+            likely.append(log_p + np.log(density[i, k] / density.sum()))
+    return np.asarray(logsumexp(likely, axis=0))
+
+
+def test_offsets_residues_floors_and_shares_count_as_by_brute_force(
+    model: ObservationModel,
+) -> None:
+    """Two scans of one contact and one of another, the sensor reported 3 mm off throughout each,
+    residues and floors on half of the taxels, silence in the end."""
+    noise, sd_m = Noise(sigma=0.15, gain_cv=0.4, outliers=0.1), 0.003
+    rng = np.random.default_rng(7)
+    first, other = contact_poses(model, 2, rng)
+    slid = se2.compose(np.array([0.0, 0.0, 0.15]), first)
+    half = np.arange(len(SKIN)) % 2 > 0
+    floor, residue = np.where(half, 0.3, 0.02), np.where(half, 0.0, 0.5)
+    scans = []
+    for contact, pose in ((1, first), (1, slid), (2, other)):
+        z = noise.draw(model.activation(pose[None])[0], rng)
+        z = np.where(z < floor, 0.0, z)
+        error = sd_m * np.array([*np.random.default_rng(contact).standard_normal(2), 0.0])
+        sensor = se2.compose(SENSOR, se2.inverse(pose)) + error
+        scans.append((contact, Observation(sensor, z, LIVE, floor, residue)))
+
+    def belief(slack_m: float = sd_m, *, residues: bool = True, shared: bool = True) -> Poses:
+        grid = GridFilter(model, noise, Slack(slack_m))
+        for k, (contact, scan) in enumerate(scans):
+            given = scan if residues else replace(scan, residue=0.0)
+            grid.update(given, touched=True, contact=contact if shared else k + 1)
+        return drawn(grid, 800)
+
+    low, high = model.scene.extent
+    axis = rng.uniform(low[:, None], high[:, None], (2, 60_000))
+    drawn_at = contacts.pose_of_axis(*axis, rng.uniform(-np.pi, np.pi, 60_000))
+    gap = contacts.clearance(model.scene, SKIN.radius_m, drawn_at)
+    drawn_at = drawn_at[(gap < 3.0 * sd_m) & (gap > -model.depth_max_m - 3.0 * sd_m)]
+    newest = max((scan for _, scan in scans), key=lambda scan: scan.z.sum())
+    poses = se2.compose(newest.sensor, drawn_at)
+    share = (0.5, 0.5, 1.0)
+    log_w = sum(
+        s * integrated(model, noise, scan, poses, sd_m)
+        for s, (_, scan) in zip(share, scans, strict=True)
+    )
+    w = np.exp(log_w - log_w.max())
+    w /= w.sum()
+    mem = Memory(model, noise, slack=Slack(sd_m))
+    for c, scan in scans:
+        mem.add(scan, c)
+    lap = mem.explain(poses)
+    bru = np.stack([integrated(model, noise, scan, poses, sd_m) for _, scan in scans], 1)
+    top = np.argsort(-log_w)[:2000]
+    print("ESS gap", (lap - bru)[top].mean(axis=0), (lap - bru)[top].std(axis=0))
+    lw = lap @ np.array(share)
+    wl = np.exp(lw - lw.max())
+    wl /= wl.sum()
+    c = poses[rng.choice(len(w), 800, p=wl)]
+    print(
+        "ESS laplace",
+        1 / np.sum(wl**2),
+        energy_distance(c, poses[rng.choice(len(w), 800, p=w)], 0.05),
+    )
+    grid = GridFilter(model, noise, Slack(sd_m))
+    for contact, scan in scans:
+        grid.update(scan, touched=True, contact=contact)
+    cells = grid._settled()
+    mids = grid.pose
+    at = mem.explain(mids) @ np.array(share)
+    print(
+        "ESS grid vs memory",
+        np.quantile(cells.log_likelihood - at, [0, 0.1, 0.5, 0.9, 1]),
+        np.average(cells.log_likelihood - at, weights=cells.weight),
+        len(cells),
+        1 / np.sum(cells.weight**2),
+        grid._first,
+    )
+    print("ESS laplace-grid", energy_distance(c, drawn(grid, 800), 0.05))
+    print(
+        "ESS",
+        poses.mean(0),
+        c.mean(0),
+        drawn(grid, 800).mean(0),
+        poses.std(0),
+        c.std(0),
+        drawn(grid, 800).std(0),
+    )
+    print("ESS", 1.0 / np.sum(w**2), len(w))
+    a, b = (poses[rng.choice(len(w), 800, p=w)] for _ in range(2))
+    for name, g in {
+        "full": belief(),
+        "no slack": belief(0.0),
+        "no residue": belief(residues=False),
+        "no share": belief(shared=False),
+    }.items():
+        print(name, energy_distance(g, a, 0.05), energy_distance(a, b, 0.05))
+    assert 0

@@ -1,6 +1,7 @@
 """A filter run through a trial: its estimate after each touch, compared with the truth."""
 
 import math
+from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
@@ -25,7 +26,7 @@ def follow(
 ) -> list[TouchResult]:
     """The result of each touch, of a method that assumes the object of `model`."""
     if proposal is None:
-        return _follow_grid(trial, model)
+        return _follow_grid(trial, model, method.touches)
     estimator = Estimator(model, proposal, method.config(OWN_SEEDS + trial.seed))
     found = []
     for _, moments in groupby(trial, key=lambda moment: moment.touch):
@@ -36,14 +37,17 @@ def follow(
     return found
 
 
-def _follow_grid(trial: Trial, model: ObservationModel) -> list[TouchResult]:
-    """The same of the grid filter."""
+def _follow_grid(
+    trial: Trial, model: ObservationModel, touches: Sequence[int]
+) -> list[TouchResult]:
+    """The same of the grid filter, which looks after some of the touches, or after each."""
     found = []
     for moment, grid in gridded.after_touches(trial, model):
         peak = mean = meant = math.nan
-        if len(grid):
+        size = len(grid) if not touches or moment.touch + 1 in touches else 0
+        if size:
             peak, mean, meant = _errors(trial, model, moment, *grid.estimate())
-        found.append(TouchResult(peak, mean, None, len(grid), meant))
+        found.append(TouchResult(peak, mean, None, size, meant))
     return found
 
 

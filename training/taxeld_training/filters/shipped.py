@@ -30,7 +30,10 @@ CONDITIONS = {
 }
 
 
-METHODS = {"default": SHIPPED, GRID: Method(GRID)}
+METHODS = {
+    "default": SHIPPED,
+    GRID: Method(GRID, touches=(4, 6, 8)),  # minutes a trial, if after each
+}
 
 
 def run(options: Options) -> list[Path]:
@@ -65,7 +68,7 @@ def run(options: Options) -> list[Path]:
         | _beside(found[cell], found.get(wanted[name, condition, "default"]), method, contact)
         for (name, condition, method), cell in wanted.items()
         if cell in found
-        for contact in range(1, cells.TOUCHES + 1)
+        for contact in cell.method.touches or range(1, cells.TOUCHES + 1)
     ]
     data = write(options, "shipped", rows)
     table = data.with_suffix(".md")
@@ -107,10 +110,14 @@ def _table(rows: Sequence[dict[str, Any]]) -> str:
         f"| object | condition | method | {' | '.join(str(k) for k in contacts)} |",
         "| --- " * (3 + len(contacts)) + "|",
     ]
-    of: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
+    of: dict[tuple[str, str, str], dict[int, str]] = {}
     for row in rows:
-        of.setdefault((row["object"], row["condition"], row["method"]), []).append(row)
-    lines += ["| " + " | ".join([*key, *map(_figures, mine)]) + " |" for key, mine in of.items()]
+        key = row["object"], row["condition"], row["method"]
+        of.setdefault(key, {})[row["contact"]] = _figures(row)
+    lines += [
+        "| " + " | ".join([*key, *(mine.get(k, "") for k in contacts)]) + " |"
+        for key, mine in of.items()
+    ]
     return "\n".join(lines) + "\n"
 
 

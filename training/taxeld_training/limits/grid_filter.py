@@ -16,16 +16,16 @@ import numpy as np
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import MODE_CANDIDATES, MODE_RADIUS_M, MODES_MAX
 from taxeld.estimator.memory import Slack
-from taxeld.estimator.mixture import SCALES, SLACK_FROM, SLACK_NATS
+from taxeld.estimator.mixture import SCALES, SLACK_FROM
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld_training.limits.grid_cells import Cells, tile
 from taxeld_training.limits.grid_likelihood import CellLikelihood, Evidence
 
-DROP_NATS = 20.0  # a cell whose best pose is this far below the belief no longer matters
+DROP_NATS = 14.0  # a cell whose best pose is this far below the belief no longer matters
 COARSE = 0.5  # information in a cell from which it is halved: an extent of 2.4 sd
-SHARE = 1e-4  # of the belief: a cell that cannot weigh more may stay coarse
+SHARE = 3e-4  # of the belief: a cell that cannot weigh more may stay coarse
 CELLS = 60_000  # so many are halved no further
 TOUCH_SIGMAS = 5.0  # a reading of so many σ is a touch: one of 3·10⁶ silent taxels reads as much
 PICKED = 32 * MODE_CANDIDATES  # poses that modes are sought among
@@ -57,8 +57,8 @@ class GridFilter:
         cells: int = CELLS,
         coarse: float = COARSE,
     ) -> None:
-        """`slack`: by how much scans may be off, as the estimator begins with; none at all if it
-        is not given."""
+        """`slack`: by how much scans may be off, as the estimator has it; none at all if it is not
+        given."""
         self.metric = PoseMetric(model.scene)
         self.slack = slack or Slack()
         self._model = model
@@ -67,6 +67,7 @@ class GridFilter:
         self._most = cells
         self._coarse = coarse
         self._scans: list[Scan] = []
+        self._scale = 0  # of SCALES, the likeliest so far; the least has the fewest cells
         self._weighed = 0  # scans that the cells have taken
         self._first = se2.IDENTITY  # the sensor's pose at the touch that is tiled
         self._cells = Cells.unweighed(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0))
@@ -138,27 +139,24 @@ class GridFilter:
         return self._cells
 
     def _chosen(self, tiled: Scan, newest: int, touched: int) -> Cells:
-        """The belief of the likeliest slack, uphill from the last one, once enough contacts tell;
-        it becomes the slack of what follows."""
-        cells = self._belief(self.slack, tiled, newest)
+        """The belief of the likeliest slack, uphill from the last one, once enough contacts tell.
+        Evidence has one peak over its scale."""
         if touched < SLACK_FROM or not (self.slack.robot_m or self.slack.nudge_m):
-            return cells
-        known = {self.slack.scale: cells}
+            return self._belief(self.slack, tiled, newest)
+        known: dict[int, Cells] = {}
 
-        def evidence(scale: float) -> float:
-            if scale not in known:
-                known[scale] = self._belief(replace(self.slack, scale=scale), tiled, newest)
-            return known[scale].log_evidence
+        def evidence(at: int) -> float:
+            if at not in known:
+                slack = replace(self.slack, scale=float(SCALES[at]))
+                known[at] = self._belief(slack, tiled, newest)
+            return known[at].log_evidence
 
         while True:
-            now = self.slack.scale
-            at = int(np.flatnonzero(now == SCALES)[0])
-            near = (*SCALES[max(at - 1, 0) : at], *SCALES[at + 1 : at + 2])
-            # evidence has one peak: where a smaller scale is likelier, a larger one is not
-            better = next((float(n) for n in near if evidence(n) > evidence(now)), now)
-            if evidence(better) - evidence(now) <= SLACK_NATS:
-                return known[now]
-            self.slack = replace(self.slack, scale=better)
+            near = [at for at in (self._scale - 1, self._scale + 1) if 0 <= at < len(SCALES)]
+            better = next((at for at in near if evidence(at) > evidence(self._scale)), None)
+            if better is None:
+                return known[self._scale]
+            self._scale = better
 
     def _belief(self, slack: Slack, tiled: Scan, newest: int) -> Cells:
         """Of all scans, off by so much: from the poses that the tiled touch allows."""
@@ -173,18 +171,25 @@ class GridFilter:
             for scan in self._scans
         ]
         own = next(e for e in evidence if e.scan is tiled.observation)
-        # what says most comes first
-        rest = sorted((e for e in evidence if e is not own), key=lambda e: not e.touched)
+        rest = [each for each in evidence if each.touched and each is not own]
         cells = tile(self._model, MARGIN_SD * float(np.sqrt(own.variance_m2)))
-        for each in (own, *rest):
-            self._likelihood.add(cells, [each], self._first)
-            if each.touched:
+        # what says most comes first, and what says little to the cells that are left
+        taken: list[Evidence] = []
+        for some in ([own, *rest], [each for each in evidence if not each.touched]):
+            for each in some:
+                self._likelihood.add(cells, [each], self._first)
                 cells = self._likely(cells)
-        return self._refined(cells, [own, *rest])
+            taken += some
+            cells = self._refined(cells, taken)
+        return cells
 
     def _likely(self, cells: Cells) -> Cells:
-        """Those of which some pose may weigh something."""
-        return cells[cells.log_likelihood_max >= cells.log_likelihood.max() - DROP_NATS]
+        """Those of which some pose may weigh something. The bar is what a cell has on the mean, or
+        a fine one at its best: a coarse one at its best promises more than it holds."""
+        fine = cells.information.max(axis=1) <= self._coarse
+        bar = cells.log_likelihood_max.max(initial=-np.inf, where=fine)
+        bar = max(bar, cells.log_likelihood.max())
+        return cells[cells.log_likelihood_max >= bar - DROP_NATS]
 
     def _refined(self, cells: Cells, evidence: Sequence[Evidence]) -> Cells:
         """Drop the cells that do not matter and halve those that are coarse and weigh much, until
