@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.errors import SetupError
 from taxeld_training.filters import cells
 from taxeld_training.filters.cells import COLUMNS, Cell, Results, setting_of
 from taxeld_training.filters.conditions import Conditions
@@ -47,11 +46,7 @@ def run(options: Options) -> list[Path]:
     for name in objects:
         meshes.find(name)
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    chosen = [name for name in options.groups if name != GRID] or list(CONDITIONS)
-    for name in chosen:
-        if name not in CONDITIONS:
-            known = ", ".join((*CONDITIONS, GRID))
-            raise SetupError(f"--groups: no '{name}' here; there are {known}")
+    chosen = cells.named(options.groups, CONDITIONS, beside=GRID)
     methods = {name: m for name, m in METHODS.items() if name != GRID or GRID in options.groups}
     wanted = {
         (name, condition, method): Cell(
