@@ -32,7 +32,7 @@ SCALES = np.log([0.4, 1.0, 2.5])  # to begin with
 SHARES = np.array([0.1, 0.3, 1.0])  # of a step, of which the best is taken
 FREEDOM = 4.0  # of the t distribution that residuals are weighed by
 ONSET_SD = 0.8  # of taxels' responses, as shares of `model.response.deviation` (docs/physics.md)
-MOVED_M = 0.02  # between fit and belief: what is believed is not what was fitted
+MOVED_M = 0.02  # between fit and belief, less of a smaller object: they mean different poses
 CANDIDATES = 3  # modes of the belief that a fit may begin with
 ALONE, TOGETHER = np.arange(4, 7), np.arange(7)  # what is free: the object's pose, or all
 SCALE_MOST = np.log(1.6)  # of the factor's logarithm: responses differ by up to a third in common
@@ -231,7 +231,7 @@ class CalibrationCheck:
             return Suspect.MODULES
         x = self._x
         apart = self._believed[:2] - self._object[:2] - x[4:6]
-        if self.doubt.nats < CERTAIN_NATS or np.hypot(*apart) > MOVED_M:
+        if self.doubt.nats < CERTAIN_NATS or np.hypot(*apart) > self._moved_m:
             return Suspect.NONE
         if abs(x[0]) > SCALE_MOST:
             return Suspect.SCALE

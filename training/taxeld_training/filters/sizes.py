@@ -31,15 +31,19 @@ METHOD = replace(SHIPPED, proposal="table")
 class Lengths:
     """Of an object and a skin."""
 
-    across_m: float = 0.0  # of the object; 0: as it is
+    across_m: float = 0.0  # the object's larger side from above; 0: as it is
     radius_m: float = 0.04
     pitch_m: float = 0.015
     columns: int = COLUMNS
     depth_max_m: float = DEPTH_MAX_M
+    all: float = 1.0  # times each of these: the same world, seen from nearer or farther
 
     def of(self, name: str) -> Setting:
-        skin = ring(self.columns, self.radius_m, self.pitch_m)
-        return Sized(name, skin, self.columns, across_m=self.across_m, depth_max_m=self.depth_max_m)
+        scale = self.all
+        if self.across_m:
+            scale *= self.across_m / float(meshes.load(meshes.find(name)[0]).extents[:2].max())
+        skin = ring(self.columns, self.all * self.radius_m, self.all * self.pitch_m)
+        return Sized(name, skin, self.columns, scale=scale, depth_max_m=self.all * self.depth_max_m)
 
 
 def _even(pitch_m: float) -> Lengths:
@@ -51,6 +55,8 @@ CASES = {
     "usual": Lengths(),
     "object 30 mm": Lengths(across_m=0.03),
     "object 300 mm": Lengths(across_m=0.3),
+    "all by 1/4": Lengths(all=0.25),
+    "all by 2": Lengths(all=2.0),
     "radius 20 mm": Lengths(radius_m=0.02),
     "radius 80 mm": Lengths(radius_m=0.08),
     "depth 2 mm": Lengths(depth_max_m=0.002),

@@ -46,26 +46,25 @@ class Sized(Setting):
     """An object made larger or smaller, and touched at a height as much higher or lower, on a skin
     of another full scale."""
 
-    across_m: float = 0.0  # its larger side from above; 0: as it is
+    scale: float = 1.0
     depth_max_m: float = DEPTH_MAX_M
 
     @property
     def name(self) -> str:
-        size = f"{1e3 * self.across_m:g}mm" if self.across_m else ""
+        size = f"x{self.scale:.4g}" if self.scale != 1.0 else ""
         depth = f"deep{1e3 * self.depth_max_m:g}" if self.depth_max_m != DEPTH_MAX_M else ""
         skin = self.skin.replace(":", "-").replace(",", "-").replace("=", "")
         return "-".join(part for part in (Path(self.object).stem, size, depth, skin) if part)
 
     @property
     def is_as_shipped(self) -> bool:
-        return not self.across_m and self.depth_max_m == DEPTH_MAX_M
+        return self.scale == 1.0 and self.depth_max_m == DEPTH_MAX_M
 
     def model(self) -> ObservationModel:
         skin = layouts.load(self.skin)
         mesh = meshes.load(meshes.find(self.object)[0])
-        scale = self.across_m / float(mesh.extents[:2].max()) if self.across_m else 1.0
-        mesh.apply_scale(scale)
-        scene = scenes.build(mesh, skin, scale * HEIGHT_M)
+        mesh.apply_scale(self.scale)
+        scene = scenes.build(mesh, skin, self.scale * HEIGHT_M)
         return ObservationModel(scene, skin, self.depth_max_m)
 
 
