@@ -19,6 +19,7 @@ from taxeld.estimator.rule import noise_of
 from taxeld.model import se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.response import deviation
+from taxeld.model.symmetry import USUAL_RADIUS_M
 
 TOUCHES = 16  # that are explained together, at most; of a large skin fewer
 LEAST_TOUCHES = 5
@@ -80,6 +81,7 @@ class CalibrationCheck:
         self._model, self._noise = model, noise
         self._moves = config.motion != "none"  # touches are then not of one place
         self._modules = _Modules(model, noise)
+        self._moved_m = MOVED_M * min(model.scene.mean_radius / USUAL_RADIUS_M, 1.0)
         self._most = max(min(TOUCHES, ROOM // len(model.layout)), LEAST_TOUCHES + 1)
         self._touches: list[Observation] = []
         self._x = np.zeros(7)  # log scale, mount, and the object's pose from `_object`
