@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
-from taxeld.estimator.memory import HIDDEN
-from taxeld.estimator.offsets import Readings
+from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.model import se2
 from taxeld.model.observation import BAND_M, Noise, Observation, ObservationModel, normal_cdf
 from taxeld_training.limits.grid_cells import Cells
