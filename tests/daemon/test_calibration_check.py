@@ -1,7 +1,5 @@
 """Touches are held against the calibration: what is wrong is named, and what is right is not."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ from taxeld.estimator.calibration_check import (
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.activation import FLOOR
-from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.observation import Observation
 from taxeld.proposals import bundle
 from tests.daemon.pressed_skin import PLACED, PressedSkin
 
@@ -29,24 +27,21 @@ GAIN_CV, SIGMA = 0.15, 0.03
 class Touching:
     """A skin with gains of its own that touches, and a belief that is right of the object."""
 
-    def __init__(self, seed: int, model: ObservationModel = MODEL, scale: float = 1.0) -> None:
-        """`scale`: of the model's lengths, to those of the box."""
-        self.model = model
+    def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
         self.gain = 1.0 + GAIN_CV * self.rng.standard_normal(len(SKIN))
         self.doubt = CalibrationDoubt()
-        self.check = CalibrationCheck(model, FilterConfig(), self.doubt)
-        lengths = np.array([scale, scale, 1.0])
-        self.sensor = lengths * PressedSkin.drawn(MODEL, seed, presses=16).sensor
+        self.check = CalibrationCheck(MODEL, FilterConfig(), self.doubt)
+        self.sensor = PressedSkin.drawn(MODEL, seed, presses=16).sensor
         self.order = np.arange(len(SKIN))
         self.contacts = 0
-        self.placed = self.believed = lengths * PLACED
+        self.placed = self.believed = PLACED
 
     def touch(self, factor: float = 1.0, mount: Poses = se2.IDENTITY) -> None:
         """The next touch, and the scans after it; the daemon believes in a mount of zero."""
         sensor = self.sensor[self.contacts]
         self.contacts += 1
-        h = self.model.activation(se2.compose(se2.inverse(sensor), self.placed)[None])[0]
+        h = MODEL.activation(se2.compose(se2.inverse(sensor), self.placed)[None])[0]
         noise = SIGMA * self.rng.standard_normal(len(h))
         z = np.where(h > 0.0, np.clip(factor * self.gain * h + noise, 0.0, 1.0), 0.0)[self.order]
         z = np.where(z < FLOOR, 0.0, z)
@@ -127,35 +122,6 @@ def test_an_object_that_was_moved_is_no_wrong_calibration(
     assert touching.touches(2) is Suspect.NONE  # the belief has not followed yet
     touching.believed = touching.placed
     assert touching.touches(8) is Suspect.NONE
-
-
-def smaller(scale: float) -> ObservationModel:
-    """The box, its skin and its full scale, all by so much."""
-    scene = MODEL.scene
-    lengths = ("slices", "silhouette", "heights", "origin", "outline", "surface", "centre")
-    made = replace(
-        scene,
-        cell=scale * scene.cell,
-        **{
-            name: (scale * getattr(scene, name)).astype(getattr(scene, name).dtype)
-            for name in lengths
-        },
-    )
-    skin = replace(SKIN, position_m=scale * SKIN.position_m, radius_m=scale * SKIN.radius_m)
-    return ObservationModel(made, skin, scale * MODEL.depth_max_m)
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_a_small_object_that_is_believed_elsewhere_says_nothing_of_the_calibration(
-    seed: int,
-) -> None:
-    """8 mm are much to an object of 40 mm, as 32 mm are to the box."""
-    for scale in (1.0, 0.25):
-        touching = Touching(seed, smaller(scale), scale)
-        assert touching.touches(8, factor=2.5) is Suspect.SCALE
-        elsewhere = Touching(seed, smaller(scale), scale)
-        elsewhere.believed = elsewhere.placed + np.array([0.0, 0.032 * scale, 0.0])
-        assert elsewhere.touches(8, factor=2.5) is Suspect.NONE
 
 
 def test_an_object_that_gives_way_is_not_judged_by() -> None:

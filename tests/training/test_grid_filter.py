@@ -133,8 +133,9 @@ def test_a_small_cell_has_the_likelihood_that_the_filters_memory_has(
     cells = Cells.unweighed(mid, np.tile(1e-8 * np.eye(3), (200, 1, 1)), np.zeros(200))
     CellLikelihood(model, NOISE).add(cells, evidence, SENSOR)
     expected = known.explain(se2.compose(SENSOR, poses)) @ known.share
-    assert np.allclose(cells.log_likelihood, expected, atol=0.02)
-    assert np.allclose(cells.log_likelihood_max, expected, atol=0.02)
+    # but for poses at which a taxel that reads is just at the end of the band
+    assert np.quantile(np.abs(cells.log_likelihood - expected), 0.98) < 0.002
+    assert np.quantile(np.abs(cells.log_likelihood_max - expected), 0.98) < 0.002
 
 
 def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel) -> None:
@@ -317,23 +318,22 @@ def test_offsets_residues_floors_and_shares_count_as_by_brute_force(
     strongest = max((scan for _, scan in scans), key=lambda scan: scan.z.sum())
     low, high = model.scene.extent
     found = []
-    for _ in range(4):
-        ax, ay = rng.uniform(low[:, None], high[:, None], (2, 60_000))
+    for _ in range(8):
+        ax, ay = rng.uniform(low[:, None], high[:, None], (2, 30_000))
         poses = contacts.pose_of_axis(ax, ay, rng.uniform(-np.pi, np.pi, 30_000))
         gap = contacts.clearance(model.scene, SKIN.radius_m, poses)
         poses = poses[(gap < 3.0 * sd_m) & (gap > -model.depth_max_m - 3.0 * sd_m)]
         found.append(se2.compose(strongest.sensor, poses))
     poses = np.concatenate(found)
     laplace = np.concatenate([known.explain(some) @ known.share for some in found])
-    poses = poses[laplace > laplace.max() - 15.0]
+    poses = poses[laplace > laplace.max() - 9.0]
     log_w = sum(
         share * integrated(model, noise, scan, poses, sd_m)
         for share, (_, scan) in zip((0.5, 0.5, 1.0), scans, strict=True)
     )
     w = np.exp(log_w - log_w.max())
     w /= w.sum()
-    print(len(w), 1.0 / np.sum(w**2))
-    exact, other = (poses[rng.choice(len(w), 800, p=w)] for _ in range(2))
+    exact = poses[rng.choice(len(w), 800, p=w)]
 
     def gap_of(slack_m: float = sd_m, *, residues: bool = True, shared: bool = True) -> float:
         grid = GridFilter(model, noise, Slack(slack_m))
@@ -343,13 +343,6 @@ def test_offsets_residues_floors_and_shares_count_as_by_brute_force(
         return energy_distance(drawn(grid, 800), exact, 0.05)
 
     gap = gap_of()
-    print(
-        gap,
-        energy_distance(exact, other, 0.05),
-        gap_of(0.0),
-        gap_of(residues=False),
-        gap_of(shared=False),
-    )
     assert gap < 0.01
     assert gap_of(0.0) > 2.0 * gap
     assert gap_of(residues=False) > 2.0 * gap

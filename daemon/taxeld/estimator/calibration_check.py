@@ -19,7 +19,6 @@ from taxeld.estimator.rule import noise_of
 from taxeld.model import se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.response import deviation
-from taxeld.model.symmetry import USUAL_RADIUS_M
 
 TOUCHES = 16  # that are explained together, at most; of a large skin fewer
 LEAST_TOUCHES = 5
@@ -33,7 +32,7 @@ SCALES = np.log([0.4, 1.0, 2.5])  # to begin with
 SHARES = np.array([0.1, 0.3, 1.0])  # of a step, of which the best is taken
 FREEDOM = 4.0  # of the t distribution that residuals are weighed by
 ONSET_SD = 0.8  # of taxels' responses, as shares of `model.response.deviation` (docs/physics.md)
-MOVED_M = 0.02  # between fit and belief, less of a smaller object: they mean different poses
+MOVED_M = 0.02  # between fit and belief: what is believed is not what was fitted
 CANDIDATES = 3  # modes of the belief that a fit may begin with
 ALONE, TOGETHER = np.arange(4, 7), np.arange(7)  # what is free: the object's pose, or all
 SCALE_MOST = np.log(1.6)  # of the factor's logarithm: responses differ by up to a third in common
@@ -81,7 +80,6 @@ class CalibrationCheck:
         self._model, self._noise = model, noise
         self._moves = config.motion != "none"  # touches are then not of one place
         self._modules = _Modules(model, noise)
-        self._moved_m = MOVED_M * min(model.scene.mean_radius / USUAL_RADIUS_M, 1.0)
         self._most = max(min(TOUCHES, ROOM // len(model.layout)), LEAST_TOUCHES + 1)
         self._touches: list[Observation] = []
         self._x = np.zeros(7)  # log scale, mount, and the object's pose from `_object`
@@ -233,7 +231,7 @@ class CalibrationCheck:
             return Suspect.MODULES
         x = self._x
         apart = self._believed[:2] - self._object[:2] - x[4:6]
-        if self.doubt.nats < CERTAIN_NATS or np.hypot(*apart) > self._moved_m:
+        if self.doubt.nats < CERTAIN_NATS or np.hypot(*apart) > MOVED_M:
             return Suspect.NONE
         if abs(x[0]) > SCALE_MOST:
             return Suspect.SCALE
