@@ -48,6 +48,18 @@ def shipped(setting: Setting) -> bundle.Bundle | None:
     return None
 
 
+def shipped_with(setting: Setting) -> bundle.Bundle:
+    """The same.
+
+    Raises:
+        SetupError: none is shipped.
+    """
+    found = shipped(setting)
+    if found is None:
+        raise SetupError(f"{setting.object}: no bundle of it is shipped for this skin")
+    return found
+
+
 @lru_cache(maxsize=8)
 def model_of(setting: Setting) -> ObservationModel:
     """The same instance each time: models are compared by identity."""
@@ -67,10 +79,7 @@ def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
         return ANALYTIC[name](model)
     if is_learned(name, setting):
         return Sampler.read(Path(file), model.layout, LEARNED[name].kind)
-    found = shipped(setting)
-    if found is None:
-        raise SetupError(f"{setting.object}: no bundle with a '{name}' is shipped")
-    return found.proposal(name)
+    return shipped_with(setting).proposal(name)
 
 
 def trainings(wanted: Iterable[Wanted], memory: Path) -> dict[Wanted, Job]:
