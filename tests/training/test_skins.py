@@ -33,8 +33,10 @@ def test_an_object_without_a_shipped_bundle_is_refused_in_one_line(
 ) -> None:
     arguments = ["evaluate", "skins", "--quick", "--objects", "061_foam_brick", "--workers", "1"]
     assert main([*arguments, "--out", str(tmp_path), "--memory", str(tmp_path / "memory")]) == 2
-    assert capsys.readouterr().err.strip().endswith(
-        "061_foam_brick: no bundle of it is shipped for this skin"
+    assert (
+        capsys.readouterr()
+        .err.strip()
+        .endswith("061_foam_brick: no bundle of it is shipped for this skin")
     )
 
 

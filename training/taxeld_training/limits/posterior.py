@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Floats, Poses, Reals
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import Noise, Observation
@@ -73,7 +73,7 @@ class ExactPosterior:
         return np.asarray(silent + np.bincount(self._row, gain, len(by)))
 
 
-def gains(noise: Noise, seen: Observation, at: NDArray[np.intp], h: Floats) -> tuple[float, Floats]:
+def gains(noise: Noise, seen: Observation, at: NDArray[np.intp], h: Reals) -> tuple[float, Floats]:
     """The log-likelihood of a reading where nothing is pressed, and what it gains (P,) by presses
     of taxels `at` (P,) as deep as h (P,)."""
     floor = np.broadcast_to(seen.floor, len(seen.z))
