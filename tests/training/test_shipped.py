@@ -63,7 +63,7 @@ def test_of_two_objects_both_readings_of_success_are_counted() -> None:
 
 
 def test_the_grid_stands_beside_the_default_on_the_trials_that_both_have() -> None:
-    right, wrong = (TouchResult(mm, mm, None, 100, mm) for mm in (1.0, 99.0))
+    right, wrong = (TouchResult(mm, mm, Status.AMBIGUOUS, 100, mm) for mm in (1.0, 99.0))
     default = {0: [right], 1: [wrong], 2: [wrong], 3: [wrong], 9: [wrong]}
     grid = {0: [wrong], 1: [right], 2: [right], 3: [wrong]}
     beside = shipped._beside(grid, default, GRID, 1)
