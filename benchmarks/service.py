@@ -134,6 +134,8 @@ class Case:
 class Measured:
     cpu_percent: float
     updates_hz: float
+    reached_p50_ms: float  # from a scan's last frame to the subscriber of its estimate
+    reached_p99_ms: float
     p50_ms: float
     p99_ms: float
     max_ms: float
@@ -155,19 +157,25 @@ def measure(case: Case, seconds: float, place: Path) -> Measured:
         closing(SlcanPort(Path(name) / "skin", lambda _: None)) as port,
         zmq.Context() as context,
         context.socket(zmq.PUB) as poses,
+        context.socket(zmq.SUB) as estimates,
     ):
         here = Path(name)
         poses.linger = 0
         poses.bind(f"ipc://{here}/poses")
+        estimates.linger = 0
+        estimates.subscribe(messages.ESTIMATE)
+        estimates.connect(f"ipc://{here}/stream")
         with _daemon(case, here) as (pid, ready):
-            robot = Robot(loaded, case.touched, hub, port, poses)
+            robot = Robot(loaded, case.touched, hub, port, poses, estimates)
             robot.serve_until(ready)
             start_cpu_s = _cpu_s(pid)
             with streams.connected(streams.CLIENTS["one subscriber of all"], str(here)):
                 robot.serve(SETTLE_S)
                 before = _health(here, robot)
                 cpu_s, resident_mb = _cpu_s(pid), _resident_mb(pid)
+                robot.reached_s.clear()
                 robot.serve(seconds)
+                reached_ms = 1e3 * np.array(robot.reached_s)
                 spent_s, grown_mb = _cpu_s(pid) - cpu_s, _resident_mb(pid) - resident_mb
                 after = _health(here, robot)
     total, loop = after["lat_us"]["total"], after["loop"]
@@ -177,6 +185,8 @@ def measure(case: Case, seconds: float, place: Path) -> Measured:
     return Measured(
         cpu_percent=100.0 * spent_s / seconds,
         updates_hz=updates / took_s,
+        reached_p50_ms=float(np.percentile(reached_ms, 50)),
+        reached_p99_ms=float(np.percentile(reached_ms, 99)),
         p50_ms=total["p50"] / 1e3,
         p99_ms=total["p99"] / 1e3,
         max_ms=total["max"] / 1e3,
@@ -199,7 +209,10 @@ class Robot:
         hub: VirtualIhb,
         port: SlcanPort,
         poses: zmq.Socket[bytes],
+        estimates: zmq.Socket[bytes],
     ) -> None:
+        self.reached_s: list[float] = []  # from a scan's last frame to its estimate, for each
+        self._estimates, self._sent_s, self._heard_t = estimates, 0.0, 0.0
         self._model, self._touched = loaded.model, touched
         self._hub, self._port, self._poses = hub, port, poses
         self._rng = np.random.default_rng(0)
@@ -225,7 +238,8 @@ class Robot:
             self._step()
 
     def _step(self) -> None:
-        select.select([self._port], [], [], 0.002)
+        select.select([self._port, self._estimates], [], [], 0.002)
+        self._hear()
         now, wall = time.monotonic(), time.time()
         for packet in self._port.take(wall):
             self._send(self._hub.answer(packet))
@@ -238,7 +252,16 @@ class Robot:
         if self._hub.due(now):
             counts = self._counts(np.array([*(self._towards * deeper_m), yaw]))
             self._send(self._hub.sensor_data(counts))
+            self._sent_s = time.monotonic()
         self._port.flush()
+
+    def _hear(self) -> None:
+        while int(self._estimates.getsockopt(zmq.EVENTS)) & zmq.POLLIN:
+            estimate = msgpack.unpackb(self._estimates.recv_multipart()[1])
+            if estimate["t"] > self._heard_t and self._sent_s:
+                self._heard_t = estimate["t"]
+                self.reached_s.append(time.monotonic() - self._sent_s)
+                self._sent_s = 0.0
 
     def _send(self, answers: Iterable[Answer]) -> None:
         for command, payload in answers:

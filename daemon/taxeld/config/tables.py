@@ -133,6 +133,11 @@ class SensorPoseConfig:
     endpoint: str = key("", doc="SUB endpoint of the robot; empty: the sensor stands still")
     max_age_s: float = key(0.2, between(0.001, 60), "a scan whose pose is older is not used")
     wait_s: float = key(0.02, between(0, 1), "a scan waits so long for a pose at or after its time")
+    extrapolate_s: float = key(
+        0.02,
+        between(0, 1),
+        "a scan so long after the last pose is placed by the speed of the last two; 0: it waits",
+    )
     sigma_m: float = key(
         0.001, between(0, 0.05), "sd of the sensor's place, the same throughout a touch"
     )
@@ -143,7 +148,9 @@ class SensorPoseConfig:
 
 @dataclass(frozen=True, slots=True)
 class LoopConfig:
-    rate_hz: float = key(100.0, between(1, 1000), "ticks and estimates a second")
+    rate_hz: float = key(
+        100.0, between(1, 1000), "a pass takes no longer than 1 / rate_hz, or it is counted"
+    )
     stale_s: float = key(0.5, between(0.01, 60), "without a scan for so long, not valid")
     priority: int = key(
         20, between(0, 99), "SCHED_FIFO, and memory locked, where permitted; 0: neither"
@@ -199,6 +206,9 @@ class FilterConfig:
 
 @dataclass(frozen=True, slots=True)
 class PublishConfig:
+    rate_hz: float = key(
+        20.0, between(0.1, 1000), "estimates a second while no scan brings one, at least"
+    )
     endpoints: tuple[str, ...] = key(("ipc:///run/taxeld/stream",), doc="XPUB endpoints, ipc alone")
 
 

@@ -138,8 +138,13 @@ class Ladder:
             self._each.took((self.clock() - self._done_ns) / (OVERHEAD + self._asked))
         self._asked = 0
 
-    def is_late(self) -> bool:
-        return self.clock() >= self.deadline_ns
+    def paused(self, ns: int) -> None:
+        """The filter was left for so long with the samples of the last call."""
+        self._done_ns += ns
+
+    def given_up(self) -> None:
+        """The filter will not be done with them."""
+        self._asked = 0
 
     def settle(self) -> None:
         """The warm-up is over: the costs so far are those at start, and counting begins."""

@@ -45,6 +45,9 @@ class SerialLine:
             self._port.close()
             raise busy(where)
 
+    def fileno(self) -> int:
+        return int(self._port.fileno())
+
     def put(self, unit: Unit) -> Unit | None:
         taken = self._write(unit.line)
         if not taken:
