@@ -39,7 +39,7 @@ CONFIG = (
     '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n[filter]\n'
     'proposal = "manifold"\n[skin]\nbaseline_scans = 5\n'
 )
-ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
+ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\nextrapolate_s = 0\n'
 TRUTH = np.array([0.02, -0.03, 0.4])
 HOUR_S = 3600.0
 START_S = 10_000.0

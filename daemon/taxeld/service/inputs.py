@@ -26,6 +26,7 @@ class Ready(NamedTuple):
     peers: bool = False
 
 
+NEVER_S = -1.0
 ALL = Ready(device=True, robot=True, peers=True)
 
 
@@ -37,7 +38,7 @@ class Inputs:
         self._epoll = select.epoll()
         self._device, self._robot = _Slot(self._epoll), _Slot(self._epoll)
         self._peers = tuple(peers)
-        self._looked_s = -1.0  # when peers had come; they are not waited for, until …
+        self._looked_s = NEVER_S  # when peers had come: so soon after that they do not wake it
         for number in self._peers:
             self._epoll.register(number, ONCE)
 
@@ -54,33 +55,28 @@ class Inputs:
             slot.enter(owner)
 
     def wait(self, until_s: float) -> Ready:
-        """Sleep until something comes, but no longer; `until_s` is monotonic."""
+        """Sleep until something comes, but no longer; `until_s` is monotonic.
+
+        Peers who come are looked at at once, and once more after PEERS_S, for what a look has left.
+        """
         if self._looked_s > 0.0:
             until_s = min(until_s, self._looked_s + PEERS_S)
         # not its own time-out, which is of whole milliseconds
         left_s = max(0.0, until_s - time.monotonic())
         found = select.select((self._epoll,), (), (), left_s)[0]
-        numbers = {number for number, _ in self._epoll.poll(0)} if found else set()
-        return Ready(
-            self._device.number in numbers,
-            self._robot.number in numbers,
-            self._has_peers(numbers, time.monotonic()),
-        )
+        now_s = time.monotonic()
+        again = 0.0 < self._looked_s <= now_s - PEERS_S
+        if again:
+            for number in self._peers:
+                self._epoll.modify(number, ONCE)
+        numbers = {number for number, _ in self._epoll.poll(0)} if found or again else set()
+        come = not numbers.isdisjoint(self._peers)
+        if come or again:
+            self._looked_s = now_s if come else NEVER_S
+        return Ready(self._device.number in numbers, self._robot.number in numbers, come or again)
 
     def close(self) -> None:
         self._epoll.close()
-
-    def _has_peers(self, numbers: set[int], now_s: float) -> bool:
-        """Whether peers are to be looked at: as they have come, or once more after that."""
-        again = 0.0 < self._looked_s <= now_s - PEERS_S
-        if again:
-            self._looked_s = -1.0
-            for number in self._peers:
-                self._epoll.modify(number, ONCE)
-        come = not numbers.isdisjoint(self._peers)
-        if come:
-            self._looked_s = now_s
-        return come or again
 
 
 class Gathering:
