@@ -77,9 +77,7 @@ def test_what_comes_while_it_sleeps_wakes_it(inputs: Inputs, pipes: list[Pipe]) 
     speaker.join()
 
 
-def test_a_robot_that_no_scan_waits_for_does_not_wake_it(
-    inputs: Inputs, pipes: list[Pipe]
-) -> None:
+def test_a_robot_that_no_scan_waits_for_does_not_wake_it(inputs: Inputs, pipes: list[Pipe]) -> None:
     device, robot, *_ = pipes
     robot.say()
     inputs.follow(device, robot)
@@ -130,9 +128,7 @@ def test_a_device_without_a_descriptor_is_left_to_the_clock(inputs: Inputs) -> N
     assert wait(inputs, 0.001) == Ready()
 
 
-def test_peers_who_never_stop_wake_it_now_and_then_alone(
-    inputs: Inputs, pipes: list[Pipe]
-) -> None:
+def test_peers_who_never_stop_wake_it_now_and_then_alone(inputs: Inputs, pipes: list[Pipe]) -> None:
     peers = pipes[-1]
     peers.say()  # and nobody takes it: as if they said more and more
     began, looks = time.monotonic(), 0

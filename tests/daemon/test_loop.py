@@ -11,8 +11,10 @@ import zmq
 
 from taxeld.config.file import parse
 from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
 from taxeld.service.loop import Daemon
 from taxeld.stream import messages
+from tests.daemon.simulated_skin import SimulatedSkin
 
 EVERY_KEY = [
     *("v", "seq", "t", "mono_ns", "valid", "status", "contact", "contacts", "map", "mean", "cov"),
@@ -93,6 +95,64 @@ def test_a_daemon_starts_without_a_skin_state_that_is_damaged(
     finally:
         daemon.close()
     assert state.read_bytes() == before
+
+
+class Heard(list[tuple[bytes, dict[str, Any]]]):
+    """What a daemon sends."""
+
+    def __init__(self, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(daemon.publisher, "wants", lambda _: True)
+        monkeypatch.setattr(
+            daemon.publisher, "send", lambda topic, message, _: self.append((topic, message))
+        )
+
+    def of(self, topic: bytes) -> list[dict[str, Any]]:
+        return [message for sent, message in self if sent == topic]
+
+
+def test_without_scans_estimates_come_at_their_own_rate_and_with_each_change(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard = Heard(daemon, monkeypatch)
+    now = time.monotonic()
+    daemon.pipeline.freshness.came(now)
+    sent = []
+    for k in range(100):  # a second, in passes of 10 ms
+        daemon.tick(now + 0.01 * k)
+        sent.append(len(heard.of(messages.ESTIMATE)))
+    estimates = heard.of(messages.ESTIMATE)
+    assert 16 <= len(estimates) <= 22  # 20 Hz, in whole passes
+    assert [e["seq"] for e in estimates] == list(range(1, len(estimates) + 1))
+    statuses = [e["status"] for e in estimates]
+    turned = statuses.index(Status.STALE)  # as no scan has come for so long
+    assert set(statuses[:turned]) == {Status.STARTING}
+    assert sent.index(turned + 1) == 51, "at once"
+    daemon.pipeline.tare()
+    daemon.pipeline.freshness.came(now + 1.0)
+    daemon.tick(now + 1.0001)
+    assert heard.of(messages.ESTIMATE)[-1]["status"] == Status.STARTING
+
+
+def test_each_scan_that_is_used_has_its_estimate_however_many_come_at_once(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard, skin = Heard(daemon, monkeypatch), SimulatedSkin(daemon.layout, noise=5.0)
+    skin.t = time.time() - 2.0
+    scans = [skin.scan() for _ in range(35)]
+    arrived = skin.t
+    batches = [*([scan] for scan in scans[:25]), scans[25:32], [], scans[32:]]
+    now = time.monotonic()
+    for k, batch in enumerate(batches):
+        monkeypatch.setattr(daemon.source, "poll", lambda *_, batch=batch, **__: batch)
+        arrived = batch[-1].t if batch else arrived
+        monkeypatch.setattr(time, "time", lambda arrived=arrived: arrived)
+        daemon.tick(now + 0.001 * k)
+    monkeypatch.undo()
+    used = [e for e in heard.of(messages.ESTIMATE) if e["status"] == Status.SEARCHING]
+    assert [e["t"] for e in used] == [scan.t for scan in scans[-len(used) :]]
+    assert len(used) >= 14
+    assert all(e["lat_us"]["skin"] > 0.0 for e in used)
+    assert [e["seq"] for e in used] == [t["seq"] for t in heard.of(messages.TAXELS)][-len(used) :]
 
 
 def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Path) -> None:

@@ -132,7 +132,9 @@ class SceneConfig:
 class SensorPoseConfig:
     endpoint: str = key("", doc="SUB endpoint of the robot; empty: the sensor stands still")
     max_age_s: float = key(0.2, between(0.001, 60), "a scan whose pose is older is not used")
-    wait_s: float = key(0.02, between(0, 1), "a scan waits so long for a pose at or after its time")
+    wait_s: float = key(
+        0.02, between(0, 1), "a scan waits so long for a pose that tells where the sensor was"
+    )
     extrapolate_s: float = key(
         0.02,
         between(0, 1),
@@ -149,7 +151,9 @@ class SensorPoseConfig:
 @dataclass(frozen=True, slots=True)
 class LoopConfig:
     rate_hz: float = key(
-        100.0, between(1, 1000), "a pass takes no longer than 1 / rate_hz, or it is counted"
+        100.0,
+        between(1, 1000),
+        "1 / rate_hz is the time for a pass, and at most between two while one is to come",
     )
     stale_s: float = key(0.5, between(0.01, 60), "without a scan for so long, not valid")
     priority: int = key(
@@ -159,7 +163,7 @@ class LoopConfig:
 
 @dataclass(frozen=True, slots=True)
 class BudgetConfig:
-    """Of a tick's stages; what takes longer is counted, and samples keep to what is left."""
+    """Of the stages of a scan; what takes longer is counted, and samples keep to what is left."""
 
     source_ms: float = key(1.0, between(0.01, 1000), "taking what has arrived")
     skin_ms: float = key(0.5, between(0.01, 1000), "counts to activations")
@@ -167,8 +171,10 @@ class BudgetConfig:
         5.0, between(0.01, 1000), "a proposal; auto chooses by it, measured at start"
     )
     filter_ms: float = key(5.0, between(0.01, 1000), "the belief and its summary")
-    publish_ms: float = key(1.0, between(0.01, 1000), "streams and control, kept free of the tick")
-    degrade: bool = key(True, doc="save samples where a tick lacks time; false: let it be late")
+    publish_ms: float = key(1.0, between(0.01, 1000), "streams and control, kept free of a pass")
+    degrade: bool = key(
+        True, doc="save samples where the next scan would come too soon; false: let it wait"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -255,8 +255,7 @@ class Daemon:
         }
         begin = time.perf_counter_ns()
         lat_us["total"] = self._before_us + (begin - self._began_ns) / 1000.0 + self._publish_us
-        told = self._told
-        if outcome.is_used or told is None or told.status is not outcome.estimate.status:
+        if outcome.is_used or self._is_news(outcome.estimate):
             self._send_estimate(self._estimate(now_s), lat_us, now_s)
         if outcome.activation is not None:
             self._send_activation(outcome.activation, now_s)
@@ -265,6 +264,10 @@ class Daemon:
         self._before_us, self._publish_us = 0.0, (self._began_ns - begin) / 1000.0
         for stage in ("skin", "propose", "filter", "publish"):
             self._over[stage] += lat_us[stage] > self._budget_us[stage]
+
+    def _is_news(self, estimate: Estimate) -> bool:
+        told = self._told
+        return told is None or told.status is not estimate.status or told.t != estimate.t
 
     def _send_estimate(self, estimate: Estimate, lat_us: dict[str, float], now_s: float) -> None:
         self._seq += 1
@@ -296,9 +299,8 @@ class Daemon:
     def _publish_due(self, now_s: float) -> None:
         """What is sent though no scan brought it: an estimate whose status has changed, or whose
         time has come, and health."""
-        estimate, told = self._estimate(now_s), self._told
-        changed = told is None or told.status is not estimate.status
-        if changed or now_s >= self._next_estimate_s:
+        estimate = self._estimate(now_s)
+        if self._is_news(estimate) or now_s >= self._next_estimate_s:
             self._send_estimate(estimate, dict.fromkeys(messages.STAGES, 0.0), now_s)
         if now_s >= self._next_health_s:
             wall_s = time.time()

@@ -108,7 +108,8 @@ class CanDevice:
 
     def close(self, wait_s: float = 0.0) -> None:  # noqa: ARG002
         if self._thread is not None:
-            self._thread.close()
+            self._thread.close()  # at once, where the bus has failed: its thread has ended
+            self._thread = None
         with contextlib.suppress(can.CanError, OSError):
             self._bus.shutdown()
 
