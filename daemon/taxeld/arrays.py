@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
+Reals = NDArray[np.floating]  # of either precision
 Bools = NDArray[np.bool_]
 Index = NDArray[np.intp]  # positions in another array
 Grid = NDArray[np.float32]  # what is kept in many numbers and needs few digits

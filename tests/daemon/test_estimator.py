@@ -432,3 +432,36 @@ def test_it_thinks_until_enough_samples_have_left_a_narrow_belief_where_it_was(
     held(4.5, 20)
     assert subject.counters.thoughts == thoughts
     assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.003
+
+
+def test_a_scan_taken_in_parts_leads_where_the_same_at_once_does(
+    box_model: ObservationModel,
+) -> None:
+    whole, parted = estimator(box_model), estimator(box_model)
+    most = 0
+    for k in range(6):
+        sensor = press(0.002 * (k % 2) - 0.004)
+        activation = feel(box_model, sensor, 0.2 * k)
+        before = parted.estimate
+        parts = 0
+        for _ in parted.parts(activation, sensor):
+            parts += 1
+            assert parted.estimate is before
+        most = max(most, parts)
+        assert messages_of(whole.on_scan(activation, sensor)) == messages_of(parted.estimate)
+    assert most >= 4  # a touch has several
+
+
+def test_a_scan_that_is_put_down_half_way_can_be_forgotten(box_model: ObservationModel) -> None:
+    subject, fresh = estimator(box_model), estimator(box_model)
+    for pauses in range(5):
+        parts = subject.parts(feel(box_model, press(-0.004), 0.0), press(-0.004))
+        for _, _ in zip(range(pauses), parts, strict=False):
+            pass
+        parts.close()
+        subject.reset()
+    assert messages_of(approach(subject, box_model)) == messages_of(approach(fresh, box_model))
+
+
+def messages_of(estimate: Estimate) -> str:
+    return repr(replace(estimate, modes=())) + repr([m.pose.tolist() for m in estimate.modes])

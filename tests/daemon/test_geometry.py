@@ -106,10 +106,10 @@ def test_touches_are_explained_as_the_dense_model_says(box_model: ObservationMod
         z, live = noise.draw(h[3], rng), rng.random(h.shape[1]) < 0.8
         memory.add(Observation(np.array(sensor), z, live))
         dense.append(noise.log_likelihood(z, live, h))
-    assert np.allclose(memory.explain(poses), np.array(dense).T)
-    assert np.allclose(memory.explain_newest(poses), np.array(dense).T[:, -1])
+    assert np.allclose(memory.explain(poses), np.array(dense).T, atol=1e-3)
+    assert np.allclose(memory.explain_newest(poses), np.array(dense).T[:, -1], atol=1e-3)
     memory = memory.only(np.array([False, True, True]))
-    assert np.allclose(memory.explain(poses), np.array(dense).T[:, 1:])
+    assert np.allclose(memory.explain(poses), np.array(dense).T[:, 1:], atol=1e-3)
     assert memory.explain(poses[:0]).shape == (0, 2)
 
 

@@ -3,13 +3,19 @@
 import numpy as np
 import pytest
 
+from taxeld.arrays import Floats
 from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.particles import Belief
+from taxeld.estimator.parts import done
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
 
 SD = np.array([0.001, 0.001, 0.02])
+
+
+def annealed(given: Belief, own: Floats, share: Floats, explain: pf.Explain) -> Belief:
+    return done(injection.anneal(given, own, share, explain, rng()))
 
 
 def rng() -> np.random.Generator:
@@ -57,9 +63,7 @@ def samples(n: int, explain: pf.Explain, mean: float) -> Belief:
 def test_annealed_samples_are_of_all_scans_together() -> None:
     """Samples that know the first of two Gaussian scans become the product of both."""
     explain = gaussians(0.0, 0.004)
-    made = injection.anneal(
-        samples(4000, explain, 0.0), np.array([1.0, 0.0]), np.ones(2), explain, rng()
-    )
+    made = annealed(samples(4000, explain, 0.0), np.array([1.0, 0.0]), np.ones(2), explain)
     assert np.isclose(made.pose[:, 0].mean(), 0.002, atol=1e-4)
     assert np.allclose(made.pose.std(axis=0) / SD, np.sqrt(0.5), atol=0.08)
     assert np.allclose(made.remembered, explain(made.pose))
@@ -67,15 +71,13 @@ def test_annealed_samples_are_of_all_scans_together() -> None:
 
 def test_samples_that_know_everything_stay_what_they_are() -> None:
     explain = gaussians(0.0)
-    made = injection.anneal(samples(4000, explain, 0.0), np.ones(1), np.ones(1), explain, rng())
+    made = annealed(samples(4000, explain, 0.0), np.ones(1), np.ones(1), explain)
     assert np.allclose(made.pose.std(axis=0) / SD, 1.0, atol=0.08)
 
 
 def test_a_single_sample_survives_whatever_the_others_say() -> None:
     explain = gaussians(0.0, 50.0)
-    made = injection.anneal(
-        samples(1, explain, 0.0), np.array([1.0, 0.0]), np.ones(2), explain, rng()
-    )
+    made = annealed(samples(1, explain, 0.0), np.array([1.0, 0.0]), np.ones(2), explain)
     assert np.isfinite(made.pose).all()
     assert np.isclose(made.weight.sum(), 1.0)
 

@@ -22,10 +22,10 @@ FIXED = {
     "OPENBLAS_NUM_THREADS": "1",
 }
 DIGESTS = {
-    'proposal = "table"': "e2303376dc19f02f",
-    'proposal = "manifold"\ninjection = "paper"': "c543bb74fa1c2a50",
-    'proposal = "table"\nmotion = "push"': "aa24f8a3c108258d",
-    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "cf7bb5fc35a468b9",
+    'proposal = "table"': "9480e8fe05de4c7b",
+    'proposal = "manifold"\ninjection = "paper"': "43da76a1d4bd4048",
+    'proposal = "table"\nmotion = "push"': "e5342987fc87054f",
+    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "cc8c1af114251c76",
 }
 
 

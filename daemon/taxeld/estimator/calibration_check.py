@@ -25,6 +25,7 @@ LEAST_TOUCHES = 5
 FELT = 0.1  # of full scale: a touch whose strongest taxel reads less is left out
 ROOM = 16 * 80  # touches times taxels: what a step has time for
 ITERATIONS = 5  # of each fit after a touch, one a scan: a scan has little time
+SETTLED_NATS = 0.01  # a step that gains less ends its fit
 STEP = np.array([1e-4, 1e-4, 2e-3])  # m, m, rad, for derivatives
 PRIOR_SD = np.array([1.0, 0.01, 0.01, 0.15, 0.02, 0.02, 0.2])  # log scale, mount, object
 SCALES = np.log([0.4, 1.0, 2.5])  # to begin with
@@ -98,10 +99,12 @@ class CalibrationCheck:
             self._take(used, believed[:CANDIDATES], contacts)
         elif self._due:
             self._due -= 1
-            if self._due % 2:
-                self._right = self._better(self._right, ALONE)
+            if self._due >= ITERATIONS:
+                self._right, gained = self._better(self._right, ALONE)
             else:
-                self._x = self._better(self._x, TOGETHER)
+                self._x, gained = self._better(self._x, TOGETHER)
+            if gained < SETTLED_NATS:
+                self._due = ITERATIONS if self._due >= ITERATIONS else 0
             if not self._due:
                 self._judge()
 
@@ -137,9 +140,9 @@ class CalibrationCheck:
         right = np.flatnonzero((flat[:, :4] == 0.0).all(axis=1))
         self._right = flat[right[cost[right].argmin()]]
 
-    def _better(self, x: Floats, free: Index) -> Floats:
+    def _better(self, x: Floats, free: Index) -> tuple[Floats, float]:
         """One step of Gauss-Newton of the `free` on robust residuals, where it makes things
-        better."""
+        better; → where that leads, and the nats that it gains."""
         residual, jacobian, weight, now = self._linear(x)
         jacobian, prior = jacobian[:, free], PRIOR_SD[free] ** -2.0
         normal = (jacobian.T * weight) @ jacobian + np.diag(prior)
@@ -147,7 +150,8 @@ class CalibrationCheck:
         tried = np.repeat(x[None], len(SHARES), axis=0)
         tried[:, free] += SHARES[:, None] * np.linalg.solve(normal, slope)
         cost = self._cost(tried)
-        return np.asarray(tried[cost.argmin()] if cost.min() < now else x)
+        gained = now - float(cost.min())
+        return (tried[cost.argmin()], gained) if gained > 0.0 else (x, 0.0)
 
     def _cost(self, x: Floats) -> Floats:
         """(N,) of candidates (N, 7)."""

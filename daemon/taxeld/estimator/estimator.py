@@ -5,6 +5,8 @@ belief learn from them by the configured rule (`rules`), and says what the resul
 (`confidence`). docs/estimator.md has the way of a contact through these.
 """
 
+from collections.abc import Generator
+
 import numpy as np
 
 from taxeld.arrays import Poses
@@ -56,13 +58,21 @@ class Estimator:
 
     def on_scan(self, activation: Activation, sensor: Poses) -> Estimate:
         """Take a scan's activations at the sensor's pose (3,) in the world; never raises."""
+        for _ in self.parts(activation, sensor):
+            pass
+        return self.estimate
+
+    def parts(self, activation: Activation, sensor: Poses) -> Generator[None, None, Estimate]:
+        """The same in parts, of which none takes long. Until the last is done, `estimate` is of the
+        scan before; another scan, or `reset`, may come only after that, or after `close` of these.
+        """
         self.counters.scans += 1
         observation = self._intake.observation(activation, sensor)
         if observation is None:
             self.estimate = self._estimate(max(self.estimate.t, self._intake.t))
             return self.estimate
         self._follow(observation)
-        injected, log_evidence = self._learn(observation)
+        injected, log_evidence = yield from self._learn(observation)
         blind = self._is_blind(observation)
         self.counters.blind += blind
         self.estimate = self._estimate(self._intake.t, injected, log_evidence, blind=blind)
@@ -80,7 +90,7 @@ class Estimator:
         if before.is_contact and observation.is_contact:
             self.rule.follow(before, observation)
 
-    def _learn(self, observation: Observation) -> tuple[int, float]:
+    def _learn(self, observation: Observation) -> Generator[None, None, tuple[int, float]]:
         """Have the belief learn from what is new, or use the time; → how many samples that took,
         and the scan's log evidence."""
         news = self._news
@@ -89,8 +99,8 @@ class Estimator:
         self._check.on_scan(used, believed, news.contacts)
         if used is not None:
             self.counters.updates += 1
-            return self.rule.learn(used, news.contacts, self._draw)
-        samples = self.rule.revisit(self._draw)
+            return (yield from self.rule.learn(used, news.contacts, self._draw))
+        samples = yield from self.rule.revisit(self._draw)
         self.counters.thoughts += samples > 0
         return samples, 0.0
 
@@ -106,7 +116,7 @@ class Estimator:
         if not observation.live.any():
             return True
         best = self.rule.confidence.summary.modes[0].pose
-        pressed, _ = self.model.pressed_from(observation.sensor[None], best[None])
+        pressed = self.model.pressed_from(observation.sensor[None], best[None]).taxel
         expected = self._news.contacts > 0 and len(pressed) > 0
         return expected and not bool(observation.live[pressed].any())
 

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Bools, Floats, Poses
+from taxeld.arrays import Bools, Floats, Grid, Index, Poses
 from taxeld.estimator.offsets import Readings
 from taxeld.estimator.prior import Prior
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.observation import Nearby, Noise, Observation, ObservationModel
 
 HIDDEN = 1.5  # standard deviations of its offset that a silent scan may be off
 LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # of a reading: the activations that may explain it best
@@ -49,12 +49,12 @@ class Memory:
         self.slack = slack or Slack()
         self.prior = prior
         self._sensor = np.empty((0, 3))
-        self._z = np.empty((0, taxels))
-        self._live = np.empty((0, taxels))
-        self._floor = np.empty((0, taxels))
-        self._residue = np.empty((0, taxels))
-        self._weight = np.empty((0, taxels))  # 1 / variance about what is read, 0 where not live
-        self._silent = np.empty((0, taxels))  # log p(z | h = 0): of a taxel that is not pressed
+        none = np.empty((0, taxels), np.float32)
+        self._z = self._live = self._floor = self._residue = none
+        self._level = none  # what is read, or the floor where that is 0
+        self._low = self._high = none  # that a reading may be said to be above what is expected
+        self._root = none  # 1 / standard deviation about what is read, 0 where not live
+        self._silent = none  # log p(z | h = 0): of a taxel that is not pressed
         self.number = np.empty(0, dtype=np.intp)  # (K,) of the contact; the last, where silent
         self.newest = 0  # number of the contact that began last
         self.pressed = np.empty(0, dtype=np.intp)  # (K,) taxels that were pressed
@@ -95,22 +95,31 @@ class Memory:
 
     def add(self, observation: Observation, number: int = 0) -> None:
         """A scan of the contact of that number, or a silent one after it."""
-        z = observation.z[:, None]
+        z, live = observation.z, observation.live
         floor = np.broadcast_to(observation.floor, len(z))
         residue = np.broadcast_to(observation.residue, len(z))
-        density = self._noise.log_density(z, z * LIKELY, floor[:, None], residue[:, None])
-        density = density * observation.live[:, None]
-        weight = observation.live / (self._noise.variance(observation.z) + residue**2)
+        density = self._noise.log_density(
+            z[:, None], z[:, None] * LIKELY, floor[:, None], residue[:, None]
+        )
+        density = density * live[:, None]
+        kept = {
+            "_z": z,
+            "_live": live,
+            "_floor": floor,
+            "_residue": residue,
+            "_level": np.where(z > 0.0, z, floor),
+            "_low": np.where(z < 1.0, -np.inf, 0.0),
+            "_high": np.where(z > 0.0, np.inf, 0.0),
+            "_root": live / np.sqrt(self._noise.variance(z) + residue**2),
+            "_silent": density[:, 0],
+        }
+        for name, values in kept.items():
+            grown = np.vstack([getattr(self, name), values.astype(np.float32)])
+            setattr(self, name, grown)
         self._sensor = np.vstack([self._sensor, observation.sensor])
-        self._z = np.vstack([self._z, observation.z])
-        self._live = np.vstack([self._live, observation.live])
-        self._floor = np.vstack([self._floor, floor])
-        self._residue = np.vstack([self._residue, residue])
-        self._weight = np.vstack([self._weight, weight])
-        self._silent = np.vstack([self._silent, density[:, 0]])
         self.number = np.append(self.number, number)
         self.newest = max(self.newest, number)
-        self.pressed = np.append(self.pressed, np.count_nonzero(observation.z))
+        self.pressed = np.append(self.pressed, np.count_nonzero(z))
         self.ceiling = np.append(self.ceiling, density.max(axis=1).sum())
 
     def scan(self, k: int) -> Observation:
@@ -124,8 +133,8 @@ class Memory:
         made = Memory(self._model, self._noise, self.prior if prior else None, self.slack)
         made.newest = self.newest
         for name in (
-            "_sensor", "_z", "_live", "_floor", "_residue", "_weight", "_silent",
-            "number", "pressed", "ceiling",
+            "_sensor", "_z", "_live", "_floor", "_residue", "_level", "_low", "_high", "_root",
+            "_silent", "number", "pressed", "ceiling",
         ):  # fmt: skip
             setattr(made, name, getattr(self, name)[kept])
         return made
@@ -151,46 +160,42 @@ class Memory:
         return self._explain(poses, len(self) - 1)[:, 0]
 
     def _explain(self, poses: Poses, since: int) -> Floats:
-        """Of scans from `since` on: (N, 3) → (N, K − since)."""
-        explained = np.repeat(self._silent[since:].sum(axis=1)[None], len(poses), axis=0)
+        """Of scans from `since` on: (N, 3) → (N, K − since). Contacts have an offset each; a silent
+        scan tells of what presses deeper than its offset may have hidden."""
+        n, k = len(poses), len(self) - since
         variance = self.slack.variance(self.newest - self.number[since:])
-        touched = self.contact[since:] & (variance > 0.0)
-        for chosen, met in ((touched, self._met_about), (~touched, self._met)):
-            rows = np.flatnonzero(chosen)
-            if len(rows):
-                explained[:, rows] += met(poses, rows + since, variance[rows])
+        silent = self.silent[since:]
+        order = np.argsort(silent, kind="stable")  # contacts first
+        about = k - int(np.count_nonzero(silent)) if variance.any() else 0
+        near = self._model.pressed_from(self._sensor[since:][order], poses, about)
+        scan = order.take(near.row // max(n, 1))
+        cell = (scan + since) * len(self._model.layout) + near.taxel
+        depth, added, pairs = near.depth, np.zeros(k * n), len(near.gx)
+        if pairs:
+            offset = self._readings(near, cell).offset(np.repeat(variance[order[:about]], n))
+            depth[:pairs], added[: about * n] = offset
+        hidden = (HIDDEN / self._model.depth_max_m) * np.sqrt(variance)
+        depth[pairs:] -= hidden.astype(np.float32).take(scan[pairs:])
+        gain = self._gain(cell, np.minimum(np.maximum(depth, 0.0), 1.0))
+        explained = np.empty((n, k))
+        explained[:, order] = (np.bincount(near.row, gain, k * n) + added).reshape(k, n).T
+        explained += self._silent[since:].sum(axis=1, dtype=np.float64)
         return explained
 
-    def _met(self, poses: Poses, scans: NDArray[np.intp], variance: Floats) -> Floats:
-        """What taxels that poses press add to log p of scans (k,): (N, k). A silent scan tells of
-        what presses deeper than its offset may have hidden."""
-        at, h = self._model.pressed_from(self._sensor[scans], poses)
-        row, cell = self._pairs(at, scans, len(poses))
-        hidden = HIDDEN * np.sqrt(variance) / self._model.depth_max_m
-        h = np.maximum(h - hidden.take(row // len(poses)), 0.0)
-        gain = self._gain(cell, h, self._floor.take(cell))
-        met = np.bincount(row, gain, len(scans) * len(poses))
-        return np.asarray(met.reshape(len(scans), -1).T)
+    def _readings(self, near: Nearby, cell: Index) -> Readings:
+        """Of taxels about a press, at these places in what is kept."""
+        pairs = len(near.gx)
+        cell = cell[:pairs]
+        level, low, high, root = (
+            kept.take(cell) for kept in (self._level, self._low, self._high, self._root)
+        )
+        row, depth = near.row[:pairs], near.depth[:pairs]
+        return Readings(row, level, low, high, depth, near.gx, near.gy, root)
 
-    def _met_about(self, poses: Poses, scans: NDArray[np.intp], variance: Floats) -> Floats:
-        """The same where each scan has an offset of its own."""
-        at, depth, gx, gy = self._model.near_from(self._sensor[scans], poses)
-        row, cell = self._pairs(at, scans, len(poses))
-        z, floor = self._z.take(cell), self._floor.take(cell)
-        readings = Readings(row, z, floor, depth, gx, gy, self._weight.take(cell))
-        depth, added = readings.offset(np.repeat(variance, len(poses)))
-        gain = self._gain(cell, np.clip(depth, 0.0, 1.0), floor)
-        met = np.bincount(row, gain, len(added)) + added
-        return np.asarray(met.reshape(len(scans), -1).T)
-
-    def _pairs(
-        self, at: NDArray[np.intp], scans: NDArray[np.intp], poses: int
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Indices into (k, N, M) → rows of (k · N), and places in what is kept, (K, M)."""
-        row, taxel = np.divmod(at, len(self._model.layout))
-        return row, scans.take(row // max(poses, 1)) * len(self._model.layout) + taxel
-
-    def _gain(self, cell: NDArray[np.intp], h: Floats, floor: Floats) -> Floats:
+    def _gain(self, cell: Index, h: Grid) -> Floats:
         """By how much readings at places in what is kept are likelier at h than untouched."""
-        density = self._noise.log_density(self._z.take(cell), h, floor, self._residue.take(cell))
-        return np.asarray((density - self._silent.take(cell)) * self._live.take(cell))
+        z, floor, residue, silent, live = (
+            kept.take(cell)
+            for kept in (self._z, self._floor, self._residue, self._silent, self._live)
+        )
+        return np.asarray((self._noise.log_density(z, h, floor, residue) - silent) * live)

@@ -15,7 +15,7 @@ from taxeld.estimator.memory import Memory, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.prior import Prior
 from taxeld.estimator.push import push
-from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
+from taxeld.estimator.rule import PUSHED_M, Draw, Parts, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
 MOVES = 2  # Metropolis steps a contact
@@ -23,7 +23,7 @@ SILENT_MAX = 32  # silent scans remembered
 TELLING = 1.0  # nats by which a silent scan must part the particles to be remembered
 SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # of the configured slack
 SLACK_FROM = 3  # contacts: fewer agree whatever the slack
-SLACK_PARTICLES = 64  # by which the evidence is found
+SLACK_PARTICLES = 32  # by which the evidence is found
 SLACK_NATS = 1.0  # of evidence, for another scale
 REVISITS = 4  # a contact: second opinions taken while there is nothing to learn
 
@@ -48,6 +48,7 @@ class Mixture:
         self._scale = self.confidence.metric.scale
         self.counters = RuleCounters()
         self._revisits = 0  # since the last contact
+        self._fitted = 0  # number of the contact that slack was fitted after
 
     @property
     def slack(self) -> float:
@@ -68,34 +69,49 @@ class Mixture:
         self.memory = Memory(self._model, self._noise, prior, self.memory.slack)
         belief.remembered = self.memory.explain(pose)
 
-    def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
+    def learn(
+        self, observation: Observation, contacts: int, draw: Draw
+    ) -> Parts[tuple[int, float]]:
         in_doubt = self.confidence.doubt
         samples = drawn(draw, observation, self._wanted())
-        log_evidence = self.update(observation, samples, contacts)
+        log_evidence = yield from self._update(observation, samples, contacts)
+        if log_evidence is None:
+            return 0, 0.0
         contact = contacts if observation.is_contact else 0
         self.confidence.learned(
             self.belief, len(samples), contact, self.memory.contacts, in_doubt=in_doubt
         )
         return len(samples), log_evidence
 
-    def update(self, observation: Observation, samples: Poses, number: int = 0) -> float:
+    def _update(self, observation: Observation, samples: Poses, number: int) -> Parts[float | None]:
         """Learn from a scan of the contact of this number, or a silent one after it, and samples of
-        it, without judging the result; → log evidence."""
+        it, without judging the result; → log evidence, None where nothing was learned."""
         self._age(number)
         before = self.memory.share
         self.memory.add(observation, number)
         newest = self.memory.explain_newest(self.belief.pose)
+        if not observation.is_contact and self._is_expected(newest):
+            self.memory = self.memory.only(np.arange(len(self.memory)) < len(self.memory) - 1)
+            self.confidence.doubt = False
+            return None
         remembered = np.column_stack([self.belief.remembered, newest])
         evidence = pf.reweight(
             self.belief, remembered @ self.memory.share - self.belief.remembered @ before
         )
         if evidence is None:
             self.counters.impossible += 1
-            self._begin_anew(observation, samples, number)
+            yield from self._begin_anew(observation, samples, number)
             return 0.0
         self.belief.remembered = remembered
-        self._weigh(observation, samples, telling=bool(np.ptp(newest) >= TELLING))
+        yield from self._weigh(samples)
         return evidence
+
+    def _is_expected(self, newest: Floats) -> bool:
+        """Whether a silent scan, explained so by the particles (N,), parts none of them and refutes
+        none."""
+        refuting = self.memory.ceiling[-1] - newest.min() > consistency.MOST
+        lost = not np.isfinite(self.belief.log_weight.max())  # and must begin anew
+        return not (refuting or lost) and bool(np.ptp(newest) < TELLING)
 
     def _age(self, number: int) -> None:
         """The object may have given way to a contact that begins."""
@@ -109,7 +125,7 @@ class Mixture:
         belief.pose = belief.pose + step
         belief.remembered = memory.explain(belief.pose)
 
-    def revisit(self, draw: Draw) -> int:
+    def revisit(self, draw: Draw) -> Parts[int]:
         """Samples of a remembered contact, brought to explain all, as a second opinion."""
         memory, confidence = self.memory, self.confidence
         contacts = np.flatnonzero(memory.contact)
@@ -121,12 +137,9 @@ class Mixture:
         if not len(samples):  # none are asked for, or there is no time for any
             return 0
         self._revisits += 1
-        self._become(
-            injection.merge(
-                self.belief, self._opinion(samples, memory, scan), memory.share, self._scale
-            ),
-            moves=1,
-        )
+        opinion = yield from self._opinion(samples, memory, scan)
+        merged = injection.merge(self.belief, opinion, memory.share, self._scale)
+        yield from self._become(merged, moves=1)
         excess = consistency.excess(memory, self.belief)
         newest = contacts[-1]
         confidence.doubt = bool(excess[newest] > 0.0) or consistency.is_excessive(
@@ -141,76 +154,85 @@ class Mixture:
         size = config.particles_max if self.confidence.doubted else len(self.belief)
         return round(config.injected * max(size / config.particles, 1.0))
 
-    def _weigh(self, observation: Observation, samples: Poses, *, telling: bool) -> None:
+    def _weigh(self, samples: Poses) -> Parts[None]:
         """Judge the newest scan, which the weights have taken, and change the particles by it."""
         confidence = self.confidence
         confidence.doubt = bool(consistency.excess(self.memory, self.belief)[-1] > 0.0)
-        if not observation.is_contact and not telling:
-            self._remember_only(np.arange(len(self.memory)) < len(self.memory) - 1)
         self._keep_to_size()
         if len(samples):
-            self._take(samples)
-            self._reconsider(samples)
-            self._fit_slack()
+            yield from self._take(samples)
+            yield from self._reconsider(samples)
+            yield from self._fit_slack()
         elif pf.resampling_is_due(self.belief):
-            self._become(self.belief, moves=1)
+            yield from self._become(self.belief, moves=1)
         self.counters.inconsistent += confidence.doubt
 
-    def _fit_slack(self) -> None:
+    def _fit_slack(self) -> Parts[None]:
         """How far scans are off, by the evidence of the belief: contacts that agree exactly are
-        believed exactly, and others are given more room."""
+        believed exactly, and others are given more room. A contact moves it by one step."""
         memory, belief = self.memory, self.belief
-        if memory.contacts < SLACK_FROM or not (memory.slack.robot_m or memory.slack.nudge_m):
+        now = memory.slack
+        if memory.newest == self._fitted or memory.contacts < SLACK_FROM:
             return
-        share, now = memory.share, memory.slack
+        if not (now.robot_m or now.nudge_m):
+            return
+        self._fitted = memory.newest
+        yield
+        share = memory.share
         some = slice(None, None, -(-len(belief) // SLACK_PARTICLES))
         pose, support = belief.pose[some], belief.remembered[some] @ share
-        gained, best = {}, now
-        for scale in SCALES.tolist():
+        at = int(np.flatnonzero(now.scale == SCALES)[0])
+        gained = {}
+        for scale in SCALES[max(at - 1, 0) : at + 2].tolist():
             if scale != now.scale:
                 memory.slack = replace(now, scale=scale)
                 gained[memory.slack] = _log_mean(memory.explain(pose) @ share - support)
         likeliest = max(gained, key=gained.__getitem__)
-        if gained[likeliest] > SLACK_NATS:
-            best = likeliest
-        memory.slack = best
-        if best is not now:
+        memory.slack = likeliest if gained[likeliest] > SLACK_NATS else now
+        if memory.slack is not now:
             remembered = memory.explain(belief.pose)
             pf.reweight(belief, (remembered - belief.remembered) @ share)
             belief.remembered = remembered
-            self._become(belief, moves=MOVES)
+            yield from self._become(belief, moves=1)
 
-    def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> None:
+    def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> Parts[None]:
         """From the samples of a contact, or from nothing."""
         self.memory = Memory(self._model, self._noise, slack=self.memory.slack)
         self.belief = anew(self._config, self._rng)
         if len(samples):
             self.memory.add(observation, number)
-            self._become(pf.equal(samples, self.memory.explain(samples)), moves=MOVES)
+            opinion = pf.equal(samples, self.memory.explain(samples))
+            yield from self._become(opinion, moves=MOVES)
 
-    def _take(self, samples: Poses) -> None:
+    def _take(self, samples: Poses) -> Parts[None]:
         """The samples' own opinion of all that is remembered, beside the belief's."""
         self._revisits = 0
         memory = self.memory
-        opinion = self._opinion(samples, memory, len(memory) - 1)
+        opinion = yield from self._opinion(samples, memory, len(memory) - 1)
         if np.count_nonzero(memory.contact) > 1 or memory.prior is not None:
             opinion = injection.merge(self.belief, opinion, memory.share, self._scale)
-        self._become(opinion, moves=MOVES)
+        yield from self._become(opinion, moves=MOVES)
 
-    def _opinion(self, samples: Poses, memory: Memory, scan: int) -> Belief:
+    def _opinion(self, samples: Poses, memory: Memory, scan: int) -> Parts[Belief]:
         """Samples of one of its scans brought to explain a whole memory."""
         own = np.zeros(memory.terms)
         memory.of_scans(own)[scan] = 1.0
         samples = samples.copy()
         samples[:, :2] += memory.slack_m(scan) * self._rng.standard_normal((len(samples), 2))
+        yield
         opinion = pf.equal(samples, memory.explain(samples))
-        return injection.anneal(opinion, own, memory.share, memory.explain, self._rng, self._scale)
+        return (
+            yield from injection.anneal(
+                opinion, own, memory.share, memory.explain, self._rng, self._scale
+            )
+        )
 
-    def _become(self, belief: Belief, moves: int) -> None:
+    def _become(self, belief: Belief, moves: int) -> Parts[None]:
         """Have as many particles as so wide a belief needs, all equal, and part the copies."""
         self.belief = pf.resample(belief, self._size(belief), self._rng)
         share = self.memory.share
         for _ in range(moves):
+            yield
             pf.rejuvenate(self.belief, self.memory.explain, share, self._rng, self._scale)
 
     def _size(self, belief: Belief) -> int:
@@ -225,7 +247,7 @@ class Mixture:
         )
         return min(max(wanted, config.particles), config.particles_max)
 
-    def _reconsider(self, samples: Poses) -> None:
+    def _reconsider(self, samples: Poses) -> Parts[None]:
         """After a contact: drop the past that it has refuted.
 
         One contact that no pose explains may be a fault. Two in a row that some pose explains, if
@@ -243,22 +265,23 @@ class Mixture:
             return
         doubted, contacts = confidence.doubted, np.flatnonzero(self.memory.contact)
         for last in dict.fromkeys((doubted, 2)):  # all since the doubt began, or the last two
-            if 2 <= last <= min(doubted, len(contacts)) and self._begin_with(
-                np.arange(len(self.memory)) >= contacts[-last], samples
-            ):
+            if not 2 <= last <= min(doubted, len(contacts)):
+                continue
+            kept = np.arange(len(self.memory)) >= contacts[-last]
+            if (yield from self._begin_with(kept, samples)):
                 return
 
-    def _begin_with(self, kept: Bools, samples: Poses) -> bool:
+    def _begin_with(self, kept: Bools, samples: Poses) -> Parts[bool]:
         """Whether some pose explains all of these scans; if so, nothing else is remembered."""
         recent = self.memory.only(kept, prior=False)
-        opinion = self._opinion(samples, recent, len(recent) - 1)
+        opinion = yield from self._opinion(samples, recent, len(recent) - 1)
         if consistency.excess(recent, opinion).max() > 0.0:
             return False
         if consistency.is_excessive(recent, opinion):
             return False
         self.counters.forgotten += 1
         self.memory = recent
-        self._become(opinion, moves=MOVES)
+        yield from self._become(opinion, moves=MOVES)
         self.confidence.refuted = True
         self.confidence.judged(doubt=False)
         return True

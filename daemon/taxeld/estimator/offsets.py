@@ -9,52 +9,58 @@ the distance field; the integral is Laplace's, about the e that explains the rea
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Floats, Grid, Index
 
 ITERATIONS = 2  # of Gauss and Newton: taxels come into touch, and leave it, once
+LEAST_M2 = 1e-12  # variance of an offset: none at all
 ROBUST = 3.0  # standard deviations from which a reading pulls no harder (Huber 1964)
 
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Pairs (P,) of a taxel's reading and a pose: what is needed to find the pose's offset."""
+    """Pairs (P,) of a taxel's reading and a pose, in order of their rows: what is needed to find
+    the pose's offset. Single precision: they are many, and a thousandth of a nat is nothing."""
 
-    row: NDArray[np.intp]  # scan and pose that the pair is of
-    z: Floats
-    floor: Floats
-    depth: Floats  # share of full scale, below 0 where the taxel is not reached
-    gx: Floats  # by which it grows with the offset [1/m]
-    gy: Floats
-    weight: Floats  # 1 / variance of the reading; 0: it is not to be believed
+    row: Index  # scan and pose that the pair is of
+    level: Grid  # the reading, or its floor where it is 0
+    low: Grid  # the least and the most that it may be said to be above what is expected: 0 where
+    high: Grid  # the other side tells nothing, beyond full scale or under the floor
+    depth: Grid  # share of full scale, below 0 where the taxel is not reached
+    gx: Grid  # by which it grows with the offset [1/m]
+    gy: Grid
+    root: Grid  # 1 / standard deviation of the reading; 0: it is not to be believed
 
-    def offset(self, variance: Floats) -> tuple[Floats, Floats]:
+    def offset(self, variance: Floats) -> tuple[Grid, Floats]:
         """Of rows (R,) whose offsets have these variances [m²] → the depth (P,) there, and log of
         what the integral adds to the likelihood there (R,)."""
-        rows, row = len(variance), self.row
-        depth = self.depth
-        x = y = np.zeros(rows)
-        root = np.sqrt(self.weight)
+        added = np.zeros(len(variance))
+        if not len(self.row):
+            return self.depth, added
+        begins = np.flatnonzero(np.diff(self.row, prepend=-1))
+        rows = self.row[begins]
+        pairs = np.diff(begins, append=len(self.row))
+        precision = 1.0 / np.maximum(variance[rows], LEAST_M2)
+        away = (self.level - self.depth) * self.root  # in standard deviations, at no offset
+        slope = np.array([self.gx, self.gy])
+        slope *= self.root
+        ax, ay = slope
+        squares = np.array([ax * ax, ax * ay, ay * ay])
+        sums = np.empty((5, len(away)), np.float32)
+        x = y = np.zeros(len(rows))
+        off = away
         for _ in range(ITERATIONS):
-            off = self._off(depth)
-            weight = np.where(off == 0.0, 0.0, self.weight)
-            weight = weight / np.maximum(np.abs(off) * root / ROBUST, 1.0)
-            off = off + (depth - self.depth)  # as seen from no offset
-            wx, wy = weight * self.gx, weight * self.gy
-            xx = np.bincount(row, wx * self.gx, rows) + 1.0 / variance
-            xy = np.bincount(row, wx * self.gy, rows)
-            yy = np.bincount(row, wy * self.gy, rows) + 1.0 / variance
-            bx, by = np.bincount(row, wx * off, rows), np.bincount(row, wy * off, rows)
+            off = np.minimum(np.maximum(off, self.low), self.high)
+            size = np.maximum(np.abs(off), ROBUST)
+            weight = (off != 0.0) * ROBUST / size
+            np.multiply(squares, weight, out=sums[:3])
+            np.multiply(slope, off * weight, out=sums[3:])
+            xx, xy, yy, bx, by = np.add.reduceat(sums, begins, axis=1).astype(np.float64)
+            xx, yy = xx + precision, yy + precision
+            bx, by = bx - precision * x, by - precision * y
             det = xx * yy - xy * xy
-            x, y = (yy * bx - xy * by) / det, (xx * by - xy * bx) / det
-            depth = self.depth + self.gx * x.take(row) + self.gy * y.take(row)
-        added = -0.5 * ((x * x + y * y) / variance + np.log(det * variance * variance))
-        return depth, added
-
-    def _off(self, depth: Floats) -> Floats:
-        """By how much readings are more than is expected; 0 where they tell nothing more."""
-        z = self.z
-        off = np.where(z > 0.0, z, self.floor) - depth
-        tells = np.where(z > 0.0, (z < 1.0) | (off > 0.0), off < 0.0)
-        return np.where(tells, off, 0.0)
+            x, y = x + (yy * bx - xy * by) / det, y + (xx * by - xy * bx) / det
+            along = np.repeat(np.stack([x, y]).astype(np.float32), pairs, axis=1)
+            off = away - ax * along[0] - ay * along[1]
+        added[rows] = -0.5 * ((x * x + y * y) * precision + np.log(det / precision**2))
+        return self.depth + self.gx * along[0] + self.gy * along[1], added

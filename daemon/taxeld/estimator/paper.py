@@ -9,6 +9,7 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.memory import Memory
+from taxeld.estimator.parts import Parts
 from taxeld.estimator.push import push
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
@@ -42,7 +43,10 @@ class Paper:
         if self.belief.weight @ pushed >= PUSHED_M:
             self.confidence.moved(self.belief)
 
-    def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
+    def learn(
+        self, observation: Observation, contacts: int, draw: Draw
+    ) -> Parts[tuple[int, float]]:
+        yield from ()  # in one part
         in_doubt = self.confidence.doubt
         samples = drawn(draw, observation, self._wanted(contacts))
         log_evidence = self.update(observation, samples)
@@ -71,8 +75,9 @@ class Paper:
             pf.roughen(self.belief, self._rng, self.confidence.metric.scale)
         return evidence
 
-    def revisit(self, draw: Draw) -> int:  # noqa: ARG002
+    def revisit(self, draw: Draw) -> Parts[int]:  # noqa: ARG002
         """Nothing is remembered."""
+        yield from ()
         return 0
 
     def _wanted(self, contacts: int) -> int:

@@ -11,7 +11,10 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.particles import Belief
+from taxeld.estimator.parts import Parts
 from taxeld.model.observation import Noise, Observation
+
+__all__ = ["PUSHED_M", "Draw", "Parts", "Rule", "anew", "drawn", "noise_of"]
 
 Draw = Callable[[Observation, int], Poses]
 """Poses (≤ n, 3) in the world that explain an observation by itself."""
@@ -35,12 +38,14 @@ class Rule(Protocol):
         """Move the belief as the object does that is pushed from one scan to the next."""
         ...
 
-    def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
+    def learn(
+        self, observation: Observation, contacts: int, draw: Draw
+    ) -> Parts[tuple[int, float]]:
         """Take a scan, of the last of so many contacts or a silent one; → how many samples it
         brought, and its log evidence."""
         ...
 
-    def revisit(self, draw: Draw) -> int:
+    def revisit(self, draw: Draw) -> Parts[int]:
         """While there is nothing to learn, look for poses that explain all contacts better; → how
         many samples that took."""
         ...

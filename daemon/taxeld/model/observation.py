@@ -6,19 +6,22 @@ noise. Under the taxel's floor it is reported as 0, and over full scale as 1.
 """
 
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Bools, Floats, Poses
+from taxeld.arrays import Bools, Floats, Grid, Index, Poses, Reals
 from taxeld.layout.layout import Layout
 from taxeld.model.activation import FLOOR
 from taxeld.model.contacts import axis_in_object
 from taxeld.model.leak import Leak
 from taxeld.model.scene import Scene
 
-LEAST = 1e-300  # of a probability: its logarithm is finite
+LEAST = 1e-37  # of a probability: its logarithm is finite
+FARTHEST_SD = 8.0  # that a reading is off: beyond, nothing changes
+BOWLING = 1.5976, 0.07056  # of the logistic function that is nearly the normal distribution's
+NONE = np.empty(0, np.float32)  # slopes where none are asked for
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,9 +55,9 @@ class Noise:
         return np.where(z < FLOOR, 0.0, z)
 
     def log_density(
-        self, z: Floats, h: Floats, floor: Floats | float = FLOOR, residue: Floats | float = 0.0
+        self, z: Reals, h: Reals, floor: Reals | float = FLOOR, residue: Reals | float = 0.0
     ) -> Floats:
-        """log p(z | h) of each taxel; shapes broadcast.
+        """log p(z | h) of each taxel; shapes broadcast, and single precision stays so.
 
         Between floor and full scale it is a Gaussian's density. A reading of 0 is censored, and one
         of 1 saturated: what counts is the probability of less than the floor, or of more than full
@@ -65,17 +68,21 @@ class Noise:
         off = (np.where(z > 0.0, z, floor) - h) / np.sqrt(variance)
         return self.log_of(z, off, variance)
 
-    def variance(self, h: Floats) -> Floats:
+    def variance(self, h: Reals) -> Floats:
         """Of a reading about its true activation `h`."""
         return np.asarray(self.sigma**2 + (self.gain_cv * h) ** 2)
 
-    def log_of(self, z: Floats, off: Floats, variance: Floats) -> Floats:
+    def log_of(self, z: Reals, off: Reals, variance: Reals) -> Floats:
         """`log_density` of readings z that are, or whose floor is, `off` standard deviations above
         what is expected."""
-        within = np.exp(-0.5 * off * off) / np.sqrt(2.0 * np.pi * variance)
-        beyond = normal_cdf(np.where(z > 0.0, -off, off))
-        likely = np.where((z > 0.0) & (z < 1.0), within, beyond)
-        return np.asarray(np.log((1.0 - self.outliers) * likely + max(self.outliers / 3.0, LEAST)))
+        off = np.minimum(np.maximum(off, -FARTHEST_SD), FARTHEST_SD)
+        square = off * off
+        told = (z > 0.0) & (z < 1.0)
+        sign = np.where(z > 0.0, off, -off)  # of being beyond: above full scale, or under the floor
+        power = np.exp(np.where(told, -0.5 * square, sign * (BOWLING[0] + BOWLING[1] * square)))
+        likely = np.where(told, power / np.sqrt(2.0 * np.pi * variance), 1.0 / (1.0 + power))
+        least = max(self.outliers / 3.0, LEAST)
+        return np.asarray(np.log((1.0 - self.outliers) * likely + least))
 
     def log_likelihood(self, z: Floats, live: Bools, h: Floats) -> Floats:
         """log p(z | h) summed over live taxels: z (M,), live (M,), h (N, M) → (N,)."""
@@ -84,16 +91,22 @@ class Noise:
 
 def normal_cdf(x: Floats) -> Floats:
     """Of the standard normal distribution, to 1.5e-4 (Bowling et al. 2009, eq. 10)."""
-    x = np.clip(x, -8.0, 8.0)
-    return np.asarray(1.0 / (1.0 + np.exp(-x * (1.5976 + 0.07056 * x * x))))
+    x = np.clip(x, -FARTHEST_SD, FARTHEST_SD)
+    return np.asarray(1.0 / (1.0 + np.exp(-x * (BOWLING[0] + BOWLING[1] * x * x))))
 
 
 BLOCK = 65_536  # points looked up at once: they stay in the cache
 BAND_M = 0.005  # that a pose or a sensor may be off, as far as a taxel beside a press is looked up
 
-NONE = np.empty(0)  # gradients where none are asked for
 
-Nearby: TypeAlias = tuple[NDArray[np.intp], Floats, Floats, Floats]
+class Nearby(NamedTuple):
+    """Taxels at or near a press, (P,) each, in single precision: all that is looked up is."""
+
+    row: Index  # sensor and pose that it is of
+    taxel: Index
+    depth: Grid  # as a share of full scale; below 0 where the taxel is not reached
+    gx: Grid  # by which the depth grows with the sensor's x in the object's frame [1/m]: only of
+    gy: Grid  # those looked up about a press, which come first
 
 
 class ObservationModel:
@@ -108,31 +121,27 @@ class ObservationModel:
         self.depth_max_m = depth_max_m
         self.leak = Leak(layout)
         place, group = np.unique(layout.position_m[:, :2], axis=0, return_inverse=True)
-        self._places = np.vstack([place.T, np.ones(len(place))])  # (3, P): taxels stand in columns
+        self._places = np.vstack([place.T, np.ones(len(place))]).astype(
+            np.float32
+        )  # columns (3, P)
         self._column = _padded(group, len(place))  # (P, most) taxels there
         self._offset = scene.slice_of(layout)[self._column] * scene.silhouette.size
         self._flat = scene.slices.ravel()
         farthest = float(np.hypot(*place.T).max()) + 1.5 * scene.cell
-        self._masks = {band: _masks(scene.silhouette, band, farthest) for band in (0.0, BAND_M)}
+        self._pressed = _touched(scene.silhouette, 0.0)
+        self._about = _touched(scene.silhouette, BAND_M)
+        self._reach: Bools = (scene.silhouette < farthest + BAND_M).ravel()
 
-    def pressed(self, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
+    def pressed(self, poses: Floats) -> tuple[Index, Grid]:
         """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into
         (N, M) and their h > 0."""
-        at, depth, _, _ = self._near(*axis_in_object(poses), -poses[:, 2], 0.0)
-        return at, np.minimum(depth, 1.0)
+        near = self._near(*axis_in_object(poses), -poses[:, 2], 0)
+        return near.row * len(self.layout) + near.taxel, np.minimum(near.depth, 1.0)
 
-    def pressed_from(self, sensors: Floats, poses: Floats) -> tuple[NDArray[np.intp], Floats]:
-        """The same of sensors (K, 3) and objects (N, 3), both in the world: flat indices into
-        (K, N, M)."""
-        at, depth, _, _ = self._near(*_in_object(sensors, poses), 0.0)
-        return at, np.minimum(depth, 1.0)
-
-    def near_from(self, sensors: Floats, poses: Floats) -> Nearby:
-        """Taxels that are pressed or lie within BAND_M of that, of sensors (K, 3) and objects
-        (N, 3), both in the world: flat indices into (K, N, M), depths as shares of full scale
-        (beyond 0 and 1 as well), and how these grow with the sensor's x and y [1/m] in the object's
-        frame."""
-        return self._near(*_in_object(sensors, poses), BAND_M)
+    def pressed_from(self, sensors: Floats, poses: Floats, about: int = 0) -> Nearby:
+        """The same of sensors (K, 3) and objects (N, 3), both in the world; rows are of (K · N). Of
+        the first `about` sensors also the taxels within BAND_M of being pressed."""
+        return self._near(*_in_object(sensors, poses), about * len(poses))
 
     def activation(self, poses: Floats) -> Floats:
         """h: poses (N, 3) of the object in the sensor frame → (N, M) in 0..1."""
@@ -141,61 +150,70 @@ class ObservationModel:
         h.flat[at] = values
         return h
 
-    def _near(self, x: Floats, y: Floats, turn: Floats, band_m: float) -> Nearby:
-        """`near_from`, the sensor at (x, y) and turned by `turn`, in the object's frame: all (N,);
-        no gradients where `band_m` is 0."""
-        near, reach = self._masks[band_m]
-        reached = np.flatnonzero(reach.take(self._cell(x, y)))
+    def _near(self, x: Floats, y: Floats, turn: Floats, about: int) -> Nearby:
+        """`pressed_from`, the sensor at (x, y) and turned by `turn`, in the object's frame: all
+        (N,), of which the first `about` with the taxels about a press."""
+        scene = self.scene
+        x, y = (x - scene.origin[0]) / scene.cell, (y - scene.origin[1]) / scene.cell
+        reached = np.flatnonzero(self._reach.take(self._cell(x, y)))
         size = max(BLOCK // len(self._column), 1)
         blocks = [
-            self._look_up(rows, x.take(rows), y.take(rows), turn.take(rows), near, band_m)
+            self._look_up(rows, x.take(rows), y.take(rows), turn.take(rows), about)
             for rows in (reached[at : at + size] for at in range(0, max(len(reached), 1), size))
         ]
         if len(blocks) == 1:
             return blocks[0]
-        at, depth, gx, gy = (np.concatenate(part) for part in zip(*blocks, strict=True))
-        return at, depth, gx, gy
+        return Nearby(*(np.concatenate(part) for part in zip(*blocks, strict=True)))
 
-    def _cell(self, x: Floats, y: Floats) -> NDArray[np.intp]:
-        """The grid's cell that holds the sensor's axis: one look tells whether the link reaches."""
-        scene = self.scene
-        ny, nx = scene.silhouette.shape
-        u = np.clip((x - scene.origin[0]) / scene.cell, 0.0, nx - 1.0)
-        v = np.clip((y - scene.origin[1]) / scene.cell, 0.0, ny - 1.0)
-        return np.asarray(v.astype(np.intp) * nx + u.astype(np.intp))
+    def _cell(self, u: Reals, v: Reals) -> Index:
+        """The grid's cells that hold points, in cells from the grid's origin: one look at the
+        sensor's axis tells whether the link reaches."""
+        ny, nx = self.scene.silhouette.shape
+        column = np.minimum(np.maximum(u, 0.0), nx - 1.001).astype(np.int32)
+        row = np.minimum(np.maximum(v, 0.0), ny - 1.001).astype(np.int32)
+        return np.asarray(row * nx + column, dtype=np.intp)
 
-    def _look_up(
-        self, rows: NDArray[np.intp], x: Floats, y: Floats, turn: Floats, near: Bools, band_m: float
-    ) -> Nearby:
-        scene = self.scene
+    def _look_up(self, rows: Index, x: Floats, y: Floats, turn: Floats, about: int) -> Nearby:
+        scene, most = self.scene, self._column.shape[1]
         ny, nx = scene.silhouette.shape
-        c, s = np.cos(turn) / scene.cell, np.sin(turn) / scene.cell
-        x, y = (x - scene.origin[0]) / scene.cell, (y - scene.origin[1]) / scene.cell
-        u = np.stack([c, -s, x], axis=1) @ self._places
-        v = np.stack([s, c, y], axis=1) @ self._places
-        np.clip(u, 0.0, nx - 1.001, out=u)
-        np.clip(v, 0.0, ny - 1.001, out=v)
-        cell = v.astype(np.intp) * nx + u.astype(np.intp)
-        at = np.flatnonzero(near.take(cell))
-        row, place = np.divmod(at, cell.shape[1])
-        u, v, cell = u.take(at)[:, None], v.take(at)[:, None], cell.take(at)[:, None]
+        about = int(np.searchsorted(rows, about))
+        cos, sin = np.cos(turn) / scene.cell, np.sin(turn) / scene.cell
+        u: Grid = np.array([cos, -sin, x], np.float32).T @ self._places
+        v: Grid = np.array([sin, cos, y], np.float32).T @ self._places
+        cell = self._cell(u, v)
+        near = self._pressed.take(cell)
+        near[:about] |= self._about.take(cell[:about])
+        at = np.flatnonzero(near)
+        row, place = np.divmod(at, len(self._column))
+        about = int(np.searchsorted(row, about))
+        u = np.minimum(np.maximum(u.take(at), 0.0), nx - 1.001)[:, None]
+        v = np.minimum(np.maximum(v.take(at), 0.0), ny - 1.001)[:, None]
         u -= np.floor(u)
         v -= np.floor(v)
-        cell = cell + self._offset.take(place, axis=0)
-        flat = self._flat
-        a, b, c, d = (flat.take(cell + step) for step in (0, 1, nx, nx + 1))
-        low, high = a * (1.0 - u) + b * u, c * (1.0 - u) + d * u
-        depth = -(low * (1.0 - v) + high * v)
+        cell = cell.take(at)[:, None] + self._offset.take(place, axis=0)
+        d00, d01, d10, d11 = (self._flat.take(cell + step) for step in (0, 1, nx, nx + 1))
+        d01 -= d00  # along x, on either side
+        d11 -= d10
+        d00 += d01 * u
+        d10 += d11 * u
+        d10 -= d00  # along y
+        d00 += d10 * v  # the distance itself
         taxel = self._column.take(place, axis=0)
-        kept = np.flatnonzero((depth > -band_m) & (taxel >= 0))
-        at = rows.take(row.take(kept // taxel.shape[1])) * len(self.layout) + taxel.take(kept)
-        depth = depth.take(kept) / self.depth_max_m
-        if not band_m:
-            return at, depth, NONE, NONE
+        counts = taxel >= 0
+        counts[:about] &= d00[:about] < BAND_M
+        counts[about:] &= d00[about:] < 0.0
+        kept = np.flatnonzero(counts)
+        row, taxel = rows.take(row.take(kept // most)), taxel.take(kept)
+        depth = d00.take(kept) * (-1.0 / self.depth_max_m)
+        if not about:
+            return Nearby(row, taxel, depth, NONE, NONE)
+        kept = kept[: np.searchsorted(kept, about * most)]
+        d01, d11 = d01[:about], d11[:about]
+        d11 -= d01
+        d11 *= v[:about]
+        d01 += d11
         rate = -1.0 / (scene.cell * self.depth_max_m)
-        gx = rate * ((b - a) * (1.0 - v) + (d - c) * v).take(kept)
-        gy = rate * (high - low).take(kept)
-        return at, depth, gx, gy
+        return Nearby(row, taxel, depth, d01.take(kept) * rate, d10.take(kept) * rate)
 
 
 def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
@@ -206,15 +224,12 @@ def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
     return (c * x + s * y).ravel(), (c * y - s * x).ravel(), turn.ravel()
 
 
-def _masks(
-    silhouette: NDArray[np.float32], band_m: float, farthest_m: float
-) -> tuple[Bools, Bools]:
-    """Cells of the grid with a corner so near the object that a taxel there counts, and cells from
-    which a link's taxels reach those."""
+def _touched(silhouette: NDArray[np.float32], band_m: float) -> Bools:
+    """Cells of the grid with a corner so near the object that a taxel there counts."""
     inside = silhouette < band_m
     near = np.zeros_like(inside)
     near[:-1, :-1] = inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:]
-    return near.ravel(), (silhouette < farthest_m + band_m).ravel()
+    return near.ravel()
 
 
 def _padded(group: NDArray[np.intp], groups: int) -> NDArray[np.intp]:
