@@ -47,7 +47,9 @@ class Row:
     loop_ms: float  # CPU time of the loop's thread, an estimate
     grown_mb: float  # resident memory, at most
     relay_grown_mb: float
-    answer_estimates: int | None  # the longest that a client waited for `status`; None: it still does
+    answer_estimates: (
+        int | None
+    )  # the longest that a client waited for `status`; None: it still does
     newcomer: bool  # somebody who subscribed afterwards was served
     paused_s: float  # the longest that those who watch were held up themselves
     did: dict[str, int] | None  # connections, messages and bytes; None: no process of its own

@@ -1,8 +1,6 @@
 """The estimator's work on one scan, which may be left after each of its parts and taken up
 again."""
 
-from collections.abc import Generator
-
 from taxeld.arrays import Poses
 from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Estimate
@@ -30,7 +28,7 @@ class Work:
         self.own_ns = 0  # so far, on the ladder's clock; without the time between parts
         self._estimator = estimator
         self._ladder = ladder
-        self._parts = _parts(estimator, activation, sensor)
+        self._parts = estimator.parts(activation, sensor)
         self._proposed_ns = ladder.spent_ns
         self._left_ns: int | None = None
 
@@ -64,10 +62,3 @@ class Work:
 def estimator_of(model: ObservationModel, ladder: Ladder, config: Config) -> Estimator:
     """As configured."""
     return Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)
-
-
-def _parts(
-    estimator: Estimator, activation: Activation, sensor: Poses
-) -> Generator[None, None, Estimate]:
-    return estimator.on_scan(activation, sensor)
-    yield

@@ -28,7 +28,6 @@ from taxeld.source.reserve import Reserve
 from taxeld.source.session import Session
 from taxeld.source.wire import Heard, Wire
 from taxeld_protocol.decoder import Scan
-from taxeld_protocol.frames import Frame
 
 OnPose = Callable[[float, float, float, float], None]
 
@@ -218,18 +217,11 @@ class LiveSource:
             outbox.clear()  # what still streams behind it is not to be set up anew
 
     def _hear(self, device: Device) -> list[Heard]:
-        heard: list[Heard] = []
-        feed = self.wire.decoder.feed
-        for item in device.read():
-            if self._recorder is not None:
+        items = device.read()
+        if self._recorder is not None:
+            for item in items:
                 self._recorder.take(item)
-            if isinstance(item, Frame):  # of which most end nothing
-                packet, scans = feed(item)
-                if scans or packet is not None:
-                    heard.append(Heard(packet, scans))
-            else:
-                heard += self.wire.data(item.data, item.t)
-        return heard
+        return self.wire.take_all(items)
 
     def _flush(self, outbox: Outbox, now_s: float) -> None:
         try:
