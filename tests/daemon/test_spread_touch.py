@@ -217,7 +217,8 @@ def test_the_time_between_parts_is_nobodys(box: Bundle, scans: list[Scan]) -> No
     assert found[0][0] > 0
 
 
-def test_a_part_is_begun_only_while_there_is_time(touched: Touched) -> None:
+def test_a_part_is_begun_only_where_there_is_time_for_it(touched: Touched) -> None:
+    """By the longest of late; one is done in each call, whatever it takes."""
     pipeline, clock = touched.pipeline, touched.clock
     clock.step_ns = 1_000_000  # each look at the clock takes a millisecond
     spent = []
@@ -226,7 +227,7 @@ def test_a_part_is_begun_only_while_there_is_time(touched: Touched) -> None:
         pipeline.ends_ns = before + budget_ns
         assert list(pipeline.advance((), touched.scan.t)) == []
         spent.append(clock.ns - before)
-    assert spent[0] < 12_000_000 <= spent[1] < 20_000_000
+    assert 0 < spent[0] < spent[1]
     pipeline.ends_ns = float("inf")
     assert len(list(pipeline.advance((), touched.scan.t))) == 1
     assert not pipeline.is_at_work

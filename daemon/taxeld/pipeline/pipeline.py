@@ -29,6 +29,7 @@ from taxeld_protocol.decoder import Scan
 FUTURE_S = 0.1  # a scan that is stamped later than now by more was stamped wrongly
 WAITING_MAX = 64  # scans; of more the oldest are dropped
 SILENT_PERIODS = 3.0  # without a scan of it for so long, a hub is silent
+PART_KEPT = 0.98  # of what the longest part took, with each scan
 SCAN_SHARE = 0.8  # of the time until the next scan, for the work on one
 
 
@@ -73,6 +74,7 @@ class Pipeline:
         self.degrades = False  # samples are saved where the next scan would come too soon
         self._waiting: deque[tuple[float, Scan]] = deque()  # with the time of arrival
         self._work: Work | None = None  # on a scan that was begun
+        self._part_ns = 0.0  # the longest of its parts of late, where it has several
         self._is_put_off = False  # whether one waits for nothing but time
         self._stepped_s = 0.0  # by how much the Unix clock was set since the start
 
@@ -81,8 +83,9 @@ class Pipeline:
         and those that had been waiting, led to.
 
         A scan waits for a pose that tells where the sensor was at its time, which may be on its
-        way, but no longer than `sensor_pose.wait_s`. Once the time for a call is over (`ends_ns`),
-        the work on a scan is left after one of its parts, and the others wait for the next call.
+        way, but no longer than `sensor_pose.wait_s`. Where the time for a call (`ends_ns`) is too
+        short for another part of the work on a scan, it is left there, and others wait for the next
+        call.
         """
         by, self._is_put_off = self._stepped_s, False
         for scan in scans:
@@ -175,8 +178,9 @@ class Pipeline:
         has_pose = self.poses.reaches(scan.t + self._stepped_s)
         return waited or has_pose or len(self._waiting) > WAITING_MAX
 
-    def _is_late(self) -> bool:
-        return self.ladder.clock() >= self.ends_ns
+    def _is_late(self, need_ns: float = 0.0) -> bool:
+        """Whether there is no time, or not for what takes so long."""
+        return self.ladder.clock() + need_ns >= self.ends_ns
 
     def _refused(self, age: float) -> Outcome:
         if age > 0.0:
@@ -223,10 +227,13 @@ class Pipeline:
     def _go_on(self, work: Work) -> Outcome | None:
         """→ what the scan led to; None where the time was over before."""
         estimate = work.go_on()
-        while estimate is None and not self._is_late():
+        self._part_ns *= PART_KEPT
+        while estimate is None:
+            self._part_ns = max(work.part_ns, self._part_ns)
+            if self._is_late(self._part_ns):
+                return None
             estimate = work.go_on()
-        if estimate is None:
-            return None
+            self._part_ns = max(work.part_ns, self._part_ns)
         self._work, by = None, self._stepped_s
         self.estimate = self.freshness.judged(later(estimate, by))
         filter_ns = work.own_ns - work.propose_ns

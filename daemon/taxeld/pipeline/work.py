@@ -26,6 +26,7 @@ class Work:
         self.sensor = sensor
         self.skin_ns = skin_ns
         self.own_ns = 0  # so far, on the ladder's clock; without the time between parts
+        self.part_ns = 0  # of it, the last part
         self._estimator = estimator
         self._ladder = ladder
         self._parts = estimator.parts(activation, sensor)
@@ -50,7 +51,8 @@ class Work:
             return self._estimator.estimate if estimate is None else estimate
         finally:
             self._left_ns = self._ladder.clock()
-            self.own_ns += self._left_ns - begin
+            self.part_ns = self._left_ns - begin
+            self.own_ns += self.part_ns
         return None
 
     def give_up(self) -> None:
