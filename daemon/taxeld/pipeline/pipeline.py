@@ -29,7 +29,7 @@ from taxeld_protocol.decoder import Scan
 FUTURE_S = 0.1  # a scan that is stamped later than now by more was stamped wrongly
 WAITING_MAX = 64  # scans; of more the oldest are dropped
 SILENT_PERIODS = 3.0  # without a scan of it for so long, a hub is silent
-PART_KEPT = 0.98  # of what the longest part took, with each scan
+PART_KEPT = 0.95  # of what the longest part took, with each touch
 SCAN_SHARE = 0.8  # of the time until the next scan, for the work on one
 
 
@@ -74,7 +74,7 @@ class Pipeline:
         self.degrades = False  # samples are saved where the next scan would come too soon
         self._waiting: deque[tuple[float, Scan]] = deque()  # with the time of arrival
         self._work: Work | None = None  # on a scan that was begun
-        self._part_ns = 0.0  # the longest of its parts of late, where it has several
+        self._part_ns = 0.0  # the longest part of touches of late
         self._is_put_off = False  # whether one waits for nothing but time
         self._stepped_s = 0.0  # by how much the Unix clock was set since the start
 
@@ -227,13 +227,12 @@ class Pipeline:
     def _go_on(self, work: Work) -> Outcome | None:
         """→ what the scan led to; None where the time was over before."""
         estimate = work.go_on()
-        self._part_ns *= PART_KEPT
         while estimate is None:
-            self._part_ns = max(work.part_ns, self._part_ns)
-            if self._is_late(self._part_ns):
+            if self._is_late(max(work.longest_ns, self._part_ns)):
                 return None
             estimate = work.go_on()
-            self._part_ns = max(work.part_ns, self._part_ns)
+        if work.parts > 1:
+            self._part_ns = max(work.longest_ns, PART_KEPT * self._part_ns)
         self._work, by = None, self._stepped_s
         self.estimate = self.freshness.judged(later(estimate, by))
         filter_ns = work.own_ns - work.propose_ns

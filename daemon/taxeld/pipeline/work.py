@@ -26,7 +26,7 @@ class Work:
         self.sensor = sensor
         self.skin_ns = skin_ns
         self.own_ns = 0  # so far, on the ladder's clock; without the time between parts
-        self.part_ns = 0  # of it, the last part
+        self.parts = self.longest_ns = 0  # of it
         self._estimator = estimator
         self._ladder = ladder
         self._parts = estimator.parts(activation, sensor)
@@ -51,8 +51,10 @@ class Work:
             return self._estimator.estimate if estimate is None else estimate
         finally:
             self._left_ns = self._ladder.clock()
-            self.part_ns = self._left_ns - begin
-            self.own_ns += self.part_ns
+            part_ns = self._left_ns - begin
+            self.parts += 1
+            self.longest_ns = max(self.longest_ns, part_ns)
+            self.own_ns += part_ns
         return None
 
     def give_up(self) -> None:
