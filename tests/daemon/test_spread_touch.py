@@ -227,7 +227,7 @@ def test_a_part_is_begun_only_where_there_is_time_for_it(touched: Touched) -> No
         pipeline.ends_ns = before + budget_ns
         assert list(pipeline.advance((), touched.scan.t)) == []
         spent.append(clock.ns - before)
-    assert 0 < spent[0] < spent[1]
+    assert 0 < spent[0] < spent[1] < 12_000_000 + spent[0]
     pipeline.ends_ns = float("inf")
     assert len(list(pipeline.advance((), touched.scan.t))) == 1
     assert not pipeline.is_at_work

@@ -97,7 +97,7 @@ class Pipeline:
                 yield self._refused(age)
         while self._work or (self._waiting and self._is_due(*self._waiting[0], now - by)):
             yield from self._next()
-            if self._is_late():
+            if self._work or self._is_late():
                 self.inputs.scans_put_off += len(self._waiting)
                 self._is_put_off = bool(self._waiting)
                 break
