@@ -48,6 +48,21 @@ POSE_S = 0.01
 SETTLE_S = 4.0  # the baseline, and the first touches
 ROLL_HZ, PRESS_HZ = 0.13, 0.31
 DEPTH_M = (0.0015, 0.0045)
+SCAN_S, LOOKS = 0.05, 2  # looks that find a scan
+EMPTY = """
+import sys, time, zmq
+poses = zmq.Context().socket(zmq.SUB)
+poses.subscribe(b"")
+poses.connect(sys.argv[1])
+every_s, until = float(sys.argv[2]), time.monotonic() + float(sys.argv[3])
+spent_s, due = time.process_time(), time.monotonic()
+while due < until:
+    due += every_s
+    time.sleep(max(0.0, due - time.monotonic()))
+    while poses.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+        poses.recv_multipart()
+print(100.0 * (time.process_time() - spent_s) / float(sys.argv[3]))
+"""
 Row = tuple[str, float, float | None]
 
 
@@ -77,18 +92,49 @@ def rows(seconds: float = 20.0) -> list[Row]:
         touched = measure(Case(SKIN, "box", touched=True), seconds, place)
         idle = measure(Case(SKIN, "box", touched=False), seconds, place)
         recording = measure(Case(SKIN, "box", touched=False, record=True), seconds, place)
+        fast = measure(Case(SKIN, "box", touched=True, rate_hz=200.0), seconds, place)
         wide = measure(Case(LARGE, str(large), touched=True), seconds, place)
     return [
-        ("a core's share, 80 taxels, touched all the time: %", touched.cpu_percent, 8.0),
+        ("a core's share, 80 taxels, touched all the time: %", touched.cpu_percent, 6.0),
         ("  … scans with contact that were learned from, a second", touched.updates_hz, None),
         ("a core's share, untouched: %", idle.cpu_percent, 2.0),
+        ("  … the same wake-ups and poses, and no work: %", empty_percent(seconds), None),
         ("  … and recorded: %", recording.cpu_percent, None),
-        ("a core's share, 640 taxels, touched all the time: %", wide.cpu_percent, 15.0),
+        ("a core's share, 640 taxels, touched all the time: %", wide.cpu_percent, 10.0),
         ("a scan's way through the loop, median: ms", touched.p50_ms, 2.0),
         ("a scan's way through the loop, 99 %: ms", touched.p99_ms, 5.0),
+        *(
+            (f"a scan's last frame to its estimate, {case}, {figure}: ms", value, budget)
+            for case, ran in (("untouched", idle), ("touched", touched), ("… at 200 Hz", fast))
+            for figure, value, budget in (
+                ("median", ran.reached_p50_ms, 1.5),
+                ("99 %", ran.reached_p99_ms, 5.0),
+            )
+        ),
+        ("touches served below the chosen sampler", touched.degraded, None),
         ("start to ready: CPU s", touched.start_cpu_s, 1.5),
         ("resident memory: MB", touched.resident_mb, 120.0),
     ]
+
+
+def empty_percent(seconds: float) -> float:
+    """A core's share of a process that wakes as often as an untouched daemon, takes the robot's
+    poses as they are, and does nothing."""
+    with (
+        tempfile.TemporaryDirectory() as place,
+        zmq.Context() as context,
+        context.socket(zmq.PUB) as poses,
+    ):
+        poses.linger = 0
+        poses.bind(f"ipc://{place}/poses")
+        arguments = (f"ipc://{place}/poses", str(SCAN_S / LOOKS), str(seconds))
+        command = [sys.executable, "-c", EMPTY, *arguments]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            while process.poll() is None:
+                poses.send_multipart((messages.SENSOR_POSE, bytes(40), b"0"), zmq.NOBLOCK)
+                time.sleep(POSE_S)
+            assert process.stdout is not None
+            return float(process.stdout.read())
 
 
 def long(minutes: float) -> list[Row]:

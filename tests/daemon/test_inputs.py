@@ -161,7 +161,7 @@ def looks_at(gathering: Gathering, took_s: float, now: float) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    ("took_s", "most"), [(0.0002, 2.0), (0.001, 3.0), (0.003, 3.0), (0.004, 3.0), (0.02, 10.0)]
+    ("took_s", "most"), [(0.0002, 2.0), (0.001, 3.0), (0.003, 3.0), (0.004, 3.5), (0.02, 10.0)]
 )
 def test_few_looks_find_a_scan_soon_after_its_last_frame(took_s: float, most: float) -> None:
     gathering = Gathering()

@@ -8,7 +8,8 @@ from typing import NamedTuple, Protocol
 
 PEERS_S = 0.01  # those who come again and again are looked at so often
 REST_S = (0.0005, 0.004)  # for frames to gather
-SOONER = 0.9  # of the time that the last scan took, the next one is looked at
+SOONER = 0.9  # of the time that scans usually take, a scan is looked at again
+FOLLOW, DOUBT = 0.5, 0.3  # how much of that is learned, and unlearned, with a scan
 IN, ONCE = select.EPOLLIN, select.EPOLLIN | select.EPOLLONESHOT
 
 
@@ -93,9 +94,9 @@ class Gathering:
         least_s, most_s = REST_S
         if whole:
             if self._looks == 1:  # it may have been there for long
-                self._usual_s *= SOONER
+                self._usual_s *= 1.0 - DOUBT
             elif self._looks:
-                self._usual_s = now_s - self._began_s
+                self._usual_s += FOLLOW * (now_s - self._began_s - self._usual_s)
             self._looks = 0
             return 0.0
         self._looks += 1
