@@ -6,14 +6,17 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import numpy as np
 import pytest
 import zmq
 
-from taxeld.config.file import parse
+from taxeld.config.file import load, parse
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.service.loop import Daemon
+from taxeld.source import session
 from taxeld.stream import messages
+from tests.daemon.recorded import configuration, write_session
 from tests.daemon.simulated_skin import SimulatedSkin
 
 EVERY_KEY = [
@@ -248,3 +251,48 @@ def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
 def test_an_endpoint_without_its_directory_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match=r"publish\.endpoints: .* does not exist"):
         Daemon(parse(settings(tmp_path / "missing")))
+
+
+def test_a_replay_ends_with_its_last_scan(tmp_path: Path) -> None:
+    """Though that waits for a pose that does not come."""
+    write_session(tmp_path, touches=1, period_s=0.02)
+    items = session.read(tmp_path).items
+    times = np.arange(items[0].t, items[-1].t - 0.03, 0.01)
+    rows = "".join(f"{t:.6f},0.3,0,0\n" for t in times)
+    (tmp_path / session.POSES).write_text(f"t,x,y,theta\n{rows}", "ascii")
+    text = "extrapolate_s = 0\nwait_s = 0.5\n"
+    config = configuration(tmp_path)
+    settings = config.read_text("utf-8")
+    assert "[sensor_pose]" not in settings
+    config.write_text(f"{settings}\n[sensor_pose]\n{text}", "utf-8")
+    daemon = Daemon(load(config))
+    daemon.run()
+    assert daemon.counters.scans > 30
+    assert daemon.pipeline.inputs.scans_waited > 0
+    assert daemon.pipeline.skin.counters.scans == daemon.counters.scans
+
+
+def test_a_daemon_ends_in_the_midst_of_a_touch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the skin has learned is kept, and the next life feels the touch."""
+    text = settings(tmp_path) + f'[skin]\nstate_dir = "{tmp_path}/state"\n'
+    daemon = Daemon(parse(text))
+    skin = SimulatedSkin(daemon.layout, noise=5.0)
+    skin.t = time.time() - 4.0
+    now = time.monotonic()
+    for k in range(60):
+        skin.press[[33, 34]] = 8_000.0 * (k >= 40)
+        scan = skin.scan()
+        monkeypatch.setattr(daemon.source, "poll", lambda *_, scan=scan, **__: [scan])
+        monkeypatch.setattr(time, "time", lambda: skin.t)
+        daemon.tick(now + 0.05 * k, left_s=0.0)  # so each pass does one part
+        if daemon.pipeline.is_at_work:
+            break
+    assert daemon.pipeline.is_at_work
+    daemon.close()
+    monkeypatch.undo()
+    assert daemon.kept.counters.saved >= 1
+    again = Daemon(parse(text))
+    assert again.kept.counters.loaded == 1
+    again.close()

@@ -116,6 +116,11 @@ class Pipeline:
         return self._work is not None or self._is_put_off
 
     @property
+    def is_busy(self) -> bool:
+        """Whether a scan has come that is not through."""
+        return self._work is not None or bool(self._waiting)
+
+    @property
     def has_waiting(self) -> bool:
         """Whether a scan waits, for a pose or for time."""
         return bool(self._waiting)

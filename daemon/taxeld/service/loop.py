@@ -185,7 +185,7 @@ class Daemon:
                 between()
                 if self.source.fault:
                     raise SetupError(self.source.fault)
-                if self.source.finished:
+                if self.source.finished and not self.pipeline.is_busy:
                     break
                 if ready.device and (
                     rest_s := gathering.rest_s(now, whole=self.counters.scans > scans)
@@ -196,10 +196,9 @@ class Daemon:
     def _wait(self, ticker: Ticker, inputs: Inputs) -> Ready:
         """Until the next pass is due: when something has come, or by the clock."""
         pipeline, source = self.pipeline, self.source
-        waits = pipeline.has_waiting
-        robot = self.pose_input.socket if waits and self.pose_input is not None else None
+        robot = self.pose_input.socket if self.pose_input and pipeline.has_waiting else None
         inputs.follow(source.device, robot)
-        until_s = ticker.until(busy=waits or source.is_busy)
+        until_s = ticker.until(busy=pipeline.is_busy or source.is_busy)
         if pipeline.is_at_work:  # a moment, for others on this processor
             until_s = min(until_s, time.monotonic() + BREATH_S)
         return inputs.wait(until_s)
