@@ -255,10 +255,12 @@ class Robot:
         hub: VirtualIhb,
         port: SlcanPort,
         poses: zmq.Socket[bytes],
-        estimates: zmq.Socket[bytes],
+        estimates: zmq.Socket[bytes] | None = None,
     ) -> None:
+        """`estimates`: hears those of the daemon, whose delay is measured."""
         self.reached_s: list[float] = []  # from a scan's last frame to its estimate, for each
-        self._estimates, self._sent_s, self._heard_t = estimates, 0.0, 0.0
+        self._listening = [] if estimates is None else [estimates]
+        self._sent_s = self._heard_t = 0.0
         self._model, self._touched = loaded.model, touched
         self._hub, self._port, self._poses = hub, port, poses
         self._rng = np.random.default_rng(0)
@@ -284,8 +286,9 @@ class Robot:
             self._step()
 
     def _step(self) -> None:
-        select.select([self._port, self._estimates], [], [], 0.002)
-        self._hear()
+        select.select([self._port, *self._listening], [], [], 0.002)
+        for stream in self._listening:
+            self._hear(stream)
         now, wall = time.monotonic(), time.time()
         for packet in self._port.take(wall):
             self._send(self._hub.answer(packet))
@@ -301,9 +304,9 @@ class Robot:
             self._sent_s = time.monotonic()
         self._port.flush()
 
-    def _hear(self) -> None:
-        while int(self._estimates.getsockopt(zmq.EVENTS)) & zmq.POLLIN:
-            estimate = msgpack.unpackb(self._estimates.recv_multipart()[1])
+    def _hear(self, stream: zmq.Socket[bytes]) -> None:
+        while int(stream.getsockopt(zmq.EVENTS)) & zmq.POLLIN:
+            estimate = msgpack.unpackb(stream.recv_multipart()[1])
             if estimate["t"] > self._heard_t and self._sent_s:
                 self._heard_t = estimate["t"]
                 self.reached_s.append(time.monotonic() - self._sent_s)
