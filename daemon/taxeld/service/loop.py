@@ -187,9 +187,9 @@ class Daemon:
                     raise SetupError(self.source.fault)
                 if self.source.finished and not self.pipeline.is_busy:
                     break
-                if ready.device and (
-                    rest_s := gathering.rest_s(now, whole=self.counters.scans > scans)
-                ):
+                whole = self.counters.scans > scans
+                rest_s = gathering.rest_s(now, whole=whole) if ready.device else 0.0
+                if rest_s and not self.pipeline.is_at_work:
                     time.sleep(rest_s)
                 ready = self._wait(ticker, inputs)
 
