@@ -189,18 +189,19 @@ class Daemon:
                     break
                 whole = self.counters.scans > scans
                 rest_s = gathering.rest_s(now, whole=whole) if ready.device else 0.0
-                if rest_s and not self.pipeline.is_at_work:
-                    time.sleep(rest_s)
-                ready = self._wait(ticker, inputs)
+                ready = self._wait(ticker, inputs, rest_s)
 
-    def _wait(self, ticker: Ticker, inputs: Inputs) -> Ready:
-        """Until the next pass is due: when something has come, or by the clock."""
+    def _wait(self, ticker: Ticker, inputs: Inputs, rest_s: float) -> Ready:
+        """Until the next pass is due: when something has come, after a rest, or by the clock."""
         pipeline, source = self.pipeline, self.source
         robot = self.pose_input.socket if self.pose_input and pipeline.has_waiting else None
         inputs.follow(source.device, robot)
         until_s = ticker.until(busy=pipeline.is_busy or source.is_busy)
+        now_s = time.monotonic()
         if pipeline.is_at_work:  # a moment, for others on this processor
-            until_s = min(until_s, time.monotonic() + BREATH_S)
+            until_s = min(until_s, now_s + BREATH_S)
+        elif rest_s and until_s > now_s:
+            time.sleep(min(rest_s, until_s - now_s))
         return inputs.wait(until_s)
 
     def tick(self, now_s: float, left_s: float = math.inf, ready: Ready = ALL) -> None:
