@@ -84,6 +84,18 @@ def _relay(args: argparse.Namespace) -> int:
     return 0
 
 
+def _init(args: argparse.Namespace) -> int:
+    from taxeld.commands import init
+
+    answers = init.Answers(
+        args.source, args.bundle, args.layout, args.poses, args.dialect, args.keys
+    )
+    config = init.write(args.config, answers, init.person())
+    print(f"written: {args.config} ({config.source.kind} {config.source.channel}, object "
+          f"{config.scene.bundle}); next: taxeld check {args.config}")  # fmt: skip
+    return 0
+
+
 def _check(args: argparse.Namespace) -> int:
     from taxeld.commands import check
 
@@ -213,6 +225,25 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_daemon(commands: command_line.Commands) -> None:
+    init = command(
+        commands, "init",
+        "Write a configuration with a comment on each key; asks what is not given as an option.",
+        "taxeld init can0.toml",
+        "taxeld init can0.toml --source can:can0 --bundle box --poses tcp://127.0.0.1:9874",
+        run=_init,
+    )  # fmt: skip
+    init.add_argument("config", type=Path, metavar="CONFIG", help="a new file")
+    init.add_argument("--source", help="can:can0, slcan:/dev/ttyACM0 or serial:/dev/ttyACM0")
+    init.add_argument("--bundle", help="the object: box, mug, or what taxeld-train build made")
+    init.add_argument("--layout", help="the skin's (default: what the bundle was built for)")
+    init.add_argument(
+        "--poses", metavar="ENDPOINT", help="where the robot publishes; '' if the sensor is fixed"
+    )
+    init.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
+    init.add_argument(
+        "--keys", default="", metavar="DIR", help="keys, where the robot is another machine"
+    )
+
     run = command(
         commands, "run", "Run the daemon until it is stopped.",
         "taxeld run can0.toml", "taxeld run --record session can0.toml", run=_run,

@@ -9,6 +9,7 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld_protocol import icub
 
 MAX_BYTES = 1_000_000
+SHIPPED = Path(__file__).parents[1] / "bundles"
 
 
 def load(path: Path) -> Config:
@@ -18,10 +19,14 @@ def load(path: Path) -> Config:
         ConfigError: all faults at once.
     """
     config = _for_this_user(parse(text_of(path), str(path)))
-    if not config.skin.calibration:
-        return config
-    beside = str(path.parent / config.skin.calibration)  # an absolute path stays what it is
-    return replace(config, skin=replace(config.skin, calibration=beside))
+    skin, scene = config.skin, config.scene
+    if skin.calibration:
+        # an absolute path stays what it is
+        skin = replace(skin, calibration=str(path.parent / skin.calibration))
+    skin = replace(skin, layout=_beside(path, skin.layout))
+    if not (SHIPPED / scene.bundle).is_dir():
+        scene = replace(scene, bundle=_beside(path, scene.bundle))
+    return replace(config, skin=skin, scene=scene)
 
 
 def text_of(path: Path) -> str:
@@ -57,6 +62,15 @@ def parse(text: str, name: str = "configuration") -> Config:
     if faults:
         raise ConfigError(faults)
     return config
+
+
+def _beside(path: Path, name: str) -> str:
+    """What a configuration at `path` names, from where it lies; else from the shell's directory, as
+    a session is replayed that keeps the configuration and not the bundle."""
+    try:
+        return str(path.parent / name) if (path.parent / name).exists() else name
+    except (OSError, ValueError):  # no path at all, or not ours to see
+        return name
 
 
 def _check_source(source: SourceConfig, faults: list[str]) -> None:

@@ -104,9 +104,13 @@ class Bundle:
         return {sampler["name"]: sampler for sampler in self.info["samplers"]}
 
 
+def is_shipped(name: str) -> bool:
+    return Path(name).name == name and (_shipped() / name / manifest.NAME).is_file()
+
+
 def find(name: str) -> Path:
     """The directory of a shipped bundle's name or a path."""
-    shipped = Path(str(resources.files("taxeld") / "bundles"))
+    shipped = _shipped()
     for path in (shipped / name, Path(name)):
         with contextlib.suppress(OSError, ValueError):  # no path at all, or not ours to see
             if (path / manifest.NAME).is_file():
@@ -116,6 +120,10 @@ def find(name: str) -> Path:
         f"scene.bundle: no bundle {name!r:.100}; shipped are {names}; "
         "others are built by 'taxeld-train build'"
     )
+
+
+def _shipped() -> Path:
+    return Path(str(resources.files("taxeld") / "bundles"))
 
 
 def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
