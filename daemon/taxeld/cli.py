@@ -100,7 +100,7 @@ def _check(args: argparse.Namespace) -> int:
     from taxeld.commands import check
 
     config = load(args.config)
-    faults = check.faults(config)
+    faults = check.faults(config, args.running)
     if faults:
         raise ConfigError(faults)
     print("\n".join([f"{args.config}: fine", *(f"note: {line}" for line in check.notes(config))]))
@@ -181,6 +181,7 @@ def _layout(args: argparse.Namespace) -> int:
 
 def _ask(args: argparse.Namespace) -> int:
     from taxeld.commands.status import lines
+    from taxeld.commands.unanswered import unanswered
     from taxeld.stream import client
 
     endpoint = args.endpoint or for_this_user(ControlConfig().endpoint)
@@ -190,7 +191,7 @@ def _ask(args: argparse.Namespace) -> int:
             raise SetupError("control.endpoint: is empty, so this daemon cannot be asked")
     answer = client.ask(endpoint, args.name, args.keys)
     if answer is None:
-        print(f"no daemon answers at {endpoint}; is 'taxeld run' there?", file=sys.stderr)
+        print(unanswered(endpoint), file=sys.stderr)
         return FAILED
     if not answer.get("ok"):
         print(f"{endpoint}: {answer.get('error', 'an answer of another kind')}", file=sys.stderr)
@@ -258,9 +259,13 @@ def _add_daemon(commands: command_line.Commands) -> None:
 
     check = command(
         commands, "check", "Check everything that a run needs; one line for each fault.",
-        "taxeld check can0.toml", run=_check,
+        "taxeld check can0.toml", "taxeld check --running /etc/taxeld/can0.toml", run=_check,
     )  # fmt: skip
     check.add_argument("config", type=Path, metavar="CONFIG")
+    check.add_argument(
+        "--running", action="store_true",
+        help="a daemon runs with it already: what that has in use is no fault",
+    )  # fmt: skip
 
     relay = command(
         commands, "relay", "Publish the streams of a running daemon over TCP.",

@@ -21,7 +21,7 @@ FLAGS = ["--source", "slcan:{device}", "--bundle", "box", "--poses", "tcp://127.
 
 @pytest.fixture
 def flags(tmp_path: Path) -> list[str]:
-    (tmp_path / "ttyACM0").touch()
+    (tmp_path / "ttyACM0").symlink_to("/dev/null")  # which is a device
     return [flag.format(device=tmp_path / "ttyACM0") for flag in FLAGS]
 
 
