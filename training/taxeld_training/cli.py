@@ -6,11 +6,18 @@ import math
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from taxeld import command_line
 from taxeld.command_line import command
 from taxeld.config.tables import SkinConfig
+from taxeld.errors import SetupError
 from taxeld_training.objects.defaults import DEPTH_MAX_M, HEIGHT_M
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from taxeld.layout.layout import Layout
 
 DEFAULT_SKIN = SkinConfig().layout
 EXPERIMENTS = (
@@ -36,6 +43,7 @@ def _build(args: argparse.Namespace) -> int:
     from taxeld.layout import read as layouts
     from taxeld_training.build import build
     from taxeld_training.models.variants import trained_with
+    from taxeld_training.objects import meshes
     from taxeld_training.samplers.candidates import VARIANTS, Candidates
 
     given = Candidates(
@@ -44,6 +52,8 @@ def _build(args: argparse.Namespace) -> int:
         readings=args.readings or Candidates.readings,
         seed=args.seed,
     )
+    skin = layouts.load(args.skin)
+    _doubt(args, meshes.load(meshes.find(args.object)[0]), skin)
     columns = (SpinnerColumn(), *Progress.get_default_columns(), TimeElapsedColumn())
     with Progress(*columns) as bar:
         tasks: dict[str, int] = {}
@@ -53,7 +63,7 @@ def _build(args: argparse.Namespace) -> int:
                 tasks[stage] = bar.add_task(stage, total=1.0)
             bar.update(tasks[stage], completed=share)  # type: ignore[arg-type]
 
-        out = build(args.object, layouts.load(args.skin), args.height_m, given, args.out, progress)
+        out = build(args.object, skin, args.height_m, given, args.out, progress)
     for repair in json.loads((out / "bundle.json").read_text(encoding="utf-8"))["repairs"]:
         print(f"taxeld-train: {args.object}: {repair}", file=sys.stderr)
     print(out)
@@ -92,7 +102,24 @@ def _scene(args: argparse.Namespace) -> int:
     print(f"repairs     {'; '.join(repairs) or 'none'}")
     print(f"grid error  rms {error.rms:.3f}, 99 % under {error.p99:.3f}, max {error.max:.3f} mm")
     print(f"grid        {size / 1e3:.0f} kB")
+    _doubt(args, mesh, skin)
+    if args.png:
+        from taxeld_training.objects.scene_picture import draw
+
+        title = f"{args.object} on {skin.name}"
+        try:
+            draw(mesh, scene, skin, args.height_m, title, args.png)
+        except OSError as error:
+            raise SetupError(f"--png: cannot write {args.png} ({error.strerror})") from None
     return 0
+
+
+def _doubt(args: argparse.Namespace, mesh: "trimesh.Trimesh", skin: "Layout") -> None:
+    """Say what is probably wrong with how the mesh lies and is cut."""
+    from taxeld_training.objects.doubts import doubts
+
+    for line in doubts(mesh, skin, args.height_m):
+        print(f"taxeld-train: {args.object}: warning: {line}", file=sys.stderr)
 
 
 def _evaluate(args: argparse.Namespace) -> int:
@@ -142,9 +169,14 @@ def _parser() -> argparse.ArgumentParser:
     commands = command_line.commands_of(parser)
     one = command(
         commands, "scene", "Show what the skin meets of an object, before a bundle is built.",
-        "taxeld-train scene 025_mug", "taxeld-train scene bracket.stl --height-m 0.05", run=_scene,
+        "taxeld-train scene 025_mug",
+        "taxeld-train scene bracket.stl --height-m 0.05 --png bracket.png",
+        run=_scene,
     )  # fmt: skip
     _add_object(one)
+    one.add_argument(
+        "--png", type=Path, metavar="OUT", help="draw the object, the skin's heights and the slices"
+    )
     one = command(
         commands, "build", "Build the bundle of an object and a skin, which the daemon runs with.",
         "taxeld-train build 025_mug --out mug",
