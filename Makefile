@@ -21,7 +21,7 @@ lint: .venv/.all
 
 # The documentation as a site in .venv/site; a link that leads nowhere ends it
 docs: .venv/.docs
-	NO_MKDOCS_2_WARNING=1 .venv/docs/bin/python -m mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 .venv/docs/bin/python -m mkdocs build
 
 bench: .venv/.all
 	$(BIN)/python benchmarks/run.py
