@@ -89,7 +89,8 @@ clean:
 	.venv/sbom/bin/python -m pip --disable-pip-version-check install --quiet cyclonedx-bom==7.5.0
 	touch $@
 
-.venv/.runtime: .venv/bin/python pyproject.toml constraints.txt
+.venv/.runtime: .venv/bin/python pyproject.toml constraints.txt hatch_build.py \
+		daemon/taxeld/estimator/explain.c
 	$(PIP) -e .
 	touch $@
 

@@ -64,7 +64,7 @@ ROOMS = {  # what a room may import of its package, beside itself and what stand
         "cli": "objects models limits jobs samplers filters bundles build",
     },
 }
-EVERYWHERE = {"", "arrays", "errors"}  # a package itself, and these of its modules
+EVERYWHERE = {"", "arrays", "errors", "native"}  # a package itself, and these of its modules
 PURE = {
     "taxeld.config.tables",
     "taxeld.model",
@@ -76,6 +76,7 @@ IMPURE = {
     *("time", "os", "socket", "threading", "pathlib", "json", "zipfile"),
     *("zmq", "can", "serial", "onnxruntime"),
 }
+INSTALLED = {"taxeld.native"}  # what it finds depends on the installation alone
 MOST = 12  # modules of the project that one module may import
 UNBOUNDED = ("service", "cli")  # rooms that put everything together
 
@@ -161,7 +162,7 @@ class House:
             for name in [*packages, *(found.name for found in self._imports.get(way[-1], ()))]:
                 if name in IMPURE:
                     return [*way[1:], name]
-                if name in self._paths and name not in seen:
+                if name in self._paths and name not in seen | INSTALLED:
                     seen.add(name)
                     ways.append([*way, name])
         return []

@@ -20,6 +20,7 @@ FIXED = {
     "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SPR",
     "OPENBLAS_CORETYPE": "Haswell",
     "OPENBLAS_NUM_THREADS": "1",
+    "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
     'proposal = "table"': "9480e8fe05de4c7b",

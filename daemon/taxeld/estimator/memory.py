@@ -5,18 +5,34 @@ still explain them all (after the memory unscented particle filter, Vezzani et a
 scans are remembered beside contacts: where the skin met nothing, the object is not.
 """
 
+import copy
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Bools, Floats, Grid, Index, Poses
-from taxeld.estimator.offsets import Readings
+from taxeld.arrays import Bools, Floats, Grid, Poses
+from taxeld.estimator.compiled import compiled
+from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.prior import Prior
-from taxeld.model.observation import Nearby, Noise, Observation, ObservationModel
+from taxeld.model.observation import Noise, Observation, ObservationModel
 
-HIDDEN = 1.5  # standard deviations of its offset that a silent scan may be off
+FAR = 1e30  # standard deviations: without a bound
 LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # of a reading: the activations that may explain it best
+
+
+class Kept(IntEnum):
+    """What is kept of each reading."""
+
+    Z = 0
+    LEVEL = 1  # what is read, or the floor where that is 0
+    RESIDUE = 2
+    LOW = 3  # by how much it may be said to be above what is expected: at least,
+    HIGH = 4  # and at most [standard deviations]
+    ROOT = 5  # 1 / standard deviation about what is read, 0 where not live
+    SILENT = 6  # log p(z | h = 0)
+    LIVE = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +64,16 @@ class Memory:
         self._noise = noise
         self.slack = slack or Slack()
         self.prior = prior
+        self._compiled = compiled(model, noise)
         self._sensor = np.empty((0, 3))
-        none = np.empty((0, taxels), np.float32)
-        self._z = self._live = self._floor = self._residue = none
-        self._level = none  # what is read, or the floor where that is 0
-        self._low = self._high = none  # that a reading may be said to be above what is expected
-        self._root = none  # 1 / standard deviation about what is read, 0 where not live
-        self._silent = none  # log p(z | h = 0): of a taxel that is not pressed
+        self._kept: Grid = np.empty((len(Kept), 0, taxels), np.float32)
         self.number = np.empty(0, dtype=np.intp)  # (K,) of the contact; the last, where silent
         self.newest = 0  # number of the contact that began last
         self.pressed = np.empty(0, dtype=np.intp)  # (K,) taxels that were pressed
         self.ceiling = np.empty(0)  # (K,) log p(z | h) were each taxel pressed just as it reads
 
     def __len__(self) -> int:
-        return len(self._z)
+        return len(self._sensor)
 
     @property
     def terms(self) -> int:
@@ -103,19 +115,17 @@ class Memory:
         )
         density = density * live[:, None]
         kept = {
-            "_z": z,
-            "_live": live,
-            "_floor": floor,
-            "_residue": residue,
-            "_level": np.where(z > 0.0, z, floor),
-            "_low": np.where(z < 1.0, -np.inf, 0.0),
-            "_high": np.where(z > 0.0, np.inf, 0.0),
-            "_root": live / np.sqrt(self._noise.variance(z) + residue**2),
-            "_silent": density[:, 0],
+            Kept.Z: z,
+            Kept.LEVEL: np.where(z > 0.0, z, floor),
+            Kept.RESIDUE: residue,
+            Kept.LOW: np.where(z < 1.0, -FAR, 0.0),
+            Kept.HIGH: np.where(z > 0.0, FAR, 0.0),
+            Kept.ROOT: live / np.sqrt(self._noise.variance(z) + residue**2),
+            Kept.SILENT: density[:, 0],
+            Kept.LIVE: live,
         }
-        for name, values in kept.items():
-            grown = np.vstack([getattr(self, name), values.astype(np.float32)])
-            setattr(self, name, grown)
+        newest = np.array([kept[field] for field in Kept], np.float32)
+        self._kept = np.concatenate([self._kept, newest[:, None]], axis=1)
         self._sensor = np.vstack([self._sensor, observation.sensor])
         self.number = np.append(self.number, number)
         self.newest = max(self.newest, number)
@@ -124,18 +134,16 @@ class Memory:
 
     def scan(self, k: int) -> Observation:
         """The k-th scan."""
-        return Observation(
-            self._sensor[k], self._z[k], self._live[k] > 0.0, self._floor[k], self._residue[k]
-        )
+        z, level, residue, live = self._kept[[Kept.Z, Kept.LEVEL, Kept.RESIDUE, Kept.LIVE], k]
+        floor = np.where(z > 0.0, 0.0, level)  # of no other is it of any use
+        return Observation(self._sensor[k], z.astype(np.float64), live > 0.0, floor, residue)
 
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """The scans that `kept` (K,) names, with the prior or without."""
-        made = Memory(self._model, self._noise, self.prior if prior else None, self.slack)
-        made.newest = self.newest
-        for name in (
-            "_sensor", "_z", "_live", "_floor", "_residue", "_level", "_low", "_high", "_root",
-            "_silent", "number", "pressed", "ceiling",
-        ):  # fmt: skip
+        made = copy.copy(self)
+        made.prior = self.prior if prior else None
+        made._kept = self._kept[:, kept]
+        for name in ("_sensor", "number", "pressed", "ceiling"):
             setattr(made, name, getattr(self, name)[kept])
         return made
 
@@ -162,40 +170,39 @@ class Memory:
     def _explain(self, poses: Poses, since: int) -> Floats:
         """Of scans from `since` on: (N, 3) → (N, K − since). Contacts have an offset each; a silent
         scan tells of what presses deeper than its offset may have hidden."""
-        n, k = len(poses), len(self) - since
         variance = self.slack.variance(self.newest - self.number[since:])
-        silent = self.silent[since:]
+        kept, sensor, silent = self._kept[:, since:], self._sensor[since:], self.silent[since:]
+        if self._compiled is not None:
+            kept = np.ascontiguousarray(kept)
+            met = self._compiled.explain(kept, sensor, variance, silent, poses)
+        else:
+            met = self._met(kept, sensor, variance, silent, poses)
+        met += kept[Kept.SILENT].sum(axis=1, dtype=np.float64)
+        return met
+
+    def _met(
+        self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools, poses: Poses
+    ) -> Floats:
+        """`Compiled.explain`: what taxels that are pressed add to log p, (N, K)."""
+        n, k, taxels = len(poses), len(sensor), len(self._model.layout)
         order = np.argsort(silent, kind="stable")  # contacts first
         about = k - int(np.count_nonzero(silent)) if variance.any() else 0
-        near = self._model.pressed_from(self._sensor[since:][order], poses, about)
+        near = self._model.pressed_from(sensor[order], poses, about)
         scan = order.take(near.row // max(n, 1))
-        cell = (scan + since) * len(self._model.layout) + near.taxel
+        fields = kept.reshape(len(Kept), -1).take(scan * taxels + near.taxel, axis=1)
+        z, level, residue, low, high, root, untouched, live = fields
         depth, added, pairs = near.depth, np.zeros(k * n), len(near.gx)
         if pairs:
-            offset = self._readings(near, cell).offset(np.repeat(variance[order[:about]], n))
+            readings = Readings(
+                near.row[:pairs], level[:pairs], low[:pairs], high[:pairs], depth[:pairs],
+                near.gx, near.gy, root[:pairs],
+            )  # fmt: skip
+            offset = readings.offset(np.repeat(variance[order[:about]], n))
             depth[:pairs], added[: about * n] = offset
         hidden = (HIDDEN / self._model.depth_max_m) * np.sqrt(variance)
         depth[pairs:] -= hidden.astype(np.float32).take(scan[pairs:])
-        gain = self._gain(cell, np.minimum(np.maximum(depth, 0.0), 1.0))
-        explained = np.empty((n, k))
-        explained[:, order] = (np.bincount(near.row, gain, k * n) + added).reshape(k, n).T
-        explained += self._silent[since:].sum(axis=1, dtype=np.float64)
-        return explained
-
-    def _readings(self, near: Nearby, cell: Index) -> Readings:
-        """Of taxels about a press, at these places in what is kept."""
-        pairs = len(near.gx)
-        cell = cell[:pairs]
-        level, low, high, root = (
-            kept.take(cell) for kept in (self._level, self._low, self._high, self._root)
-        )
-        row, depth = near.row[:pairs], near.depth[:pairs]
-        return Readings(row, level, low, high, depth, near.gx, near.gy, root)
-
-    def _gain(self, cell: Index, h: Grid) -> Floats:
-        """By how much readings at places in what is kept are likelier at h than untouched."""
-        z, floor, residue, silent, live = (
-            kept.take(cell)
-            for kept in (self._z, self._floor, self._residue, self._silent, self._live)
-        )
-        return np.asarray((self._noise.log_density(z, h, floor, residue) - silent) * live)
+        h = np.minimum(np.maximum(depth, 0.0), 1.0)
+        gain = (self._noise.log_density(z, h, level, residue) - untouched) * live
+        met = np.empty((n, k))
+        met[:, order] = (np.bincount(near.row, gain, k * n) + added).reshape(k, n).T
+        return met

@@ -13,6 +13,7 @@ import numpy as np
 from taxeld.arrays import Floats, Grid, Index
 
 ITERATIONS = 2  # of Gauss and Newton: taxels come into touch, and leave it, once
+HIDDEN = 1.5  # standard deviations of its offset that a silent scan may be off
 LEAST_M2 = 1e-12  # variance of an offset: none at all
 ROBUST = 3.0  # standard deviations from which a reading pulls no harder (Huber 1964)
 

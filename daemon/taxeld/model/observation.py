@@ -48,6 +48,11 @@ class Noise:
     gain_cv: float = 0.17  # sd of a taxel's relative gain error (PROTOCOL: measured on such skin)
     outliers: float = 0.01  # probability that a reading has nothing to do with the pose
 
+    @property
+    def least(self) -> float:
+        """Of the density of a reading, whatever it is read at."""
+        return max(self.outliers / 3.0, LEAST)
+
     def draw(self, h: Floats, rng: np.random.Generator) -> Floats:
         """Readings of true activations `h` (any shape)."""
         gain = 1.0 + self.gain_cv * rng.standard_normal(h.shape)
@@ -81,8 +86,7 @@ class Noise:
         sign = np.where(z > 0.0, off, -off)  # of being beyond: above full scale, or under the floor
         power = np.exp(np.where(told, -0.5 * square, sign * (BOWLING[0] + BOWLING[1] * square)))
         likely = np.where(told, power / np.sqrt(2.0 * np.pi * variance), 1.0 / (1.0 + power))
-        least = max(self.outliers / 3.0, LEAST)
-        return np.asarray(np.log((1.0 - self.outliers) * likely + least))
+        return np.asarray(np.log((1.0 - self.outliers) * likely + self.least))
 
     def log_likelihood(self, z: Floats, live: Bools, h: Floats) -> Floats:
         """log p(z | h) summed over live taxels: z (M,), live (M,), h (N, M) → (N,)."""
@@ -109,6 +113,18 @@ class Nearby(NamedTuple):
     gy: Grid  # those looked up about a press, which come first
 
 
+class GridTables(NamedTuple):
+    """What a taxel's depth is looked up in, as flat arrays."""
+
+    slices: Grid  # signed distances of all heights [m]
+    pressed: Bools  # (cells,) that count, of a taxel,
+    about: Bools  # with BAND_M about a press,
+    reach: Bools  # and of the link's axis
+    place: Grid  # (3, P) x, y [m] and 1: taxels stand in columns
+    taxel: Index  # (P, most) taxels there, −1 where there are fewer
+    offset: Index  # (P, most) where the slice of each begins
+
+
 class ObservationModel:
     """h(q) of one scene on one skin, vectorised over poses.
 
@@ -121,16 +137,17 @@ class ObservationModel:
         self.depth_max_m = depth_max_m
         self.leak = Leak(layout)
         place, group = np.unique(layout.position_m[:, :2], axis=0, return_inverse=True)
-        self._places = np.vstack([place.T, np.ones(len(place))]).astype(
-            np.float32
-        )  # columns (3, P)
-        self._column = _padded(group, len(place))  # (P, most) taxels there
-        self._offset = scene.slice_of(layout)[self._column] * scene.silhouette.size
-        self._flat = scene.slices.ravel()
+        column = _padded(group, len(place))
         farthest = float(np.hypot(*place.T).max()) + 1.5 * scene.cell
-        self._pressed = _touched(scene.silhouette, 0.0)
-        self._about = _touched(scene.silhouette, BAND_M)
-        self._reach: Bools = (scene.silhouette < farthest + BAND_M).ravel()
+        self.grid = GridTables(
+            slices=scene.slices.ravel(),
+            pressed=_touched(scene.silhouette, 0.0),
+            about=_touched(scene.silhouette, BAND_M),
+            reach=(scene.silhouette < farthest + BAND_M).ravel(),
+            place=np.vstack([place.T, np.ones(len(place))]).astype(np.float32),
+            taxel=column,
+            offset=scene.slice_of(layout)[column] * scene.silhouette.size,
+        )
 
     def pressed(self, poses: Floats) -> tuple[Index, Grid]:
         """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into
@@ -155,8 +172,8 @@ class ObservationModel:
         (N,), of which the first `about` with the taxels about a press."""
         scene = self.scene
         x, y = (x - scene.origin[0]) / scene.cell, (y - scene.origin[1]) / scene.cell
-        reached = np.flatnonzero(self._reach.take(self._cell(x, y)))
-        size = max(BLOCK // len(self._column), 1)
+        reached = np.flatnonzero(self.grid.reach.take(self._cell(x, y)))
+        size = max(BLOCK // len(self.grid.taxel), 1)
         blocks = [
             self._look_up(rows, x.take(rows), y.take(rows), turn.take(rows), about)
             for rows in (reached[at : at + size] for at in range(0, max(len(reached), 1), size))
@@ -174,31 +191,31 @@ class ObservationModel:
         return np.asarray(row * nx + column, dtype=np.intp)
 
     def _look_up(self, rows: Index, x: Floats, y: Floats, turn: Floats, about: int) -> Nearby:
-        scene, most = self.scene, self._column.shape[1]
+        scene, most = self.scene, self.grid.taxel.shape[1]
         ny, nx = scene.silhouette.shape
         about = int(np.searchsorted(rows, about))
         cos, sin = np.cos(turn) / scene.cell, np.sin(turn) / scene.cell
-        u: Grid = np.array([cos, -sin, x], np.float32).T @ self._places
-        v: Grid = np.array([sin, cos, y], np.float32).T @ self._places
+        u: Grid = np.array([cos, -sin, x], np.float32).T @ self.grid.place
+        v: Grid = np.array([sin, cos, y], np.float32).T @ self.grid.place
         cell = self._cell(u, v)
-        near = self._pressed.take(cell)
-        near[:about] |= self._about.take(cell[:about])
+        near = self.grid.pressed.take(cell)
+        near[:about] |= self.grid.about.take(cell[:about])
         at = np.flatnonzero(near)
-        row, place = np.divmod(at, len(self._column))
+        row, place = np.divmod(at, len(self.grid.taxel))
         about = int(np.searchsorted(row, about))
         u = np.minimum(np.maximum(u.take(at), 0.0), nx - 1.001)[:, None]
         v = np.minimum(np.maximum(v.take(at), 0.0), ny - 1.001)[:, None]
         u -= np.floor(u)
         v -= np.floor(v)
-        cell = cell.take(at)[:, None] + self._offset.take(place, axis=0)
-        d00, d01, d10, d11 = (self._flat.take(cell + step) for step in (0, 1, nx, nx + 1))
+        cell = cell.take(at)[:, None] + self.grid.offset.take(place, axis=0)
+        d00, d01, d10, d11 = (self.grid.slices.take(cell + step) for step in (0, 1, nx, nx + 1))
         d01 -= d00  # along x, on either side
         d11 -= d10
         d00 += d01 * u
         d10 += d11 * u
         d10 -= d00  # along y
         d00 += d10 * v  # the distance itself
-        taxel = self._column.take(place, axis=0)
+        taxel = self.grid.taxel.take(place, axis=0)
         counts = taxel >= 0
         counts[:about] &= d00[:about] < BAND_M
         counts[about:] &= d00[about:] < 0.0
