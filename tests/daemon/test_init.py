@@ -74,6 +74,8 @@ def test_a_file_that_is_there_is_not_overwritten(
     [
         (["--source", "usb0"], "--source: 'usb0' is no connection; use can:can0, slcan:"),
         (["--source", "can:"], "--source: 'can:' is no connection; use can:can0, slcan:"),
+        (["--bundle", "n" * 5000], "scene.bundle: no bundle 'nnnn"),
+        (["--bundle", "n" * 5000, "--layout", "skin.json"], "scene.bundle: no bundle 'nnnn"),
         (["--bundle", "sphere"], "scene.bundle: no bundle 'sphere'; shipped are box, mug"),
         (["--poses", "tcp://robot:1"], "sensor_pose.endpoint: 'tcp://robot:1' is not local"),
     ],

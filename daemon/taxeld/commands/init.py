@@ -107,7 +107,8 @@ def _given(path: Path, answers: Answers, ask: Ask | None) -> dict[str, dict[str,
     named = answer(
         answers.bundle, "--bundle", "the object: box, mug, or the directory of a bundle", None
     )
-    layout = answers.layout or _layout_of(named)
+    its_own = _layout_of(named)  # which also refuses what is no bundle
+    layout = answers.layout or its_own
     if layout is None:
         layout = answer(None, "--layout", "the skin's layout, as the bundle was built for", None)
     poses = answer(
@@ -146,7 +147,7 @@ def _layout_of(name: str) -> str | None:
 def _from(path: Path, name: str) -> str:
     """A file's or directory's name as seen from beside the configuration; a shipped bundle's."""
     there = Path(name)
-    if bundle.is_shipped(name) or not there.exists():
+    if bundle.is_shipped(name) or not os.path.exists(there):  # noqa: PTH110  (False of any text)
         return name
     there = there.parent.resolve() / there.name  # a link keeps its own name
     beside = path.parent.resolve()

@@ -24,8 +24,7 @@ def load(path: Path) -> Config:
         # an absolute path stays what it is
         skin = replace(skin, calibration=str(path.parent / skin.calibration))
     skin = replace(skin, layout=_beside(path, skin.layout))
-    if not (SHIPPED / scene.bundle).is_dir():
-        scene = replace(scene, bundle=_beside(path, scene.bundle))
+    scene = replace(scene, bundle=_beside(path, scene.bundle, SHIPPED))
     return replace(config, skin=skin, scene=scene)
 
 
@@ -64,10 +63,13 @@ def parse(text: str, name: str = "configuration") -> Config:
     return config
 
 
-def _beside(path: Path, name: str) -> str:
-    """What a configuration at `path` names, from where it lies; else from the shell's directory, as
-    a session is replayed that keeps the configuration and not the bundle."""
+def _beside(path: Path, name: str, shipped: Path | None = None) -> str:
+    """What a configuration at `path` names, from where it lies, unless it is `shipped`; else from
+    the shell's directory, as a session is replayed that keeps the configuration and not the
+    bundle."""
     try:
+        if shipped is not None and (shipped / name).is_dir():
+            return name
         return str(path.parent / name) if (path.parent / name).exists() else name
     except (OSError, ValueError):  # no path at all, or not ours to see
         return name

@@ -105,7 +105,9 @@ class Bundle:
 
 
 def is_shipped(name: str) -> bool:
-    return Path(name).name == name and (_shipped() / name / manifest.NAME).is_file()
+    return any(
+        path.name == name and (path / manifest.NAME).is_file() for path in _shipped().iterdir()
+    )
 
 
 def find(name: str) -> Path:
