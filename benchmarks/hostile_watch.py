@@ -17,15 +17,15 @@ from taxeld.stream import messages
 
 NEAR_M = 0.1
 AGAIN_S = 0.5  # a client that has no answer for so long connects and asks anew, as `taxeld` does
-WAIT_MAX_TICKS = 20
-TAXELS_MAX_TICKS = 50
+WAIT_MAX = 4  # estimates, of which 20 a second come
+TAXELS_MAX = 10
 PAUSED_MAX_S = 0.3
 REST_S = 0.1  # between its questions
 PAGE_MB = os.sysconf("SC_PAGE_SIZE") / 2**20
 TOPICS = messages.ESTIMATE, messages.TAXELS, messages.PARTICLES, messages.HEALTH
 HEADER = (
     f"{'attack':31s} {'daemon':18s} {'relay':18s} {'missed':>6s} {'tcp':>6s} {'invalid':>7s}"
-    f" {'silent':>6s} {'off m':>8s} {'end m':>8s} {'own':>4s} {'ms/tick':>7s} {'MB':>6s}"
+    f" {'silent':>6s} {'off m':>8s} {'end m':>8s} {'own':>4s} {'ms/est.':>7s} {'MB':>6s}"
     f" {'relay MB':>8s} {'answer':>6s} newcomer; what was done"
 )
 
@@ -40,14 +40,16 @@ class Row:
     missed: int | None  # estimates, by the healthy subscriber on ipc; None: all since its end
     missed_tcp: int  # by one over TCP
     invalid: int  # estimates that said of themselves that they are of no use
-    silent_taxels: int  # ticks since the last taxels, at the end
+    silent_taxels: int  # estimates since the last taxels, at the end
     off_m: float  # the farthest from the object of all valid estimates
     error_m: float | None  # at the end; None: not valid then
     own_overruns: int
-    loop_ms: float  # CPU time of the loop's thread, a tick
+    loop_ms: float  # CPU time of the loop's thread, an estimate
     grown_mb: float  # resident memory, at most
     relay_grown_mb: float
-    answer_ticks: int | None  # the longest that a client waited for `status`; None: it still does
+    answer_estimates: (
+        int | None
+    )  # the longest that a client waited for `status`; None: it still does
     newcomer: bool  # somebody who subscribed afterwards was served
     paused_s: float  # the longest that those who watch were held up themselves
     did: dict[str, int] | None  # connections, messages and bytes; None: no process of its own
@@ -59,7 +61,7 @@ class Row:
 
     def line(self) -> str:
         missed = "all" if self.missed is None else str(self.missed)
-        answer = "none" if self.answer_ticks is None else str(self.answer_ticks)
+        answer = "none" if self.answer_estimates is None else str(self.answer_estimates)
         error = "-" if self.error_m is None else f"{self.error_m:.2g}"
         did = "".join(f" {count} {what}," for what, count in (self.did or {}).items())
         return (
@@ -162,7 +164,7 @@ class Listener:
     @property
     def is_well(self) -> bool:
         """Whether what it hears is of use, and all there."""
-        is_felt = self.seq - self.taxels_seq < TAXELS_MAX_TICKS
+        is_felt = self.seq - self.taxels_seq < TAXELS_MAX
         return self.is_valid and is_felt and self.error_m < NEAR_M
 
     def hear(self) -> None:
@@ -192,10 +194,10 @@ class Listener:
 
 class Client:
     """Asks for `status` all the time, each time over a connection of its own, as `taxeld` does; how
-    long it waits is counted in ticks of the loop."""
+    long it waits is counted in estimates."""
 
     def __init__(self, context: zmq.Context[Any], endpoint: str) -> None:
-        self.longest = self._waited = 0  # ticks
+        self.longest = self._waited = 0  # estimates
         self.answered_s = 0.0  # monotonic
         self._context, self._endpoint = context, endpoint
         self._asked_seq: int | None = None
@@ -206,10 +208,10 @@ class Client:
     @property
     def is_well(self) -> bool:
         """Whether the last answer came soon, and a moment ago."""
-        return time.monotonic() - self.answered_s < AGAIN_S and self._waited <= WAIT_MAX_TICKS
+        return time.monotonic() - self.answered_s < AGAIN_S and self._waited <= WAIT_MAX
 
     def step(self, seq: int) -> None:
-        """`seq`: the tick that was heard of last."""
+        """`seq`: of the estimate that was heard last."""
         now = time.monotonic()
         if self._asked_seq is None:
             if now >= self._next_s and seq:
@@ -294,7 +296,7 @@ class Account:
 
     def row(self, attack: str, began_s: float, newcomer: bool, did: dict[str, int] | None) -> Row:
         stream, alive = self.stream, self.daemon.is_alive
-        ticks = max(1, stream.seq - self._seq)
+        estimates = max(1, stream.seq - self._seq)
         waits = self.client.waits
         return Row(
             attack=attack,
@@ -307,10 +309,10 @@ class Account:
             off_m=stream.off_m,
             error_m=stream.error_m if alive and stream.is_valid else None,
             own_overruns=stream.health["loop"]["own_overruns"] - self._own,
-            loop_ms=1e3 * (self._last_cpu_s - self._cpu_s) / ticks,
+            loop_ms=1e3 * (self._last_cpu_s - self._cpu_s) / estimates,
             grown_mb=self._peak_mb,
             relay_grown_mb=self._relay_peak_mb,
-            answer_ticks=self.client.longest if alive and not waits else None,
+            answer_estimates=self.client.longest if alive and not waits else None,
             newcomer=newcomer,
             paused_s=self._paused_s,
             did=did,

@@ -48,6 +48,21 @@ POSE_S = 0.01
 SETTLE_S = 4.0  # the baseline, and the first touches
 ROLL_HZ, PRESS_HZ = 0.13, 0.31
 DEPTH_M = (0.0015, 0.0045)
+SCAN_S, LOOKS = 0.05, 2  # looks that find a scan
+EMPTY = """
+import sys, time, zmq
+poses = zmq.Context().socket(zmq.SUB)
+poses.subscribe(b"")
+poses.connect(sys.argv[1])
+every_s, until = float(sys.argv[2]), time.monotonic() + float(sys.argv[3])
+spent_s, due = time.process_time(), time.monotonic()
+while due < until:
+    due += every_s
+    time.sleep(max(0.0, due - time.monotonic()))
+    while poses.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+        poses.recv_multipart()
+print(100.0 * (time.process_time() - spent_s) / float(sys.argv[3]))
+"""
 Row = tuple[str, float, float | None]
 
 
@@ -77,18 +92,49 @@ def rows(seconds: float = 20.0) -> list[Row]:
         touched = measure(Case(SKIN, "box", touched=True), seconds, place)
         idle = measure(Case(SKIN, "box", touched=False), seconds, place)
         recording = measure(Case(SKIN, "box", touched=False, record=True), seconds, place)
+        fast = measure(Case(SKIN, "box", touched=True, rate_hz=200.0), seconds, place)
         wide = measure(Case(LARGE, str(large), touched=True), seconds, place)
     return [
-        ("a core's share, 80 taxels, touched all the time: %", touched.cpu_percent, 8.0),
+        ("a core's share, 80 taxels, touched all the time: %", touched.cpu_percent, 6.0),
         ("  … scans with contact that were learned from, a second", touched.updates_hz, None),
         ("a core's share, untouched: %", idle.cpu_percent, 2.0),
+        ("  … the same wake-ups and poses, and no work: %", empty_percent(seconds), None),
         ("  … and recorded: %", recording.cpu_percent, None),
-        ("a core's share, 640 taxels, touched all the time: %", wide.cpu_percent, 15.0),
+        ("a core's share, 640 taxels, touched all the time: %", wide.cpu_percent, 10.0),
         ("a scan's way through the loop, median: ms", touched.p50_ms, 2.0),
         ("a scan's way through the loop, 99 %: ms", touched.p99_ms, 5.0),
+        *(
+            (f"a scan's last frame to its estimate, {case}, {figure}: ms", value, budget)
+            for case, ran in (("untouched", idle), ("touched", touched), ("… at 200 Hz", fast))
+            for figure, value, budget in (
+                ("median", ran.reached_p50_ms, 1.5),
+                ("99 %", ran.reached_p99_ms, 5.0),
+            )
+        ),
+        ("touches served below the chosen sampler", touched.degraded, None),
         ("start to ready: CPU s", touched.start_cpu_s, 1.5),
         ("resident memory: MB", touched.resident_mb, 120.0),
     ]
+
+
+def empty_percent(seconds: float) -> float:
+    """A core's share of a process that wakes as often as an untouched daemon, takes the robot's
+    poses as they are, and does nothing."""
+    with (
+        tempfile.TemporaryDirectory() as place,
+        zmq.Context() as context,
+        context.socket(zmq.PUB) as poses,
+    ):
+        poses.linger = 0
+        poses.bind(f"ipc://{place}/poses")
+        arguments = (f"ipc://{place}/poses", str(SCAN_S / LOOKS), str(seconds))
+        command = [sys.executable, "-c", EMPTY, *arguments]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            while process.poll() is None:
+                poses.send_multipart((messages.SENSOR_POSE, bytes(40), b"0"), zmq.NOBLOCK)
+                time.sleep(POSE_S)
+            assert process.stdout is not None
+            return float(process.stdout.read())
 
 
 def long(minutes: float) -> list[Row]:
@@ -134,6 +180,8 @@ class Case:
 class Measured:
     cpu_percent: float
     updates_hz: float
+    reached_p50_ms: float  # from a scan's last frame to the subscriber of its estimate
+    reached_p99_ms: float
     p50_ms: float
     p99_ms: float
     max_ms: float
@@ -155,19 +203,25 @@ def measure(case: Case, seconds: float, place: Path) -> Measured:
         closing(SlcanPort(Path(name) / "skin", lambda _: None)) as port,
         zmq.Context() as context,
         context.socket(zmq.PUB) as poses,
+        context.socket(zmq.SUB) as estimates,
     ):
         here = Path(name)
         poses.linger = 0
         poses.bind(f"ipc://{here}/poses")
+        estimates.linger = 0
+        estimates.subscribe(messages.ESTIMATE)
+        estimates.connect(f"ipc://{here}/stream")
         with _daemon(case, here) as (pid, ready):
-            robot = Robot(loaded, case.touched, hub, port, poses)
+            robot = Robot(loaded, case.touched, hub, port, poses, estimates)
             robot.serve_until(ready)
             start_cpu_s = _cpu_s(pid)
             with streams.connected(streams.CLIENTS["one subscriber of all"], str(here)):
                 robot.serve(SETTLE_S)
                 before = _health(here, robot)
                 cpu_s, resident_mb = _cpu_s(pid), _resident_mb(pid)
+                robot.reached_s.clear()
                 robot.serve(seconds)
+                reached_ms = 1e3 * np.array(robot.reached_s)
                 spent_s, grown_mb = _cpu_s(pid) - cpu_s, _resident_mb(pid) - resident_mb
                 after = _health(here, robot)
     total, loop = after["lat_us"]["total"], after["loop"]
@@ -177,6 +231,8 @@ def measure(case: Case, seconds: float, place: Path) -> Measured:
     return Measured(
         cpu_percent=100.0 * spent_s / seconds,
         updates_hz=updates / took_s,
+        reached_p50_ms=float(np.percentile(reached_ms, 50)),
+        reached_p99_ms=float(np.percentile(reached_ms, 99)),
         p50_ms=total["p50"] / 1e3,
         p99_ms=total["p99"] / 1e3,
         max_ms=total["max"] / 1e3,
@@ -199,7 +255,12 @@ class Robot:
         hub: VirtualIhb,
         port: SlcanPort,
         poses: zmq.Socket[bytes],
+        estimates: zmq.Socket[bytes] | None = None,
     ) -> None:
+        """`estimates`: hears those of the daemon, whose delay is measured."""
+        self.reached_s: list[float] = []  # from a scan's last frame to its estimate, for each
+        self._listening = [] if estimates is None else [estimates]
+        self._sent_s = self._heard_t = 0.0
         self._model, self._touched = loaded.model, touched
         self._hub, self._port, self._poses = hub, port, poses
         self._rng = np.random.default_rng(0)
@@ -225,7 +286,9 @@ class Robot:
             self._step()
 
     def _step(self) -> None:
-        select.select([self._port], [], [], 0.002)
+        select.select([self._port, *self._listening], [], [], 0.002)
+        for stream in self._listening:
+            self._hear(stream)
         now, wall = time.monotonic(), time.time()
         for packet in self._port.take(wall):
             self._send(self._hub.answer(packet))
@@ -238,7 +301,16 @@ class Robot:
         if self._hub.due(now):
             counts = self._counts(np.array([*(self._towards * deeper_m), yaw]))
             self._send(self._hub.sensor_data(counts))
+            self._sent_s = time.monotonic()
         self._port.flush()
+
+    def _hear(self, stream: zmq.Socket[bytes]) -> None:
+        while int(stream.getsockopt(zmq.EVENTS)) & zmq.POLLIN:
+            estimate = msgpack.unpackb(stream.recv_multipart()[1])
+            if estimate["t"] > self._heard_t and self._sent_s:
+                self._heard_t = estimate["t"]
+                self.reached_s.append(time.monotonic() - self._sent_s)
+                self._sent_s = 0.0
 
     def _send(self, answers: Iterable[Answer]) -> None:
         for command, payload in answers:

@@ -26,6 +26,9 @@ class Bus:
         self.heard: list[Frame] = []
         self.said: list[Frame] = []
 
+    def fileno(self) -> int:
+        return -1
+
     def read(self) -> list[Frame]:
         heard, self.heard = self.heard, []
         return heard

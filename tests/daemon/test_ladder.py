@@ -125,6 +125,18 @@ def test_a_machine_that_slows_down_is_noticed_and_that_it_recovers_as_well() -> 
     assert bench.ladder.step is Step.CHOSEN
 
 
+def test_a_machine_that_was_busy_at_start_costs_no_samples_afterwards() -> None:
+    """What others did then is not what the filter's work costs."""
+    bench = Bench(filter_ms=2.0)
+    for bench.slower in (20.0, 1.0, 20.0, 15.0, 20.0):
+        bench.call(float("inf"))
+    bench.ladder.settle()
+    bench.slower = 1.0
+    for _ in range(10):
+        assert bench.call(15.0) == S
+    assert bench.ladder.counters.chosen == 10
+
+
 def test_one_long_pause_by_others_does_not_condemn_a_proposal() -> None:
     bench = Bench()
     bench.slower = 1000.0

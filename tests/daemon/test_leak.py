@@ -50,6 +50,27 @@ def test_a_reading_that_may_be_leaked_is_none_and_raises_what_is_felt(
     assert np.broadcast_to(seen.floor, taxels)[beside] >= SAG * 0.8
 
 
+def test_training_takes_readings_for_what_the_estimator_takes_them(
+    box_model: ObservationModel,
+) -> None:
+    """Many at once, as one by one: the samplers learn what the filter asks them about."""
+    rng = np.random.default_rng(0)
+    shape = 200, len(box_model.layout)
+    z = np.where(rng.random(shape) < 0.15, rng.uniform(0.05, 1.0, shape), 0.0)
+    floor, residue = 0.05 * rng.random(shape), 0.02 * rng.random(shape)
+    together = box_model.leak.without(z, floor, residue)
+    live = np.ones(shape[1], dtype=np.bool_)
+    for one, alone in zip(
+        zip(z, floor, residue, strict=True), zip(*together, strict=True), strict=True
+    ):
+        intake = Intake(box_model, EstimatorCounters())
+        seen = intake.observation(Activation(0.0, one[0], live, *one[1:]), np.zeros(3))
+        assert seen is not None
+        for expected, found in zip((seen.z, seen.floor, seen.residue), alone, strict=True):
+            assert np.allclose(expected, found, rtol=0.0, atol=1e-12)
+    assert (together[0] != z).any()
+
+
 def test_a_reading_that_leaks_may_have_costs_a_pose_little() -> None:
     noise = Noise(FilterConfig().noise_sigma, FilterConfig().gain_cv)
     plain = noise.log_density(np.array(0.2), np.array(0.0))

@@ -6,13 +6,18 @@ from pathlib import Path
 from typing import Any
 
 import msgpack
+import numpy as np
 import pytest
 import zmq
 
-from taxeld.config.file import parse
+from taxeld.config.file import load, parse
 from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
 from taxeld.service.loop import Daemon
+from taxeld.source import session
 from taxeld.stream import messages
+from tests.daemon.recorded import configuration, write_session
+from tests.daemon.simulated_skin import SimulatedSkin
 
 EVERY_KEY = [
     *("v", "seq", "t", "mono_ns", "valid", "status", "contact", "contacts", "map", "mean", "cov"),
@@ -93,6 +98,64 @@ def test_a_daemon_starts_without_a_skin_state_that_is_damaged(
     finally:
         daemon.close()
     assert state.read_bytes() == before
+
+
+class Heard(list[tuple[bytes, dict[str, Any]]]):
+    """What a daemon sends."""
+
+    def __init__(self, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(daemon.publisher, "wants", lambda _: True)
+        monkeypatch.setattr(
+            daemon.publisher, "send", lambda topic, message, _: self.append((topic, message))
+        )
+
+    def of(self, topic: bytes) -> list[dict[str, Any]]:
+        return [message for sent, message in self if sent == topic]
+
+
+def test_without_scans_estimates_come_at_their_own_rate_and_with_each_change(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard = Heard(daemon, monkeypatch)
+    now = time.monotonic()
+    daemon.pipeline.freshness.came(now)
+    sent = []
+    for k in range(100):  # a second, in passes of 10 ms
+        daemon.tick(now + 0.01 * k)
+        sent.append(len(heard.of(messages.ESTIMATE)))
+    estimates = heard.of(messages.ESTIMATE)
+    assert 16 <= len(estimates) <= 22  # 20 Hz, in whole passes
+    assert [e["seq"] for e in estimates] == list(range(1, len(estimates) + 1))
+    statuses = [e["status"] for e in estimates]
+    turned = statuses.index(Status.STALE)  # as no scan has come for so long
+    assert set(statuses[:turned]) == {Status.STARTING}
+    assert sent.index(turned + 1) == 51, "at once"
+    daemon.pipeline.tare()
+    daemon.pipeline.freshness.came(now + 1.0)
+    daemon.tick(now + 1.0001)
+    assert heard.of(messages.ESTIMATE)[-1]["status"] == Status.STARTING
+
+
+def test_each_scan_that_is_used_has_its_estimate_however_many_come_at_once(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard, skin = Heard(daemon, monkeypatch), SimulatedSkin(daemon.layout, noise=5.0)
+    skin.t = time.time() - 2.0
+    scans = [skin.scan() for _ in range(35)]
+    arrived = skin.t
+    batches = [*([scan] for scan in scans[:25]), scans[25:32], [], scans[32:]]
+    now = time.monotonic()
+    for k, batch in enumerate(batches):
+        monkeypatch.setattr(daemon.source, "poll", lambda *_, batch=batch, **__: batch)
+        arrived = batch[-1].t if batch else arrived
+        monkeypatch.setattr(time, "time", lambda arrived=arrived: arrived)
+        daemon.tick(now + 0.001 * k)
+    monkeypatch.undo()
+    used = [e for e in heard.of(messages.ESTIMATE) if e["status"] == Status.SEARCHING]
+    assert [e["t"] for e in used] == [scan.t for scan in scans[-len(used) :]]
+    assert len(used) >= 14
+    assert all(e["lat_us"]["skin"] > 0.0 for e in used)
+    assert [e["seq"] for e in used] == [t["seq"] for t in heard.of(messages.TAXELS)][-len(used) :]
 
 
 def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Path) -> None:
@@ -188,3 +251,48 @@ def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
 def test_an_endpoint_without_its_directory_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SetupError, match=r"publish\.endpoints: .* does not exist"):
         Daemon(parse(settings(tmp_path / "missing")))
+
+
+def test_a_replay_ends_with_its_last_scan(tmp_path: Path) -> None:
+    """Though that waits for a pose that does not come."""
+    write_session(tmp_path, touches=1, period_s=0.02)
+    items = session.read(tmp_path).items
+    times = np.arange(items[0].t, items[-1].t - 0.03, 0.01)
+    rows = "".join(f"{t:.6f},0.3,0,0\n" for t in times)
+    (tmp_path / session.POSES).write_text(f"t,x,y,theta\n{rows}", "ascii")
+    text = "extrapolate_s = 0\nwait_s = 0.5\n"
+    config = configuration(tmp_path)
+    settings = config.read_text("utf-8")
+    assert "[sensor_pose]" not in settings
+    config.write_text(f"{settings}\n[sensor_pose]\n{text}", "utf-8")
+    daemon = Daemon(load(config))
+    daemon.run()
+    assert daemon.counters.scans > 30
+    assert daemon.pipeline.inputs.scans_waited > 0
+    assert daemon.pipeline.skin.counters.scans == daemon.counters.scans
+
+
+def test_a_daemon_ends_in_the_midst_of_a_touch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the skin has learned is kept, and the next life feels the touch."""
+    text = settings(tmp_path) + f'[skin]\nstate_dir = "{tmp_path}/state"\n'
+    daemon = Daemon(parse(text))
+    skin = SimulatedSkin(daemon.layout, noise=5.0)
+    skin.t = time.time() - 4.0
+    now = time.monotonic()
+    for k in range(60):
+        skin.press[[33, 34]] = 8_000.0 * (k >= 40)
+        scan = skin.scan()
+        monkeypatch.setattr(daemon.source, "poll", lambda *_, scan=scan, **__: [scan])
+        monkeypatch.setattr(time, "time", lambda: skin.t)
+        daemon.tick(now + 0.05 * k, left_s=0.0)  # so each pass does one part
+        if daemon.pipeline.is_at_work:
+            break
+    assert daemon.pipeline.is_at_work
+    daemon.close()
+    monkeypatch.undo()
+    assert daemon.kept.counters.saved >= 1
+    again = Daemon(parse(text))
+    assert again.kept.counters.loaded == 1
+    again.close()

@@ -84,6 +84,9 @@ class Heard(Device):
         self.noticed = Noticed()
         self.frames: list[Frame] = []
 
+    def fileno(self) -> int:
+        return -1
+
     def read(self) -> list[Frame]:
         heard, self.frames = self.frames, []
         return heard

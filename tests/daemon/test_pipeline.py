@@ -39,7 +39,7 @@ CONFIG = (
     '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n[filter]\n'
     'proposal = "manifold"\n[skin]\nbaseline_scans = 5\n'
 )
-ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
+ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\nextrapolate_s = 0\n'
 TRUTH = np.array([0.02, -0.03, 0.4])
 HOUR_S = 3600.0
 START_S = 10_000.0
@@ -116,6 +116,47 @@ def test_a_scan_does_not_wait_for_its_pose_for_ever(
     (outcome,) = pipeline.advance([], scan.t + 0.021)
     assert outcome.estimate.status is status
     assert pipeline.inputs.scans_without_pose == (status is Status.STALE)
+
+
+MOVING = ROBOT.replace("extrapolate_s = 0", "extrapolate_s = 0.02")
+
+
+def test_a_scan_a_little_after_the_last_pose_is_placed_by_its_speed(box: Bundle) -> None:
+    pipeline, skin = begun(box, MOVING)
+    scan = skin.scan()
+    pipeline.poses.add(scan.t - 0.018, 0.30, 0.0, 3.14)
+    pipeline.poses.add(scan.t - 0.008, 0.31, 0.0, -3.13)
+    (outcome,) = pipeline.advance([scan], scan.t + 0.001)
+    turned = 2.0 * np.pi - 6.27  # from one to the other, the short way
+    assert outcome.sensor == pytest.approx([0.318, 0.0, -3.13 + 0.8 * turned])
+    assert pipeline.inputs.scans_waited == 0
+
+
+@pytest.mark.parametrize(
+    ("before_s", "last_s"),
+    [(0.005, 0.003), (0.5, 0.021), (0.10, 0.09)],
+    ids=["two of its periods", "as configured", "though a scan's age is no more than poses' limit"],
+)
+def test_farther_from_the_last_pose_it_waits(box: Bundle, before_s: float, last_s: float) -> None:
+    pipeline, skin = begun(box, MOVING)
+    skin.t += 1.0
+    scan = skin.scan()
+    pipeline.poses.add(scan.t - before_s - 0.002, 0.30, 0.0, 0.0)
+    pipeline.poses.add(scan.t - before_s, 0.30, 0.0, 0.0)
+    pipeline.poses.add(scan.t - last_s - 0.002 * (last_s < before_s), 0.31, 0.0, 0.0)
+    assert list(pipeline.advance([scan], scan.t + 0.001)) == []
+    assert pipeline.inputs.scans_waited == 1
+    pipeline.poses.add(scan.t + 0.001, 0.32, 0.0, 0.0)
+    assert len(list(pipeline.advance([], scan.t + 0.002))) == 1
+
+
+def test_a_pose_that_jumped_is_not_gone_on_from(box: Bundle) -> None:
+    pipeline, skin = begun(box, MOVING)
+    scan = skin.scan()
+    pipeline.poses.add(scan.t - 0.012, 0.30, 0.0, 0.0)
+    pipeline.poses.add(scan.t - 0.002, 0.30 + 2.0 * se2.JUMP_M, 0.0, 0.0)
+    (outcome,) = pipeline.advance([scan], scan.t + 0.001)
+    assert outcome.sensor == pytest.approx([0.30 + 2.0 * se2.JUMP_M, 0.0, 0.0])
 
 
 def test_scans_keep_their_order_and_what_waits_is_bounded(box: Bundle) -> None:

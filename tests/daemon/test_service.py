@@ -1,17 +1,23 @@
 """A daemon on a serial skin that is restarted under a touch, and whose clock somebody sets."""
 
+import threading
 import time
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import msgpack
 import numpy as np
 import pytest
+import zmq
 
 from taxeld.config.file import parse
 from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
 from taxeld.service.clock import WallClock
 from taxeld.service.loop import Daemon
+from taxeld.stream import messages
 from tests.daemon.simulated_skin import SimulatedSkin
 from tests.virtual_hub import VirtualHub
 
@@ -34,13 +40,13 @@ def hub(tmp_path: Path) -> Iterator[Hub]:
     made.unplug()
 
 
-def daemon_of(place: Path) -> Daemon:
+def daemon_of(place: Path, more: str = "") -> Daemon:
     return Daemon(
         parse(
             f'[source]\nkind = "serial"\nchannel = "{place}/skin"\nperiod_ms = 10\n'
             f'[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\n'
             f'[skin]\nstate_dir = "{place}/state"\n'
-            f'[publish]\nendpoints = ["ipc://{place}/stream"]\n[control]\nendpoint = ""\n'
+            f'[publish]\nendpoints = ["ipc://{place}/stream"]\n[control]\nendpoint = ""\n' + more
         )
     )
 
@@ -71,6 +77,36 @@ def test_a_restarted_daemon_feels_what_is_held_from_the_first_scan(
     assert skin.figures()["begun_again"] == 0
     assert np.abs(skin.baseline - hub.skin.base).max() < 100.0
     again.close()
+
+
+def test_a_scan_is_estimated_when_it_comes_however_slow_the_ticks_are(
+    tmp_path: Path, hub: Hub
+) -> None:
+    """At one tick a second, each of a hundred scans a second has an estimate of its own."""
+    daemon = daemon_of(tmp_path, "[loop]\nrate_hz = 1.0\nstale_s = 5.0\n")
+    runs = threading.Thread(target=daemon.run)
+    heard: list[dict[str, Any]] = []
+    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.SUBSCRIBE, messages.ESTIMATE)
+        socket.connect(f"ipc://{tmp_path}/stream")
+        runs.start()
+        try:
+            deadline = time.monotonic() + DEADLINE_S
+            while len(heard) < 60:
+                assert time.monotonic() < deadline, f"{len(heard)} scans were estimated"
+                hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
+                if socket.poll(2):
+                    estimate = msgpack.unpackb(socket.recv_multipart()[1])
+                    heard += [estimate] * (estimate["lat_us"]["filter"] > 0.0)
+        finally:
+            daemon.stop()
+            runs.join(DEADLINE_S)
+    assert not runs.is_alive()
+    assert [e["seq"] for e in heard] == list(range(heard[0]["seq"], heard[0]["seq"] + 60))
+    gaps = [b["t"] - a["t"] for a, b in pairwise(heard)]
+    assert min(gaps) > 0.0
+    assert sorted(gaps)[len(gaps) // 2] < 0.1, "each scan is stamped as it comes"
 
 
 @pytest.mark.parametrize("by", [3600.0, -3600.0])

@@ -1,10 +1,8 @@
-"""Deadlines, on a fake clock."""
-
-from itertools import pairwise
+"""When the loop's passes are due, on a fake clock."""
 
 import pytest
 
-from taxeld.service.ticker import REST_S, Ticker
+from taxeld.service.ticker import IDLE_S, Ticker
 
 
 class FakeClock:
@@ -19,12 +17,18 @@ class FakeClock:
         self.now += seconds
 
 
+def by_the_clock(ticker: Ticker, clock: FakeClock, *, busy: bool = True) -> float:
+    """Sleep until the next pass is due; → when it begins."""
+    clock.now = max(clock.now, ticker.until(busy=busy))
+    return ticker.begin()
+
+
 def test_ticks_keep_the_rate_without_drift() -> None:
     clock = FakeClock()
-    ticker = Ticker(100.0, clock, clock.sleep)
+    ticker = Ticker(100.0, clock=clock)
     times = []
     for k in range(1000):
-        times.append(ticker.wait())
+        times.append(by_the_clock(ticker, clock))
         clock.now += 0.003 + 0.001 * (k % 5)  # work of varying length
     assert times == pytest.approx([0.01 * (k + 1) for k in range(1000)])
     assert ticker.missed == 0
@@ -35,35 +39,72 @@ def test_ticks_keep_the_rate_without_drift() -> None:
 )
 def test_missed_ticks_are_skipped_and_counted(stall_s: float, missed: int) -> None:
     clock = FakeClock()
-    ticker = Ticker(100.0, clock, clock.sleep)
-    ticker.wait()
+    ticker = Ticker(100.0, clock=clock)
+    by_the_clock(ticker, clock)
     clock.now += stall_s
-    after = [ticker.wait() for _ in range(3)]
+    after = [by_the_clock(ticker, clock) for _ in range(3)]
     assert ticker.missed == missed
     assert after[1] - after[0] == pytest.approx(0.01)
     assert (after[0] / 0.01) == pytest.approx(round(after[0] / 0.01))
 
 
+def test_a_machine_that_wakes_the_loop_late_is_counted() -> None:
+    clock = FakeClock()
+    ticker = Ticker(100.0, clock=clock)
+    for late_s, missed in ((0.009, 0), (0.031, 3)):
+        clock.now = ticker.until(busy=True) + late_s
+        ticker.begin()
+        assert ticker.missed == missed
+
+
 def test_what_is_left_of_a_tick_is_counted_down_below_nothing() -> None:
     clock = FakeClock()
-    ticker = Ticker(100.0, clock, clock.sleep)
-    ticker.wait()
+    ticker = Ticker(100.0, clock=clock)
+    by_the_clock(ticker, clock)
     assert ticker.left_s() == pytest.approx(0.01)
     clock.now += 0.015
     assert ticker.left_s() == pytest.approx(-0.005)
 
 
-def test_in_slow_ticks_others_have_their_turn_and_the_rate_is_kept() -> None:
-    clock, turns = FakeClock(), list[float]()
-    ticker = Ticker(2.0, clock, clock.sleep, turns.append)
-    assert [ticker.wait() for _ in range(4)] == pytest.approx([0.5, 1.0, 1.5, 2.0])
-    assert max(b - a for a, b in pairwise([0.0, *turns, 2.0])) <= 3.0 * REST_S + 1e-9
+def test_a_pass_that_an_input_has_begun_has_a_whole_tick_of_time() -> None:
+    clock = FakeClock()
+    ticker = Ticker(100.0, clock=clock)
+    ticker.until(busy=True)
+    clock.now = 0.0095
+    ticker.begin()
+    assert ticker.left_s() == pytest.approx(0.01)
+    assert ticker.until(busy=True) == pytest.approx(0.0195)
     assert ticker.missed == 0
 
 
-def test_in_fast_ticks_nobody_has() -> None:
-    clock, turns = FakeClock(), list[float]()
-    ticker = Ticker(100.0, clock, clock.sleep, turns.append)
-    for _ in range(10):
-        ticker.wait()
-    assert turns == []
+def test_where_nothing_is_under_way_ticks_are_slept_through_and_not_missed() -> None:
+    clock = FakeClock()
+    ticker = Ticker(100.0, 0.05, clock=clock)
+    by_the_clock(ticker, clock, busy=False)
+    times = [by_the_clock(ticker, clock, busy=False) for _ in range(20)]
+    assert times == pytest.approx([times[0] + 0.05 * k for k in range(20)])
+    assert ticker.missed == 0
+
+
+def test_inputs_at_the_idle_pace_are_the_only_passes() -> None:
+    """Scans at 20 Hz bring the estimates that are due at 20 Hz."""
+    clock = FakeClock()
+    ticker = Ticker(100.0, 0.05, clock=clock)
+    by_the_clock(ticker, clock, busy=True)
+    ticker.until(busy=False)
+    for k in range(1, 100):
+        clock.now = 0.05 * k + 0.004 * (k % 2)  # with some jitter
+        ticker.begin()
+        clock.now += 0.001  # work
+        assert ticker.until(busy=False) > 0.05 * (k + 1) + 0.004
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0])
+def test_slow_ticks_leave_nobody_alone_for_long(rate_hz: float) -> None:
+    """Peers are served and a device is tended however slow the loop may be."""
+    clock = FakeClock()
+    ticker = Ticker(rate_hz, 1.0, clock=clock)
+    for busy in (True, False, True, False):
+        began = by_the_clock(ticker, clock, busy=busy)
+        assert ticker.until(busy=busy) - began <= 2.0 * IDLE_S + 1e-9
+    assert ticker.left_s() > 0.5 / rate_hz

@@ -10,7 +10,7 @@ import pytest
 
 BENCHMARK = Path(__file__).parents[2] / "benchmarks" / "hostile.py"
 GROWN_MAX_MB, RELAY_GROWN_MAX_MB = 20.0, 200.0  # however fast it is sent
-ANSWER_TICKS = 200  # of a hundred a second; `taxeld status` asks again for two seconds
+ANSWER_ESTIMATES = 40  # of twenty a second; `taxeld status` asks again for two seconds
 NEAR_M = 0.05
 ATTACKS = [
     "subscribe and leave, tcp",
@@ -67,8 +67,8 @@ def test_a_neighbour_does_not_stop_the_daemon(rows: dict[str, Row], attack: str)
     assert row["daemon"] == "alive"
     assert row["relay"] in ("alive", "-")  # "-": where the daemon serves TCP itself
     assert row["newcomer"]  # who subscribes afterwards is served
-    assert row["answer_ticks"] is not None  # who asks is answered
-    assert row["answer_ticks"] < ANSWER_TICKS
+    assert row["answer_estimates"] is not None  # who asks is answered
+    assert row["answer_estimates"] < ANSWER_ESTIMATES
     assert row["grown_mb"] < GROWN_MAX_MB
     assert row["relay_grown_mb"] < RELAY_GROWN_MAX_MB
 
@@ -79,7 +79,7 @@ def test_a_healthy_subscriber_misses_nothing(rows: dict[str, Row], attack: str) 
     if row["paused_s"] > 0.3:
         pytest.skip("the machine held up the subscriber itself")
     assert row["missed"] == 0
-    assert row["silent_taxels"] < 100
+    assert row["silent_taxels"] < 20
 
 
 @pytest.mark.parametrize("attack", ATTACKS)

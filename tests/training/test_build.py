@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +10,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from taxeld.config.tables import SkinConfig
+from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
+from taxeld.estimator.rule import noise_of
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 from taxeld_training.cli import main
@@ -61,6 +63,13 @@ def test_the_bundle_records_each_samplers_cost_and_distance(built: Path) -> None
         assert measured["ms"] > 0
     assert all(sampler["flops"] > 0 for sampler in info["samplers"])
     assert "exact draws" in info["measured"]
+
+
+def test_samplers_learn_the_errors_that_the_filter_expects(built: Path) -> None:
+    expected = asdict(noise_of(FilterConfig()))
+    for path in (built, bundle.find("box"), bundle.find("mug")):
+        info = json.loads((path / "bundle.json").read_text(encoding="utf-8"))
+        assert info["noise"] == expected
 
 
 def measured(mean: float, ms: float, spread: float = 0.2, readings: int = 200) -> dict[str, Any]:

@@ -184,6 +184,20 @@ def test_each_room_that_decides_results_is_in_the_key_of_a_job(
     assert len(names) == 3
 
 
+def test_other_bundles_make_another_job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What an older bundle came to is not taken for what today's does."""
+    before = methods.code("density")
+    for name in ("box", "mug"):
+        (tmp_path / "bundles" / name).mkdir(parents=True)
+        (tmp_path / "bundles" / name / "bundle.json").write_bytes(b"{}")
+    monkeypatch.setattr(fingerprint, "BUNDLES", tmp_path / "bundles")
+    fingerprint.of_bundles.cache_clear()
+    try:
+        assert methods.code("density") != before
+    finally:
+        fingerprint.of_bundles.cache_clear()
+
+
 def test_the_filter_that_experiments_call_shipped_is_the_daemons_own() -> None:
     """Nothing of the configuration is an experiment's copy."""
     assert SHIPPED.config(FilterConfig().seed) == FilterConfig()

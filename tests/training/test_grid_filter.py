@@ -135,8 +135,9 @@ def test_one_touch_gives_the_exact_posterior(model: ObservationModel) -> None:
     for truth in contact_poses(model, 4, rng):
         z = NOISE.draw(model.activation(truth[None])[0], rng)
         belief = GridFilter(model, NOISE)
-        belief.update(Observation(np.zeros(3), z, LIVE), touched=True)
-        a, b = (exact.sample(z, LIVE, 600, rng).pose for _ in range(2))
+        seen = Observation(np.zeros(3), z, LIVE)
+        belief.update(seen, touched=True)
+        a, b = (exact.sample(seen, 600, rng).pose for _ in range(2))
         gaps.append(energy_distance(drawn(belief, 600), a, 0.05))
         floors.append(energy_distance(a, b, 0.05))
     assert np.mean(gaps) < 2.0 * np.mean(floors) + 0.002

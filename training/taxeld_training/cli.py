@@ -25,6 +25,7 @@ EXPERIMENTS = (
     "frontier",
     "gallery",
     "damage",
+    "skins",
     "filter",
     "shipped",
     "stability",
@@ -125,7 +126,7 @@ def _doubt(args: argparse.Namespace, mesh: "trimesh.Trimesh", skin: "Layout") ->
 def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.filters import filter as filter_experiment
     from taxeld_training.filters import push as push_experiment
-    from taxeld_training.filters import shipped, stability
+    from taxeld_training.filters import shipped, skins, stability
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import damage, evaluate, gallery
 
@@ -149,6 +150,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "frontier": evaluate.frontier,
         "gallery": gallery.run,
         "damage": damage.run,
+        "skins": skins.run,
         "filter": filter_experiment.run,
         "shipped": shipped.run,
         "stability": stability.run,
@@ -243,7 +245,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     add(
         "--objects", default="", metavar="A,B",
-        help="default: the paper's ten; of shipped, stability and push, box and mug",
+        help="default: the paper's ten; of shipped, skins, stability and push, box and mug",
     )  # fmt: skip
     add("--columns", default="", metavar="N,M", help="of the 5-row skins")
     add("--skin", metavar="LAYOUT", help="this layout in place of them")

@@ -48,7 +48,9 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
         SetupError: what the configuration names cannot be used.
     """
     where = str(directory) if session.has_poses(directory) else ""
-    config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
+    # all poses are there: each scan is placed between two, and none by those before it alone
+    moves = replace(config.sensor_pose, endpoint=where, extrapolate_s=0.0)
+    config = replace(config, sensor_pose=moves)
     skin = layouts.load(config.skin.layout)
     loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
     begun = session.begun(directory) if config.skin.calibration else 0.0

@@ -132,7 +132,14 @@ class SceneConfig:
 class SensorPoseConfig:
     endpoint: str = key("", doc="SUB endpoint of the robot; empty: the sensor stands still")
     max_age_s: float = key(0.2, between(0.001, 60), "a scan whose pose is older is not used")
-    wait_s: float = key(0.02, between(0, 1), "a scan waits so long for a pose at or after its time")
+    wait_s: float = key(
+        0.02, between(0, 1), "a scan waits so long for a pose that tells where the sensor was"
+    )
+    extrapolate_s: float = key(
+        0.02,
+        between(0, 1),
+        "a scan so long after the last pose is placed by the speed of the last two; 0: it waits",
+    )
     sigma_m: float = key(
         0.001, between(0, 0.05), "sd of the sensor's place, the same throughout a touch"
     )
@@ -143,7 +150,11 @@ class SensorPoseConfig:
 
 @dataclass(frozen=True, slots=True)
 class LoopConfig:
-    rate_hz: float = key(100.0, between(1, 1000), "ticks and estimates a second")
+    rate_hz: float = key(
+        100.0,
+        between(1, 1000),
+        "1 / rate_hz is the time for a pass, and at most between two while one is to come",
+    )
     stale_s: float = key(0.5, between(0.01, 60), "without a scan for so long, not valid")
     priority: int = key(
         20, between(0, 99), "SCHED_FIFO, and memory locked, where permitted; 0: neither"
@@ -152,7 +163,7 @@ class LoopConfig:
 
 @dataclass(frozen=True, slots=True)
 class BudgetConfig:
-    """Of a tick's stages; what takes longer is counted, and samples keep to what is left."""
+    """Of the stages of a scan; what takes longer is counted, and samples keep to what is left."""
 
     source_ms: float = key(1.0, between(0.01, 1000), "taking what has arrived")
     skin_ms: float = key(0.5, between(0.01, 1000), "counts to activations")
@@ -160,8 +171,10 @@ class BudgetConfig:
         5.0, between(0.01, 1000), "a proposal; auto chooses by it, measured at start"
     )
     filter_ms: float = key(5.0, between(0.01, 1000), "the belief and its summary")
-    publish_ms: float = key(1.0, between(0.01, 1000), "streams and control, kept free of the tick")
-    degrade: bool = key(True, doc="save samples where a tick lacks time; false: let it be late")
+    publish_ms: float = key(1.0, between(0.01, 1000), "streams and control, kept free of a pass")
+    degrade: bool = key(
+        True, doc="save samples where the next scan would come too soon; false: let it wait"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +212,9 @@ class FilterConfig:
 
 @dataclass(frozen=True, slots=True)
 class PublishConfig:
+    rate_hz: float = key(
+        20.0, between(0.1, 1000), "estimates a second while no scan brings one, at least"
+    )
     endpoints: tuple[str, ...] = key(("ipc:///run/taxeld/stream",), doc="XPUB endpoints, ipc alone")
 
 

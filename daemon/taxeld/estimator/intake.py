@@ -33,11 +33,10 @@ class Intake:
         stuck = self._stuck.on_scan(z, moved) & activation.live
         self._counters.stuck += bool(stuck.any())
         live = activation.live & ~stuck
-        z = np.where(live, z, 0.0)
-        leak = self._leak.of(z)
-        floor = np.maximum(activation.floor, leak)
-        residue = np.hypot(activation.residue, leak)
-        return Observation(sensor, np.where(z < floor, 0.0, z), live, floor, residue)
+        z, floor, residue = self._leak.without(
+            np.where(live, z, 0.0), activation.floor, activation.residue
+        )
+        return Observation(sensor, z, live, floor, residue)
 
     def _is_usable(self, activation: Activation, sensor: Poses) -> bool:
         counters, t, z = self._counters, activation.t, activation.z

@@ -27,6 +27,16 @@ class Leak:
         self._share = SAG * np.take_along_axis(beside, order, axis=1)
 
     def of(self, z: Floats) -> Floats:
-        """Activations z (M,) → (M,) about the most that each may have from elsewhere."""
-        sag = (self._share * z.take(self._beside)).max(axis=1)
-        return np.asarray(self._coupled @ z + sag)
+        """Activations z (..., M) → (..., M) about the most that each may have from elsewhere."""
+        sag = (self._share * z.take(self._beside, axis=-1)).max(axis=-1)
+        return np.asarray(z @ self._coupled.T + sag)
+
+    def without(
+        self, z: Floats, floor: Floats | float, residue: Floats | float = 0.0
+    ) -> tuple[Floats, Floats, Floats]:
+        """Activations z (..., M) that are 0 under a floor → those that are evidence of a press at
+        the taxel itself, 0 where they may be from elsewhere; their floor; and what may be in them
+        of other presses, with the `residue` of earlier ones. Each (..., M)."""
+        leak = self.of(z)
+        raised = np.maximum(floor, leak)
+        return np.where(z < raised, 0.0, z), raised, np.hypot(residue, leak)

@@ -23,6 +23,11 @@ class Outcome:
     propose_ns: int = 0
     filter_ns: int = 0
 
+    @property
+    def is_used(self) -> bool:
+        """Whether the estimator has taken the scan."""
+        return self.sensor is not None
+
 
 @dataclass(slots=True)
 class InputCounters:

@@ -5,6 +5,7 @@ time of its arrival, so the same arrivals lead to the same estimates, byte for b
 measured by the ladder's clock, if it has one.
 """
 
+import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
@@ -13,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from taxeld.config.tables import Config
-from taxeld.estimator.estimator import Estimator
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.freshness import Freshness
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import OnPose, PoseTrack, StandingStill
+from taxeld.pipeline.work import Work, estimator_of
 from taxeld.proposals.ladder import Ladder
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
@@ -28,6 +29,8 @@ from taxeld_protocol.decoder import Scan
 FUTURE_S = 0.1  # a scan that is stamped later than now by more was stamped wrongly
 WAITING_MAX = 64  # scans; of more the oldest are dropped
 SILENT_PERIODS = 3.0  # without a scan of it for so long, a hub is silent
+PART_KEPT = 0.95  # of what the longest part took, with each touch
+SCAN_SHARE = 0.8  # of the time until the next scan, for the work on one
 
 
 class Pipeline:
@@ -59,35 +62,44 @@ class Pipeline:
         if config.sensor_pose.endpoint:
             moves = config.sensor_pose
             mount = None if calibration is None else calibration.mount
-            self.poses = PoseTrack(moves.max_age_s, moves.within_m, on_pose, mount)
-        self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)
+            self.poses = PoseTrack(
+                moves.max_age_s, moves.within_m, on_pose, mount, moves.extrapolate_s
+            )
+        self.estimator = estimator_of(model, ladder, config)
         square = config.filter.half_width_m + _reach_m(model)
         self.freshness = Freshness(config.loop.stale_s, config.filter.centre_m, square)
         self.estimate = self.freshness.judged(self.estimator.estimate)
         self.inputs = InputCounters()
+        self.ends_ns = math.inf  # the time for a call, on the ladder's clock
+        self.degrades = False  # samples are saved where the next scan would come too soon
         self._waiting: deque[tuple[float, Scan]] = deque()  # with the time of arrival
+        self._work: Work | None = None  # on a scan that was begun
+        self._part_ns = 0.0  # the longest part of touches of late
+        self._is_put_off = False  # whether one waits for nothing but time
         self._stepped_s = 0.0  # by how much the Unix clock was set since the start
 
     def advance(self, scans: Iterable[Scan], now: float) -> Iterator[Outcome]:
         """Take the scans that have arrived by `now`, after the sensor poses that have; → what they,
         and those that had been waiting, led to.
 
-        A scan waits for a pose at or after its time, which may be on its way, but no longer than
-        `sensor_pose.wait_s`; and for the next call, where the ladder's deadline has passed and
-        another scan has been taken in this one.
+        A scan waits for a pose that tells where the sensor was at its time, which may be on its
+        way, but no longer than `sensor_pose.wait_s`. Where the time for a call (`ends_ns`) is too
+        short for another part of the work on a scan, it is left there, and others wait for the next
+        call.
         """
-        by = self._stepped_s
+        by, self._is_put_off = self._stepped_s, False
         for scan in scans:
             age = now - scan.t
             if -FUTURE_S <= age <= self.config.source.max_age_s:
                 self._waiting.append((now - by, later(scan, -by)))
-                self.inputs.scans_waited += self.poses.latest_t < scan.t
+                self.inputs.scans_waited += not self.poses.reaches(scan.t)
             else:
                 yield self._refused(age)
-        while self._waiting and self._is_due(*self._waiting[0], now - by):
-            yield self._taken(self._waiting.popleft()[1])
-            if self.ladder.is_late():
+        while self._work or (self._waiting and self._is_due(*self._waiting[0], now - by)):
+            yield from self._next()
+            if self._work or self._is_late():
                 self.inputs.scans_put_off += len(self._waiting)
+                self._is_put_off = bool(self._waiting)
                 break
         while len(self._waiting) > WAITING_MAX:
             self._waiting.popleft()
@@ -95,8 +107,23 @@ class Pipeline:
 
     def flush(self) -> Iterator[Outcome]:
         """What the scans that still wait led to, as nothing more will come."""
-        while self._waiting:
-            yield self._taken(self._waiting.popleft()[1])
+        while self._work or self._waiting:
+            yield from self._next()
+
+    @property
+    def is_at_work(self) -> bool:
+        """Whether the work on a scan was left after one of its parts, or another waits for it."""
+        return self._work is not None or self._is_put_off
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether a scan has come that is not through."""
+        return self._work is not None or bool(self._waiting)
+
+    @property
+    def has_waiting(self) -> bool:
+        """Whether a scan waits, for a pose or for time."""
+        return bool(self._waiting)
 
     def clock_stepped(self, by: float) -> None:
         """The Unix clock was set forward by so many seconds.
@@ -145,14 +172,20 @@ class Pipeline:
         self.estimate = self.freshness.judged(self.estimate)
 
     def reset(self) -> None:
-        """Forget all touches."""
+        """Forget all touches, and one that is half done with them."""
+        if self._work is not None:
+            self._work.give_up()
         self.estimator.reset()
         self.estimate = self.freshness.judged(self.estimator.estimate)
 
     def _is_due(self, arrived: float, scan: Scan, now: float) -> bool:
         waited = now - arrived >= self.config.sensor_pose.wait_s
-        has_pose = self.poses.latest_t >= scan.t + self._stepped_s
+        has_pose = self.poses.reaches(scan.t + self._stepped_s)
         return waited or has_pose or len(self._waiting) > WAITING_MAX
+
+    def _is_late(self, need_ns: float = 0.0) -> bool:
+        """Whether there is no time, or not for what takes so long."""
+        return self.ladder.clock() + need_ns >= self.ends_ns
 
     def _refused(self, age: float) -> Outcome:
         if age > 0.0:
@@ -163,30 +196,61 @@ class Pipeline:
         self.estimate = self.freshness.judged(self.estimate)
         return Outcome(self.estimate)
 
-    def _taken(self, scan: Scan) -> Outcome:
-        """Take a scan; the sensor's poses up to its time have been added."""
-        clock, by = self.ladder.clock, self._stepped_s
+    def _next(self) -> Iterator[Outcome]:
+        """Go on with the scan that is begun, or with the next."""
+        outcome = None
+        if self._work is None:
+            outcome = self._begin(self._waiting.popleft()[1])
+        if self._work is not None:
+            outcome = self._go_on(self._work)
+        if outcome is not None:
+            yield outcome
+
+    def _begin(self, scan: Scan) -> Outcome | None:
+        """Take a scan; the sensor's poses up to its time have been added. → what it led to; None
+        where the estimator has work on it."""
+        clock = self.ladder.clock
         start = clock()
         activation = self.skin.on_scan(scan)
-        read = clock()
+        skin_ns = clock() - start
         if activation is None:
             self.freshness.starting()
-            self.estimate = self.freshness.judged(replace(self.estimate, t=scan.t + by))
-            return Outcome(self.estimate, skin_ns=read - start)
-        sensor = self.poses.at(scan.t + by)
+            return self._unused(scan, skin_ns)
+        sensor = self.poses.at(scan.t + self._stepped_s)
         if sensor is None:
             self.inputs.scans_without_pose += 1
             self.freshness.unused()
-            self.estimate = self.freshness.judged(replace(self.estimate, t=scan.t + by))
-            return Outcome(self.estimate, later(activation, by), skin_ns=read - start)
-        before = self.ladder.spent_ns
+            activation = later(activation, self._stepped_s)
+            return replace(self._unused(scan, skin_ns), activation=activation)
         self.freshness.used()
-        self.estimate = later(self.estimator.on_scan(activation, sensor), by)
-        self.ladder.used()
-        propose_ns = self.ladder.spent_ns - before
-        filter_ns = clock() - read - propose_ns
-        activation = later(activation, by)
-        return Outcome(self.estimate, activation, sensor, read - start, propose_ns, filter_ns)
+        if self.degrades:
+            period_s = self.config.source.period_ms / 1000.0
+            self.ladder.deadline_ns = start + 1e9 * SCAN_SHARE * period_s / self.skin.hubs
+        self._work = Work(self.estimator, self.ladder, activation, sensor, skin_ns)
+        return None
+
+    def _go_on(self, work: Work) -> Outcome | None:
+        """→ what the scan led to; None where the time was over before."""
+        estimate = work.go_on()
+        while estimate is None:
+            if self._is_late(max(work.longest_ns, self._part_ns)):
+                return None
+            estimate = work.go_on()
+        if work.parts > 1:
+            self._part_ns = max(work.longest_ns, PART_KEPT * self._part_ns)
+        self._work, by = None, self._stepped_s
+        self.estimate = self.freshness.judged(later(estimate, by))
+        filter_ns = work.own_ns - work.propose_ns
+        activation = later(work.activation, by)
+        return Outcome(
+            self.estimate, activation, work.sensor, work.skin_ns, work.propose_ns, filter_ns
+        )
+
+    def _unused(self, scan: Scan, skin_ns: int) -> Outcome:
+        """Of a scan that the estimator was not given."""
+        t = scan.t + self._stepped_s
+        self.estimate = self.freshness.judged(replace(self.estimate, t=t))
+        return Outcome(self.estimate, skin_ns=skin_ns)
 
 
 def _reach_m(model: ObservationModel) -> float:

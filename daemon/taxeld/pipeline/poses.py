@@ -1,4 +1,5 @@
-"""The sensor's pose over time, interpolated to the moment of a scan."""
+"""The sensor's pose over time, at the moment of a scan: between two poses, or a little after the
+last one, as the sensor went on."""
 
 import math
 from bisect import bisect_right
@@ -12,6 +13,7 @@ from taxeld.model import se2
 
 KEPT = 512  # poses: five seconds at 100 Hz
 FUTURE_S = 0.1  # a pose that is stamped later than now by more was stamped wrongly
+REACH_PERIODS = 2.0  # of the poses: so far after the last one the sensor goes on as it did
 BACK_MAX = 10  # poses in a row from before the last, in order: the robot's clock was set back
 
 OnPose = Callable[[float, float, float, float], None]
@@ -26,12 +28,15 @@ class PoseTrack:
         within_m: float = math.inf,
         on_pose: OnPose | None = None,
         mount: Poses | None = None,
+        extrapolate_s: float = 0.0,
     ) -> None:
-        """`within_m`: |x| and |y|, at most; `on_pose` is given every pose (t, x, y, θ) that is
+        """`within_m`: |x| and |y|, at most; `extrapolate_s`: after the last pose, for how long the
+        two before tell the next, at most; `on_pose` is given every pose (t, x, y, θ) that is
         taken, as it came; `mount` (3,): the sensor's frame in the one that the poses are of."""
         self._mount = mount
         self.max_age_s = max_age_s
         self._within_m = within_m
+        self._extrapolate_s = extrapolate_s
         self._on_pose = on_pose
         self.taken = 0
         self.rejected = 0  # not finite, not later than the one before, or one of the next two
@@ -45,6 +50,11 @@ class PoseTrack:
     @property
     def latest_t(self) -> float:
         return self._t[-1] if self._t else -np.inf
+
+    def reaches(self, t: float) -> bool:
+        """Whether the pose at time t is known, or as good as known: no later one need be waited
+        for."""
+        return self.latest_t >= t or self._goes_on(t)
 
     def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:
         """Take a pose that has arrived `now`; times must increase, but for a clock that was set
@@ -86,8 +96,8 @@ class PoseTrack:
         return True
 
     def at(self, t: float) -> Poses | None:
-        """The sensor's pose (3,) at time t: interpolated, or the last one while it is young enough;
-        None where nothing that near in time is known."""
+        """The sensor's pose (3,) at time t: interpolated, or at the speed of the last two, or the
+        last one while it is young enough; None where nothing that near in time is known."""
         came = self._came(t)
         return came if came is None or self._mount is None else se2.compose(came, self._mount)
 
@@ -99,12 +109,24 @@ class PoseTrack:
         before: Poses = np.array(self._pose[i - 1])
         t_before = self._t[i - 1]
         if i == len(self._t):
+            if self._goes_on(t):
+                return self._between(i - 2, t)
             return before if t - t_before <= self.max_age_s else None
-        after: Poses = np.array(self._pose[i])
-        span = self._t[i] - t_before
-        if span > self.max_age_s:
+        if self._t[i] - t_before > self.max_age_s:
             return before if t - t_before <= self.max_age_s else None
-        share = (t - t_before) / span
+        return self._between(i - 1, t)
+
+    def _goes_on(self, t: float) -> bool:
+        """Whether the last two poses tell the one at time t, which is after them."""
+        if len(self._t) < 2 or not self._extrapolate_s:
+            return False
+        ahead_s, period_s = t - self._t[-1], self._t[-1] - self._t[-2]
+        return 0.0 < ahead_s <= min(self._extrapolate_s, REACH_PERIODS * period_s, self.max_age_s)
+
+    def _between(self, i: int, t: float) -> Poses:
+        """On the line through two poses, or on its way on from the second."""
+        before, after = np.array(self._pose[i]), np.array(self._pose[i + 1])
+        share = (t - self._t[i]) / (self._t[i + 1] - self._t[i])
         if np.hypot(*(after - before)[:2]) > se2.JUMP_M:  # one of them is wrong, as is all between
             return before if share < 0.5 else after
         pose: Poses = before + share * (after - before)
@@ -121,6 +143,10 @@ class StandingStill:
 
     def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:
         """There is no robot whose poses could be of use."""
+
+    @staticmethod
+    def reaches(t: float) -> bool:  # noqa: ARG004
+        return True
 
     def clear(self) -> None:
         """There is nothing to forget."""

@@ -48,6 +48,7 @@ class Cost:
     ns: float = 0.0
     deviation_ns: float = 0.0
     at_start_ns: float = 0.0
+    least_ns: float = float("inf")
 
     @property
     def expected_ns(self) -> float:
@@ -56,6 +57,7 @@ class Cost:
     def took(self, ns: float) -> None:
         if not self.ns:
             self.ns = ns
+        self.least_ns = min(ns, self.least_ns)
         off = min(ns, SURPRISE * self.ns) - self.ns
         self.ns += GAIN * off
         self.deviation_ns += GAIN * (abs(off) - self.deviation_ns)
@@ -138,15 +140,22 @@ class Ladder:
             self._each.took((self.clock() - self._done_ns) / (OVERHEAD + self._asked))
         self._asked = 0
 
-    def is_late(self) -> bool:
-        return self.clock() >= self.deadline_ns
+    def paused(self, ns: int) -> None:
+        """The filter was left for so long with the samples of the last call."""
+        self._done_ns += ns
+
+    def given_up(self) -> None:
+        """The filter will not be done with them."""
+        self._asked = 0
 
     def settle(self) -> None:
-        """The warm-up is over: the costs so far are those at start, and counting begins."""
+        """The warm-up is over: counting begins, and the costs at start are the least so far, as
+        code that was cold and other processes only ever add to them."""
         self.counters = LadderCounters()
         self.spent_ns = 0
         for cost in (self._each, *(rung.cost for rung in self.rungs)):
-            cost.at_start_ns = cost.ns
+            cost.ns = cost.at_start_ns = min(cost.ns, cost.least_ns)
+            cost.deviation_ns = 0.0
 
     def _fits(self, rung: Rung, n: int, left_ns: float) -> bool:
         """Whether a rung, and the filter's work on its samples, fit into the time left."""

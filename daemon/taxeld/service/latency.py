@@ -15,6 +15,7 @@ from taxeld import __version__
 
 BOUND_US = 50_000  # buckets of 1 µs; longer ones are counted, and known by their maximum
 QUANTILES = (0.5, 0.99)
+ADDED_MAX = 1000  # that wait to be sorted in
 
 
 class Histogram:
@@ -84,18 +85,23 @@ class _Rank:
 
 
 class Latencies:
-    """A histogram a stage."""
+    """A histogram a stage. What is added is sorted in when it is asked for, or has become much:
+    not while a scan is under way, and for less when it is many at once."""
 
     def __init__(self, stages: tuple[str, ...]) -> None:
+        self._added: list[dict[str, float]] = []
         self._start = time.time()
         self._stages = {stage: Histogram() for stage in stages}
 
     def add(self, us: dict[str, float]) -> None:
-        for stage, histogram in self._stages.items():
-            histogram.add(us[stage])
+        """Take durations, which are not changed any more."""
+        self._added.append(us)
+        if len(self._added) >= ADDED_MAX:
+            self._sort_in()
 
     def percentiles(self) -> dict[str, dict[str, float]]:
         """Since start; zeros where nothing was measured."""
+        self._sort_in()
         found = {}
         for stage, histogram in self._stages.items():
             p50, p99 = histogram.quantiles_us()
@@ -107,6 +113,7 @@ class Latencies:
 
         Counts are by whole microseconds; `cycles` beyond their sum went over the bound.
         """
+        self._sort_in()
         return {
             "file_version": 1,
             "cmdline": " ".join(sys.argv),
@@ -131,6 +138,12 @@ class Latencies:
                 for number, (stage, histogram) in enumerate(self._stages.items())
             },
         }
+
+    def _sort_in(self) -> None:
+        added, self._added = self._added, []
+        for stage, histogram in self._stages.items():
+            for us in added:
+                histogram.add(us[stage])
 
 
 def _sysinfo() -> dict[str, str | int]:

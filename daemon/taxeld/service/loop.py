@@ -1,7 +1,8 @@
-"""The fixed-rate loop: it alone owns clocks, sockets and devices.
+"""The loop: it alone owns clocks, sockets and devices.
 
-A tick takes what has arrived, runs the pipeline on it and publishes the estimate. Where its time is
-short it draws fewer samples (`proposals.ladder`), and then leaves scans to the next tick.
+It sleeps until something comes, or until its clock says so. A pass takes what has arrived, runs the
+pipeline on it and publishes what that led to. Where its time is short, the work on a scan is left
+after one of its parts, and goes on in the next pass.
 """
 
 import contextlib
@@ -19,6 +20,7 @@ from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
+from taxeld.model.activation import Activation
 from taxeld.pipeline.calibrated import told
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
@@ -26,6 +28,7 @@ from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file, metrics, realtime, state_file
 from taxeld.service.clock import WallClock
+from taxeld.service.inputs import ALL, Gathering, Inputs, Ready
 from taxeld.service.latency import Latencies
 from taxeld.service.metrics import MetricsFile
 from taxeld.service.notify import Notifier
@@ -43,15 +46,17 @@ from taxeld.stream.publisher import Publisher
 STAGES = messages.STAGES[:-1]  # all but their total
 PARTICLES_HZ = 20.0
 HEALTH_S = 1.0
+BREATH_S = 0.0001  # between two passes of which the first has left work
+LOOK_S = 0.05  # between looks at peers who have not come, and at poses that no scan asks for
 
 
 @dataclass(slots=True)
 class LoopCounters:
     """Since start."""
 
-    ticks: int = 0
-    overruns: int = 0  # ticks that were missed
-    own_overruns: int = 0  # ticks whose own CPU time was longer than their period
+    ticks: int = 0  # passes of the loop
+    overruns: int = 0  # periods that passed while it was at work, or its machine was
+    own_overruns: int = 0  # passes whose own CPU time was longer than a period
     scans: int = 0
 
 
@@ -77,6 +82,7 @@ class Daemon:
         ladder = choice.ladder(scene, config, time.perf_counter_ns)
         on_pose = recorder.pose if recorder else None
         self.pipeline = Pipeline(config, scene.model, ladder, on_pose, calibration)
+        self.pipeline.degrades = config.budget.degrade
         self._recorder = recorder
         self.latencies = Latencies(messages.STAGES)
         self.clock = WallClock()
@@ -88,10 +94,16 @@ class Daemon:
         self._budget_us = {stage: 1e3 * getattr(budget, f"{stage}_ms") for stage in STAGES}
         self._over = dict.fromkeys(STAGES, 0)
         self._realtime = realtime.RealTime()
-        self._publish_us = 0.0
+        self._began_ns = 0  # with what is published next,
+        self._before_us = 0.0  # after so long in passes before; sending what was published last
+        self._publish_us = 0.0  # took this
+        self._seq = 0
         self._start_s = time.monotonic()
         self.pipeline.freshness.came(self._start_s)  # as if a scan had come at the start
-        self._next_health_s = self._next_particles_s = 0.0
+        self._next_health_s = self._next_particles_s = self._next_estimate_s = 0.0
+        self._estimate_s = 1.0 / config.publish.rate_hz
+        self._next_look_s = self._next_poses_s = 0.0
+        self._told: Estimate | None = None  # what was published last
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
         digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
@@ -112,7 +124,9 @@ class Daemon:
     def _open_streams(self, opened: contextlib.ExitStack) -> None:
         config = self.config
         context: zmq.Context[Any] = opened.enter_context(zmq.Context())
-        queue = round(config.loop.rate_hz)  # about a second
+        scans_hz = 1000.0 / config.source.period_ms
+        # about a second
+        queue = round(max(config.loop.rate_hz, config.publish.rate_hz + 2.0 * scans_hz))
         self.publisher = Publisher(context, queue, self._info)
         opened.callback(self.publisher.close)
         self.publisher.bind(config.publish.endpoints, "publish.endpoints")
@@ -133,12 +147,12 @@ class Daemon:
             opened.callback(self.control.close)
 
     def stop(self) -> None:
-        """End `run` after this tick."""
+        """End `run` after this pass."""
         self.stopping = True
 
     def run(self, between: Callable[[], None] = lambda: None) -> None:
-        """Tick until `stop`, or to the end of a replayed session; `between` is called between two
-        ticks.
+        """Go on until `stop`, or to the end of a replayed session; `between` is called between two
+        passes.
 
         Raises:
             SetupError: nothing that the source hears can be used.
@@ -155,70 +169,113 @@ class Daemon:
             self.close()
 
     def _loop(self, notifier: Notifier, between: Callable[[], None]) -> None:
-        ticker = Ticker(self.config.loop.rate_hz, idle=self._attend)
+        ticker = Ticker(self.config.loop.rate_hz, 1.0 / self.config.publish.rate_hz)
         collector = realtime.Collector()
-        while not self.stopping:
-            now = ticker.wait()
-            self.counters.overruns = ticker.missed
-            self.tick(now, ticker.left_s())
-            notifier.tick(now, self._status_line)
-            opened = self.source.counters.unopened + self.source.counters.reopened
-            collector.tick(now, opened, pressed=self.pipeline.skin.touched)
-            between()
-            if self.source.fault:
-                raise SetupError(self.source.fault)
-            if self.source.finished:
-                break
+        peers = self.publisher.filenos() + ([self.control.fileno()] if self.control else [])
+        with contextlib.closing(Inputs(peers)) as inputs:
+            gathering = Gathering()
+            ready = ALL
+            while not self.stopping:
+                now, scans = ticker.begin(), self.counters.scans
+                self.counters.overruns = ticker.missed
+                self.tick(now, ticker.left_s(), ready)
+                notifier.tick(now, self._status_line)
+                opened = self.source.counters.unopened + self.source.counters.reopened
+                collector.tick(now, opened, pressed=self.pipeline.skin.touched)
+                between()
+                if self.source.fault:
+                    raise SetupError(self.source.fault)
+                if self.source.finished and not self.pipeline.is_busy:
+                    break
+                whole = self.counters.scans > scans
+                rest_s = gathering.rest_s(now, whole=whole) if ready.device else 0.0
+                ready = self._wait(ticker, inputs, rest_s)
 
-    def tick(self, now_s: float, left_s: float = math.inf) -> None:
-        """One pass: inputs, pipeline, outputs. `now_s` is monotonic; there is time for `left_s`."""
+    def _wait(self, ticker: Ticker, inputs: Inputs, rest_s: float) -> Ready:
+        """Until the next pass is due: when something has come, after a rest, or by the clock."""
+        pipeline, source = self.pipeline, self.source
+        robot = self.pose_input.socket if self.pose_input and pipeline.has_waiting else None
+        inputs.follow(source.device, robot)
+        until_s = ticker.until(busy=pipeline.is_busy or source.is_busy)
+        now_s = time.monotonic()
+        if pipeline.is_at_work:  # a moment, for others on this processor
+            until_s = min(until_s, now_s + BREATH_S)
+        elif rest_s and until_s > now_s:
+            time.sleep(min(rest_s, until_s - now_s))
+        return inputs.wait(until_s)
+
+    def tick(self, now_s: float, left_s: float = math.inf, ready: Ready = ALL) -> None:
+        """One pass: inputs, pipeline, outputs. `now_s` is monotonic; there is time for `left_s`;
+        `ready`: what has something to say."""
         start, cpu = time.perf_counter_ns(), time.thread_time_ns()
+        self._began_ns = start
         self.counters.ticks += 1
-        if self.config.budget.degrade:
-            for_pipeline_s = left_s - self.config.budget.publish_ms / 1000.0
-            self.pipeline.ladder.deadline_ns = start + 1e9 * for_pipeline_s
+        for_pipeline_s = left_s - self.config.budget.publish_ms / 1000.0
+        self.pipeline.ends_ns = start + 1e9 * for_pipeline_s
         wall_s, stepped = self.clock.read()
         if stepped:
             self.pipeline.clock_stepped(stepped)
             self.source.clock_stepped(stepped)
-        if self.pose_input is not None:
-            self.pose_input.poll()
-        scans = self.source.poll(now_s)
-        took = {"source": time.perf_counter_ns() - start, "skin": 0, "propose": 0, "filter": 0}
-        outcome: Outcome | None = None
+        scans = self.source.poll(now_s, hear=ready.device)
+        self.counters.scans += len(scans)
+        self._take_poses(now_s, asked=ready.robot or bool(scans) or self.pipeline.has_waiting)
+        source_us = (time.perf_counter_ns() - start) / 1000.0
+        self._over["source"] += source_us > self._budget_us["source"]
         # stamped while they were polled, so not older than now
         for outcome in self.pipeline.advance(scans, time.time() if scans else wall_s):
-            took["skin"] += outcome.skin_ns
-            took["propose"] += outcome.propose_ns
-            took["filter"] += outcome.filter_ns
             self.pipeline.freshness.came(now_s)
-        self.counters.scans += len(scans)
+            self._publish(outcome, source_us, now_s)
+            source_us = 0.0  # it is of the first alone
         self.kept.keep(now_s)
-        lat_us = {stage: ns / 1000.0 for stage, ns in took.items()}
-        lat_us["publish"] = self._publish_us  # of the tick before: this one is not over yet
-        lat_us["total"] = (time.perf_counter_ns() - start) / 1000.0 + self._publish_us
-        published = time.perf_counter_ns()
-        self._publish(outcome, lat_us, now_s)
-        if outcome is not None:  # in this tick, though its scan may have waited since another
-            self.latencies.add(lat_us)
-        self._attend(now_s)
-        self._publish_us = (time.perf_counter_ns() - published) / 1000.0
-        for stage, us in self._budget_us.items():
-            self._over[stage] += lat_us[stage] > us
+        self._publish_due(now_s)
+        self._attend(now_s, ready)
+        if self.pipeline.is_at_work:
+            self._before_us += (time.perf_counter_ns() - self._began_ns) / 1000.0
         own_s = (time.thread_time_ns() - cpu) / 1e9
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
+
+    def _take_poses(self, now_s: float, *, asked: bool) -> None:
+        """Of the robot; where no scan asks for them, now and then."""
+        if self.pose_input is not None and (asked or now_s >= self._next_poses_s):
+            self._next_poses_s = now_s + LOOK_S
+            self.pose_input.poll()
 
     def close(self) -> None:
         """Stop the skin and free what is held."""
         self._opened.close()
 
-    def _publish(self, outcome: Outcome | None, lat_us: dict[str, float], now_s: float) -> None:
-        estimate = self._estimate(now_s)
+    def _publish(self, outcome: Outcome, source_us: float, now_s: float) -> None:
+        """What a scan led to."""
+        lat_us = {
+            "source": source_us,
+            "skin": outcome.skin_ns / 1000.0,
+            "propose": outcome.propose_ns / 1000.0,
+            "filter": outcome.filter_ns / 1000.0,
+            "publish": self._publish_us,  # of the one before: this one is not over yet
+        }
+        begin = time.perf_counter_ns()
+        lat_us["total"] = self._before_us + (begin - self._began_ns) / 1000.0 + self._publish_us
+        if outcome.is_used or self._is_news(outcome.estimate):
+            self._send_estimate(self._estimate(now_s), lat_us, now_s)
+        if outcome.activation is not None:
+            self._send_activation(outcome.activation, now_s)
+        self.latencies.add(lat_us)
+        self._began_ns = time.perf_counter_ns()
+        self._before_us, self._publish_us = 0.0, (self._began_ns - begin) / 1000.0
+        for stage in ("skin", "propose", "filter", "publish"):
+            self._over[stage] += lat_us[stage] > self._budget_us[stage]
+
+    def _is_news(self, estimate: Estimate) -> bool:
+        told = self._told
+        return told is None or told.status is not estimate.status or told.t != estimate.t
+
+    def _send_estimate(self, estimate: Estimate, lat_us: dict[str, float], now_s: float) -> None:
+        self._seq += 1
         wall_s = time.time()
-        seq = self.counters.ticks
+        self._told, self._next_estimate_s = estimate, now_s + self._estimate_s
         self._estimate_sent = messages.estimate(
             estimate,
-            seq=seq,
+            seq=self._seq,
             valid=self.pipeline.freshness.is_valid(estimate),
             mono_ns=time.monotonic_ns(),
             age_us=(wall_s - estimate.t) * 1e6 if estimate.t else 0.0,
@@ -227,24 +284,36 @@ class Daemon:
             lat_us=lat_us,
         )
         self.publisher.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
-        if outcome is not None and outcome.activation is not None:
-            t = outcome.activation.t
-            if self.publisher.wants(messages.TAXELS):
-                self.publisher.send(messages.TAXELS, messages.taxels(outcome.activation, seq), t)
-            due = estimate.contact and now_s >= self._next_particles_s
-            if due and self.publisher.wants(messages.PARTICLES):
-                self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
-                belief = self.pipeline.estimator.rule.belief
-                cloud = messages.particles(t, seq, belief.pose, belief.weight)
-                self.publisher.send(messages.PARTICLES, cloud, t)
+
+    def _send_activation(self, activation: Activation, now_s: float) -> None:
+        t, publisher = activation.t, self.publisher
+        if publisher.wants(messages.TAXELS):
+            publisher.send(messages.TAXELS, messages.taxels(activation, self._seq), t)
+        due = self.pipeline.estimate.contact and now_s >= self._next_particles_s
+        if due and publisher.wants(messages.PARTICLES):
+            self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
+            belief = self.pipeline.estimator.rule.belief
+            cloud = messages.particles(t, self._seq, belief.pose, belief.weight)
+            publisher.send(messages.PARTICLES, cloud, t)
+
+    def _publish_due(self, now_s: float) -> None:
+        """What is sent though no scan brought it: an estimate whose status has changed, or whose
+        time has come, and health."""
+        estimate = self._estimate(now_s)
+        if self._is_news(estimate) or now_s >= self._next_estimate_s:
+            self._send_estimate(estimate, dict.fromkeys(messages.STAGES, 0.0), now_s)
         if now_s >= self._next_health_s:
+            wall_s = time.time()
             self._next_health_s = now_s + HEALTH_S
-            self._health_sent = self._health(seq, now_s, wall_s)
+            self._health_sent = self._health(self._seq, now_s, wall_s)
             self.publisher.send(messages.HEALTH, self._health_sent, wall_s)
             self._metrics.offer(self._health_sent)
 
-    def _attend(self, now_s: float) -> None:
+    def _attend(self, now_s: float, ready: Ready) -> None:
         """To those who subscribe and ask."""
+        if not ready.peers and now_s < self._next_look_s:
+            return
+        self._next_look_s = now_s + LOOK_S
         self.publisher.greet(now_s, time.time())
         if self.control is not None:
             self.control.poll(now_s)

@@ -1,44 +1,56 @@
-"""Deadlines at a fixed rate."""
+"""When the loop makes its next pass, where nothing wakes it before."""
 
+import math
 import time
 from collections.abc import Callable
 
-REST_S = 0.02  # at a time, where ticks are slow
+IDLE_S = 0.05  # between passes, at most
 
 
 class Ticker:
-    """Deadlines at a fixed rate on a monotonic clock. They are accumulated, so the rate does not
-    drift; those that have passed are skipped and counted, never made up for."""
+    """Passes of a loop on a monotonic clock: a tick after the one before while something is under
+    way, else later. Ticks are accumulated, so their rate does not drift; those that have passed
+    meanwhile are skipped and counted, never made up for."""
 
     def __init__(
         self,
         rate_hz: float,
+        idle_s: float = IDLE_S,
         clock: Callable[[], float] = time.monotonic,
-        sleep: Callable[[float], None] = time.sleep,
-        idle: Callable[[float], None] = lambda _: None,
     ) -> None:
-        """`idle` is called with the time, now and then, in ticks that are longer than 2 REST_S."""
+        """`rate_hz`: of the ticks; `idle_s`: between passes while nothing is under way."""
         self.period_s = 1.0 / rate_hz
-        self.missed = 0
+        self.missed = 0  # ticks, for work that took longer or a machine that was late
+        self._tick_s = min(self.period_s, IDLE_S)
+        self._idle_s = min(idle_s, IDLE_S)
         self._clock = clock
-        self._sleep = sleep
-        self._idle = idle
-        self._deadline = clock() + self.period_s
+        self._began_s = self._until_s = clock()
+        self._was_woken = False
 
-    def wait(self) -> float:
-        """Sleep to the next deadline; → the time."""
+    def until(self, *, busy: bool) -> float:
+        """The pass is over: when the next one is due. `busy`: whether something is under way."""
         now = self._clock()
-        late = int((now - self._deadline) // self.period_s) + 1 if now > self._deadline else 0
+        late = math.floor((now - self._began_s) / self.period_s)
         self.missed += late
-        self._deadline += late * self.period_s
-        while self._deadline - now > 2.0 * REST_S:
-            self._sleep(REST_S)
-            now = self._clock()
-            self._idle(now)
-        self._sleep(max(0.0, self._deadline - self._clock()))
-        self._deadline += self.period_s
-        return self._clock()
+        self._began_s += late * self.period_s
+        if busy:
+            self._until_s = self._began_s + self._tick_s
+        else:  # what comes at that very pace is given a tick to come by itself
+            slack_s = self._tick_s if self._was_woken else 0.0
+            self._until_s = self._began_s + max(self._idle_s, self._tick_s) + slack_s
+        return self._until_s
+
+    def begin(self) -> float:
+        """A pass begins, at its time or as something has come; → the time."""
+        now = self._clock()
+        self._was_woken = now < self._until_s
+        self._began_s = now
+        if not self._was_woken:
+            late = math.floor((now - self._until_s) / self.period_s)
+            self.missed += late
+            self._began_s = self._until_s + late * self.period_s
+        return now
 
     def left_s(self) -> float:
-        """Until the next deadline; negative where it has passed."""
-        return self._deadline - self._clock()
+        """Of the time for this pass; negative where it is over."""
+        return self._began_s + self.period_s - self._clock()

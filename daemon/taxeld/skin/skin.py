@@ -108,6 +108,11 @@ class Skin:
         return len(self._wiring.suis)
 
     @property
+    def hubs(self) -> int:
+        """How many hubs have sent a scan of late."""
+        return len(self._last_scans)
+
+    @property
     def is_ready(self) -> bool:
         """Whether any taxel has a baseline."""
         return bool(self._idle.known.any())

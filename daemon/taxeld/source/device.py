@@ -42,6 +42,10 @@ class Device(Protocol):
         """What must come before anything can, in a line; empty where nothing must."""
         ...
 
+    def fileno(self) -> int:
+        """Readable when something has arrived; negative: this one cannot be waited on."""
+        ...
+
     def read(self) -> list[Frame] | list[Chunk]:
         """What has arrived. Raises LostError."""
         ...

@@ -13,6 +13,7 @@ import can
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
+from taxeld.source.bus_thread import BusThread
 from taxeld.source.device import Device, LostError, Noticed
 from taxeld.source.dialects import ToFrames
 from taxeld.source.lines import SerialDevice
@@ -49,15 +50,23 @@ class CanDevice:
         self.noticed = Noticed()
         self._to_frames = to_frames
         self._bus = _open_bus(config)
+        self._thread: BusThread | None = None  # from the first `fileno` on, where the bus has none
+
+    def fileno(self) -> int:
+        if self._thread is not None:
+            return self._thread.fileno()
+        with contextlib.suppress(NotImplementedError, can.CanError):
+            if (number := int(self._bus.fileno())) >= 0:
+                return number
+        self._thread = BusThread(self._bus)
+        return self._thread.fileno()
 
     def read(self) -> list[Frame]:
         frames = []
         now = time.time()
         for _ in range(FRAMES_PER_POLL):
             try:
-                # not `recv`, which measures its time-out on the wall clock and waits for an hour
-                # where that is set back by one
-                message, _ = self._bus._recv_internal(0.0)
+                message = self._next()
             except (can.CanError, OSError, ValueError, IndexError) as error:
                 if not isinstance(error.__cause__ or error, (ValueError, IndexError)):
                     raise LostError from error
@@ -98,8 +107,19 @@ class CanDevice:
             raise BlockingIOError from error
 
     def close(self, wait_s: float = 0.0) -> None:  # noqa: ARG002
+        if self._thread is not None:
+            self._thread.close()  # at once, where the bus has failed: its thread has ended
+            self._thread = None
         with contextlib.suppress(can.CanError, OSError):
             self._bus.shutdown()
+
+    def _next(self) -> can.Message | None:
+        if self._thread is not None:
+            return self._thread.next()
+        # not `recv`, which measures its time-out on the wall clock and waits for an hour where that
+        # is set back by one
+        message: can.Message | None = self._bus._recv_internal(0.0)[0]
+        return message
 
 
 def _open_bus(config: SourceConfig) -> Any:

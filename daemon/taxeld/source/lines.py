@@ -45,6 +45,9 @@ class SerialLine:
             self._port.close()
             raise busy(where)
 
+    def fileno(self) -> int:
+        return int(self._port.fileno())
+
     def put(self, unit: Unit) -> Unit | None:
         taken = self._write(unit.line)
         if not taken:
@@ -62,8 +65,11 @@ class SerialLine:
 
     def _receive(self) -> bytes:
         try:
+            data = os.read(self._port.fileno(), BYTES_PER_POLL)
             # asked even when none wait: that is how a line that was unplugged shows
-            return bytes(self._port.read(max(1, min(self._port.in_waiting, BYTES_PER_POLL))))
+            return data or bytes(self._port.read(1))
+        except BlockingIOError:
+            return b""
         except OSError as error:
             raise LostError from error
 

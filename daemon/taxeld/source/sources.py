@@ -1,8 +1,8 @@
 """Sources of scans: CAN through python-can, a serial line, or a recorded session.
 
-A source is polled once a tick and never blocks. A device that goes away, or is not there yet, is
-opened again with growing pauses, and the skin on it is brought up anew; what arrives damaged is
-counted.
+A source is polled at every pass of the loop and never blocks. A device that goes away, or is not
+there yet, is opened again with growing pauses, and the skin on it is brought up anew; what arrives
+damaged is counted.
 """
 
 import contextlib
@@ -57,6 +57,12 @@ class Source(Protocol):
 
     wire: Wire
     counters: SourceCounters
+    device: Device | None  # that is open now, for who waits on it
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether it must be polled at every tick, as nothing would wake who waits."""
+        ...
 
     @property
     def finished(self) -> bool:
@@ -73,8 +79,9 @@ class Source(Protocol):
         """What makes all that comes useless, in a line; empty where nothing does."""
         ...
 
-    def poll(self, now_s: float) -> list[Scan]:
-        """Scans that have arrived; `now_s` is monotonic."""
+    def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:
+        """Scans that have arrived; `now_s` is monotonic. Without `hear` the device, which has
+        nothing to say, is tended alone."""
         ...
 
     def clock_stepped(self, by: float) -> None:
@@ -129,7 +136,7 @@ class LiveSource:
         self._recorder = recorder
         self._bring_up = dialect.bring_up
         self._listening = dialect.listening
-        self._device: Device | None = None
+        self.device: Device | None = None
         self._outbox: Outbox | None = None
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._reserve = Reserve()
@@ -142,37 +149,42 @@ class LiveSource:
                 raise
             self._wait(str(error), -math.inf)
 
-    def poll(self, now_s: float) -> list[Scan]:
-        if self._device is None:
+    @property
+    def is_busy(self) -> bool:
+        return bool(self._outbox) or (self.device is not None and self.device.fileno() < 0)
+
+    def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:
+        if self.device is None:
             self._reopen(now_s)
-        if self._device is None or self._outbox is None:
+            hear = True
+        if self.device is None or self._outbox is None:
             return []
         try:
-            return self._exchange(self._device, self._outbox, now_s)
+            return self._exchange(self.device, self._outbox, now_s, hear=hear)
         except LostError as error:
-            self._lose(self._device, str(error.__cause__ or "no cause is known"), now_s)
+            self._lose(self.device, str(error.__cause__ or "no cause is known"), now_s)
             return []
 
     def clock_stepped(self, by: float) -> None:
         """A device stamps anew whatever comes."""
 
     def close(self) -> None:
-        if self._device is not None and self._outbox is not None:
+        if self.device is not None and self._outbox is not None:
             self._outbox.clear()
             self._stop(self._outbox)
-            self._device.close(CLOSE_S)
-            self._device = None
+            self.device.close(CLOSE_S)
+            self.device = None
         self._reserve.close()
 
     def _take(self, device: Device) -> None:
-        self._device, self._outbox = device, Outbox(device)
+        self.device, self._outbox = device, Outbox(device)
         self._pause_s = REOPEN_S[0]
         self.waits_for = ""
 
-    def _exchange(self, device: Device, outbox: Outbox, now_s: float) -> list[Scan]:
+    def _exchange(self, device: Device, outbox: Outbox, now_s: float, *, hear: bool) -> list[Scan]:
         scans: list[Scan] = []
         bring_up = self._bring_up
-        for packet, ended in self._hear(device):
+        for packet, ended in self._hear(device) if hear else ():
             scans += ended
             if packet is not None and bring_up is not None:
                 outbox.add_all(bring_up.on_packet(packet), now_s)
@@ -205,12 +217,11 @@ class LiveSource:
             outbox.clear()  # what still streams behind it is not to be set up anew
 
     def _hear(self, device: Device) -> list[Heard]:
-        heard: list[Heard] = []
-        for item in device.read():
-            if self._recorder is not None:
+        items = device.read()
+        if self._recorder is not None:
+            for item in items:
                 self._recorder.take(item)
-            heard += self.wire.take(item, item.t)
-        return heard
+        return self.wire.take_all(items)
 
     def _flush(self, outbox: Outbox, now_s: float) -> None:
         try:
@@ -235,7 +246,7 @@ class LiveSource:
     def _lose(self, device: Device, reason: str, now_s: float) -> None:
         self.counters.lost += 1
         device.close()
-        self._device = self._outbox = None
+        self.device = self._outbox = None
         self._next_open_s = now_s + self._pause_s
         self.waits_for = f"source.channel: the device went away ({reason})"
         self._say(logging.WARNING, self.waits_for, now_s)
@@ -287,6 +298,8 @@ class ReplaySource:
     """A recorded session at the pace it was recorded, its times moved to now."""
 
     waits_for = fault = ""
+    device: Device | None = None
+    is_busy = True  # its pace is that of the ticks
 
     def __init__(self, recorded: Session, wire: Wire, on_pose: OnPose | None) -> None:
         self.wire = wire
@@ -302,7 +315,7 @@ class ReplaySource:
     def finished(self) -> bool:
         return self._at >= len(self._items)
 
-    def poll(self, now_s: float) -> list[Scan]:
+    def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:  # noqa: ARG002
         first_t = self._items[0].t
         if self._shift_s is None:
             self._shift_s = time.time() - first_t

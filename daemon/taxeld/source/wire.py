@@ -1,5 +1,6 @@
 """What a skin sends → packets and scans: the one way for live sources, recordings and replays."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from taxeld.config.tables import SourceConfig
@@ -36,6 +37,19 @@ class Wire:
         if isinstance(item, Frame):
             return [self.frame(item if item.t == t else item._replace(t=t))]
         return self.data(item.data, t)
+
+    def take_all(self, items: Sequence[Frame | Chunk]) -> list[Heard]:
+        """Take what a device has read, as it is stamped; frames that end nothing are left out."""
+        heard: list[Heard] = []
+        feed = self.decoder.feed
+        for item in items:
+            if isinstance(item, Frame):
+                packet, scans = feed(item)
+                if scans or packet is not None:
+                    heard.append(Heard(packet, scans))
+            else:
+                heard += self.data(item.data, item.t)
+        return heard
 
     def data(self, data: bytes, t: float) -> list[Heard]:
         """Take bytes of a serial line, in pieces of any size, that were read at time `t`.

@@ -49,6 +49,10 @@ class Control:
                 context, door, answers, self.counters, guard if takes_keys else None
             )
 
+    def fileno(self) -> int:
+        """Of a Unix socket's, readable when somebody asks; negative for the relay's."""
+        return self._front.fileno()
+
     def poll(self, now_s: float) -> None:
         """Answer what has been asked; `now_s` is monotonic."""
         self._front.poll(now_s)
@@ -68,6 +72,9 @@ class _Local:
         self._allowed = 0.0  # requests
         terms = Terms(b"ROUTER", KINDS, REQUEST_BYTES, FRAMES_MAX, QUEUED)
         self._server = Server(endpoint, key, terms, counters)
+
+    def fileno(self) -> int:
+        return self._server.fileno()
 
     def poll(self, now_s: float) -> None:
         if now_s < self._next_s:
@@ -105,6 +112,10 @@ class _Network:
         self._counters = counters
         self._next_s = -math.inf
         self._socket = self._open()
+
+    @staticmethod
+    def fileno() -> int:
+        return -1  # its process looks by the clock
 
     def poll(self, now_s: float) -> None:
         if now_s < self._next_s:

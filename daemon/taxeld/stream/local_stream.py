@@ -46,6 +46,9 @@ class LocalStream:
     def wanted(self) -> Set[bytes]:
         return self._by_topic().keys()
 
+    def fileno(self) -> int:
+        return self._server.fileno()
+
     def listen(self, now_s: float, info: Frames | None) -> None:
         if now_s >= self._count_ends_s:
             self._count_ends_s = now_s + COUNTED_S

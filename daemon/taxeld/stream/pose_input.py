@@ -49,6 +49,12 @@ class PoseInput:
         self._keys = keys
         self._socket = self._open()
 
+    @property
+    def socket(self) -> zmq.Socket[Any]:
+        """Another one after a message of too many frames. Its descriptor becomes readable when
+        something comes after a poll that took all."""
+        return self._socket
+
     def poll(self) -> None:
         """Take the poses that have arrived."""
         now = time.time()

@@ -57,6 +57,10 @@ class Publisher:
                 self._outlets.append(made)
             networks[guard is None].bind(endpoint, key)
 
+    def filenos(self) -> list[int]:
+        """Of Unix sockets', readable when somebody comes, subscribes or leaves."""
+        return [o.fileno() for o in self._outlets if isinstance(o, LocalStream)]
+
     @property
     def wanted(self) -> frozenset[bytes]:
         """Topics that are worth making: who has asked for them is connected."""

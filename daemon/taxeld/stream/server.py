@@ -106,6 +106,10 @@ class Server:
         self._epoll = select.epoll()
         self._watch_door()
 
+    def fileno(self) -> int:
+        """Readable while somebody comes, speaks or leaves, or can be sent what waits for him."""
+        return self._epoll.fileno()
+
     def look(self, now_s: float, most: int) -> Iterator[tuple[Peer, list[bytes]]]:
         """At most so many messages; `now_s` is monotonic. To be taken to the end."""
         has_callers = False

@@ -113,8 +113,10 @@ class Bench:
             self._listeners = self._poses.recv()[:1] == b"\x01"
         wall, x, y, theta = row
         body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
-        self._poses.send_multipart((messages.SENSOR_POSE, body, b"%.6f" % wall), zmq.NOBLOCK)
-        self.rig.ledger.poses_heard += self._listeners
+        if self._listeners:  # else one who comes just now would hear a pose that is not counted
+            frames = (messages.SENSOR_POSE, body, b"%.6f" % wall)
+            self._poses.send_multipart(frames, zmq.NOBLOCK)
+            self.rig.ledger.poses_heard += 1
         self._recorder.pose(wall, x, y, theta)
 
 

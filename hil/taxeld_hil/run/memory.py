@@ -68,6 +68,10 @@ class MemoryDevice:
             raise SetupError("unplugged")
         line.take()  # as a serial port is flushed when it is opened
 
+    @staticmethod
+    def fileno() -> int:
+        return -1  # nobody waits on a fake clock
+
     def read(self) -> list[Frame] | list[Chunk]:
         if not self._line.is_plugged:
             raise LostError

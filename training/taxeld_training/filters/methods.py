@@ -82,6 +82,7 @@ class TouchResult(NamedTuple):
 
 
 def code(proposal: str) -> str:
-    """Hash of the code that decides a trial's results with such a proposal, so that other code is
-    another job."""
-    return fingerprint.of(*ROOMS, *DRAWN, *(GRIDS if proposal == GRID else SAMPLES))
+    """Hash of the code and the bundles that decide a trial's results with such a proposal, so that
+    other ones are another job."""
+    decides = fingerprint.of(*ROOMS, *DRAWN, *(GRIDS if proposal == GRID else SAMPLES))
+    return f"{decides}-{fingerprint.of_bundles()}"

@@ -16,7 +16,7 @@ import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC
@@ -24,7 +24,7 @@ from taxeld.proposals.sampler import Sampler
 from taxeld_training.jobs import jobs
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.models import export, variants
-from taxeld_training.models.dataset import simulate
+from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.variants import MODELS, Variant
 from taxeld_training.objects.setting import DEPTH_MAX_M, Setting
 
@@ -48,6 +48,18 @@ def shipped(setting: Setting) -> bundle.Bundle | None:
     return None
 
 
+def shipped_with(setting: Setting) -> bundle.Bundle:
+    """The same.
+
+    Raises:
+        SetupError: none is shipped.
+    """
+    found = shipped(setting)
+    if found is None:
+        raise SetupError(f"{setting.object}: no bundle of it is shipped for this skin")
+    return found
+
+
 @lru_cache(maxsize=8)
 def model_of(setting: Setting) -> ObservationModel:
     """The same instance each time: models are compared by identity."""
@@ -67,10 +79,7 @@ def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
         return ANALYTIC[name](model)
     if is_learned(name, setting):
         return Sampler.read(Path(file), model.layout, LEARNED[name].kind)
-    found = shipped(setting)
-    if found is None:
-        raise SetupError(f"{setting.object}: no bundle with a '{name}' is shipped")
-    return found.proposal(name)
+    return shipped_with(setting).proposal(name)
 
 
 def trainings(wanted: Iterable[Wanted], memory: Path) -> dict[Wanted, Job]:
@@ -91,7 +100,7 @@ def train(setting: Setting, given: Variant, file: str) -> dict[str, float]:
     model = model_of(setting)
     variant = variants.trained_with(given, setting.updates, seed=setting.seed)
     touches = simulate(model, variant.training.contacts, np.random.default_rng(setting.seed))
-    network = variants.fit(variant, model, Noise(), touches)
+    network = variants.fit(variant, model, IN_USE, touches)
     (sampler,) = variants.samplers(variant, network).values()
     part = Path(file).with_suffix(".part")
     gap = export.export(sampler, len(model.layout), part, variant.describe())

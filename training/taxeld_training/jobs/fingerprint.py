@@ -1,4 +1,4 @@
-"""What decides a job's result: a hash of the code, for its key.
+"""What decides a job's result: a hash of the code, and of the bundles that ship, for its key.
 
 Docstrings, comments and layout do not count.
 """
@@ -8,6 +8,8 @@ import hashlib
 from functools import cache
 from importlib import resources
 from pathlib import Path
+
+BUNDLES = Path(str(resources.files("taxeld") / "bundles"))
 
 
 @cache
@@ -20,6 +22,15 @@ def of(*names: str) -> str:
         files = sorted(room.glob("*.py")) if room.is_dir() else [room.with_suffix(".py")]
         for file in files:
             digest.update(_bare(file.read_text(encoding="utf-8")).encode())
+    return digest.hexdigest()[:12]
+
+
+@cache
+def of_bundles() -> str:
+    """Hash of the shipped bundles: each bundle.json names the SHA-256 of all files beside it."""
+    digest = hashlib.sha256()
+    for file in sorted(BUNDLES.glob("*/bundle.json")):
+        digest.update(file.read_bytes())
     return digest.hexdigest()[:12]
 
 

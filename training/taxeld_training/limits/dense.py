@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 
 from taxeld.arrays import Floats, Poses
 from taxeld.model import contacts, se2
-from taxeld.model.observation import Noise, ObservationModel
-from taxeld_training.limits.posterior import Draws, ExactPosterior, effective, flattened
+from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld_training.limits.posterior import Draws, ExactPosterior, effective, flattened, gains
 from taxeld_training.models.dataset import MIN_ACTIVATION
 
 LINES = 200_000  # of the prior, from which contacts are made
@@ -30,11 +30,9 @@ ANYWHERE = 0.2  # share of the contacts that are at any place of the outline
 class Dense:
     """p(pose | z) by contacts drawn around it, under the prior and noise of an `ExactPosterior`."""
 
-    def __init__(
-        self, model: ObservationModel, noise: Noise, floor: float, rng: np.random.Generator
-    ) -> None:
+    def __init__(self, model: ObservationModel, noise: Noise, rng: np.random.Generator) -> None:
         scene = model.scene
-        self._model, self._noise, self._floor = model, noise, floor
+        self._model, self._noise = model, noise
         low, high = scene.extent
         self._ax, self._ay = rng.uniform(low[:, None], high[:, None], (2, LINES))
         self._away, self._gx, self._gy = scene.clearance(self._ax, self._ay)
@@ -45,17 +43,16 @@ class Dense:
         self._first = np.cumsum(self._count) - self._count
 
     def sample(
-        self, z: Floats, live: NDArray[np.bool_], n: int, rng: np.random.Generator,
-        bank: ExactPosterior,
-    ) -> Draws:  # fmt: skip
-        """`n` draws with replacement for z (M,) and live (M,), sought from those of a bank."""
-        coarse = bank.sample(z, live, FIRST, rng, FITTED)
+        self, seen: Observation, n: int, rng: np.random.Generator, bank: ExactPosterior
+    ) -> Draws:
+        """`n` draws with replacement for a reading, sought from those of a bank."""
+        coarse = bank.sample(seen, FIRST, rng, FITTED)
         cells, weight = self._cells(coarse.pose), np.full(FIRST, 1.0 / FIRST)
         for done in range(ROUNDS + MORE):
             if done < ROUNDS:
                 share = self._fitted(cells, weight)
                 poses, log_ws = [], []
-            cells, pose, log_w = self._drawn(share, z, live, rng)
+            cells, pose, log_w = self._drawn(share, seen, rng)
             poses.append(pose)
             log_ws.append(log_w)
             exact = flattened(np.concatenate(log_ws))
@@ -66,14 +63,14 @@ class Dense:
         return Draws(np.concatenate(poses)[pick], effective(exact))
 
     def _drawn(
-        self, share: Floats, z: Floats, live: NDArray[np.bool_], rng: np.random.Generator
+        self, share: Floats, seen: Observation, rng: np.random.Generator
     ) -> tuple[NDArray[np.intp], Poses, Floats]:
         """Cells (EACH,) of a histogram, a contact (EACH, 3) in each, and its log-weight (EACH,)."""
         cells = rng.choice(share.size, EACH, p=share.ravel())
         pose, inside = self._contacts(cells, rng)
         place = cells // (DIRECTIONS * DEPTHS)
         prior = np.log(self._count[place] / share.ravel()[cells])
-        likelihood, felt = self._log_likelihood(z, live, pose)
+        likelihood, felt = self._log_likelihood(seen, pose)
         return cells, pose, np.where(inside & felt, prior + likelihood, -np.inf)
 
     def _place(
@@ -132,13 +129,10 @@ class Dense:
         theta = se2.wrap(direction - np.arctan2(-gy, -gx))
         return contacts.pose_of_axis(ax, ay, theta), missed <= contacts.RESIDUAL_MAX_M
 
-    def _log_likelihood(
-        self, z: Floats, live: NDArray[np.bool_], poses: Poses
-    ) -> tuple[Floats, NDArray[np.bool_]]:
-        """(N,) of z (M,) at poses (N, 3), and whether the prior has such contacts felt."""
-        silent = np.where(live, self._noise.log_density(z, np.zeros(1), self._floor), 0.0)
+    def _log_likelihood(self, seen: Observation, poses: Poses) -> tuple[Floats, NDArray[np.bool_]]:
+        """(N,) of a reading at poses (N, 3), and whether the prior has such contacts felt."""
         at, h = self._model.pressed(poses)
-        row, taxel = np.divmod(at, len(z))
-        gain = (self._noise.log_density(z[taxel], h, self._floor) - silent[taxel]) * live[taxel]
+        row, taxel = np.divmod(at, len(seen.z))
+        silent, gain = gains(self._noise, seen, taxel, h)
         felt = np.bincount(row, h > MIN_ACTIVATION, len(poses)) > 0.0
-        return np.asarray(silent.sum() + np.bincount(row, gain, len(poses))), felt
+        return np.asarray(silent + np.bincount(row, gain, len(poses))), felt

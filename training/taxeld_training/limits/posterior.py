@@ -10,11 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Floats, Poses, Reals
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld.model.activation import FLOOR
-from taxeld.model.observation import Noise
+from taxeld.model.observation import Noise, Observation
 from taxeld_training.models.dataset import Touches
 
 
@@ -33,10 +32,8 @@ class ExactPosterior:
     likelihood is that of a silent taxel, the same in every touch.
     """
 
-    def __init__(self, bank: Touches, layout: Layout, noise: Noise, floor: float = FLOOR) -> None:
-        """`floor`: under which a reading is 0."""
+    def __init__(self, bank: Touches, layout: Layout, noise: Noise) -> None:
         self.noise = noise
-        self.floor = floor
         self.layout = layout
         self._pose = bank.pose
         self._sector = layout.sector[bank.activation.argmax(axis=1)]
@@ -46,19 +43,18 @@ class ExactPosterior:
         self._back = layout.turns[-np.arange(order) % order]
 
     def sample(
-        self, z: Floats, live: NDArray[np.bool_], n: int, rng: np.random.Generator,
-        least: float = 0.0,
-    ) -> Draws:  # fmt: skip
-        """`n` draws with replacement, by importance weight, for z (M,) and live (M,). The weights
-        are flattened until they have an effective number of `least`."""
+        self, seen: Observation, n: int, rng: np.random.Generator, least: float = 0.0
+    ) -> Draws:
+        """`n` draws with replacement, by importance weight, for a reading. The weights are
+        flattened until they have an effective number of `least`."""
         order = len(self.layout.turns)
-        target = self.layout.sector[np.where(live, z, -1.0).argmax()]
+        target = self.layout.sector[np.where(seen.live, seen.z, -1.0).argmax()]
         # noise moves the strongest taxel, but hardly ever farther than to a neighbour
         offsets = range(order) if order <= 3 else (-1, 0, 1)
         log_w, turn = [], []
         for offset in offsets:
             by = (self._sector - target - offset) % order
-            log_w.append(self._log_weights(z, live, by))
+            log_w.append(self._log_weights(seen, by))
             turn.append(by)
         weights = flattened(np.concatenate(log_w), least)
         pick = rng.choice(len(weights), n, p=weights)
@@ -68,13 +64,24 @@ class ExactPosterior:
         pose = se2.compose(turned, self._pose[pick % len(self._pose)])
         return Draws(pose, effective(weights))
 
-    def _log_weights(self, z: Floats, live: NDArray[np.bool_], by: NDArray[np.int64]) -> Floats:
-        """Log-likelihood (B,) of z for every stored contact, turned by −2π·by/order, by (B,)."""
-        silent = np.where(live, self.noise.log_density(z, np.zeros(1), self.floor), 0.0)
-        # turning a stored contact by −k is the same as turning z by +k
+    def _log_weights(self, seen: Observation, by: NDArray[np.int64]) -> Floats:
+        """Log-likelihood (B,) of a reading for every stored contact, turned by −2π·by/order, by
+        (B,)."""
+        # turning a stored contact by −k is the same as turning the reading by +k
         at = self._back[by[self._row], self._taxel]
-        gain = (self.noise.log_density(z[at], self._h, self.floor) - silent[at]) * live[at]
-        return np.asarray(silent.sum() + np.bincount(self._row, gain, len(by)))
+        silent, gain = gains(self.noise, seen, at, self._h)
+        return np.asarray(silent + np.bincount(self._row, gain, len(by)))
+
+
+def gains(noise: Noise, seen: Observation, at: NDArray[np.intp], h: Reals) -> tuple[float, Floats]:
+    """The log-likelihood of a reading where nothing is pressed, and what it gains (P,) by presses
+    of taxels `at` (P,) as deep as h (P,)."""
+    floor = np.broadcast_to(seen.floor, len(seen.z))
+    residue = np.broadcast_to(seen.residue, len(seen.z))
+    unpressed = noise.log_density(seen.z, np.zeros(1), floor, residue)
+    silent = np.where(seen.live, unpressed, 0.0)
+    pressed = noise.log_density(seen.z[at], h, floor[at], residue[at])
+    return float(silent.sum()), np.asarray((pressed - silent[at]) * seen.live[at])
 
 
 def flattened(log_weight: Floats, least: float = 0.0) -> Floats:

@@ -8,20 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Floats, Poses
-from taxeld.config.tables import FilterConfig
-from taxeld.estimator.rule import noise_of
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import Draws, ExactPosterior, energy_distance
-from taxeld_training.models.dataset import Touches, floor_of, read, simulate
+from taxeld_training.models.dataset import IN_USE, Touches, read, simulate
 
 SAMPLES = 100
 BANK = 300_000
 THIN_ESS = 1000.0  # effective contacts of the bank, under which more are made around the reading
 LIMIT_ESS = 50.0  # readings with fewer all the same are left out
 TIMED_CALLS = 30
-IN_USE = noise_of(FilterConfig())
 
 
 @dataclass(frozen=True)
@@ -65,24 +62,23 @@ def reference(
     """Exact posteriors of `readings` simulated readings, a share `dead` of the taxels dead in
     each. Where the bank is too thin for one, contacts are made around it. `used`: with what the
     shipped filter's likelihood would make of them."""
-    floor = floor_of(noise)
     contacts = simulate(model, bank, rng)
-    exact, other = (Posterior(model, contacts, n, floor, rng) for n in (noise, IN_USE))
+    exact, other = (Posterior(model, contacts, n, rng) for n in (noise, IN_USE))
     kept = Reference([], [], [], [], [], [], model.scene.size, 0, bank, 0.0)
     drawn = read(model, noise, readings, rng, dead)
     spent_s = 0.0
-    for pose, z, live in zip(drawn.pose, drawn.z, drawn.live, strict=True):
+    for pose, seen in zip(drawn.pose, drawn, strict=True):
         start = time.thread_time()
-        draws = exact.sample(z, live, 2 * SAMPLES, rng)
+        draws = exact.sample(seen, 2 * SAMPLES, rng)
         spent_s += time.thread_time() - start
         if draws.ess < LIMIT_ESS:
             continue
         kept.truth.append(pose)
-        kept.z.append(z)
-        kept.live.append(live)
+        kept.z.append(seen.z)
+        kept.live.append(seen.live)
         kept.exact.append(draws.pose)
         if used:
-            kept.used.append(other.sample(z, live, SAMPLES, rng).pose)
+            kept.used.append(other.sample(seen, SAMPLES, rng).pose)
         kept.ess.append(draws.ess)
     return Reference(
         kept.truth, kept.z, kept.live, kept.exact, kept.used, kept.ess,
@@ -94,18 +90,17 @@ class Posterior:
     """The exact posterior by a bank and, where that is too thin, by contacts made for a reading."""
 
     def __init__(
-        self, model: ObservationModel, bank: Touches, noise: Noise, floor: float,
-        rng: np.random.Generator,
-    ) -> None:  # fmt: skip
-        self._bank = ExactPosterior(bank, model.layout, noise, floor)
-        self._dense = Dense(model, noise, floor, rng)
+        self, model: ObservationModel, bank: Touches, noise: Noise, rng: np.random.Generator
+    ) -> None:
+        self._bank = ExactPosterior(bank, model.layout, noise)
+        self._dense = Dense(model, noise, rng)
 
-    def sample(self, z: Floats, live: NDArray[np.bool_], n: int, rng: np.random.Generator) -> Draws:
-        """`n` draws for z (M,) and live (M,)."""
-        draws = self._bank.sample(z, live, n, rng)
+    def sample(self, seen: Observation, n: int, rng: np.random.Generator) -> Draws:
+        """`n` draws for a reading."""
+        draws = self._bank.sample(seen, n, rng)
         if draws.ess >= THIN_ESS:
             return draws
-        return self._dense.sample(z, live, n, rng, self._bank)
+        return self._dense.sample(seen, n, rng, self._bank)
 
 
 def save(to: Reference, path: Path) -> None:

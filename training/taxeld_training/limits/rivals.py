@@ -76,7 +76,7 @@ def train_rival(
     touches = simulate(model, contacts, np.random.default_rng(seed))
     frame, view = PoseFrame(), views.best(model.layout)
     coordinates = frame.encode(touches.pose)
-    batches = Batches(touches, coordinates, noise, seed, torch.device("cpu"))
+    batches = Batches(touches, coordinates, model.leak, noise, seed, torch.device("cpu"))
     z, live, _ = batches.read(torch.arange(contacts))
     seen, angle = view(z, live)
     poses = frame.features(frame.turned(coordinates, angle))

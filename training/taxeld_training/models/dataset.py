@@ -1,6 +1,7 @@
 """Simulated touches: contact poses with their true activations, and readings of them as a filter
-sees them, 0 under a floor."""
+sees them: 0 under a floor, and 0 where presses beside a taxel may explain what it reads."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,14 +9,18 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
+from taxeld.estimator.rule import noise_of
 from taxeld.model.activation import FLOOR
 from taxeld.model.contacts import synthesise
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.leak import Leak
+from taxeld.model.observation import Noise, Observation, ObservationModel
 
 MIN_ACTIVATION = 0.05  # of the strongest taxel: weaker contacts are neither learned nor sampled
 SILENT = 5.0  # standard deviations of noise under which a reading is 0: noise is no touch
-FLOOR_MAX = 0.12  # in training the floor is anything from FLOOR to this: skins and places differ
+FLOOR_MAX = 0.12  # a skin's floor is anything from FLOOR to this: skins and places differ
+IN_USE = noise_of(FilterConfig())  # what ships: what samplers learn, and are measured by
 DEAD_SHARE = 0.3  # of training touches have dead taxels
 DEAD_MAX = 0.3  # of a skin's taxels are dead at most
 
@@ -53,22 +58,68 @@ def simulate(model: ObservationModel, n: int, rng: np.random.Generator) -> Touch
     return Touches(np.concatenate(poses)[:n], np.concatenate(activations)[:n], dropped / drawn)
 
 
+class Skin:
+    """Reads true activations as a filter sees them.
+
+    A taxel that is pressed reads the activation times its gain, and departs from that by the
+    filter's noise; one that is not has the skin's own noise, far under its floor. Either reads as
+    well what presses beside it leave there, of the size of the `Leak`'s bound. The skin reports 0
+    under its floor, and the filter takes for 0 what is under the bound.
+    """
+
+    def __init__(self, leak: Leak, noise: Noise, seed: int, device: torch.device) -> None:
+        self.generator = torch.Generator(device).manual_seed(seed)
+        self._leak, self._noise = leak, noise
+
+    def read(self, h: Tensor, live: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Activations h (n, M), live (n, M) as 0 or 1 → readings, floors and residues (n, M)."""
+        floor = self._floor(h * live)
+        own = torch.clamp(floor / SILENT, max=self._noise.sigma)
+        sd = torch.where(h > 0.0, self._noise.sigma, own)
+        z = (1.0 + self._noise.gain_cv * self._normal(h)) * h + sd * self._normal(h)
+        leak = self._leak.of((z * live).clamp(0.0, 1.0).cpu().numpy())
+        z = ((z + torch.from_numpy(leak).to(z) * self._normal(h)) * live).clamp(0.0, 1.0)
+        floor = _felt(z, floor)
+        z = torch.where(z >= floor, z, 0.0)
+        seen = self._leak.without(z.cpu().numpy(), floor.cpu().numpy())
+        z, floor, residue = (torch.from_numpy(part).to(z) for part in seen)
+        return z, floor, residue
+
+    def _floor(self, h: Tensor) -> Tensor:
+        """(n, 1) of each reading, such that the press is over it."""
+        g = self.generator
+        share = torch.rand((len(h), 1), generator=g, dtype=h.dtype, device=h.device)
+        return _felt(h, share * (FLOOR_MAX - FLOOR) + FLOOR)
+
+    def _normal(self, like: Tensor) -> Tensor:
+        g = self.generator
+        return torch.randn(like.shape, generator=g, dtype=like.dtype, device=like.device)
+
+
+def _felt(z: Tensor, floor: Tensor) -> Tensor:
+    """Floors (n, 1); the least of all where nothing of z (n, M) would be felt."""
+    return torch.where(z.amax(dim=1, keepdim=True) >= floor, floor, FLOOR)
+
+
 @dataclass(frozen=True)
 class Readings:
-    """n readings: poses (n, 3) in the sensor frame, z (n, M), live (n, M), the floor of all."""
+    """n readings: poses (n, 3) in the sensor frame; z, live, floor and residue (n, M)."""
 
     pose: NDArray[np.float64]
     z: NDArray[np.float64]
     live: NDArray[np.bool_]
-    floor: float
+    floor: NDArray[np.float64]
+    residue: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.pose)
 
-
-def floor_of(noise: Noise) -> float:
-    """Of full scale, under which a skin with such noise reports 0."""
-    return max(FLOOR, SILENT * noise.sigma)
+    def __iter__(self) -> Iterator[Observation]:
+        """Each as evidence, by a sensor at the origin."""
+        for z, live, floor, residue in zip(
+            self.z, self.live, self.floor, self.residue, strict=True
+        ):
+            yield Observation(np.zeros(3), z, live, floor, residue)
 
 
 def read(
@@ -76,57 +127,48 @@ def read(
 ) -> Readings:
     """`n` simulated contacts as a filter sees them: each is felt by a live taxel at least. A share
     `dead` of the taxels is dead in each."""
-    floor, found = floor_of(noise), 0
-    parts = []
+    skin = Skin(model.leak, noise, int(rng.integers(2**63)), torch.device("cpu"))
+    found, parts = 0, []
     while found < n:
         touches = simulate(model, n, rng)
-        z = noise.draw(touches.activation.astype(np.float64), rng)
-        live = rng.random(z.shape) >= dead
-        z = np.where(live & (z >= floor), z, 0.0)
+        live = rng.random(touches.activation.shape) >= dead
+        seen = skin.read(torch.from_numpy(touches.activation).double(), torch.from_numpy(live))
+        z, floor, residue = (part.numpy() for part in seen)
         felt = z.any(axis=1)
         found += int(felt.sum())
-        parts.append((touches.pose[felt], z[felt], live[felt]))
-    pose, z, live = (np.concatenate(part)[:n] for part in zip(*parts, strict=True))
-    return Readings(pose, z, live, floor)
+        parts.append(tuple(part[felt] for part in (touches.pose, z, live, floor, residue)))
+    pose, z, live, floor, residue = (np.concatenate(part)[:n] for part in zip(*parts, strict=True))
+    return Readings(pose, z, live, floor, residue)
 
 
 class Batches:
     """Batches of noisy readings with the coordinates of their poses, drawn with replacement."""
 
     def __init__(
-        self, touches: Touches, coordinates: Tensor, noise: Noise, seed: int, device: torch.device
-    ) -> None:
-        self.noise = noise
+        self, touches: Touches, coordinates: Tensor, leak: Leak, noise: Noise, seed: int,
+        device: torch.device,
+    ) -> None:  # fmt: skip
         self.activation = torch.from_numpy(touches.activation).to(device)
         self.coordinates = coordinates.to(device)  # (n, 3) of touches.pose
-        self.generator = torch.Generator(device).manual_seed(seed)
+        self._skin = Skin(leak, noise, seed, device)
+        self._generator = self._skin.generator
 
     def draw(self, n: int) -> tuple[Tensor, Tensor, Tensor]:
         """z (n, M), live (n, M) and coordinates (n, 3)."""
-        g, device = self.generator, self.activation.device
+        g, device = self._generator, self.activation.device
         return self.read(torch.randint(len(self.coordinates), (n,), generator=g, device=device))
 
     def read(self, i: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The same of chosen contacts, indices (n,)."""
-        g, device = self.generator, self.activation.device
         h = self.activation[i]
-        gain = 1.0 + self.noise.gain_cv * torch.randn(h.shape, generator=g, device=device)
-        z = gain * h + self.noise.sigma * torch.randn(h.shape, generator=g, device=device)
         live = self._live(h)
-        return self._over_floor(z * live).clamp(0.0, 1.0), live, self.coordinates[i]
-
-    def _over_floor(self, z: Tensor) -> Tensor:
-        """z (n, M), 0 where it is under a floor of each reading's own; the least of floors where
-        nothing would be felt."""
-        g, device = self.generator, z.device
-        floor = torch.rand((len(z), 1), generator=g, device=device) * (FLOOR_MAX - FLOOR) + FLOOR
-        floor = torch.where(z.amax(dim=1, keepdim=True) >= floor, floor, FLOOR)
-        return torch.where(z >= floor, z, 0.0)
+        z, _, _ = self._skin.read(h, live)
+        return z, live, self.coordinates[i]
 
     def _live(self, h: Tensor) -> Tensor:
         """live (n, M): dead taxels in DEAD_SHARE of the touches, uniformly 0..DEAD_MAX of the skin;
         none where no live taxel would be pressed."""
-        g, device = self.generator, h.device
+        g, device = self._generator, h.device
         share = torch.rand((len(h), 1), generator=g, device=device) * (DEAD_MAX / DEAD_SHARE)
         share = (share - (DEAD_MAX / DEAD_SHARE - DEAD_MAX)).clamp(min=0.0)
         live = (torch.rand(h.shape, generator=g, device=device) >= share).float()

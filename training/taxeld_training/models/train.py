@@ -8,6 +8,7 @@ from typing import TypeVar
 import torch
 from torch import nn
 
+from taxeld.model.leak import Leak
 from taxeld.model.observation import Noise
 from taxeld_training.models.base import Model
 from taxeld_training.models.dataset import Batches, Touches
@@ -31,13 +32,14 @@ AnyModel = TypeVar("AnyModel", bound=Model)
 
 
 def train(
-    make: Callable[[], AnyModel], config: TrainConfig, touches: Touches, noise: Noise
+    make: Callable[[], AnyModel], config: TrainConfig, touches: Touches, leak: Leak, noise: Noise
 ) -> AnyModel:
-    """The averaged model after `config.updates` updates."""
+    """The averaged model after `config.updates` updates, on readings as a filter sees them."""
     torch.manual_seed(config.seed)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     model = make()
-    batches = Batches(touches, model.frame.encode(touches.pose), noise, config.seed, device)
+    coordinates = model.frame.encode(touches.pose)
+    batches = Batches(touches, coordinates, leak, noise, config.seed, device)
     model.to(device)
     with torch.no_grad():
         model.fit_scale(*batches.draw(SCALE_BATCH))

@@ -98,7 +98,7 @@ def fit(variant: Variant, model: ObservationModel, noise: Noise, touches: Touche
     """The trained model of a variant, on its share of `touches`."""
     count = variant.training.contacts
     mine = Touches(touches.pose[:count], touches.activation[:count], touches.dropped_share)
-    return train(lambda: _make(variant, model), variant.training, mine, noise)
+    return train(lambda: _make(variant, model), variant.training, mine, model.leak, noise)
 
 
 def samplers(variant: Variant, trained: Model) -> dict[str, AnySampler]:

@@ -6,7 +6,7 @@ object, such as a can, does not cost what a power drill costs.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ import joblib
 import numpy as np
 import torch
 
+from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Noise, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.proposals.analytic import ANALYTIC
@@ -23,7 +24,7 @@ from taxeld_training.jobs.statistics import LEVEL, of_mean, rounded
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.base import Model
-from taxeld_training.models.dataset import Touches, simulate
+from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, Touches, simulate
 from taxeld_training.models.variants import Variant
 
 TOLERANCE = 1.15  # a proposal is as good as the nearest up to this factor of its distance
@@ -37,7 +38,7 @@ class Candidates:
     """The models to be trained, and what their samplers are measured with."""
 
     variants: tuple[Variant, ...] = VARIANTS
-    noise: Noise = field(default_factory=Noise)
+    noise: Noise = IN_USE
     bank: int = quality.BANK
     readings: int = 200
     workers: int = 2
@@ -73,8 +74,10 @@ def make(
         "choice": choice["why"],
         "measured": (
             f"mean energy distance of {quality.SAMPLES} samples to as many exact draws over "
-            f"{len(to.z)} simulated readings, 0 under the floor ({to.left_out} left out: too few "
-            f"effective contacts), turns weighed at {to.length_m:.4f} m; "
+            f"{len(to.z)} simulated readings as the filter sees them, 0 under floors of "
+            f"{FLOOR:g} to {FLOOR_MAX:g} and where presses beside a taxel may explain it "
+            f"({to.left_out} left out: too few effective contacts), by the likelihood that the "
+            f"filter uses, turns weighed at {to.length_m:.4f} m; "
             f"the exact draws' own error is {to.error:.3f} posterior sd; ms is CPU time for "
             f"{quality.SAMPLES} samples on one thread"
         ),

@@ -10,13 +10,15 @@ import numpy as np
 
 from taxeld.config.tables import SkinConfig
 from taxeld.layout import read as layouts
-from taxeld.model.observation import Noise
 from taxeld.proposals import bundle
+from taxeld_training.jobs import fingerprint
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs, write
 from taxeld_training.jobs.statistics import of_mean, p_paired, rounded
 from taxeld_training.limits import quality
+from taxeld_training.models.dataset import IN_USE
 from taxeld_training.objects.setting import DEPTH_MAX_M
+from taxeld_training.samplers import measured
 
 BUNDLES = ("box", "mug")
 SHARES = (0.0, 0.1, 0.2, 0.4, 0.6)
@@ -28,8 +30,9 @@ def run(options: Options) -> list[Path]:
     from taxeld_training.charts import sampler_charts  # noqa: PLC0415  # matplotlib is not needed to train
 
     readings, bank = (8, 50_000) if options.quick else (64, quality.BANK)
+    code = f"{measured.code()}-{fingerprint.of_bundles()}"
     todo = [
-        Job(f"damage-{name}-{share:g}", measure, (name, share, readings, bank, options.seed))
+        Job(f"damage-{name}-{share:g}", measure, (name, share, readings, bank, options.seed, code))
         for name in BUNDLES
         for share in (SHARES[:2] if options.quick else SHARES)
     ]
@@ -39,12 +42,15 @@ def run(options: Options) -> list[Path]:
     return [data, data.with_suffix(".png")]
 
 
-def measure(name: str, dead: float, readings: int, bank: int, seed: int) -> list[dict[str, Any]]:
+def measure(
+    name: str, dead: float, readings: int, bank: int, seed: int, code: str
+) -> list[dict[str, Any]]:
     """Rows of all proposals of a shipped bundle, a share `dead` of the taxels dead, drawn anew for
-    each reading."""
+    each reading. `code` is part of the job's key alone."""
+    del code
     loaded = bundle.load(name, layouts.load(SkinConfig().layout), DEPTH_MAX_M)
     rng = np.random.default_rng(seed)
-    to = quality.reference(loaded.model, Noise(), readings, rng, dead=dead, bank=bank)
+    to = quality.reference(loaded.model, IN_USE, readings, rng, dead=dead, bank=bank)
     found = {kind: quality.distances(loaded.proposal(kind), to, rng) for kind in PROPOSALS}
     nearest = min(found.values(), key=lambda distances: float(distances.mean()))
     return [

@@ -1,0 +1,177 @@
+"""What wakes the loop: descriptors that come and go, and peers who never stop."""
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from taxeld.service.inputs import PEERS_S, REST_S, Gathering, Inputs, Ready
+
+SOON_S = 20.0  # a wait that ends by what comes ends long before
+
+
+class Pipe:
+    """A descriptor that is readable after `say`."""
+
+    def __init__(self) -> None:
+        self._out, self._in = os.pipe()
+        self.is_open = True
+
+    def fileno(self) -> int:
+        return self._out
+
+    def say(self) -> None:
+        os.write(self._in, b"x")
+
+    def hear(self) -> None:
+        os.read(self._out, 100)
+
+    def close(self) -> None:
+        if self.is_open:
+            os.close(self._out)
+            os.close(self._in)
+        self.is_open = False
+
+
+@pytest.fixture
+def pipes() -> Iterator[list[Pipe]]:
+    made = [Pipe() for _ in range(4)]
+    yield made
+    for pipe in made:
+        pipe.close()
+
+
+@pytest.fixture
+def inputs(pipes: list[Pipe]) -> Iterator[Inputs]:
+    """Peers come to the last of the pipes."""
+    made = Inputs([pipes[-1].fileno()])
+    yield made
+    made.close()
+
+
+def wait(inputs: Inputs, seconds: float = SOON_S) -> Ready:
+    return inputs.wait(time.monotonic() + seconds)
+
+
+def test_whoever_speaks_ends_the_wait_and_is_named(inputs: Inputs, pipes: list[Pipe]) -> None:
+    device, robot, _, peers = pipes
+    inputs.follow(device, robot)
+    assert wait(inputs, 0.0) == Ready()
+    for pipe, ready in (
+        (device, Ready(device=True)), (robot, Ready(robot=True)), (peers, Ready(peers=True)),
+    ):  # fmt: skip
+        pipe.say()
+        assert wait(inputs) == ready
+        pipe.hear()
+        while wait(inputs, 2.0 * PEERS_S) != Ready():  # peers are looked at once more
+            pass
+
+
+def test_what_comes_while_it_sleeps_wakes_it(inputs: Inputs, pipes: list[Pipe]) -> None:
+    inputs.follow(pipes[0], None)
+    speaker = threading.Timer(0.05, pipes[0].say)
+    speaker.start()
+    assert wait(inputs) == Ready(device=True)
+    speaker.join()
+
+
+def test_a_robot_that_no_scan_waits_for_does_not_wake_it(inputs: Inputs, pipes: list[Pipe]) -> None:
+    device, robot, *_ = pipes
+    robot.say()
+    inputs.follow(device, robot)
+    assert wait(inputs) == Ready(robot=True)
+    inputs.follow(device, None)
+    assert wait(inputs, 0.0) == Ready()
+    inputs.follow(device, robot)  # what it said is still there
+    assert wait(inputs) == Ready(robot=True)
+
+
+def test_a_device_that_came_back_under_its_old_number_is_heard(
+    inputs: Inputs, pipes: list[Pipe]
+) -> None:
+    first, robot, *_ = pipes
+    inputs.follow(first, robot)
+    number = first.fileno()
+    first.close()
+    again = Pipe()
+    try:
+        assert again.fileno() == number
+        inputs.follow(again, robot)
+        again.say()
+        assert wait(inputs) == Ready(device=True)
+        inputs.follow(None, robot)
+        assert wait(inputs, 0.0) == Ready()
+    finally:
+        again.close()
+
+
+def test_two_that_have_changed_places_are_both_heard(inputs: Inputs, pipes: list[Pipe]) -> None:
+    """As when a device and the robot's socket are opened anew between two waits."""
+    first, second, *_ = pipes
+    inputs.follow(first, second)
+    inputs.follow(second, first)
+    second.say()
+    assert wait(inputs) == Ready(device=True)
+    first.say()
+    assert wait(inputs) == Ready(device=True, robot=True)
+
+
+def test_a_device_without_a_descriptor_is_left_to_the_clock(inputs: Inputs) -> None:
+    class Mute:
+        @staticmethod
+        def fileno() -> int:
+            return -1
+
+    inputs.follow(Mute(), None)
+    assert wait(inputs, 0.001) == Ready()
+
+
+def test_peers_who_never_stop_wake_it_now_and_then_alone(inputs: Inputs, pipes: list[Pipe]) -> None:
+    peers = pipes[-1]
+    peers.say()  # and nobody takes it: as if they said more and more
+    began, looks = time.monotonic(), 0
+    while looks < 5:
+        looks += wait(inputs, PEERS_S).peers
+    assert time.monotonic() - began >= 4.0 * PEERS_S, "no sooner"
+
+
+def test_once_they_are_quiet_peers_are_looked_at_once_more(
+    inputs: Inputs, pipes: list[Pipe]
+) -> None:
+    """For what a look has left, as it takes so much of each."""
+    peers = pipes[-1]
+    peers.say()
+    assert wait(inputs).peers
+    peers.hear()
+    assert wait(inputs).peers
+    assert wait(inputs, 3.0 * PEERS_S) == Ready()
+
+
+def looks_at(gathering: Gathering, took_s: float, now: float) -> list[float]:
+    """When a scan is looked at whose frames come for `took_s`; after the first of them."""
+    looks = [0.0]
+    while looks[-1] < took_s:
+        rest_s = gathering.rest_s(now + looks[-1], whole=False)
+        assert REST_S[0] <= rest_s <= REST_S[1]
+        looks.append(looks[-1] + rest_s)
+    assert gathering.rest_s(now + looks[-1], whole=True) == 0.0
+    return looks
+
+
+@pytest.mark.parametrize(
+    ("took_s", "most"), [(0.0002, 2.0), (0.001, 3.0), (0.003, 3.0), (0.004, 3.5), (0.02, 10.0)]
+)
+def test_few_looks_find_a_scan_soon_after_its_last_frame(took_s: float, most: float) -> None:
+    gathering = Gathering()
+    looks = [looks_at(gathering, took_s, 0.05 * k) for k in range(200)][20:]
+    assert sum(map(len, looks)) / len(looks) <= most
+    assert max(each[-1] - took_s for each in looks) <= max(REST_S[0], 0.3 * took_s)
+
+
+def test_frames_that_are_no_scans_cost_a_look_now_and_then() -> None:
+    """A bus that others flood."""
+    gathering, now = Gathering(), 0.0
+    rests = [gathering.rest_s(now, whole=False) for _ in range(50)]
+    assert rests[10:] == [REST_S[1]] * 40
