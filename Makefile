@@ -5,7 +5,7 @@ SEED ?= 0
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
-.PHONY: demo test lint bench bench-peers picture install rollback uninstall deb lock sbom vm-test clean
+.PHONY: demo test lint docs bench bench-peers picture install rollback uninstall deb lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
@@ -18,6 +18,10 @@ lint: .venv/.all
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/python tests/import_directions.py
+
+# The documentation as a site in .venv/site; a link that leads nowhere ends it
+docs: .venv/.docs
+	NO_MKDOCS_2_WARNING=1 .venv/docs/bin/python -m mkdocs build
 
 bench: .venv/.all
 	$(BIN)/python benchmarks/run.py
@@ -73,6 +77,11 @@ clean:
 .venv/.peers: .venv/bin/python
 	$(PYTHON) -m venv .venv/peers
 	.venv/peers/bin/python -m pip --disable-pip-version-check install --quiet particles==0.4 pfilter==0.2.5
+	touch $@
+
+.venv/.docs: .venv/bin/python
+	$(PYTHON) -m venv .venv/docs
+	.venv/docs/bin/python -m pip --disable-pip-version-check install --quiet mkdocs==1.6.1 mkdocs-material==9.8.1
 	touch $@
 
 .venv/.sbom: .venv/bin/python

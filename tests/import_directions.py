@@ -37,8 +37,9 @@ ROOMS = {  # what a room may import of its package, beside itself and what stand
         "service": "config layout model skin proposals estimator source pipeline stream",
         "commands": "config layout model skin proposals estimator source pipeline stream service",
         "api": "config layout model skin proposals estimator source pipeline stream service",
+        "command_line": "config",
         "cli": "config layout model skin proposals estimator source pipeline stream service "
-        "commands",
+        "commands command_line",
     },
     "taxeld_hil": {
         "scenario": "",

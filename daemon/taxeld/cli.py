@@ -2,22 +2,19 @@
 
 import argparse
 import json
-import os
 import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from taxeld import __version__
+from taxeld import command_line
+from taxeld.command_line import FAILED, command
 from taxeld.config.endpoints import for_this_user
 from taxeld.config.file import load
 from taxeld.config.tables import ControlConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
-from taxeld.source import session
 
-USAGE_ERROR, FAILED = 2, 1
 DONE = {
     "tare": "the idle baseline is being learned anew; leave the skin untouched until it is",
     "reset": "all touches are forgotten",
@@ -26,20 +23,7 @@ DONE = {
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
-    args = _parser().parse_args(argv)
-    try:
-        return int(args.command(args))
-    except ConfigError as error:
-        print("\n".join(error.faults), file=sys.stderr)
-        return USAGE_ERROR
-    except SetupError as error:
-        print(error, file=sys.stderr)
-        return USAGE_ERROR
-    except BrokenPipeError:  # the reader of our output has gone: `taxeld decode LOG | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except KeyboardInterrupt:
-        return 128 + signal.SIGINT
+    return command_line.main(_parser(), argv)
 
 
 def _run(args: argparse.Namespace) -> int:
@@ -100,11 +84,23 @@ def _relay(args: argparse.Namespace) -> int:
     return 0
 
 
+def _init(args: argparse.Namespace) -> int:
+    from taxeld.commands import init
+
+    answers = init.Answers(
+        args.source, args.bundle, args.layout, args.poses, args.dialect, args.keys
+    )
+    config = init.write(args.config, answers, init.person())
+    print(f"written: {args.config} ({config.source.kind} {config.source.channel}, object "
+          f"{config.scene.bundle}); next: taxeld check {args.config}")  # fmt: skip
+    return 0
+
+
 def _check(args: argparse.Namespace) -> int:
     from taxeld.commands import check
 
     config = load(args.config)
-    faults = check.faults(config)
+    faults = check.faults(config, args.running)
     if faults:
         raise ConfigError(faults)
     print("\n".join([f"{args.config}: fine", *(f"note: {line}" for line in check.notes(config))]))
@@ -113,6 +109,7 @@ def _check(args: argparse.Namespace) -> int:
 
 def _decode(args: argparse.Namespace) -> int:
     from taxeld.commands.decode import decode
+    from taxeld.layout import read as layouts
     from taxeld.source import module_order
 
     listed = None
@@ -126,6 +123,7 @@ def _decode(args: argparse.Namespace) -> int:
 
 def _replay(args: argparse.Namespace) -> int:
     from taxeld.commands.replay import replay
+    from taxeld.source import session
 
     config = load(args.config or args.directory / session.CONFIG)
     for line in replay(args.directory, config, args.seed):
@@ -138,6 +136,7 @@ def _calibrate(args: argparse.Namespace) -> int:
 
     from taxeld.commands.calibrate import calibrate
     from taxeld.commands.calibration_text import lines
+    from taxeld.source import session
 
     def say(line: str) -> None:
         print(line, flush=True)
@@ -165,15 +164,14 @@ def _calibrate(args: argparse.Namespace) -> int:
 
 
 def _layout(args: argparse.Namespace) -> int:
+    from taxeld.layout import read as layouts
     from taxeld.layout.summary import summary
 
     skin = layouts.read(args.layout)
     print("\n".join(summary(skin)))
     if args.png:
-        try:
-            from taxeld.layout.draw import draw
-        except ImportError as error:
-            raise SetupError(f"--png: {error}; pip install 'taxeld[view]'") from None
+        from taxeld.layout.draw import draw
+
         try:
             draw(skin, args.png)
         except OSError as error:
@@ -183,6 +181,7 @@ def _layout(args: argparse.Namespace) -> int:
 
 def _ask(args: argparse.Namespace) -> int:
     from taxeld.commands.status import lines
+    from taxeld.commands.unanswered import unanswered
     from taxeld.stream import client
 
     endpoint = args.endpoint or for_this_user(ControlConfig().endpoint)
@@ -192,7 +191,7 @@ def _ask(args: argparse.Namespace) -> int:
             raise SetupError("control.endpoint: is empty, so this daemon cannot be asked")
     answer = client.ask(endpoint, args.name, args.keys)
     if answer is None:
-        print(f"no daemon answers at {endpoint}; is 'taxeld run' there?", file=sys.stderr)
+        print(unanswered(endpoint), file=sys.stderr)
         return FAILED
     if not answer.get("ok"):
         print(f"{endpoint}: {answer.get('error', 'an answer of another kind')}", file=sys.stderr)
@@ -212,77 +211,159 @@ def _write(path: Path, text: str) -> None:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="taxeld", description=__doc__)
-    parser.add_argument("--version", action="version", version=__version__)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser = command_line.parser(
+        "taxeld",
+        "The daemon that turns touches of artificial skin into the pose of a known object, and the "
+        "commands beside it.",
+        "taxeld check can0.toml", "taxeld run can0.toml", "taxeld status can0.toml",
+    )  # fmt: skip
+    commands = command_line.commands_of(parser)
+    _add_daemon(commands)
+    _add_sessions(commands)
+    _add_skin(commands)
+    _add_asking(commands)
+    return parser
 
-    run = commands.add_parser("run", help="the daemon")
-    run.add_argument("config", type=Path, metavar="CONFIG")
-    run.add_argument("--histogram", type=Path, metavar="FILE", help="latencies, when it ends")
-    run.add_argument("--record", type=Path, metavar="DIR", help="a session, beside estimates")
-    run.set_defaults(command=_run)
 
-    record = commands.add_parser("record", help="what skin and robot send → a session")
-    record.add_argument("config", type=Path, metavar="CONFIG")
-    record.add_argument("--out", type=Path, required=True, metavar="DIR")
-    record.set_defaults(command=_record)
-
-    relay = commands.add_parser("relay", help="a daemon's streams over TCP")
-    relay.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's")
-    relay.set_defaults(command=_relay)
-
-    check = commands.add_parser("check", help="validate all that a run needs")
-    check.add_argument("config", type=Path, metavar="CONFIG")
-    check.set_defaults(command=_check)
-
-    decode = commands.add_parser("decode", help="a log → a JSON line a scan, then counters")
-    decode.add_argument("log", type=Path, metavar="LOG", help="of candump and others, serial.bin")
-    decode.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
-    decode.add_argument("--config", type=Path, help="whose source.modules is the module table")
-    decode.add_argument("--interface", default="", help="of a log of several: the skin's")
-    decode.set_defaults(command=_decode)
-
-    replay = commands.add_parser("replay", help="session → a JSON line an estimate")
-    replay.add_argument("directory", type=Path, metavar="DIR")
-    replay.add_argument("--config", type=Path, help="instead of the session's own config.toml")
-    replay.add_argument("--seed", type=int, help="instead of the configured one")
-    replay.set_defaults(command=_replay)
-
-    calibrate = commands.add_parser(
-        "calibrate", help="full scale, gains, noise and mount of a skin, from presses"
+def _add_daemon(commands: command_line.Commands) -> None:
+    init = command(
+        commands, "init",
+        "Write a configuration with a comment on each key; asks what is not given as an option.",
+        "taxeld init can0.toml",
+        "taxeld init can0.toml --source can:can0 --bundle box --poses tcp://127.0.0.1:9874",
+        run=_init,
+    )  # fmt: skip
+    init.add_argument("config", type=Path, metavar="CONFIG", help="a new file")
+    init.add_argument("--source", help="can:can0, slcan:/dev/ttyACM0 or serial:/dev/ttyACM0")
+    init.add_argument("--bundle", help="the object: box, mug, or what taxeld-train build made")
+    init.add_argument("--layout", help="the skin's (default: what the bundle was built for)")
+    init.add_argument(
+        "--poses", metavar="ENDPOINT", help="where the robot publishes; '' if the sensor is fixed"
     )
+    init.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
+    init.add_argument(
+        "--keys", default="", metavar="DIR", help="keys, where the robot is another machine"
+    )
+
+    run = command(
+        commands, "run", "Run the daemon until it is stopped.",
+        "taxeld run can0.toml", "taxeld run --record session can0.toml", run=_run,
+    )  # fmt: skip
+    run.add_argument("config", type=Path, metavar="CONFIG")
+    run.add_argument(
+        "--histogram", type=Path, metavar="FILE", help="write the latencies there at the end"
+    )
+    run.add_argument(
+        "--record", type=Path, metavar="DIR", help="also record a session into this new directory"
+    )
+
+    check = command(
+        commands, "check", "Check everything that a run needs; one line for each fault.",
+        "taxeld check can0.toml", "taxeld check --running /etc/taxeld/can0.toml", run=_check,
+    )  # fmt: skip
+    check.add_argument("config", type=Path, metavar="CONFIG")
+    check.add_argument(
+        "--running", action="store_true",
+        help="a daemon runs with it already: what that has in use is no fault",
+    )  # fmt: skip
+
+    relay = command(
+        commands, "relay", "Publish the streams of a running daemon over TCP.",
+        "taxeld relay can0.toml", run=_relay,
+    )  # fmt: skip
+    relay.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's configuration")
+
+
+def _add_sessions(commands: command_line.Commands) -> None:
+    record = command(
+        commands, "record", "Record what skin and robot send; nothing is estimated.",
+        "taxeld record --out session can0.toml", run=_record,
+    )  # fmt: skip
+    record.add_argument("config", type=Path, metavar="CONFIG")
+    record.add_argument("--out", type=Path, required=True, metavar="DIR", help="a new directory")
+
+    replay = command(
+        commands, "replay", "Estimate from a recorded session; one JSON line for each estimate.",
+        "taxeld replay session > estimates.jsonl", run=_replay,
+    )  # fmt: skip
+    replay.add_argument("directory", type=Path, metavar="DIR")
+    replay.add_argument("--config", type=Path, help="in place of the session's own config.toml")
+    replay.add_argument("--seed", type=int, help="in place of filter.seed")
+
+    decode = command(
+        commands, "decode",
+        "Decode a log of frames; one JSON line for each scan, then one with the counters.",
+        "taxeld decode candump.log", "taxeld decode --config can0.toml session/frames.log",
+        run=_decode,
+    )  # fmt: skip
+    decode.add_argument(
+        "log", type=Path, metavar="LOG", help="a log of candump or another tool, or a serial.bin"
+    )
+    decode.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
+    decode.add_argument("--config", type=Path, help="its source.modules is the module table")
+    decode.add_argument(
+        "--interface", default="", help="the skin's CAN interface, where the log holds several"
+    )
+
+
+def _add_skin(commands: command_line.Commands) -> None:
+    calibrate = command(
+        commands, "calibrate",
+        "Measure full scale, gains, noise and mount of a skin from presses on a fixed object.",
+        "taxeld calibrate can0.toml --out skin.toml",
+        "taxeld calibrate session --out skin.toml --object 0.40 0.10 1.57",
+        run=_calibrate,
+    )  # fmt: skip
     calibrate.add_argument(
         "source", type=Path, metavar="CONFIG|SESSION", help="a skin to be pressed now, or recorded"
     )
     calibrate.add_argument("--out", type=Path, required=True, metavar="FILE", help="*.toml")
     calibrate.add_argument(
         "--object", type=float, nargs=3, metavar=("X", "Y", "YAW"),
-        help="its pose in the robot's world [m, m, rad]; else it is found by touch",
+        help="the object's pose in the robot's world [m, m, rad]; without it, found by touch",
     )  # fmt: skip
-    calibrate.add_argument("--config", type=Path, help="instead of the session's own config.toml")
-    calibrate.add_argument("--presses", type=int, default=20, metavar="N", help="to ask for")
-    calibrate.add_argument("--idle-s", type=float, default=60.0, help="untouched, at the start")
-    calibrate.set_defaults(command=_calibrate)
+    calibrate.add_argument("--config", type=Path, help="in place of the session's own config.toml")
+    calibrate.add_argument(
+        "--presses", type=int, default=20, metavar="N", help="to ask for (default %(default)s)"
+    )
+    calibrate.add_argument(
+        "--idle-s", type=float, default=60.0,
+        help="seconds without touch at the start (default %(default)s)",
+    )  # fmt: skip
 
-    skin = commands.add_parser("layout", help="what a skin's layout is, in words and as a picture")
-    skin.add_argument("layout", metavar="LAYOUT", help="cylinder:…, wrap:…, a .json or a .txt")
+    skin = command(
+        commands, "layout", "Describe the layout of a skin in words and as a picture.",
+        "taxeld layout cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015 --png skin.png",
+        "taxeld layout skin.json", run=_layout,
+    )  # fmt: skip
+    skin.add_argument(
+        "layout", metavar="LAYOUT", help="cylinder:… or wrap:…, a .json or a .txt file"
+    )
     skin.add_argument("--png", type=Path, metavar="OUT", help="draw it, unrolled and cut across")
-    skin.set_defaults(command=_layout)
 
+
+def _add_asking(commands: command_line.Commands) -> None:
     for name, text in (
-        ("status", "what a running daemon believes and counts"),
-        ("tare", "learn the idle baseline of an untouched skin anew"),
-        ("reset", "forget all touches"),
+        ("status", "Show what a running daemon believes and counts."),
+        ("tare", "Have a running daemon learn the idle baseline anew; do not touch the skin."),
+        ("reset", "Have a running daemon forget all touches."),
     ):
-        ask = commands.add_parser(name, help=text)
+        ask = command(
+            commands, name, text,
+            f"taxeld {name}", f"taxeld {name} can0.toml",
+            f"taxeld {name} --endpoint ipc:///run/taxeld/control", run=_ask,
+        )  # fmt: skip
         where = ask.add_mutually_exclusive_group()
-        where.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help="the daemon's")
-        where.add_argument("--endpoint", help="the daemon's, or its relay's")
-        ask.add_argument("--keys", type=Path, metavar="DIR", help="server.key, client.key_secret")
+        where.add_argument(
+            "config", type=Path, nargs="?", metavar="CONFIG", help="the daemon's configuration"
+        )
+        where.add_argument("--endpoint", help="the control endpoint of the daemon or its relay")
+        ask.add_argument(
+            "--keys", type=Path, metavar="DIR", help="with server.key and client.key_secret"
+        )
         if name == "status":
-            ask.add_argument("--json", action="store_true", help="all of it, as it came")
-        ask.set_defaults(command=_ask, name=name)
-    return parser
+            ask.add_argument("--json", action="store_true", help="the whole answer as JSON")
+        ask.set_defaults(name=name)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """`taxeld-hil`: the harness's commands."""
 
 import argparse
-import os
 import signal
 import sys
 import tempfile
@@ -9,39 +8,27 @@ import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING
 
-import numpy as np
-import zmq
-
+from taxeld import command_line
+from taxeld.command_line import Commands, command
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
-from taxeld.proposals import bundle
-from taxeld.source import session
-from taxeld.stream import messages
-from taxeld_hil.scenario import scenario as scenarios
+
+if TYPE_CHECKING:
+    from taxeld_hil.scenario.scenario import Scenario
 
 VCAN = "vcan0"
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
-    args = _parser().parse_args(argv)
-    try:
-        return int(args.command(args))
-    except SetupError as error:
-        print(error, file=sys.stderr)
-        return 2
-    except BrokenPipeError:  # the reader of our output has gone: `taxeld-hil table | head`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
-    except KeyboardInterrupt:
-        return 128 + signal.SIGINT
+    return command_line.main(_parser(), argv)
 
 
 def _run(args: argparse.Namespace) -> int:
+    import numpy as np
+
     from taxeld_hil.run.hardware import Site
     from taxeld_hil.run.run import on_hardware, simulate
 
@@ -96,6 +83,7 @@ def _table(args: argparse.Namespace) -> int:
 
 def _matrix(args: argparse.Namespace) -> int:
     from taxeld_hil.experiment.matrix import Plan, experiment, lines
+    from taxeld_hil.scenario import scenario as scenarios
 
     names = tuple(args.scenario or scenarios.shipped())
     plan = Plan(
@@ -147,6 +135,13 @@ def _accept(args: argparse.Namespace) -> int:
 
 
 def _watch(args: argparse.Namespace) -> int:
+    import numpy as np
+    import zmq
+
+    from taxeld.layout import read as layouts
+    from taxeld.proposals import bundle
+    from taxeld.source import session
+    from taxeld.stream import messages, sockets
     from taxeld_hil.run.watch import HEADER, ContactTable, receive
 
     skin = layouts.load(args.layout)
@@ -157,7 +152,7 @@ def _watch(args: argparse.Namespace) -> int:
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda got, _: stopping.append(got))
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-        socket.connect(args.endpoint)
+        sockets.connect(socket, args.endpoint, "--endpoint")
         for topic in (messages.ESTIMATE, messages.TAXELS):
             socket.setsockopt(zmq.SUBSCRIBE, topic)
         begun = False
@@ -170,7 +165,8 @@ def _watch(args: argparse.Namespace) -> int:
                 if line:
                     _say(line)
     print("\n".join(table.latencies()))
-    _say(f"final symmetry-aware ADD {table.error_mm():.1f} mm")
+    if truth is not None:
+        _say(f"final symmetry-aware ADD {table.error_mm():.1f} mm")
     return 0
 
 
@@ -249,10 +245,8 @@ def _calibration_picture(args: argparse.Namespace) -> int:
     from taxeld_hil.experiment.calibration_experiment import pictured
 
     skin = args.skin[0] if args.skin else "typical"
-    try:
-        from taxeld.commands.calibration_draw import draw
-    except ImportError as error:
-        raise SetupError(f"--picture: {error}; pip install 'taxeld[view]'") from None
+    from taxeld.commands.calibration_draw import draw
+
     draw(pictured(skin), args.picture)
     print(args.picture)
     return 0
@@ -291,18 +285,24 @@ def _progress(line: str) -> None:
     print(line, file=sys.stderr, flush=True)
 
 
-def _scenario(args: argparse.Namespace) -> scenarios.Scenario:
+def _scenario(args: argparse.Namespace) -> "Scenario":
     """With the object and the skin that are named beside it.
 
     Raises:
         SetupError: there is no such scenario or skin.
     """
+    from taxeld_hil.scenario import scenario as scenarios
+
     return scenarios.load(args.scenario).touching(args.object).on(args.skin)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="taxeld-hil", description=__doc__)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser = command_line.parser(
+        "taxeld-hil",
+        "The test harness: a simulated or real skin and robot around a daemon, and a grade for it.",
+        "taxeld-hil run demo", "taxeld-hil accept can:can0 --layout skin.json",
+    )  # fmt: skip
+    commands = command_line.commands_of(parser)
     _add_run(commands)
     _add_many(commands)
     _add_measurements(commands)
@@ -320,7 +320,12 @@ def _add_world(command: argparse.ArgumentParser) -> None:
 
 
 def _add_run(commands: Commands) -> None:
-    run = commands.add_parser("run", help="a scenario with all its processes")
+    run = command(
+        commands, "run", "Run a scenario with all its processes, and grade the daemon.",
+        "taxeld-hil run demo", "taxeld-hil run everything --clock fake",
+        "taxeld-hil run demo --target can:can0 --poses tcp://127.0.0.1:9874 --truth 0.4 0.1 0",
+        run=_run,
+    )  # fmt: skip
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped name (demo) or a TOML file")
     run.add_argument("--seed", type=int, default=0)
     run.add_argument("--out", type=Path, help="directory for the session and its grade")
@@ -338,11 +343,13 @@ def _add_run(commands: Commands) -> None:
         "--transport", default="", help="over the scenario's: slcan, native or can:INTERFACE"
     )
     _add_world(run)
-    run.set_defaults(command=_run)
 
 
 def _add_many(commands: Commands) -> None:
-    soak = commands.add_parser("soak", help="random faults, for hours")
+    soak = command(
+        commands, "soak", "Run random faults for hours.",
+        "taxeld-hil soak --hours 2", "taxeld-hil soak --real-minutes 10", run=_soak,
+    )  # fmt: skip
     soak.add_argument("scenario", nargs="?", default="demo", metavar="SCENARIO")
     soak.add_argument("--seed", type=int, default=0)
     long = soak.add_mutually_exclusive_group()
@@ -354,14 +361,18 @@ def _add_many(commands: Commands) -> None:
         "--table", type=Path, nargs="+", metavar="REPORT", help="no soak: reports, as Markdown"
     )
     _add_world(soak)
-    soak.set_defaults(command=_soak)
 
-    table = commands.add_parser("table", help="what each fault shows in, and how soon, as Markdown")
+    table = command(
+        commands, "table", "Measure in which counter each fault shows, and how soon, as Markdown.",
+        "taxeld-hil table --seeds 5", run=_table,
+    )  # fmt: skip
     table.add_argument("--seeds", type=int, default=5)
     _add_world(table)
-    table.set_defaults(command=_table)
 
-    matrix = commands.add_parser("matrix", help="scenarios on objects and skins, seed by seed")
+    matrix = command(
+        commands, "matrix", "Run scenarios on several objects and skins, seed by seed.",
+        "taxeld-hil matrix demo --seeds 2 --out matrix", run=_matrix,
+    )  # fmt: skip
     matrix.add_argument("scenario", nargs="*", metavar="SCENARIO", help="default: all shipped")
     matrix.add_argument("--object", action="append", metavar="BUNDLE", help="default: box and mug")
     matrix.add_argument("--skin", action="append", help="default: scene, typical and poor")
@@ -376,12 +387,15 @@ def _add_many(commands: Commands) -> None:
         help="runs, from which one cut short goes on (default %(default)s)",
     )  # fmt: skip
     matrix.add_argument("--out", type=Path, required=True, help="directory for scenarios.json")
-    matrix.set_defaults(command=_matrix)
 
 
 def _add_measurements(commands: Commands) -> None:
     """Of a real skin, and of the simulated one."""
-    accept = commands.add_parser("accept", help="check a real skin, before it is used")
+    accept = command(
+        commands, "accept", "Check a real skin before it is used; no object is needed.",
+        "taxeld-hil accept can:can0 --layout skin.json",
+        "taxeld-hil accept slcan:/dev/ttyACM0 --layout skin.json --press", run=_accept,
+    )  # fmt: skip
     accept.add_argument(
         "target", metavar="TARGET", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …"
     )
@@ -394,9 +408,11 @@ def _add_measurements(commands: Commands) -> None:
         "--full-scale-counts", type=float, default=SkinConfig().full_scale_counts,
         help="as skin.full_scale_counts",
     )  # fmt: skip
-    accept.set_defaults(command=_accept)
 
-    physics = commands.add_parser("physics", help="the estimator's model beside a soft skin's")
+    physics = command(
+        commands, "physics", "Compare the estimator's model with simulated soft skins.",
+        "taxeld-hil physics --quick --out physics", run=_physics,
+    )  # fmt: skip
     other = physics.add_mutually_exclusive_group()
     other.add_argument(
         "--touches", action="store_true", help="instead: ten touches a run, and what comes of them"
@@ -427,11 +443,11 @@ def _add_measurements(commands: Commands) -> None:
     physics.add_argument("--noise-sigma", type=float, metavar="SD", help="default: the daemon's")
     physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")
     physics.add_argument("--out", type=Path, required=True, help="directory for JSON and PNG")
-    physics.set_defaults(command=_physics)
 
-    calibration = commands.add_parser(
-        "calibration", help="what a calibration finds and buys, and what is noticed without"
-    )
+    calibration = command(
+        commands, "calibration", "Measure what a calibration finds and how much it helps.",
+        "taxeld-hil calibration --quick --out calibration", run=_calibration,
+    )  # fmt: skip
     calibration.add_argument(
         "--skin", action="append", metavar="SKIN", help="default: typical, poor"
     )
@@ -445,12 +461,15 @@ def _add_measurements(commands: Commands) -> None:
     calibration.add_argument("--quick", action="store_true", help="a smoke run of minutes")
     calibration.add_argument("--out", type=Path, help="directory for the JSON")
     calibration.add_argument("--picture", type=Path, metavar="FILE", help="instead: of one skin")
-    calibration.set_defaults(command=_calibration)
 
 
 def _add_parts(commands: Commands) -> None:
     """The commands for the harness's parts."""
-    emulate = commands.add_parser("emulate", help="the virtual skin and robot alone")
+    emulate = command(
+        commands, "emulate", "Run the virtual skin and robot alone, for a daemon of yours.",
+        "taxeld-hil emulate demo --link /tmp/skin --poses tcp://127.0.0.1:9874 --out emulated",
+        run=_emulate,
+    )  # fmt: skip
     emulate.add_argument("scenario", metavar="SCENARIO")
     emulate.add_argument("--seed", type=int, default=0)
     where = emulate.add_mutually_exclusive_group(required=True)
@@ -459,19 +478,22 @@ def _add_parts(commands: Commands) -> None:
     emulate.add_argument("--poses", required=True, help="endpoint for the robot's poses")
     emulate.add_argument("--out", type=Path, required=True, help="directory for the session")
     _add_world(emulate)
-    emulate.set_defaults(command=_emulate)
 
-    watch = commands.add_parser("watch", help="a subscriber's table of contacts")
+    watch = command(
+        commands, "watch", "Print a line for each contact that a running daemon publishes.",
+        "taxeld-hil watch --endpoint ipc:///run/taxeld/stream --bundle box", run=_watch,
+    )  # fmt: skip
     watch.add_argument("--endpoint", required=True)
     watch.add_argument("--bundle", required=True)
     watch.add_argument("--layout", default=SkinConfig().layout)
     watch.add_argument("--truth", type=Path, help="t,x,y,theta of the object, for errors")
-    watch.set_defaults(command=_watch)
 
-    draw = commands.add_parser("draw", help="a session's contacts as a picture")
+    draw = command(
+        commands, "draw", "Draw the contacts of a recorded session.",
+        "taxeld-hil draw session --out contacts.png", run=_draw,
+    )  # fmt: skip
     draw.add_argument("session", type=Path)
     draw.add_argument("--out", type=Path, required=True)
-    draw.set_defaults(command=_draw)
 
 
 if __name__ == "__main__":

@@ -132,3 +132,26 @@ def _toml(value: object) -> str:
     if isinstance(value, tuple):
         return "`[" + ", ".join(f'"{v}"' if isinstance(v, str) else str(v) for v in value) + "]`"
     return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"
+
+
+def test_a_bundle_and_a_layout_are_named_as_seen_from_the_configuration(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    place, shell = tmp_path / "robot", tmp_path / "shell"
+    for directory in (place / "bracket", place / "box", shell / "handle"):
+        directory.mkdir(parents=True)
+    (place / "skin.json").touch()
+    monkeypatch.chdir(shell)
+    path = place / "skin.toml"
+
+    def named(bundle: str, layout: str) -> tuple[str, str]:
+        text = MINIMAL.replace('"box"', f'"{bundle}"') + f'[skin]\nlayout = "{layout}"\n'
+        path.write_text(text, encoding="utf-8")
+        config = load(path)
+        return config.scene.bundle, config.skin.layout
+
+    cylinder = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+    assert named("bracket", "skin.json") == (str(place / "bracket"), str(place / "skin.json"))
+    assert named("handle", cylinder) == ("handle", cylinder), "in the shell's directory"
+    assert named("box", cylinder) == ("box", cylinder), "the shipped one"
+    assert named("x\\u0000y", cylinder)[0] == "x\0y"

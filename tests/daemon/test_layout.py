@@ -263,7 +263,8 @@ class TestCommand:
         assert capsys.readouterr().err.count("\n") == 1
 
     def test_without_matplotlib_the_cure_is_the_view_extra(self, monkeypatch, capsys):
-        monkeypatch.setitem(sys.modules, "taxeld.layout.draw", None)
+        monkeypatch.delitem(sys.modules, "taxeld.layout.draw", raising=False)
+        monkeypatch.setitem(sys.modules, "matplotlib", None)
         assert main(["layout", WRAP, "--png", "skin.png"]) == 2
         error = capsys.readouterr().err
         assert "taxeld[view]" in error

@@ -13,6 +13,7 @@ import pytest
 
 from taxeld.cli import main
 from taxeld.commands.status import lines
+from taxeld.estimator.estimate import Status
 from taxeld.stream import client
 
 from .recorded import configuration, write_session
@@ -174,3 +175,19 @@ def test_a_daemon_without_health_yet_still_has_a_status(running: Path) -> None:
     text = list(lines(answer))
     assert "99 (of a newer daemon), " in text[0]
     assert all(line[14] == ":" for line in text)
+
+
+def test_ambiguous_with_one_mode_is_explained(running: Path) -> None:
+    answer = client.ask(f"ipc://{running}/control", "status")
+    assert answer is not None
+    estimate = answer["estimate"]
+
+    def told(status: Status, weights: list[float]) -> str:
+        estimate["status"] = int(status)
+        estimate["modes"] = [{"weight": weight} for weight in weights]
+        (row,) = (line for line in lines(answer) if line.startswith("Modes"))
+        return row.partition(": ")[2]
+
+    assert told(Status.CONVERGED, [1.0]) == "1 (100%)"
+    assert told(Status.AMBIGUOUS, [0.5, 0.5]) == "2 (50%, 50%)"
+    assert told(Status.AMBIGUOUS, [1.0]).startswith("1 (100%); not narrow, or not confirmed by a ")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from taxeld import cli
+from taxeld import cli, command_line
 from taxeld.config.tables import ControlConfig, PublishConfig
 from taxeld.service import descriptors
 
@@ -90,7 +90,7 @@ def test_what_peers_may_take_of_the_machine_by_the_relay_is_bounded() -> None:
 
 def test_what_exits_as_a_configuration_fault_is_not_started_again() -> None:
     unit = settings()
-    assert unit["RestartPreventExitStatus"] == [str(cli.USAGE_ERROR)]
+    assert unit["RestartPreventExitStatus"] == [str(command_line.USAGE_ERROR)]
     assert unit["Restart"] == ["always"]
 
 

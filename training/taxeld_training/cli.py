@@ -6,19 +6,18 @@ import math
 import sys
 import time
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
-
+from taxeld import command_line
+from taxeld.command_line import command
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
-from taxeld.model.scene import CONTINUOUS
-from taxeld_training import bundles
-from taxeld_training.build import build
-from taxeld_training.limits.quality import BANK
-from taxeld_training.models.variants import trained_with
-from taxeld_training.objects.setting import DEPTH_MAX_M, HEIGHT_M
-from taxeld_training.samplers.candidates import VARIANTS, Candidates
+from taxeld_training.objects.defaults import DEPTH_MAX_M, HEIGHT_M
+
+if TYPE_CHECKING:
+    import trimesh
+
+    from taxeld.layout.layout import Layout
 
 DEFAULT_SKIN = SkinConfig().layout
 EXPERIMENTS = (
@@ -36,23 +35,27 @@ EXPERIMENTS = (
 
 
 def main(argv: list[str] | None = None) -> int:
-    args = _parser().parse_args(argv)
-    try:
-        return int(args.command(args))
-    except SetupError as error:
-        print(f"taxeld-train: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        return 130
+    """0 fine, 1 failed at work, 2 wrong arguments."""
+    return command_line.main(_parser(), argv, "taxeld-train: ")
 
 
 def _build(args: argparse.Namespace) -> int:
+    from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
+
+    from taxeld.layout import read as layouts
+    from taxeld_training.build import build
+    from taxeld_training.models.variants import trained_with
+    from taxeld_training.objects import meshes
+    from taxeld_training.samplers.candidates import VARIANTS, Candidates
+
     given = Candidates(
         variants=tuple(trained_with(v, args.effort, args.contacts, args.seed) for v in VARIANTS),
-        bank=args.bank,
-        readings=args.readings,
+        bank=args.bank or Candidates.bank,
+        readings=args.readings or Candidates.readings,
         seed=args.seed,
     )
+    skin = layouts.load(args.skin)
+    _doubt(args, meshes.load(meshes.find(args.object)[0]), skin)
     columns = (SpinnerColumn(), *Progress.get_default_columns(), TimeElapsedColumn())
     with Progress(*columns) as bar:
         tasks: dict[str, int] = {}
@@ -62,7 +65,7 @@ def _build(args: argparse.Namespace) -> int:
                 tasks[stage] = bar.add_task(stage, total=1.0)
             bar.update(tasks[stage], completed=share)  # type: ignore[arg-type]
 
-        out = build(args.object, layouts.load(args.skin), args.height_m, given, args.out, progress)
+        out = build(args.object, skin, args.height_m, given, args.out, progress)
     for repair in json.loads((out / "bundle.json").read_text(encoding="utf-8"))["repairs"]:
         print(f"taxeld-train: {args.object}: {repair}", file=sys.stderr)
     print(out)
@@ -70,12 +73,16 @@ def _build(args: argparse.Namespace) -> int:
 
 
 def _seal(args: argparse.Namespace) -> int:
+    from taxeld_training import bundles
+
     bundles.seal(args.bundle)
     print(f"{args.bundle}: sealed")
     return 0
 
 
 def _scene(args: argparse.Namespace) -> int:
+    from taxeld.layout import read as layouts
+    from taxeld.model.scene import CONTINUOUS
     from taxeld_training.objects import meshes, scenes
     from taxeld_training.objects.scene_error import grid_error
 
@@ -97,7 +104,24 @@ def _scene(args: argparse.Namespace) -> int:
     print(f"repairs     {'; '.join(repairs) or 'none'}")
     print(f"grid error  rms {error.rms:.3f}, 99 % under {error.p99:.3f}, max {error.max:.3f} mm")
     print(f"grid        {size / 1e3:.0f} kB")
+    _doubt(args, mesh, skin)
+    if args.png:
+        from taxeld_training.objects.scene_picture import draw
+
+        title = f"{args.object} on {skin.name}"
+        try:
+            draw(mesh, scene, skin, args.height_m, title, args.png)
+        except OSError as error:
+            raise SetupError(f"--png: cannot write {args.png} ({error.strerror})") from None
     return 0
+
+
+def _doubt(args: argparse.Namespace, mesh: "trimesh.Trimesh", skin: "Layout") -> None:
+    """Say what is probably wrong with how the mesh lies and is cut."""
+    from taxeld_training.objects.doubts import doubts
+
+    for line in doubts(mesh, skin, args.height_m):
+        print(f"taxeld-train: {args.object}: warning: {line}", file=sys.stderr)
 
 
 def _evaluate(args: argparse.Namespace) -> int:
@@ -140,38 +164,75 @@ def _evaluate(args: argparse.Namespace) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="taxeld-train", description=__doc__)
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    common = argparse.ArgumentParser(add_help=False)
-    common.add_argument("object", metavar="OBJECT", help="a YCB id (025_mug) or a mesh file")
-    common.add_argument("--skin", default=DEFAULT_SKIN, metavar="LAYOUT")
-    common.add_argument(
-        "--height-m", type=float, default=HEIGHT_M, metavar="H",
-        help="sensor frame's origin above the object's lowest point (default %(default)s)",
+    parser = command_line.parser(
+        "taxeld-train",
+        "Make what the daemon needs of an object, and run the experiments.",
+        "taxeld-train scene bracket.stl --height-m 0.05",
+        "taxeld-train build bracket.stl --height-m 0.05 --out bracket",
     )  # fmt: skip
-    one = commands.add_parser(
-        "scene", parents=[common], help="what the skin meets of an object, in figures"
-    )
-    one.set_defaults(command=_scene)
-    one = commands.add_parser("build", parents=[common], help="an object and a skin → a bundle")
-    one.add_argument("--out", type=Path, required=True, metavar="BUNDLE")
+    commands = command_line.commands_of(parser)
+    one = command(
+        commands, "scene", "Show what the skin meets of an object, before a bundle is built.",
+        "taxeld-train scene 025_mug",
+        "taxeld-train scene bracket.stl --height-m 0.05 --png bracket.png",
+        run=_scene,
+    )  # fmt: skip
+    _add_object(one)
     one.add_argument(
-        "--effort", type=float, default=1.0, metavar="SHARE", help="of each model's own training"
+        "--png", type=Path, metavar="OUT", help="draw the object, the skin's heights and the slices"
     )
-    one.add_argument("--contacts", type=int, default=300_000, help="simulated, to train on")
+    one = command(
+        commands, "build", "Build the bundle of an object and a skin, which the daemon runs with.",
+        "taxeld-train build 025_mug --out mug",
+        "taxeld-train build bracket.stl --skin skin.json --height-m 0.05 --out bracket",
+        run=_build,
+    )  # fmt: skip
+    _add_object(one)
     one.add_argument(
-        "--bank", type=int, default=BANK, help="contacts that exact posteriors begin with"
+        "--out", type=Path, required=True, metavar="BUNDLE", help="directory of the bundle"
     )
     one.add_argument(
-        "--readings", type=int, default=Candidates.readings, help="that samplers are measured on"
-    )
+        "--effort", type=float, default=1.0, metavar="SHARE",
+        help="share of each model's full training (default %(default)s)",
+    )  # fmt: skip
+    one.add_argument(
+        "--contacts", type=int, default=300_000,
+        help="simulated contacts to train on (default %(default)s)",
+    )  # fmt: skip
+    one.add_argument("--bank", type=int, help="contacts that exact posteriors begin with")
+    one.add_argument("--readings", type=int, help="readings that samplers are measured on")
     one.add_argument("--seed", type=int, default=0)
-    one.set_defaults(command=_build)
-    one = commands.add_parser("seal", help="a bundle's files are right as they are: say so in it")
+    one = command(
+        commands, "seal", "Write the digests of a bundle's files into it, as they are now.",
+        "taxeld-train seal bracket", run=_seal,
+    )  # fmt: skip
     one.add_argument("bundle", type=Path, metavar="BUNDLE")
-    one.set_defaults(command=_seal)
-    _add_options(commands.add_parser("evaluate", help="the experiments: JSON beside PNG"))
+    _add_options(
+        command(
+            commands,
+            "evaluate",
+            "Run an experiment; it writes JSON and pictures.",
+            "taxeld-train evaluate proposals --quick --out results",
+            run=_evaluate,
+        )
+    )
     return parser
+
+
+def _add_object(one: argparse.ArgumentParser) -> None:
+    """The arguments of `scene` and `build`."""
+    one.add_argument(
+        "object", metavar="OBJECT",
+        help="a YCB id (025_mug), or a mesh file in metres whose z axis points up",
+    )  # fmt: skip
+    one.add_argument(
+        "--skin", default=DEFAULT_SKIN, metavar="LAYOUT",
+        help="as skin.layout in the configuration (default %(default)s)",
+    )  # fmt: skip
+    one.add_argument(
+        "--height-m", type=float, default=HEIGHT_M, metavar="H",
+        help="the sensor frame's origin above the object's lowest point (default %(default)s)",
+    )  # fmt: skip
 
 
 def _add_options(one: argparse.ArgumentParser) -> None:
@@ -202,7 +263,6 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--minutes", type=float, default=math.inf, help="begin nothing later; write what is done")
     add("--dask", default="", metavar="ADDRESS", help="a running Dask scheduler")
     add("--seed", type=int, default=0)
-    one.set_defaults(command=_evaluate)
 
 
 if __name__ == "__main__":

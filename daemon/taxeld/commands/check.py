@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from taxeld.config.endpoints import no_directory
+from taxeld.commands import openings
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
@@ -10,18 +10,17 @@ from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file, metrics
 from taxeld.source import dialects, session
 from taxeld.source.session import Items
-from taxeld.source.slcan_device import adapter_line
 from taxeld.stream import curve
 
-SYS_NET = Path("/sys/class/net")
 MODULES_TO_COME = (
     "source.modules: lists none, so taxeld must listen already when the skin is started, to hear "
     "which modules its hub has"
 )
 
 
-def faults(config: Config) -> list[str]:
-    """One path-qualified line a fault of a configuration whose keys are fine."""
+def faults(config: Config, is_running: bool = False) -> list[str]:
+    """One path-qualified line a fault of a configuration whose keys are fine. Where a daemon
+    `is_running` with it, what is in use is no fault."""
     found = []
     recorded, away = _source(config.source)
     try:
@@ -58,9 +57,13 @@ def faults(config: Config) -> list[str]:
         ("control.endpoint", (config.control.endpoint,)),
     ):
         for endpoint in endpoints:
-            missing = no_directory(endpoint)
-            if missing:
-                found.append(f"{key}: {missing}")
+            fault = openings.closed(endpoint, key)
+            if fault is None and not is_running:
+                fault = openings.served(endpoint, key)
+            found += [fault] if fault else []
+    if config.source.kind != "replay" and not away and not is_running:
+        busy = openings.taken(config.source)
+        found += [busy] if busy else []
     return found
 
 
@@ -69,29 +72,23 @@ def notes(config: Config) -> list[str]:
     source = config.source
     if source.kind == "replay":
         return []
+    down = openings.down(source)
+    found = [down] if down else []
     if source.dialect != "icub":
-        return [MODULES_TO_COME] if source.listen_only and not source.modules else []
+        return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
     return [
+        *found,
         f"source.channel: the boards must hang on {source.channel} itself; behind an Ethernet "
-        "board (EMS), as on most iCubs, they cannot be reached over CAN"
+        "board (EMS), as on most iCubs, they cannot be reached over CAN",
     ]
 
 
 def _source(source: SourceConfig) -> tuple[Items, list[str]]:
     """What a session holds, and why the source cannot be opened."""
+    if source.kind != "replay":
+        away = openings.absent(source)
+        return [], [away] if away else []
     try:
-        if source.kind == "replay":
-            return session.read(Path(source.path)).items, []
-        if source.kind == "serial" or source.interface == "slcan":
-            is_bus = source.kind == "can"
-            device = Path(adapter_line(source.channel)[0] if is_bus else source.channel)
-            if not device.exists():
-                raise SetupError(f"source.channel: no device {device}; is it plugged in?")
-        elif source.interface == "socketcan" and not (SYS_NET / source.channel).exists():
-            raise SetupError(
-                f"source.channel: no CAN interface '{source.channel}'; bring it up: "
-                f"ip link set {source.channel} up type can bitrate {source.bitrate}"
-            )
+        return session.read(Path(source.path)).items, []
     except SetupError as error:
         return [], [str(error)]
-    return [], []

@@ -23,7 +23,9 @@ def _rows(e: dict[str, Any], answer: dict[str, Any]) -> Iterator[tuple[str, str]
     x, y, yaw = (math.sqrt(max(cov[k][k], 0.0)) for k in range(3))
     yield "Uncertainty", f"x {x * 1e3:.1f} mm, y {y * 1e3:.1f} mm, yaw {yaw:.3f} rad (1 sd)"
     weights = ", ".join(f"{mode['weight']:.0%}" for mode in e["modes"])
-    yield "Modes", f"{len(e['modes'])} ({weights})"
+    alone = e["status"] == Status.AMBIGUOUS and len(e["modes"]) == 1
+    why = "; not narrow, or not confirmed by a touch since: touch another side" if alone else ""
+    yield "Modes", f"{len(e['modes'])} ({weights}){why}"
     yield "Contacts", f"{e['contacts']}, {'touching' if e['contact'] else 'not touching'} now"
     yield "Age", f"{e['age_us'] / 1e3:.1f} ms since the scan"
     yield "Particles", f"{e['particles']}, {e['ess']:.0f} effective"

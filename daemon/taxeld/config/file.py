@@ -9,6 +9,7 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld_protocol import icub
 
 MAX_BYTES = 1_000_000
+SHIPPED = Path(__file__).parents[1] / "bundles"
 
 
 def load(path: Path) -> Config:
@@ -18,10 +19,13 @@ def load(path: Path) -> Config:
         ConfigError: all faults at once.
     """
     config = _for_this_user(parse(text_of(path), str(path)))
-    if not config.skin.calibration:
-        return config
-    beside = str(path.parent / config.skin.calibration)  # an absolute path stays what it is
-    return replace(config, skin=replace(config.skin, calibration=beside))
+    skin, scene = config.skin, config.scene
+    if skin.calibration:
+        # an absolute path stays what it is
+        skin = replace(skin, calibration=str(path.parent / skin.calibration))
+    skin = replace(skin, layout=_beside(path, skin.layout))
+    scene = replace(scene, bundle=_beside(path, scene.bundle, SHIPPED))
+    return replace(config, skin=skin, scene=scene)
 
 
 def text_of(path: Path) -> str:
@@ -57,6 +61,18 @@ def parse(text: str, name: str = "configuration") -> Config:
     if faults:
         raise ConfigError(faults)
     return config
+
+
+def _beside(path: Path, name: str, shipped: Path | None = None) -> str:
+    """What a configuration at `path` names, from where it lies, unless it is `shipped`; else from
+    the shell's directory, as a session is replayed that keeps the configuration and not the
+    bundle."""
+    try:
+        if shipped is not None and (shipped / name).is_dir():
+            return name
+        return str(path.parent / name) if (path.parent / name).exists() else name
+    except (OSError, ValueError):  # no path at all, or not ours to see
+        return name
 
 
 def _check_source(source: SourceConfig, faults: list[str]) -> None:

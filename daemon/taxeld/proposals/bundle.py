@@ -104,9 +104,15 @@ class Bundle:
         return {sampler["name"]: sampler for sampler in self.info["samplers"]}
 
 
+def is_shipped(name: str) -> bool:
+    return any(
+        path.name == name and (path / manifest.NAME).is_file() for path in _shipped().iterdir()
+    )
+
+
 def find(name: str) -> Path:
     """The directory of a shipped bundle's name or a path."""
-    shipped = Path(str(resources.files("taxeld") / "bundles"))
+    shipped = _shipped()
     for path in (shipped / name, Path(name)):
         with contextlib.suppress(OSError, ValueError):  # no path at all, or not ours to see
             if (path / manifest.NAME).is_file():
@@ -116,6 +122,10 @@ def find(name: str) -> Path:
         f"scene.bundle: no bundle {name!r:.100}; shipped are {names}; "
         "others are built by 'taxeld-train build'"
     )
+
+
+def _shipped() -> Path:
+    return Path(str(resources.files("taxeld") / "bundles"))
 
 
 def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:

@@ -85,9 +85,21 @@ class _Terminal:
             master, slave = self._fds = os.openpty()
             tty.setraw(slave)
             os.set_blocking(master, False)
-            self._link.symlink_to(os.ttyname(slave))
+            try:
+                self._make_link(os.ttyname(slave))
+            except OSError as error:
+                self._free()
+                raise SetupError(f"{self._link}: cannot be made ({error.strerror})") from None
         elif not plugged and self._fds is not None and self._is_read():
             self.close()
+
+    def _make_link(self, to: str) -> None:
+        """Raises OSError where something stands there, but for what a killed process left."""
+        if self._link.is_symlink() and not self._link.exists():
+            self._link.unlink()
+        if self._link.is_symlink():
+            raise OSError(0, "another skin is there; stop it or remove the link")
+        self._link.symlink_to(to)
 
     def waiting(self) -> int:
         """Bytes in the kernel that the host has not read."""
@@ -111,10 +123,13 @@ class _Terminal:
         if self._fds is None:
             return
         self._link.unlink()
-        for fd in self._fds:
+        self._free()
+        self.forget()
+
+    def _free(self) -> None:
+        for fd in self._fds or ():
             os.close(fd)
         self._fds = None
-        self.forget()
 
     def _write(self, data: bytes) -> bool:
         if len(self._outbox) + len(data) > OUTBOX_BYTES:

@@ -64,10 +64,8 @@ def load(path: Path) -> trimesh.Trimesh:
         raise SetupError(f"{path}: holds no triangles{fault}; export it again as a surface")
     size = float(mesh.extents.max())
     if not 0.005 < size < 5.0:
-        raise SetupError(
-            f"{path}: is {size:.3g} m large; meshes must be in metres: scale it, by 0.001 if it is "
-            "in millimetres"
-        )
+        cure = ", by 0.001 if it is in millimetres" if size > 1.0 else " up"
+        raise SetupError(f"{path}: is {size:.3g} m large; meshes must be in metres: scale it{cure}")
     if float(mesh.extents.min()) < WELD_M:
         raise SetupError(f"{path}: is flat; export a solid object's whole surface")
     repairs += _turn_outward(mesh)

@@ -3,13 +3,11 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from taxeld.config.tables import SkinConfig
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
-from taxeld_training.objects import meshes, scenes
+from taxeld_training.objects import defaults, meshes, scenes
 
-HEIGHT_M = 0.04  # the sensor frame's origin above the object's lowest point
-DEPTH_MAX_M = SkinConfig().full_scale_depth_m
+DEPTH_MAX_M, HEIGHT_M = defaults.DEPTH_MAX_M, defaults.HEIGHT_M
 OBJECTS = (  # the paper's
     "002_master_chef_can", "003_cracker_box", "006_mustard_bottle", "016_pear", "019_pitcher_base",
     "021_bleach_cleanser", "024_bowl", "025_mug", "035_power_drill", "061_foam_brick",

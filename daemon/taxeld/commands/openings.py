@@ -1,0 +1,148 @@
+"""Whether a run could open its device and serve its endpoints, asked without opening any of them.
+
+The lines are those that `taxeld run` refuses with: tests hold them against each other.
+"""
+
+import contextlib
+import errno
+import fcntl
+import os
+import socket
+import stat
+from pathlib import Path
+
+from taxeld.config import endpoints
+from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.source import holders, opening
+from taxeld.source.slcan_device import adapter_line
+
+SYS_NET = Path("/sys/class/net")
+CAN_TYPE = "280"  # ARPHRD_CAN
+IS_UP = 0x1  # IFF_UP
+PROBE_S = 1.0
+
+
+def device(source: SourceConfig) -> str:
+    """The serial line of a source; empty of a CAN interface and of a session.
+
+    Raises:
+        SetupError: what follows the channel's @ is no line speed.
+    """
+    if source.kind == "serial":
+        return source.channel
+    if source.kind == "can" and source.interface == "slcan":
+        return adapter_line(source.channel)[0]
+    return ""
+
+
+def absent(source: SourceConfig) -> str | None:
+    """Why the source's device cannot be opened, whoever has it now."""
+    try:
+        where = device(source)
+    except SetupError as error:  # the channel names none
+        return str(error)
+    if where:
+        return _unopened_line(where)
+    if source.kind == "can" and source.interface == "socketcan":
+        return _unopened_interface(source)
+    return None
+
+
+def taken(source: SourceConfig) -> str | None:
+    """Who has the serial line of a source that is not `absent`."""
+    where = device(source)
+    if where and holders.holder(where) and _is_kept(where):
+        return str(opening.busy(where))
+    return None
+
+
+def down(source: SourceConfig) -> str | None:
+    """What brings a CAN interface up that is there and down: a run waits for that."""
+    if source.kind != "can" or source.interface != "socketcan":
+        return None
+    with contextlib.suppress(OSError, ValueError):
+        if not int((SYS_NET / source.channel / "flags").read_text(encoding="ascii"), 16) & IS_UP:
+            return f"source.channel: {source.channel} is down; bring it up: {_bring_up(source)}"
+    return None
+
+
+def closed(endpoint: str, key: str) -> str | None:
+    """Why nothing may be served at an ipc endpoint, whoever serves there now."""
+    path = endpoints.ipc_path(endpoint)
+    if path is None or path.parent == endpoints.own_directory():
+        return None
+    missing = endpoints.no_directory(endpoint)
+    if missing:
+        return f"{key}: {missing}"
+    if os.path.lexists(path) and not path.is_socket():
+        return f"{key}: {path} is no socket; remove it or name another endpoint"
+    if not os.access(path.parent, os.W_OK | os.X_OK, effective_ids=True):
+        denied = os.strerror(errno.EACCES)
+        if os.path.lexists(path):
+            return f"{key}: cannot take over {path} ({denied})"
+        return (
+            f"{key}: cannot bind {endpoint} ({denied}); "
+            "is another daemon there? stop it or name another endpoint"
+        )
+    return None
+
+
+def served(endpoint: str, key: str) -> str | None:
+    """Who serves an ipc endpoint already."""
+    path = endpoints.ipc_path(endpoint)
+    if path is None or not path.is_socket():
+        return None
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.settimeout(PROBE_S)
+        try:
+            probe.connect(str(path))
+        except OSError:  # left behind, or not ours to ask
+            return None
+    return f"{key}: another daemon serves {path}; stop it or name another endpoint"
+
+
+def _unopened_line(where: str) -> str | None:
+    try:
+        mode = Path(where).stat().st_mode
+    except OSError as error:
+        return str(opening.unopened(where, error))
+    number = 0
+    if stat.S_ISDIR(mode):
+        number = errno.EISDIR
+    elif not os.access(where, os.R_OK | os.W_OK, effective_ids=True):
+        number = errno.EACCES
+    elif not stat.S_ISCHR(mode):
+        number = errno.ENOTTY
+    return str(opening.unopened(where, OSError(number, os.strerror(number)))) if number else None
+
+
+def _unopened_interface(source: SourceConfig) -> str | None:
+    name = source.channel
+    place = SYS_NET / name
+    if not place.exists():
+        return f"source.channel: no CAN interface '{name}'; bring it up: {_bring_up(source)}"
+    with contextlib.suppress(OSError):
+        if (place / "type").read_text(encoding="ascii").strip() != CAN_TYPE:
+            return f"source.channel: {name} is no CAN interface; 'ip link show type can' lists them"
+    return None
+
+
+def _bring_up(source: SourceConfig) -> str:
+    return f"ip link set {source.channel} up type can bitrate {source.bitrate}"
+
+
+def _is_kept(where: str) -> bool:
+    """Whether a line that another process has open is that one's alone: that it is opened once more
+    changes nothing on it."""
+    try:
+        number = os.open(where, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError as error:
+        return error.errno in opening.BUSY
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        return any(fcntl.ioctl(number, holders.TIOCGEXCL, bytes(4)))
+    except OSError as error:
+        return error.errno in opening.BUSY
+    finally:
+        os.close(number)

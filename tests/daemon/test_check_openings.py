@@ -1,0 +1,236 @@
+"""`taxeld check` refuses what `taxeld run` cannot open, in the same words; and who may not ask a
+daemon is told so."""
+
+import ctypes
+import fcntl
+import getpass
+import os
+import pty
+import socket
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from taxeld.cli import main
+from taxeld.commands import openings
+from taxeld.config import endpoints
+from taxeld.stream import client
+
+CAPABILITIES = 0x20080522  # version 3 of the kernel's interface
+MAY_ALL = 0b110  # CAP_DAC_OVERRIDE, CAP_DAC_READ_SEARCH
+
+
+@pytest.fixture
+def place() -> Iterator[Path]:
+    """A directory whose name is short enough for a socket."""
+    with tempfile.TemporaryDirectory() as made:
+        yield Path(made)
+
+
+@pytest.fixture
+def plain_user() -> Iterator[None]:
+    """Root is forbidden what others are: modes hold for this thread."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    header = (ctypes.c_uint32 * 2)(CAPABILITIES, 0)
+    sets = (ctypes.c_uint32 * 6)()  # effective, permitted, inheritable: lower, then upper half
+    assert libc.capget(header, sets) == 0
+    before = sets[0]
+    sets[0] &= ~MAY_ALL
+    assert libc.capset(header, sets) == 0
+    yield
+    sets[0] = before
+    assert libc.capset(header, sets) == 0
+
+
+@pytest.fixture
+def line() -> Iterator[Path]:
+    ours, theirs = pty.openpty()
+    yield Path(os.ttyname(theirs))
+    os.close(ours)
+    os.close(theirs)
+
+
+def configuration(place: Path, device: Path | str, **keys: str) -> Path:
+    tables = {
+        "source": f'kind = "serial"\nchannel = "{device}"',
+        "scene": 'bundle = "box"',
+        "publish": "endpoints = []",
+        "control": 'endpoint = ""',
+    } | keys
+    path = place / "config.toml"
+    text = "".join(f"[{name}]\n{lines}\n" for name, lines in tables.items())
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
+    assert main(list(arguments)) == 2
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    return err
+
+
+def test_a_device_of_another_group_is_refused_by_both_in_the_same_words(
+    place: Path, line: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+) -> None:
+    path = str(configuration(place, line))
+    line.chmod(0)
+    request.getfixturevalue("plain_user")
+    told = said(capsys, "check", path)
+    assert told == said(capsys, "run", path)
+    assert "permission denied; is this user in the group" in told
+
+
+@pytest.mark.parametrize("device", ["{place}", "{place}/file"])
+def test_what_is_no_serial_line_is_refused_by_both_in_the_same_words(
+    place: Path, capsys: pytest.CaptureFixture[str], device: str
+) -> None:
+    (place / "file").touch()
+    path = str(configuration(place, device.format(place=place)))
+    assert said(capsys, "check", path) == said(capsys, "run", path)
+
+
+def test_a_missing_device_is_refused_in_the_words_of_record(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = str(configuration(place, place / "ttyACM0"))
+    recorded = said(capsys, "record", "--out", str(place / "session"), path)
+    assert said(capsys, "check", path) == recorded
+
+
+def test_a_device_that_another_process_has_is_refused_in_the_words_of_record(
+    place: Path, line: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The locks of two open files of one process keep each other out as those of two do."""
+    path = str(configuration(place, line))
+    assert main(["check", path]) == 0
+    capsys.readouterr()
+    with line.open("rb", buffering=0) as held:
+        assert main(["check", path]) == 0, "who only has it open keeps nobody out"
+        capsys.readouterr()
+        fcntl.flock(held, fcntl.LOCK_EX)
+        told = said(capsys, "check", path)
+        assert told == said(capsys, "record", "--out", str(place / "session"), path)
+        assert main(["check", "--running", path]) == 0
+    assert f"another process has it open: pid {os.getpid()}, " in told
+
+
+@pytest.mark.parametrize("key", ["publish", "control"])
+@pytest.mark.parametrize("fault", ["served", "no socket", "no directory", "closed"])
+def test_an_endpoint_that_cannot_be_had_is_refused_by_both_in_the_same_words(
+    place: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, key: str,
+    fault: str,
+) -> None:  # fmt: skip
+    at = place / "run"
+    at.mkdir()
+    channel = f'kind = "can"\ninterface = "virtual"\nchannel = "{place.name}"'
+    named = f'endpoint = "ipc://{at}/s"' if key == "control" else f'endpoints = ["ipc://{at}/s"]'
+    path = str(configuration(place, "", source=channel, **{key: named}))
+    with socket.socket(socket.AF_UNIX) as other:
+        if fault == "served":
+            other.bind(f"{at}/s")
+            other.listen()
+        elif fault == "no socket":
+            (at / "s").touch()
+        elif fault == "no directory":
+            at.rmdir()
+        else:
+            at.chmod(0o555)
+            request.getfixturevalue("plain_user")
+        told = said(capsys, "check", path)
+        assert told == said(capsys, "run", path)
+        assert main(["check", "--running", path]) == (0 if fault == "served" else 2)
+        if fault == "closed":
+            at.chmod(0o755)
+
+
+def test_a_socket_that_a_killed_daemon_left_is_fine(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with socket.socket(socket.AF_UNIX) as left:
+        left.bind(f"{place}/s")
+    channel = f'kind = "can"\ninterface = "virtual"\nchannel = "{place.name}"'
+    named = f'endpoint = "ipc://{place}/s"'
+    assert main(["check", str(configuration(place, "", source=channel, control=named))]) == 0
+    assert (place / "s").is_socket(), "a check takes nothing away"
+    assert capsys.readouterr().err == ""
+
+
+def test_an_interface_that_is_no_can_bus_or_is_down_is_told(
+    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(openings, "SYS_NET", place)
+    for name, kind, flags in (("can0", 280, 0x40C0), ("can1", 280, 0x40C1), ("lo", 772, 0x9)):
+        (place / name).mkdir()
+        (place / name / "type").write_text(f"{kind}\n", encoding="ascii")
+        (place / name / "flags").write_text(f"{flags:#x}\n", encoding="ascii")
+
+    def check(name: str) -> int:
+        source = f'kind = "can"\nchannel = "{name}"'
+        return main(["check", str(configuration(place, "", source=source))])
+
+    assert check("can1") == 0
+    assert "note" not in capsys.readouterr().out
+    assert check("can0") == 0
+    told = capsys.readouterr().out
+    assert "note: source.channel: can0 is down; bring it up: ip link set can0 up type can" in told
+    assert check("lo") == 2
+    assert capsys.readouterr().err.startswith("source.channel: lo is no CAN interface")
+
+
+class TestStatus:
+    @pytest.fixture(autouse=True)
+    def _impatient(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(client, "TIMEOUT_S", 0.1)
+        monkeypatch.setattr(getpass, "getuser", lambda: "robin")
+
+    @pytest.mark.parametrize("what", ["socket", "directory"])
+    @pytest.mark.usefixtures("line")
+    def test_no_permission_is_not_no_daemon(
+        self, place: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest,
+        what: str,
+    ) -> None:  # fmt: skip
+        at = place / "run"
+        at.mkdir()
+        with socket.socket(socket.AF_UNIX) as other:
+            other.bind(f"{at}/control")
+            other.listen()
+            closed = at / "control" if what == "socket" else at
+            closed.chmod(0)
+            request.getfixturevalue("plain_user")
+            assert main(["status", "--endpoint", f"ipc://{at}/control"]) == 1
+            at.chmod(0o755)
+        told = capsys.readouterr().err
+        assert told.startswith(f"no permission to ask at ipc://{at}/control: it is for members of ")
+        assert told.endswith(" robin, then log in again\n")
+        assert told.count("\n") == 1
+
+    def test_who_is_not_in_the_group_is_told_of_the_services_daemon(
+        self, place: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest,
+        monkeypatch: pytest.MonkeyPatch,
+    ) -> None:  # fmt: skip
+        service, own = place / "taxeld", place / "own"
+        service.mkdir()
+        own.mkdir()
+        service.chmod(0)
+        monkeypatch.setattr(endpoints, "RUNTIME", service)
+        monkeypatch.setenv("XDG_RUNTIME_DIR", str(own))
+        request.getfixturevalue("plain_user")
+        endpoint = f"ipc://{own}/taxeld/control"
+        assert main(["status", "--endpoint", endpoint]) == 1
+        told = capsys.readouterr().err
+        assert told.startswith(f"no daemon answers at {endpoint}; is 'taxeld run' there? That of ")
+        assert f"That of the service, in {service}, is for members of the group " in told
+        assert told.endswith(" robin, then log in again\n")
+        service.chmod(0o755)
+
+    def test_what_takes_the_question_and_is_no_daemon_is_told(
+        self, place: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        with socket.socket(socket.AF_UNIX) as other:
+            other.bind(f"{place}/control")
+            other.listen()
+            assert main(["status", "--endpoint", f"ipc://{place}/control"]) == 1
+        assert "takes the question and does not answer" in capsys.readouterr().err

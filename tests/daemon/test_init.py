@@ -1,0 +1,128 @@
+"""`taxeld init`: what it writes is complete, and is what `taxeld check` takes."""
+
+import os
+import pty
+import subprocess
+import sys
+import tomllib
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import get_type_hints
+
+import pytest
+
+from taxeld.cli import main
+from taxeld.config.file import parse
+from taxeld.config.tables import Config
+from taxeld.proposals import bundle
+
+FLAGS = ["--source", "slcan:{device}", "--bundle", "box", "--poses", "tcp://127.0.0.1:9874"]
+
+
+@pytest.fixture
+def flags(tmp_path: Path) -> list[str]:
+    (tmp_path / "ttyACM0").symlink_to("/dev/null")  # which is a device
+    return [flag.format(device=tmp_path / "ttyACM0") for flag in FLAGS]
+
+
+def test_what_is_written_from_options_is_fine(
+    tmp_path: Path,
+    flags: list[str],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    path = tmp_path / "skin.toml"
+    assert main(["init", str(path), *flags]) == 0
+    assert capsys.readouterr().out.endswith(f"; next: taxeld check {path}\n")
+    assert main(["check", str(path)]) == 0
+    config = parse(path.read_text(encoding="utf-8"))
+    assert (config.source.kind, config.source.interface) == ("can", "slcan")
+    assert config.source.channel == str(tmp_path / "ttyACM0")
+    assert config.sensor_pose.endpoint == "tcp://127.0.0.1:9874"
+
+
+def test_each_key_is_there_with_the_documented_words_and_its_default(
+    tmp_path: Path, flags: list[str]
+) -> None:
+    path = tmp_path / "skin.toml"
+    main(["init", str(path), *flags])
+    text = path.read_text(encoding="utf-8")
+    for table in fields(Config):
+        for key in fields(get_type_hints(Config)[table.name]):
+            assert f"# {key.metadata['doc']}\n" in text, (table.name, key.name)
+    bare = "\n".join(
+        line.removeprefix("#") if line.startswith("#") and line[1:2] != " " else line
+        for line in text.splitlines()
+    )
+    assert asdict(parse(bare)) == asdict(parse(text)), "a default that is written is the code's"
+    assert set(tomllib.loads(bare)) == {table.name for table in fields(Config)}
+
+
+def test_a_file_that_is_there_is_not_overwritten(
+    tmp_path: Path, flags: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "skin.toml"
+    path.write_text("mine", encoding="utf-8")
+    assert main(["init", str(path), *flags]) == 2
+    assert path.read_text(encoding="utf-8") == "mine"
+    assert capsys.readouterr().err.startswith(f"{path}: is there already and is not overwritten")
+
+
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (["--source", "usb0"], "--source: 'usb0' is no connection; use can:can0, slcan:"),
+        (["--source", "can:"], "--source: 'can:' is no connection; use can:can0, slcan:"),
+        (["--bundle", "n" * 5000], "scene.bundle: no bundle 'nnnn"),
+        (["--bundle", "n" * 5000, "--layout", "skin.json"], "scene.bundle: no bundle 'nnnn"),
+        (["--bundle", "sphere"], "scene.bundle: no bundle 'sphere'; shipped are box, mug"),
+        (["--poses", "tcp://robot:1"], "sensor_pose.endpoint: 'tcp://robot:1' is not local"),
+    ],
+)
+def test_an_answer_that_cannot_be_used_is_one_line_and_nothing_is_written(
+    tmp_path: Path, flags: list[str], capsys: pytest.CaptureFixture[str], change: list[str],
+    line: str,
+) -> None:  # fmt: skip
+    path = tmp_path / "skin.toml"
+    assert main(["init", str(path), *flags, *change]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(line)
+    assert said.count("\n") == 1
+    assert not path.exists()
+
+
+def test_without_a_terminal_what_is_missing_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["init", str(tmp_path / "skin.toml"), "--bundle", "box"]) == 2
+    assert capsys.readouterr().err.startswith("--source: is required where nobody can be asked; ")
+
+
+def test_a_bundle_is_named_as_seen_from_the_configuration(
+    tmp_path: Path, flags: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "bracket").symlink_to(bundle.find("box"))
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert main(["init", "../skin.toml", *flags, "--bundle", str(tmp_path / "bracket")]) == 0
+    assert '\nbundle = "bracket"\n' in (tmp_path / "skin.toml").read_text(encoding="utf-8")
+
+
+def test_a_terminal_is_asked_what_the_options_leave_open(tmp_path: Path) -> None:
+    path = tmp_path / "skin.toml"
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "taxeld.cli", "init", str(path)]
+    with subprocess.Popen(command, stdin=theirs, stderr=theirs, stdout=subprocess.PIPE) as asking:
+        os.write(ours, b"serial:/dev/ttyACM7\nmug\n\n")
+        said, _ = asking.communicate(timeout=60)
+    os.close(theirs)
+    asked = os.read(ours, 65536).decode()
+    os.close(ours)
+    assert asking.returncode == 0, asked
+    assert said.startswith(b"written: ")
+    assert asked.count("the skin's connection, can:can0") == 1
+    config = parse(path.read_text(encoding="utf-8"))
+    assert config.source.channel == "/dev/ttyACM7"
+    assert config.scene.bundle == "mug"
+    assert not config.sensor_pose.endpoint

