@@ -11,13 +11,14 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 
-from taxeld.config.tables import FilterConfig
+from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator.estimate import Status
+from taxeld.estimator.memory import Slack
 from taxeld.estimator.rule import noise_of
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.proposals.analytic import Table
 from taxeld_training.cli import main
-from taxeld_training.filters import cells, follow, methods, trained
+from taxeld_training.filters import cells, follow, gridded, methods, trained
 from taxeld_training.filters import filter as filter_experiment
 from taxeld_training.filters.cells import Cell
 from taxeld_training.filters.conditions import SILENT, Conditions
@@ -244,20 +245,22 @@ def test_the_grid_learns_from_the_estimators_scans(
     contacts = []
 
     class Grid:
-        def __init__(self, model: ObservationModel, noise: Noise) -> None:
+        def __init__(self, model: ObservationModel, noise: Noise, slack: Slack) -> None:
             assert (model, noise) == (ring_model, noise_of(FilterConfig()))
+            assert slack == Slack(SensorPoseConfig().sigma_m, FilterConfig().nudge_m)
 
         def __len__(self) -> int:
             return sum(contacts)
 
-        def update(self, scan: Observation, *, touched: bool) -> None:
-            assert scan.floor == SILENT * Conditions().sigma
+        def update(self, scan: Observation, *, touched: bool, contact: int) -> None:
+            assert np.min(scan.floor) == SILENT * Conditions().sigma
+            assert contact >= contacts.count(True)
             contacts.append(touched)
 
         def estimate(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
             return np.zeros(3), np.zeros(3)
 
-    monkeypatch.setattr(follow, "GridFilter", Grid)
+    monkeypatch.setattr(gridded, "GridFilter", Grid)
     results = follow.follow(Trial(ring_model, 0, 3), Method(GRID), ring_model, None)
     assert [result.status for result in results] == [None] * 3
     assert contacts.count(True) >= 3

@@ -1,16 +1,20 @@
 """The grid filter: its belief is the exact one, and the truth stays in it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.special import logsumexp
 
 from taxeld.arrays import Poses
-from taxeld.estimator.memory import Memory
+from taxeld.estimator.memory import Memory, Slack
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2, symmetry
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld_training.limits import grid_cells
 from taxeld_training.limits.grid_cells import Cells, tile
-from taxeld_training.limits.grid_filter import DROP_NATS, CellLikelihood, GridFilter
+from taxeld_training.limits.grid_filter import DROP_NATS, GridFilter
+from taxeld_training.limits.grid_likelihood import CellLikelihood, Evidence
 from taxeld_training.limits.posterior import ExactPosterior, energy_distance
 from taxeld_training.models.dataset import MIN_ACTIVATION
 from taxeld_training.models.dataset import Touches as Bank
@@ -93,11 +97,45 @@ def test_a_small_cell_has_the_likelihood_of_its_pose(model: ObservationModel) ->
         live = rng.random(len(SKIN)) < 0.8
         scans.append(Observation(sensor, z, live))
         known.add(scans[-1])
-    CellLikelihood(model, NOISE).add(cells, scans, SENSOR)
+    CellLikelihood(model, NOISE).add(cells, [Evidence(scan) for scan in scans], SENSOR)
     expected = known.explain(se2.compose(SENSOR, poses)).sum(axis=1)
     assert np.allclose(cells.log_likelihood, expected, atol=1e-2)
     assert np.allclose(cells.log_likelihood_max, expected, atol=1e-2)
     assert cells.information.max() < 1e-3
+
+
+@pytest.mark.parametrize("scale", [0.0, 1.0])
+def test_a_small_cell_has_the_likelihood_that_the_filters_memory_has(
+    model: ObservationModel, scale: float
+) -> None:
+    """Offsets that grow with the contacts since, residues, floors, and a contact of two scans that
+    counts as one; silence behind a contact."""
+    rng = np.random.default_rng(8)
+    poses = contact_poses(model, 200, rng)
+    slack = Slack(0.002, 0.001, scale)
+    known, evidence = Memory(model, NOISE, slack=slack), []
+    half = np.arange(len(SKIN)) % 2 > 0
+    floor, residue = np.where(half, 0.2, 0.01), np.where(half, 0.1, 0.0)
+    beside = (se2.IDENTITY, np.array([0.002, 0.003, 0.1]), np.array([-0.004, 0.002, -0.2]))
+    for share, contact, step in zip((0.5, 0.5, 1.0), (1, 1, 2), beside, strict=True):
+        sensor = se2.compose(SENSOR, step)
+        seen = se2.compose(se2.inverse(sensor), se2.compose(SENSOR, poses[:1]))
+        z = NOISE.draw(model.activation(seen)[0], rng)
+        scan = Observation(sensor, np.where(z < floor, 0.0, z), LIVE, floor, residue)
+        known.add(scan, contact)
+        variance = float(slack.variance(np.array(2 - contact)))
+        evidence.append(Evidence(scan, share, variance, touched=True))
+    silent = Observation(se2.compose(SENSOR, beside[1]), np.zeros(len(SKIN)), LIVE, floor, residue)
+    known.add(silent, 2)
+    evidence.append(Evidence(silent, 1.0, float(slack.variance(np.array(0))), touched=False))
+    ax, ay = contacts.axis_in_object(poses)
+    mid = np.column_stack([ax, ay, poses[:, 2]])
+    cells = Cells.unweighed(mid, np.tile(1e-8 * np.eye(3), (200, 1, 1)), np.zeros(200))
+    CellLikelihood(model, NOISE).add(cells, evidence, SENSOR)
+    expected = known.explain(se2.compose(SENSOR, poses)) @ known.share
+    # but for poses at which a taxel that reads is just at the end of the band
+    assert np.quantile(np.abs(cells.log_likelihood - expected), 0.98) < 0.002
+    assert np.quantile(np.abs(cells.log_likelihood_max - expected), 0.98) < 0.002
 
 
 def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel) -> None:
@@ -116,7 +154,7 @@ def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel
     cells = tile(model)
     for _ in range(6):
         cells = cells[rng.random(len(cells)) < 2000 / len(cells)]
-        likelihood.add(cells, scans, np.zeros(3))
+        likelihood.add(cells, [Evidence(scan) for scan in scans], np.zeros(3))
         within = rng.uniform(-0.5, 0.5, (8, len(cells), 1, 3)) @ cells.edge
         poses = contacts.pose_of_axis(*(cells.mid + within[:, :, 0]).reshape(-1, 3).T)
         explained = known.explain(poses).sum(axis=1).reshape(8, -1).max(axis=0)
@@ -195,7 +233,7 @@ def test_a_finer_grid_has_the_same_belief(model: ObservationModel) -> None:
             belief.update(Observation(sensor, z, LIVE), touched=True)
         usual, fine = (drawn(belief, 1000) for belief in beliefs)
         assert energy_distance(usual, fine, 0.05) < 0.01
-    assert len(beliefs[1]) > 3 * len(beliefs[0])
+    assert len(beliefs[1]) > 2 * len(beliefs[0])
 
 
 def test_there_is_no_belief_before_the_first_touch(model: ObservationModel) -> None:
@@ -234,3 +272,79 @@ def test_a_dead_taxels_reading_changes_nothing(model: ObservationModel) -> None:
     beliefs[1].update(Observation(SENSOR, np.where(live, z, 1.0), live), touched=True)
     assert beliefs[0].pose.tobytes() == beliefs[1].pose.tobytes()
     assert beliefs[0].weight.tobytes() == beliefs[1].weight.tobytes()
+
+
+def integrated(
+    model: ObservationModel, noise: Noise, scan: Observation, poses: Poses, sd_m: float
+) -> Poses:
+    """log p(scan | pose) of poses (N, 3) in the world by brute force: the sensor off by each of a
+    lattice of offsets, weighed as a normal distribution of `sd_m` has them. No linear step."""
+    at = np.linspace(-3.0, 3.0, 9)
+    density = np.exp(-0.5 * (at[:, None] ** 2 + at**2))
+    likely = []
+    for i, x in enumerate(at):
+        for k, y in enumerate(at):
+            if density[i, k] < 5e-3:
+                continue
+            sensor = scan.sensor + np.array([sd_m * x, sd_m * y, 0.0])
+            h = model.activation(se2.compose(se2.inverse(sensor), poses))
+            log_p = noise.log_density(scan.z, h, scan.floor, scan.residue) @ scan.live
+            likely.append(log_p + np.log(density[i, k] / density.sum()))
+    return np.asarray(logsumexp(likely, axis=0))
+
+
+def test_offsets_residues_floors_and_shares_count_as_by_brute_force(
+    model: ObservationModel,
+) -> None:
+    """Two scans of one contact and one of another, the sensor reported 3 mm off throughout each,
+    residues and floors on half of the taxels."""
+    noise, sd_m = Noise(sigma=0.1, gain_cv=0.3, outliers=0.05), 0.003
+    rng = np.random.default_rng(7)
+    first, other = contact_poses(model, 2, rng)
+    slid = se2.compose(np.array([0.0, 0.0, 0.15]), first)
+    half = np.arange(len(SKIN)) % 2 > 0
+    floor, residue = np.where(half, 0.3, 0.02), np.where(half, 0.0, 0.5)
+    scans = []
+    for contact, pose in ((1, first), (1, slid), (2, other)):
+        z = noise.draw(model.activation(pose[None])[0], rng)
+        z = np.where(z < floor, 0.0, z)
+        error = sd_m * np.array([*np.random.default_rng(contact).standard_normal(2), 0.0])
+        sensor = se2.compose(SENSOR, se2.inverse(pose)) + error
+        scans.append((contact, Observation(sensor, z, LIVE, floor, residue)))
+    known = Memory(model, noise, slack=Slack(sd_m))
+    for contact, scan in scans:
+        known.add(scan, contact)
+
+    # all poses at the strongest touch, less those that are out of the question
+    strongest = max((scan for _, scan in scans), key=lambda scan: scan.z.sum())
+    low, high = model.scene.extent
+    found = []
+    for _ in range(8):
+        ax, ay = rng.uniform(low[:, None], high[:, None], (2, 30_000))
+        poses = contacts.pose_of_axis(ax, ay, rng.uniform(-np.pi, np.pi, 30_000))
+        gap = contacts.clearance(model.scene, SKIN.radius_m, poses)
+        poses = poses[(gap < 3.0 * sd_m) & (gap > -model.depth_max_m - 3.0 * sd_m)]
+        found.append(se2.compose(strongest.sensor, poses))
+    poses = np.concatenate(found)
+    laplace = np.concatenate([known.explain(some) @ known.share for some in found])
+    poses = poses[laplace > laplace.max() - 9.0]
+    log_w = sum(
+        share * integrated(model, noise, scan, poses, sd_m)
+        for share, (_, scan) in zip((0.5, 0.5, 1.0), scans, strict=True)
+    )
+    w = np.exp(log_w - log_w.max())
+    w /= w.sum()
+    exact = poses[rng.choice(len(w), 800, p=w)]
+
+    def gap_of(slack_m: float = sd_m, *, residues: bool = True, shared: bool = True) -> float:
+        grid = GridFilter(model, noise, Slack(slack_m))
+        for k, (contact, scan) in enumerate(scans):
+            given = scan if residues else replace(scan, residue=0.0)
+            grid.update(given, touched=True, contact=contact if shared else k + 1)
+        return energy_distance(drawn(grid, 800), exact, 0.05)
+
+    gap = gap_of()
+    assert gap < 0.01
+    assert gap_of(0.0) > 2.0 * gap
+    assert gap_of(residues=False) > 2.0 * gap
+    assert gap_of(shared=False) > 2.0 * gap

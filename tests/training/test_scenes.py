@@ -45,6 +45,16 @@ def test_the_symmetry_is_found_from_the_geometry(mesh: trimesh.Trimesh, order: i
     assert np.allclose(scene.centre, mesh.centroid[:2], atol=1e-3)
 
 
+def test_a_small_object_is_held_to_its_own_size() -> None:
+    """Sides of 20 and 22.5 mm are told apart as those of 80 and 90 mm are, and its cells are as
+    fine: of a larger object they stay as they are."""
+    thin = layouts.load("cylinder:rows=1,columns=8,radius_m=0.04,pitch_m=0.015")
+    large, small = (scenes.build(box(x, y), thin, 0.05) for x, y in ((0.08, 0.09), (0.02, 0.0225)))
+    assert large.symmetry == small.symmetry == 2
+    assert (large.cell, small.cell) == (0.002, 0.0005)
+    assert scenes.build(box(0.3, 0.3), thin, 0.05).cell == 0.002
+
+
 def test_a_handle_breaks_the_symmetry() -> None:
     handle = trimesh.creation.box((0.03, 0.01, 0.1))
     handle.apply_translation([0.085, -0.01, 0.05])

@@ -28,6 +28,7 @@ EXPERIMENTS = (
     "skins",
     "filter",
     "shipped",
+    "sizes",
     "stability",
     "push",
 )
@@ -126,7 +127,7 @@ def _doubt(args: argparse.Namespace, mesh: "trimesh.Trimesh", skin: "Layout") ->
 def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.filters import filter as filter_experiment
     from taxeld_training.filters import push as push_experiment
-    from taxeld_training.filters import shipped, skins, stability
+    from taxeld_training.filters import shipped, sizes, skins, stability
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import damage, evaluate, gallery
 
@@ -153,6 +154,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "skins": skins.run,
         "filter": filter_experiment.run,
         "shipped": shipped.run,
+        "sizes": sizes.run,
         "stability": stability.run,
         "push": push_experiment.run,
     }
@@ -245,12 +247,17 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     add(
         "--objects", default="", metavar="A,B",
-        help="default: the paper's ten; of shipped, skins, stability and push, box and mug",
+        help="default: the paper's ten; of shipped, sizes, skins, stability and push, box and mug",
     )  # fmt: skip
     add("--columns", default="", metavar="N,M", help="of the 5-row skins")
     add("--skin", metavar="LAYOUT", help="this layout in place of them")
     add("--workers", type=int, default=2, help="processes of one thread each")
-    add("--groups", default="", metavar="A,B", help="of samplers (analytic, npe, …), or proposals")
+    add(
+        "--groups",
+        default="",
+        metavar="A,B",
+        help="of samplers (analytic, npe, …), proposals, or conditions",
+    )
     add("--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training")
     add("--seeds", type=int, default=0, metavar="N", help="trials a cell of a filter experiment")
     add("--minutes", type=float, default=math.inf, help="begin nothing later; write what is done")

@@ -198,7 +198,7 @@ class Memory:
                 near.gx, near.gy, root[:pairs],
             )  # fmt: skip
             offset = readings.offset(np.repeat(variance[order[:about]], n))
-            depth[:pairs], added[: about * n] = offset
+            depth[:pairs], added[: about * n], _ = offset
         hidden = (HIDDEN / self._model.depth_max_m) * np.sqrt(variance)
         depth[pairs:] -= hidden.astype(np.float32).take(scan[pairs:])
         h = np.minimum(np.maximum(depth, 0.0), 1.0)

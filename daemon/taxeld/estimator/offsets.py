@@ -32,12 +32,12 @@ class Readings:
     gy: Grid
     root: Grid  # 1 / standard deviation of the reading; 0: it is not to be believed
 
-    def offset(self, variance: Floats) -> tuple[Grid, Floats]:
-        """Of rows (R,) whose offsets have these variances [m²] → the depth (P,) there, and log of
-        what the integral adds to the likelihood there (R,)."""
-        added = np.zeros(len(variance))
+    def offset(self, variance: Floats) -> tuple[Grid, Floats, Floats]:
+        """Of rows (R,) whose offsets have these variances [m²] → the depth (P,) there, log of what
+        the integral adds to the likelihood there (R,), and the length of the offset (R,) [m]."""
+        added, size_m = np.zeros((2, len(variance)))
         if not len(self.row):
-            return self.depth, added
+            return self.depth, added, size_m
         begins = np.flatnonzero(np.diff(self.row, prepend=-1))
         rows = self.row[begins]
         pairs = np.diff(begins, append=len(self.row))
@@ -64,4 +64,5 @@ class Readings:
             along = np.repeat(np.stack([x, y]).astype(np.float32), pairs, axis=1)
             off = away - ax * along[0] - ay * along[1]
         added[rows] = -0.5 * ((x * x + y * y) * precision + np.log(det / precision**2))
-        return self.depth + self.gx * along[0] + self.gy * along[1], added
+        size_m[rows] = np.hypot(x, y)
+        return self.depth + self.gx * along[0] + self.gy * along[1], added, size_m

@@ -70,6 +70,21 @@ def chosen(methods: Sequence[Method], proposals: Sequence[str]) -> list[Method]:
     return [method for method in methods if not proposals or method.proposal in proposals]
 
 
+def named(groups: Sequence[str], known: Iterable[str], beside: str = "") -> list[str]:
+    """Those of the known that the groups name, all if they name none; `beside` is one that is no
+    such name.
+
+    Raises:
+        SetupError: a name is not known.
+    """
+    order = list(known)
+    for name in groups:
+        if name not in order and name != beside:
+            there = ", ".join(each for each in (*order, beside) if each)
+            raise SetupError(f"--groups: no '{name}' here; there are {there}")
+    return [name for name in order if name in groups] or order
+
+
 def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Results]:
     """Results of cells, of as many trials of each as given, or as time allows.
 

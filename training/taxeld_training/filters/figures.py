@@ -25,11 +25,11 @@ def shares(results: Results, contact: int) -> dict[str, float | list[float] | No
     last = [trial[-1] for trial in trials]
     has_status = last[0].status is not None
     return {
-        **_share("success", [result.succeeded for result in last]),
+        **share("success", [result.succeeded for result in last]),
         "success_meant_rate": _rate([result.found_the_one_meant for result in last]),
         "flagged_rate": _rate([not r.converged for r in last]) if has_status else None,
-        **_share("silent_failure", [r.failed_silently for r in last] if has_status else []),
-        **_share(
+        **share("silent_failure", [r.failed_silently for r in last] if has_status else []),
+        **share(
             "silent_so_far",
             [any(r.failed_silently for r in trial) for trial in trials] if has_status else [],
         ),
@@ -57,7 +57,8 @@ def quantiles(values: Sequence[float], digits: int = 3) -> dict[str, float]:
     return {"q10": round(low, digits), "median": round(median, digits), "q90": round(high, digits)}
 
 
-def _share(name: str, rule: Sequence[bool]) -> dict[str, float | list[float] | None]:
+def share(name: str, rule: Sequence[bool]) -> dict[str, float | list[float] | None]:
+    """Of trials that obey a rule, with its interval; None of no trials."""
     if not rule:
         return {f"{name}_rate": None, f"{name}_ci": None}
     return {f"{name}_rate": _rate(rule), f"{name}_ci": rounded(of_share(rule))}

@@ -1,6 +1,7 @@
 """A filter run through a trial: its estimate after each touch, compared with the truth."""
 
 import math
+from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
 
@@ -9,15 +10,13 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.news import News
-from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import SILENT_MM, add_m
-from taxeld_training.filters import methods, pusher
+from taxeld_training.filters import gridded, methods, pusher
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.pusher import PushedTrial
 from taxeld_training.filters.trials import Moment, Trial
-from taxeld_training.limits.grid_filter import GridFilter
 
 OWN_SEEDS = 2**31  # added to a trial's seed: a filter must not draw what its trial drew
 
@@ -27,7 +26,7 @@ def follow(
 ) -> list[TouchResult]:
     """The result of each touch, of a method that assumes the object of `model`."""
     if proposal is None:
-        return _follow_grid(trial, model)
+        return _follow_grid(trial, model, method.touches)
     estimator = Estimator(model, proposal, method.config(OWN_SEEDS + trial.seed))
     found = []
     for _, moments in groupby(trial, key=lambda moment: moment.touch):
@@ -38,22 +37,17 @@ def follow(
     return found
 
 
-def _follow_grid(trial: Trial, model: ObservationModel) -> list[TouchResult]:
-    """The same of the grid filter, which learns from the scans that the estimator learns from."""
-    grid = GridFilter(model, methods.NOISE)
-    news = News(model.layout.radius_m)
+def _follow_grid(
+    trial: Trial, model: ObservationModel, touches: Sequence[int]
+) -> list[TouchResult]:
+    """The same of the grid filter, which looks after some of the touches, or after each."""
     found = []
-    for _, moments in groupby(trial, key=lambda moment: moment.touch):
-        for moment in moments:
-            read = moment.activation
-            scan = Observation(moment.sensor, read.z, read.live, read.floor, read.residue)
-            new = news.on_scan(read.t, scan)
-            if new is not None:
-                grid.update(new, touched=new.is_contact)
+    for moment, grid in gridded.after_touches(trial, model):
         peak = mean = meant = math.nan
-        if len(grid):
+        size = len(grid) if not touches or moment.touch + 1 in touches else 0
+        if size:
             peak, mean, meant = _errors(trial, model, moment, *grid.estimate())
-        found.append(TouchResult(peak, mean, None, len(grid), meant))
+        found.append(TouchResult(peak, mean, None, size, meant))
     return found
 
 

@@ -17,7 +17,11 @@ from taxeld_training.jobs.rows import GRID, SUCCESS_MM
 # what decides a filter's estimates in a trial; where it has particles, their samples as well
 ROOMS = ("taxeld.model", "taxeld.estimator", "taxeld_training.filters")
 DRAWN = ("taxeld.config.tables", "taxeld_training.models.dataset")
-GRIDS = ("taxeld_training.limits.grid_filter", "taxeld_training.limits.grid_cells")
+GRIDS = (
+    "taxeld_training.limits.grid_filter",
+    "taxeld_training.limits.grid_likelihood",
+    "taxeld_training.limits.grid_cells",
+)
 SAMPLES = ("taxeld.proposals",)
 
 NOISE = noise_of(FilterConfig())  # of the grid filter as well
@@ -31,11 +35,14 @@ class Method:
     injection: str = ""
     particles: int = 0
     particles_max: int = 0  # 0: no more than that
+    touches: tuple[int, ...] = ()  # after which the grid looks at the belief; none: after each
 
     @property
     def name(self) -> str:
         size = f"{self.particles}{f'..{self.particles_max}' if self.particles_max else ''}"
-        return "-".join(part for part in (self.proposal, self.injection, size) if part != "0")
+        looks = "+".join(map(str, self.touches))
+        parts = (self.proposal, self.injection, size, looks and f"after-{looks}")
+        return "-".join(part for part in parts if part not in ("0", ""))
 
     def config(self, seed: int, motion: str = FilterConfig().motion) -> FilterConfig:
         return FilterConfig(

@@ -37,6 +37,8 @@ Wanted: TypeAlias = tuple[Setting, str]  # a proposal of LEARNED, for an object 
 @lru_cache(maxsize=8)
 def shipped(setting: Setting) -> bundle.Bundle | None:
     """The bundle of the setting's object and skin, if one is shipped."""
+    if not setting.is_as_shipped:
+        return None
     layout = layouts.load(setting.skin)
     for path in sorted(Path(str(resources.files("taxeld") / "bundles")).iterdir()):
         try:

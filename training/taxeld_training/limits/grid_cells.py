@@ -57,12 +57,16 @@ class Cells:
         return np.asarray(mass / mass.sum())
 
     @property
+    def log_evidence(self) -> float:
+        """log of the scans' probability, averaged over the prior, up to a constant."""
+        log_mass = self.log_likelihood + self.log_effective_volume
+        return float(log_mass.max() + np.log(np.exp(log_mass - log_mass.max()).sum()))
+
+    @property
     def log_weight_max(self) -> Floats:
         """(n,) upper bound of the log of `weight`: as if all of a cell were its best pose."""
         log_volume = self.log_effective_volume
-        log_mass = self.log_likelihood + log_volume
-        total = log_mass.max() + np.log(np.exp(log_mass - log_mass.max()).sum())
-        return np.asarray(self.log_likelihood_max + log_volume - total)
+        return np.asarray(self.log_likelihood_max + log_volume - self.log_evidence)
 
     def joined(self, other: "Cells") -> "Cells":
         pairs = ((getattr(self, f.name), getattr(other, f.name)) for f in fields(self))
@@ -79,19 +83,21 @@ class Cells:
         return Cells.unweighed(mid, np.concatenate([edge, edge]), log_volume)
 
 
-def tile(model: ObservationModel) -> Cells:
-    """The first cells: every pose that presses the silhouette 0..δ_max deep is in one of them."""
+def tile(model: ObservationModel, margin_m: float = 0.0) -> Cells:
+    """The first cells: every pose that presses the silhouette 0..δ_max deep, or would if the skin
+    were up to `margin_m` elsewhere, is in one of them."""
     scene = model.scene
     ny, nx = scene.silhouette.shape
     x, y = (scene.origin[i] + scene.cell * np.arange(n) for i, n in enumerate((nx, ny)))
     contours = contourpy.contour_generator(x, y, scene.silhouette)
-    layers = max(round(model.depth_max_m / FIRST_DEEP_M), 1)
-    deep = model.depth_max_m / layers
+    depth_m = model.depth_max_m + 2.0 * margin_m
+    layers = max(round(depth_m / FIRST_DEEP_M), 1)
+    deep = depth_m / layers
     # Each depth has its own level set. The normals of a single curve would leave out a wedge at a
     # concave corner and crowd at a convex one.
     sheets = [
         _along(scene, np.asarray(loop, dtype=np.float64), radius, deep)
-        for radius in model.layout.radius_m - (np.arange(layers) + 0.5) * deep
+        for radius in model.layout.radius_m + margin_m - (np.arange(layers) + 0.5) * deep
         for loop in contours.lines(radius)
     ]
     turns = round(2.0 * np.pi / FIRST_RAD)

@@ -9,9 +9,10 @@ from shapely.geometry.base import BaseGeometry
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS, Scene
+from taxeld.model.symmetry import USUAL_RADIUS_M
 from taxeld_training.objects import meshes
 
-CELL_M = 0.002
+CELL_M = 0.002  # of an object of half the usual size or more; halved with each half of that
 GRAIN_M = 2.0**-16  # distances are kept to 15 µm: finer digits are noise and do not compress
 MARGIN_M = 0.025  # grid beyond the reach of the cylinder, so that uniform poses surround the object
 SLICE_STEP_M = 0.01  # heights nearer than this share a slice
@@ -20,7 +21,7 @@ OUTLINE_POINTS = 256
 SURFACE_POINTS_PER_SLICE = 64
 
 # An outline turned by less than these from itself counts as symmetric: a scan of a slightly leaning
-# box does, the handle of a mug does not.
+# box does, the handle of a mug does not. Of a smaller object less, as its cells are.
 SYMMETRY_RMS_M = 0.0015
 SYMMETRY_MAX_M = 0.005
 SYMMETRY_ORDERS = (12, 10, 9, 8, 7, 6, 5, 4, 3, 2)
@@ -41,14 +42,15 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
             f"outside the skin's {heights.min() + height_m:.3f}..{heights.max() + height_m:.3f} m; "
             "change --height-m"
         )
-    x, y, origin = _grid(union, layout.radius_m + MARGIN_M)
+    cell = CELL_M * fineness(union)
+    x, y, origin = _grid(union, layout.radius_m + MARGIN_M, cell)
     order, centre = symmetry(shapes, union)
     return Scene(
         slices=np.stack([_distance(shape, x, y) for shape in shapes]),
         silhouette=_distance(union, x, y),
         heights=heights,
         origin=origin,
-        cell=CELL_M,
+        cell=cell,
         outline=_around(_largest(union), OUTLINE_POINTS),
         surface=_surface(shapes, heights),
         symmetry=order,
@@ -78,19 +80,28 @@ def repairs(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[str]
     return found
 
 
+def fineness(union: BaseGeometry) -> float:
+    """1 for an object of half the usual size or more, 1/2 for one of a quarter or more, and so on:
+    the mean radius of its outline against that for which lengths are given."""
+    around = _around(_largest(union), OUTLINE_POINTS)
+    radius_m = float(np.linalg.norm(around - union.centroid.coords[0], axis=1).mean())
+    return float(2.0 ** min(np.ceil(np.log2(radius_m / USUAL_RADIUS_M)), 0.0))
+
+
 def symmetry(shapes: list[BaseGeometry], union: BaseGeometry) -> tuple[int, NDArray[np.float64]]:
     """Order of the rotation symmetry (CONTINUOUS, n, or 1) and its centre (2,)."""
     centre = np.array(union.centroid.coords[0])
-    if all(_same_when_turned(shapes, centre, angle) for angle in (2.0, 0.7, 0.3)):
+    fine = fineness(union)
+    if all(_same_when_turned(shapes, centre, angle, fine) for angle in (2.0, 0.7, 0.3)):
         return CONTINUOUS, centre
     for order in SYMMETRY_ORDERS:
-        if _same_when_turned(shapes, centre, 2.0 * np.pi / order):
+        if _same_when_turned(shapes, centre, 2.0 * np.pi / order, fine):
             return order, centre
     return 1, centre
 
 
 def _same_when_turned(
-    shapes: list[BaseGeometry], centre: NDArray[np.float64], angle: float
+    shapes: list[BaseGeometry], centre: NDArray[np.float64], angle: float, fine: float
 ) -> bool:
     c, s = np.cos(angle), np.sin(angle)
     gaps = []
@@ -101,7 +112,8 @@ def _same_when_turned(
         turned = (points - centre) @ np.array([[c, s], [-s, c]]) + centre
         gaps.append(shapely.distance(shape.boundary, shapely.points(turned)))
     gap = np.concatenate(gaps)
-    return bool(np.sqrt(np.mean(gap**2)) < SYMMETRY_RMS_M and gap.max() < SYMMETRY_MAX_M)
+    rms = float(np.sqrt(np.mean(gap**2)))
+    return bool(rms < fine * SYMMETRY_RMS_M and gap.max() < fine * SYMMETRY_MAX_M)
 
 
 def _heights(layout: Layout) -> NDArray[np.float64]:
@@ -117,11 +129,11 @@ def _heights(layout: Layout) -> NDArray[np.float64]:
 
 
 def _grid(
-    shape: BaseGeometry, margin: float
+    shape: BaseGeometry, margin: float, cell: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     x0, y0, x1, y1 = shape.bounds
-    xs = np.arange(x0 - margin, x1 + margin + CELL_M, CELL_M)
-    ys = np.arange(y0 - margin, y1 + margin + CELL_M, CELL_M)
+    xs = np.arange(x0 - margin, x1 + margin + cell, cell)
+    ys = np.arange(y0 - margin, y1 + margin + cell, cell)
     x, y = np.meshgrid(xs, ys)
     return x, y, np.array([xs[0], ys[0]])
 

@@ -28,12 +28,44 @@ class Setting:
     def name(self) -> str:
         return f"{Path(self.object).stem}-{self.columns or Path(self.skin).stem}"
 
+    @property
+    def is_as_shipped(self) -> bool:
+        """Whether a shipped bundle may be of it."""
+        return True
+
     def model(self) -> ObservationModel:
         skin = layouts.load(self.skin)
         mesh = meshes.load(meshes.find(self.object)[0])
         return ObservationModel(scenes.build(mesh, skin, HEIGHT_M), skin, DEPTH_MAX_M)
 
 
-def ring(columns: int) -> str:
-    """The paper's skin of 5 rows."""
-    return f"cylinder:rows=5,columns={columns},radius_m=0.04,pitch_m=0.015"
+@dataclass(frozen=True)
+class Sized(Setting):
+    """An object made larger or smaller, and touched at a height as much higher or lower, on a skin
+    of another full scale."""
+
+    scale: float = 1.0
+    depth_max_m: float = DEPTH_MAX_M
+
+    @property
+    def name(self) -> str:
+        size = f"x{self.scale:.4g}" if self.scale != 1.0 else ""
+        depth = f"deep{1e3 * self.depth_max_m:g}" if self.depth_max_m != DEPTH_MAX_M else ""
+        skin = self.skin.replace(":", "-").replace(",", "-").replace("=", "")
+        return "-".join(part for part in (Path(self.object).stem, size, depth, skin) if part)
+
+    @property
+    def is_as_shipped(self) -> bool:
+        return self.scale == 1.0 and self.depth_max_m == DEPTH_MAX_M
+
+    def model(self) -> ObservationModel:
+        skin = layouts.load(self.skin)
+        mesh = meshes.load(meshes.find(self.object)[0])
+        mesh.apply_scale(self.scale)
+        scene = scenes.build(mesh, skin, self.scale * HEIGHT_M)
+        return ObservationModel(scene, skin, self.depth_max_m)
+
+
+def ring(columns: int, radius_m: float = 0.04, pitch_m: float = 0.015) -> str:
+    """A skin of 5 rows; the paper's."""
+    return f"cylinder:rows=5,columns={columns},radius_m={radius_m:g},pitch_m={pitch_m:g}"

@@ -1,0 +1,271 @@
+"""How well the cells of the grid filter explain a scan: the filter's own likelihood, over extents.
+
+What a reading says of a pose is the estimator's: floors, full scale, residues of presses before,
+and an offset of each remembered scan's own, marginalised as `estimator.offsets` does. A cell adds
+an extent to that, over which its depths range.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from taxeld.arrays import Bools, Floats, Poses
+from taxeld.estimator.offsets import HIDDEN, Readings
+from taxeld.model import se2
+from taxeld.model.observation import BAND_M, Noise, Observation, ObservationModel, normal_cdf
+from taxeld_training.limits.grid_cells import Cells
+
+BLOCK = 1024  # cells weighed at once: their taxels stay in the cache
+
+
+class Evidence(NamedTuple):
+    """A scan, and how it counts."""
+
+    scan: Observation
+    share: float = 1.0  # of a contact's weight
+    variance_m2: float = 0.0  # of its offset, in each direction
+    touched: bool = True  # else it is silent
+
+
+class Pairs(NamedTuple):
+    """P pairs of a cell and a live taxel that some pose of it may press, in order of cells."""
+
+    cell: NDArray[np.intp]  # (P,)
+    taxel: NDArray[np.intp]  # (P,)
+    depth: Floats  # (P,) over δ_max, at the cell's midpoint; below 0 where it is not reached
+    fall: Floats  # (3, P) how much less of it there is along each of the cell's edges, ≤ 0
+    rise: Floats  # (3, P) how much more, ≥ 0
+    across: Floats  # (3, P) from end to end of each edge, with its sign
+    slope: Floats  # (2, P) by which depth grows with the sensor's x and y in the object's frame
+
+
+class Offset(NamedTuple):
+    """Of a block of cells: where a scan's own offset leaves the depths, and what that costs."""
+
+    depth: Floats  # (P,)
+    mean: Floats  # (n,) what the integral over it adds to a cell's log-likelihood
+    best: Floats  # (n,) the same for the cell's best pose, at most
+    precision: float  # 1 / variance [1/m²]; inf: there is none
+
+
+class CellLikelihood:
+    """How well the poses of a cell explain a scan.
+
+    The depth at a taxel is looked up at the ends of the cell's three middle lines, which gives its
+    range within the cell. For the mean over the cell the range widens the noise; for the best pose
+    a reading within it is matched exactly. So no cell is judged by a peak that its midpoint misses,
+    and where extents are small both are the likelihood itself.
+    """
+
+    def __init__(self, model: ObservationModel, noise: Noise) -> None:
+        self._model, self._noise = model, noise
+        scene = model.scene
+        self._flat = scene.slices.ravel()
+        self._slice = scene.slice_of(model.layout) * scene.silhouette.size
+        pair = np.minimum(scene.slices[:, :, :-1], scene.slices[:, :, 1:])
+        lowest = np.full_like(scene.slices, np.inf)  # of a grid cell's corners
+        lowest[:, :-1, :-1] = np.minimum(pair[:, :-1], pair[:, 1:])
+        self._lowest = lowest.ravel()
+        self._union = lowest.min(axis=0).ravel()  # of all slices
+
+    def add(self, cells: Cells, scans: Sequence[Evidence], first: Poses) -> None:
+        """Add the likelihood of scans to the cells; `first` is the sensor's pose (3,) at the touch
+        that the cells tile."""
+        for each in scans:
+            scan = each.scan
+            sensor = se2.compose(se2.inverse(first), scan.sensor)
+            taxel = se2.apply(sensor, self._model.layout.position_m[:, :2])
+            silent = np.where(
+                scan.live,
+                self._noise.log_density(scan.z, np.zeros(1), scan.floor, scan.residue),
+                0.0,
+            )
+            total = each.share * float(silent.sum())
+            cells.log_likelihood += total
+            cells.log_likelihood_max += total
+            near = self._near(cells, sensor[:2], taxel, _band_m(each))
+            for begin in range(0, len(near), BLOCK):
+                self._add_block(cells, near[begin : begin + BLOCK], each, taxel, silent)
+
+    def _near(self, cells: Cells, sensor: Floats, taxel: Floats, band_m: float) -> NDArray[np.intp]:
+        """The cells of which some pose may press a taxel, or come within the band of it."""
+        scene = self._model.scene
+        c, s = np.cos(cells.mid[:, 2]), np.sin(cells.mid[:, 2])
+        u = (c * sensor[0] + s * sensor[1] + cells.mid[:, 0] - scene.origin[0]) / scene.cell
+        v = (c * sensor[1] - s * sensor[0] + cells.mid[:, 1] - scene.origin[1]) / scene.cell
+        skin_m = float(np.linalg.norm(taxel - sensor, axis=1).max())
+        reach_m = _reach_m(cells.edge, float(np.hypot(*taxel.T).max()))
+        apart = self._union.take(self._corner(u, v)[0]) - skin_m - reach_m
+        return np.flatnonzero(apart < band_m)
+
+    def _add_block(
+        self, cells: Cells, block: NDArray[np.intp], each: Evidence, taxel: Floats, silent: Floats
+    ) -> None:
+        """The same of a scan and some of the cells, for taxels at (M, 2) whose log-likelihood is
+        `silent` (M,) where nothing presses them."""
+        scan = each.scan
+        mid, edge = cells.mid[block], cells.edge[block]
+        pairs = self._pairs(mid, edge, taxel, scan.live, _band_m(each))
+        z, unpressed = scan.z[pairs.taxel], silent[pairs.taxel]
+        floor = np.broadcast_to(scan.floor, len(scan.z))[pairs.taxel]
+        residue = np.broadcast_to(scan.residue, len(scan.z))[pairs.taxel]
+
+        def of_cells(values: Floats) -> Floats:
+            return np.asarray(np.bincount(pairs.cell, values, len(mid)), dtype=np.float64)
+
+        reach_m = _reach_m(edge, float(np.hypot(*taxel.T).max()))
+        offset = self._offset(pairs, z, floor, residue, each, reach_m)
+        pairs = pairs._replace(depth=offset.depth)
+        best = of_cells(self._best(pairs, z, floor, residue) - unpressed) + offset.best
+        cells.log_likelihood_max[block] += each.share * best
+        mean, told = self._mean(pairs, z, floor, residue)
+        gain = of_cells(mean - unpressed) + offset.mean
+        cells.log_likelihood[block] += each.share * gain
+        cells.information[block] += each.share * _information(pairs, told, offset, of_cells)
+
+    def _offset(
+        self, pairs: Pairs, z: Floats, floor: Floats, residue: Floats, each: Evidence,
+        reach_m: Floats,
+    ) -> Offset:  # fmt: skip
+        """The scan's own offset, of cells whose poses are at most reach_m (n,) from the middle."""
+        none, variance = np.zeros(len(reach_m)), each.variance_m2
+        if not variance:
+            return Offset(pairs.depth, none, none, np.inf)
+        if not each.touched:  # what presses deeper than the offset may have hidden
+            hidden = HIDDEN * np.sqrt(variance) / self._model.depth_max_m
+            return Offset(pairs.depth - hidden, none, none, np.inf)
+        extent = ((pairs.rise - pairs.fall) ** 2).sum(axis=0) / 12.0
+        readings = Readings(
+            pairs.cell,
+            *(
+                values.astype(np.float32)
+                for values in (
+                    np.where(z > 0.0, z, floor),
+                    np.where(z < 1.0, -np.inf, 0.0),
+                    np.where(z > 0.0, np.inf, 0.0),
+                    pairs.depth,
+                    *pairs.slope,
+                    1.0 / np.sqrt(self._noise.variance(z) + residue**2 + extent),
+                )
+            ),
+        )
+        depth, added, off_m = readings.offset(np.full(len(reach_m), variance))
+        # the best pose of the cell needs less of an offset, by as much as it is off the middle
+        less = off_m**2 - np.maximum(off_m - reach_m, 0.0) ** 2
+        return Offset(
+            np.asarray(depth, dtype=np.float64), added, added + 0.5 * less / variance, 1 / variance
+        )
+
+    def _best(self, pairs: Pairs, z: Floats, floor: Floats, residue: Floats) -> Floats:
+        """Log density (P,) of readings z (P,) at the nearest depth within the cell."""
+        depth, fall, rise = pairs.depth, pairs.fall, pairs.rise
+        ends = np.clip([depth + fall.sum(axis=0), depth + rise.sum(axis=0)], 0.0, 1.0)
+        return self._noise.log_density(z, np.clip(z, *ends), floor, residue)
+
+    def _mean(
+        self, pairs: Pairs, z: Floats, floor: Floats, residue: Floats
+    ) -> tuple[Floats, Floats]:
+        """Log density (P,) of readings z (P,) over the cell, and how much each tells of its depth
+        (P,): Fisher's information."""
+        change = pairs.rise - pairs.fall
+        middle = pairs.depth + 0.5 * (pairs.fall + pairs.rise).sum(axis=0)
+        spread = 0.5 * np.sqrt((change**2).sum(axis=0))
+        low, high = np.clip([middle - spread, middle + spread], 0.0, 1.0)
+        h, within = 0.5 * (low + high), (high - low) ** 2 / 12.0  # mean and variance of the range
+        variance = self._noise.variance(h) + residue**2
+        off = (np.where(z > 0.0, z, floor) - h) / np.sqrt(variance + within)
+        # no information where clipping flattens a reading
+        share = 3.0 * within / np.maximum(spread**2, 1e-30)
+        return self._noise.log_of(z, off, variance), share / variance * _told(z, off)
+
+    def _pairs(self, mid: Floats, edge: Floats, taxel: Floats, live: Bools, band_m: float) -> Pairs:
+        """The pairs of n cells, midpoints (n, 3) and edges (n, 3, 3), and live taxels (M, 2)."""
+        scene = self._model.scene
+        reach = _reach_m(edge, float(np.hypot(*taxel.T).max())) + band_m
+        # in grid cells: a taxel stands at axis + R(−θ) p in the object's frame
+        edge = edge / np.array([scene.cell, scene.cell, 1.0])
+        axis = (mid[:, :2] - scene.origin) / scene.cell
+        c, s = np.cos(mid[:, 2]), np.sin(mid[:, 2])
+        point = np.vstack([taxel.T / scene.cell, np.ones(len(taxel))])
+        u = np.column_stack([c, s, axis[:, 0]]) @ point  # (n, M)
+        v = np.column_stack([-s, c, axis[:, 1]]) @ point
+        lowest = self._lowest.take(self._corner(u, v)[0] + self._slice)
+        row, i = np.nonzero((lowest < reach[:, None]) & live)
+        u, v, of = u[row, i], v[row, i], self._slice[i]
+        depth, slope = self._depth(u, v, of), self._slope(u, v, of)
+        half = 0.5 * edge[row].transpose(1, 2, 0)  # (3, 3, P)
+        eu = half[:, 0] + half[:, 2] * (v - axis[row, 1])
+        ev = half[:, 1] - half[:, 2] * (u - axis[row, 0])
+        ends = np.stack([self._depth(u + eu, v + ev, of), self._depth(u - eu, v - ev, of)])
+        change = ends - depth
+        fall, rise = change.min(axis=0).clip(max=0.0), change.max(axis=0).clip(min=0.0)
+        return Pairs(row, i, depth, fall, rise, ends[0] - ends[1], slope)
+
+    def _depth(self, u: Floats, v: Floats, of: NDArray[np.intp]) -> Floats:
+        """Depth over δ_max at points of the grid, in the slices that begin at `of`."""
+        nx = self._model.scene.silhouette.shape[1]
+        corner, u, v = self._corner(u, v)
+        corner += of
+        d00, d01 = self._flat.take(corner), self._flat.take(corner + 1)
+        d10, d11 = self._flat.take(corner + nx), self._flat.take(corner + nx + 1)
+        low, high = d00 + (d01 - d00) * u, d10 + (d11 - d10) * u
+        return np.asarray((low + (high - low) * v) * (-1.0 / self._model.depth_max_m))
+
+    def _slope(self, u: Floats, v: Floats, of: NDArray[np.intp]) -> Floats:
+        """(2, P) by which that depth grows along the grid's x and y [1/m]."""
+        nx = self._model.scene.silhouette.shape[1]
+        corner, u, v = self._corner(u, v)
+        corner += of
+        d00, d01 = self._flat.take(corner), self._flat.take(corner + 1)
+        d10, d11 = self._flat.take(corner + nx), self._flat.take(corner + nx + 1)
+        x = (d01 - d00) * (1.0 - v) + (d11 - d10) * v
+        y = (d10 - d00) * (1.0 - u) + (d11 - d01) * u
+        return np.stack([x, y]) * (-1.0 / (self._model.scene.cell * self._model.depth_max_m))
+
+    def _corner(self, u: Floats, v: Floats) -> tuple[NDArray[np.intp], Floats, Floats]:
+        """Index into a slice of the grid cell that holds each point, and where in it. Outside the
+        grid the nearest border value stands."""
+        ny, nx = self._model.scene.silhouette.shape
+        u, v = np.clip(u, 0.0, nx - 1.001), np.clip(v, 0.0, ny - 1.001)
+        iu, iv = u.astype(np.intp), v.astype(np.intp)
+        return iv * nx + iu, u - iu, v - iv
+
+
+def _band_m(each: Evidence) -> float:
+    """How far a taxel that matters may be from being pressed."""
+    return BAND_M if each.touched and each.variance_m2 else 0.0
+
+
+def _reach_m(edge: Floats, far_m: float) -> Floats:
+    """(n,) how far points at most `far_m` from the touch's axis move between the middle of cells
+    with edges (n, 3, 3) and their farthest poses."""
+    way = 0.5 * np.hypot(edge[:, :, 0], edge[:, :, 1]) + 0.5 * far_m * np.abs(edge[:, :, 2])
+    return np.asarray(way.sum(axis=1))
+
+
+def _information(
+    pairs: Pairs, told: Floats, offset: Offset, of_cells: Callable[[Floats], Floats]
+) -> Floats:
+    """(n, 3) Fisher's along each edge, times the variance within the cell, of pairs that tell so
+    much of their depths (P,): less what the scan's offset explains as well (Schur)."""
+    change, across = pairs.rise - pairs.fall, pairs.across / np.sqrt(12.0)
+    own = np.stack([of_cells(c * c / 12.0 * told) for c in change], axis=1)
+    if np.isinf(offset.precision):
+        return own
+    gx, gy = pairs.slope
+    xx, xy, yy = (of_cells(g * told) for g in (gx * gx, gx * gy, gy * gy))
+    xx, yy = xx + offset.precision, yy + offset.precision
+    bx, by = (np.stack([of_cells(a * g * told) for a in across], axis=1) for g in (gx, gy))
+    det = (xx * yy - xy * xy)[:, None]
+    shared = (yy[:, None] * bx**2 - 2.0 * xy[:, None] * bx * by + xx[:, None] * by**2) / det
+    return np.maximum(own - shared, 0.0)
+
+
+def _told(z: Floats, off: Floats) -> Floats:
+    """The share of a reading's information that is left where it is reported as 0 or as 1: the
+    curvature of the logarithm of the normal distribution function."""
+    x = np.where(z > 0.0, -off, off)
+    ratio = np.exp(-0.5 * x * x) / np.sqrt(2.0 * np.pi) / normal_cdf(x)
+    return np.where((z > 0.0) & (z < 1.0), 1.0, np.clip(ratio * (ratio + x), 0.0, 1.0))
