@@ -25,7 +25,7 @@ def excess(memory: Memory, belief: Belief) -> Floats:
     """(K,) nats by which each remembered scan deviates more than is allowed; above 0: no pose that
     is believed explains it."""
     allowed = MOST + MOST_TAXEL * memory.pressed
-    return np.asarray(_deviance(memory, belief) - allowed)
+    return np.asarray(deviance(memory, belief) - allowed)
 
 
 def refutes_prior(memory: Memory, belief: Belief) -> bool:
@@ -41,11 +41,11 @@ def is_excessive(memory: Memory, belief: Belief) -> bool:
     pass: a wrong object of about the right shape."""
     contact = memory.contact
     contacts, taxels = int(np.count_nonzero(contact)), float(memory.pressed[contact].sum())
-    deviance = float(_deviance(memory, belief)[contact].sum())
+    deviant = float(deviance(memory, belief)[contact].sum())
     usual = USUAL * contacts + USUAL_TAXEL * taxels
-    return contacts > 1 and deviance > usual + USUAL_SPREAD * math.sqrt(taxels)
+    return contacts > 1 and deviant > usual + USUAL_SPREAD * math.sqrt(taxels)
 
 
-def _deviance(memory: Memory, belief: Belief) -> Floats:
-    """(K,) nats."""
+def deviance(memory: Memory, belief: Belief) -> Floats:
+    """(K,) nats of each remembered scan."""
     return np.asarray(memory.ceiling - belief.weight @ memory.of_scans(belief.remembered))

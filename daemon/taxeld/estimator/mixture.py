@@ -272,13 +272,17 @@ class Mixture:
                 return
 
     def _begin_with(self, kept: Bools, samples: Poses) -> Parts[bool]:
-        """Whether some pose explains all of these scans; if so, nothing else is remembered."""
+        """Whether some pose explains all of these scans, and the belief does so far worse; if so,
+        nothing else is remembered."""
         recent = self.memory.only(kept, prior=False)
         opinion = yield from self._opinion(samples, recent, len(recent) - 1)
         if consistency.excess(recent, opinion).max() > 0.0:
             return False
         if consistency.is_excessive(recent, opinion):
             return False
+        lost = consistency.deviance(self.memory, self.belief)[kept].sum()
+        if lost - consistency.deviance(recent, opinion).sum() <= consistency.MOST:
+            return False  # a few scans are explained by more poses than all are, and no better
         self.counters.forgotten += 1
         self.memory = recent
         yield from self._become(opinion, moves=MOVES)

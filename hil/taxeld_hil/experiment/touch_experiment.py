@@ -110,7 +110,8 @@ def summary(runs: list[TouchRun]) -> list[dict[str, Any]]:
 
 def lines(rows: list[dict[str, Any]]) -> Iterator[str]:
     """The summary as a Markdown table."""
-    after = [f"median (p90) mm, < 5 mm after {n}" for n in AFTER]
+    noted = [name.removeprefix("after_") for name in rows[0]["error_mm"]]
+    after = [f"median (p90) mm, < 5 mm after {n}" for n in noted]
     head = ["skin, object", *after, "felt in the air", "light ones missed", "silent"]
     yield "| " + " | ".join(head) + " |"
     yield "|---" * len(head) + "|"

@@ -19,7 +19,7 @@ from taxeld_hil.world.touches import Touch, Touches
 
 PRESSES = 10
 PAIRS = 4  # of a press and a light one, after them
-AFTER = (3, 6, 10)  # touches, errors are noted
+AFTER = (3, 6, 8, 10)  # touches, errors are noted
 RATE_HZ = 40.0  # ticks, where none is late: as the soak's
 SAME_S = 1e-4  # a reading and its truth are of one scan
 
