@@ -120,7 +120,7 @@ def test_a_run_is_determined_by_its_seed() -> None:
 
 def run_of(seed: int, error: float) -> TouchRun:
     return TouchRun(
-        "box", "poor", seed, [50.0, error, 1.0], [False, True, True], scans=500, air=300,
+        "box", "poor", seed, [50.0, error, 2.0, 1.0], [False, *[True] * 3], scans=500, air=300,
         felt_in_air=50, contacts=10, silent_episodes=seed == 3, light=4, missed=seed,
     )  # fmt: skip
 
@@ -135,7 +135,9 @@ def test_the_summary_is_of_the_runs() -> None:
     assert row["light_missed"] == pytest.approx(6.0 / 16.0)
     assert row["runs_with_a_silent_failure"] == 0.25
     (line,) = list(touch_experiment.lines([row]))[2:]
-    assert line.startswith("| poor, box | 50 (50), 0% | 4.5 (8.1), 50% | 1 (1), 100% | 10.0% |")
+    assert line.startswith(
+        "| poor, box | 50 (50), 0% | 4.5 (8.1), 50% | 2 (2), 100% | 1 (1), 100% |"
+    )
 
 
 def test_the_command_goes_on_from_what_it_remembers(
