@@ -280,9 +280,12 @@ class Mixture:
             return False
         if consistency.is_excessive(recent, opinion):
             return False
-        lost = consistency.deviance(self.memory, self.belief)[kept].sum()
-        if lost - consistency.deviance(recent, opinion).sum() <= consistency.MOST:
-            return False  # a few scans are explained by more poses than all are, and no better
+        lost = consistency.deviance(self.memory, self.belief)[kept] - consistency.deviance(
+            recent, opinion
+        )
+        # a few contacts are explained by more poses than all are: by far, or not at all
+        if lost.sum() <= consistency.MOST * np.count_nonzero(recent.contact):
+            return False
         self.counters.forgotten += 1
         self.memory = recent
         yield from self._become(opinion, moves=MOVES)
