@@ -6,7 +6,7 @@ an extent to that, over which its depths range.
 """
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,24 +205,24 @@ class CellLikelihood:
 
     def _depth(self, u: Floats, v: Floats, of: NDArray[np.intp]) -> Floats:
         """Depth over δ_max at points of the grid, in the slices that begin at `of`."""
-        nx = self._model.scene.silhouette.shape[1]
-        corner, u, v = self._corner(u, v)
-        corner += of
-        d00, d01 = self._flat.take(corner), self._flat.take(corner + 1)
-        d10, d11 = self._flat.take(corner + nx), self._flat.take(corner + nx + 1)
+        d00, d01, d10, d11, u, v = self._corners(u, v, of)
         low, high = d00 + (d01 - d00) * u, d10 + (d11 - d10) * u
         return np.asarray((low + (high - low) * v) * (-1.0 / self._model.depth_max_m))
 
     def _slope(self, u: Floats, v: Floats, of: NDArray[np.intp]) -> Floats:
         """(2, P) by which that depth grows along the grid's x and y [1/m]."""
-        nx = self._model.scene.silhouette.shape[1]
-        corner, u, v = self._corner(u, v)
-        corner += of
-        d00, d01 = self._flat.take(corner), self._flat.take(corner + 1)
-        d10, d11 = self._flat.take(corner + nx), self._flat.take(corner + nx + 1)
+        d00, d01, d10, d11, u, v = self._corners(u, v, of)
         x = (d01 - d00) * (1.0 - v) + (d11 - d10) * v
         y = (d10 - d00) * (1.0 - u) + (d11 - d01) * u
         return np.stack([x, y]) * (-1.0 / (self._model.scene.cell * self._model.depth_max_m))
+
+    def _corners(self, u: Floats, v: Floats, of: NDArray[np.intp]) -> tuple[Any, ...]:
+        """The distances at the four corners of the grid cell that holds each point, and where in it
+        the point is."""
+        nx = self._model.scene.silhouette.shape[1]
+        corner, u, v = self._corner(u, v)
+        at = of + corner
+        return (*(self._flat.take(at + step) for step in (0, 1, nx, nx + 1)), u, v)
 
     def _corner(self, u: Floats, v: Floats) -> tuple[NDArray[np.intp], Floats, Floats]:
         """Index into a slice of the grid cell that holds each point, and where in it. Outside the
