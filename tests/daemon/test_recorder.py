@@ -76,9 +76,11 @@ def serve(hub: VirtualHub, until: Callable[[], bool]) -> None:
 
 
 def recorded_bytes(out: Path) -> int:
-    """As they went over the wire; those of the host's few requests as well."""
+    """As they went over the wire, and dated; those of the host's few requests as well."""
     if (out / session.SERIAL).exists():
-        return (out / session.SERIAL).stat().st_size
+        # bytes are written before the rows that date them: those before the last row's are whole
+        whole = (out / session.SERIAL_TIMES).read_text(encoding="ascii").split("\n")[:-1]
+        return int(whole[-1].split(",")[1]) if len(whole) > 1 else 0
     if not (out / session.FRAMES).exists():
         return 0
     lines = (out / session.FRAMES).read_text(encoding="ascii").splitlines()
