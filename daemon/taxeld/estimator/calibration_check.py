@@ -39,8 +39,9 @@ SCALE_MOST = np.log(1.6)  # of the factor's logarithm: responses differ by up to
 MOUNT_MOST_M, YAW_MOST = 0.002, np.radians(2.0)
 TOUCH_MOST = 30.0  # nats that a touch may cost: one in the air is no evidence of anything
 BEYOND = 0.05  # of what it would cost beyond: one pose that misses it is still nearer
-MOUNT_NATS = 22.0  # the same, for a mount: on a rough skin its gains imitate one, up to 20
-CERTAIN_NATS = 10.0  # by which touches are likelier than with a right calibration, the best aside
+# by which touches are likelier than with a right calibration, the best aside: a rough skin's gains
+# imitate a mount by up to 20, and a mug believed in a wrong place another full scale by 16
+CERTAIN_NATS = 22.0
 SWAPPED_NATS = 30.0  # by which two modules' readings are likelier in each other's place
 NAMES = 16  # that a module's taxels can have
 
@@ -241,8 +242,6 @@ class CalibrationCheck:
             return Suspect.NONE
         if abs(x[0]) > SCALE_MOST:
             return Suspect.SCALE
-        if self.doubt.nats < MOUNT_NATS:
-            return Suspect.NONE
         off = np.hypot(x[1], x[2]) > MOUNT_MOST_M or abs(x[3]) > YAW_MOST
         return Suspect.MOUNT if off else Suspect.NONE
 
