@@ -126,7 +126,8 @@ def test_a_run_is_determined_by_its_seed() -> None:
 def run_of(seed: int, error: float) -> TouchRun:
     return TouchRun(
         "box", "poor", seed, [50.0, error, 20.0, 1.0], [False, *[True] * 3],
-        [0.5, None, 2.0 * seed, None], scans=500, air=300, felt_in_air=50, contacts=10, silent_episodes=seed == 3, light=4, missed=seed,
+        [0.5, None, 2.0 * seed, None], scans=500, air=300, felt_in_air=50, contacts=10,
+        silent_episodes=seed == 3, light=4, missed=seed,
     )  # fmt: skip
 
 
@@ -154,9 +155,9 @@ def test_a_truth_that_the_filter_has_missed_is_told_from_one_that_touches_do_not
         sensor = touched.path.at(float(np.mean(touch.held_s)))
         z = model.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0]
         made.on_scan(Activation(float(k), z, z >= 0.0), sensor)
-    made.estimate = replace(made.estimate, map=TRUTH + [0.05, 0.0, 1.0])
+    made.estimate = replace(made.estimate, map=TRUTH + np.array([0.05, 0.0, 1.0]))
     assert truth_nats(made, TRUTH) > OVERLOOKED_NATS
-    made.estimate = replace(made.estimate, map=TRUTH + [0.002, 0.0, 0.02])
+    made.estimate = replace(made.estimate, map=TRUTH + np.array([0.002, 0.0, 0.02]))
     assert abs(truth_nats(made, TRUTH)) < 1.0
 
 
