@@ -16,6 +16,7 @@ from typing import Any
 
 import zmq
 
+from taxeld.arrays import Poses
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
@@ -258,7 +259,7 @@ class Daemon:
         if outcome.is_used or self._is_news(outcome.estimate):
             self._send_estimate(self._estimate(now_s), lat_us, now_s)
         if outcome.activation is not None:
-            self._send_activation(outcome.activation, now_s)
+            self._send_activation(outcome.activation, outcome.sensor, now_s)
         self.latencies.add(lat_us)
         self._began_ns = time.perf_counter_ns()
         self._before_us, self._publish_us = 0.0, (self._began_ns - begin) / 1000.0
@@ -285,10 +286,12 @@ class Daemon:
         )
         self.publisher.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
 
-    def _send_activation(self, activation: Activation, now_s: float) -> None:
+    def _send_activation(
+        self, activation: Activation, sensor: Poses | None, now_s: float
+    ) -> None:
         t, publisher = activation.t, self.publisher
         if publisher.wants(messages.TAXELS):
-            publisher.send(messages.TAXELS, messages.taxels(activation, self._seq), t)
+            publisher.send(messages.TAXELS, messages.taxels(activation, sensor, self._seq), t)
         due = self.pipeline.estimate.contact and now_s >= self._next_particles_s
         if due and publisher.wants(messages.PARTICLES):
             self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
@@ -335,6 +338,7 @@ class Daemon:
         pipeline = self.pipeline
         poses = self.pose_input.counters if self.pose_input else PoseCounters()
         control = self.control.counters if self.control else ControlCounters()
+        pose_age_s = t - pipeline.poses.latest_t
         parts = {
             "uptime_s": now_s - self._start_s,
             "loop": self.counters,
@@ -353,7 +357,8 @@ class Daemon:
                 "poses_malformed": poses.malformed,
                 "poses_oversized": poses.oversized,
                 "scans_stale": pipeline.freshness.is_silent(now_s),
-                "poses_stale": t - pipeline.poses.latest_t > pipeline.poses.max_age_s,
+                "poses_stale": pose_age_s > pipeline.poses.max_age_s,
+                "pose_age_s": pose_age_s if math.isfinite(pose_age_s) else 0.0,
             },
             "control": control,
             "recording": self._recorder.counters if self._recorder else RecordCounters(),

@@ -11,6 +11,7 @@ from taxeld import __version__
 from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.layout.layout import Layout
+from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.scene import Scene
 from taxeld.proposals.ladder import Step
@@ -64,11 +65,13 @@ def particles(t: float, seq: int, pose: Poses, weight: Poses) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def taxels(activation: Activation, seq: int) -> dict[str, Any]:
-    """`/taxeld/taxels`."""
+def taxels(activation: Activation, sensor: Poses | None, seq: int) -> dict[str, Any]:
+    """`/taxeld/taxels`; `sensor` (3,) is None where it is not known."""
+    placed = sensor is not None
     return {
         "v": VERSION, "seq": seq, "t": activation.t,
         "z": activation.z.tolist(), "live": activation.live.tolist(),
+        "placed": placed, "sensor": _pose(sensor if placed else se2.IDENTITY),
     }  # fmt: skip
 
 
