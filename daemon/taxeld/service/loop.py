@@ -286,9 +286,7 @@ class Daemon:
         )
         self.publisher.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
 
-    def _send_activation(
-        self, activation: Activation, sensor: Poses | None, now_s: float
-    ) -> None:
+    def _send_activation(self, activation: Activation, sensor: Poses | None, now_s: float) -> None:
         t, publisher = activation.t, self.publisher
         if publisher.wants(messages.TAXELS):
             publisher.send(messages.TAXELS, messages.taxels(activation, sensor, self._seq), t)

@@ -67,11 +67,10 @@ def particles(t: float, seq: int, pose: Poses, weight: Poses) -> dict[str, Any]:
 
 def taxels(activation: Activation, sensor: Poses | None, seq: int) -> dict[str, Any]:
     """`/taxeld/taxels`; `sensor` (3,) is None where it is not known."""
-    placed = sensor is not None
     return {
         "v": VERSION, "seq": seq, "t": activation.t,
         "z": activation.z.tolist(), "live": activation.live.tolist(),
-        "placed": placed, "sensor": _pose(sensor if placed else se2.IDENTITY),
+        "placed": sensor is not None, "sensor": _pose(se2.IDENTITY if sensor is None else sensor),
     }  # fmt: skip
 
 
