@@ -172,8 +172,9 @@ def _watch(args: argparse.Namespace) -> int:
 
 def _draw(args: argparse.Namespace) -> int:
     from taxeld_hil.run.draw import draw
+    from taxeld_hil.run.picture import picture
 
-    draw(args.session, args.out)
+    (picture if args.moments else draw)(args.session, args.out)
     print(args.out)
     return 0
 
@@ -490,7 +491,12 @@ def _add_parts(commands: Commands) -> None:
 
     draw = command(
         commands, "draw", "Draw the contacts of a recorded session.",
-        "taxeld-hil draw session --out contacts.png", run=_draw,
+        "taxeld-hil draw session --out contacts.png",
+        "taxeld-hil draw session --moments --out found.png", run=_draw,
+    )  # fmt: skip
+    draw.add_argument(
+        "--moments", action="store_true",
+        help="instead: four moments, from no touch to the object found",
     )  # fmt: skip
     draw.add_argument("session", type=Path)
     draw.add_argument("--out", type=Path, required=True)

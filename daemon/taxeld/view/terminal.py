@@ -62,7 +62,7 @@ class Page:
         return Group(*lines)
 
     def _title(self, now_s: float) -> Text:
-        text = Text("taxeld ", style="bold", no_wrap=True, overflow="ellipsis")
+        text = Text("taxeld ", style="bold")
         if self.stage is not None:
             text.append(f"{self.stage.object}  ", style="default")
         if not self.last:
@@ -99,7 +99,7 @@ class Page:
         e, health = self.last[messages.ESTIMATE], self.last.get(messages.HEALTH)
         rows = [
             _row("rates", f"{scans:.1f} scans/s, {estimates:.1f} estimates/s"),
-            _row("age", f"{e['age_us'] / 1e3:.1f} ms from the scan to its estimate"),
+            _row("age", f"{e['age_us'] / 1e3:.1f} ms since the scan"),
         ]
         if health is None:
             return [*rows, _row("health", "not heard yet; it comes once a second")]
