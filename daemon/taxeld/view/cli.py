@@ -2,9 +2,10 @@
 
 import argparse
 import signal
+from collections.abc import Callable
 from pathlib import Path
 
-from taxeld.command_line import Commands, command
+from taxeld.command_line import FAILED, Commands, command
 from taxeld.config.endpoints import for_this_user
 from taxeld.config.file import load
 from taxeld.config.tables import PublishConfig
@@ -12,7 +13,28 @@ from taxeld.errors import SetupError
 
 
 def add(commands: Commands) -> None:
-    """`watch` and `export`."""
+    """`view`, `watch` and `export`."""
+    view = command(
+        commands, "view", "Show a running daemon or a session in three dimensions, with plots.",
+        "taxeld view", "taxeld view can0.toml", "taxeld view session --save session.rrd",
+        run=_view,
+    )  # fmt: skip
+    view.add_argument(
+        "source", type=Path, nargs="?", metavar="CONFIG|SESSION",
+        help="of a running daemon, which adds the object's slices, or recorded",
+    )  # fmt: skip
+    view.add_argument("--endpoint", help="where the daemon or its relay publishes")
+    view.add_argument(
+        "--keys", type=Path, metavar="DIR", help="with server.key and client.key_secret"
+    )
+    view.add_argument(
+        "--truth", type=float, nargs=3, metavar=("X", "Y", "YAW"),
+        help="where the object stands [m, m, rad], for its error; needs CONFIG",
+    )  # fmt: skip
+    where = view.add_mutually_exclusive_group()
+    where.add_argument("--save", type=Path, metavar="FILE", help="into an .rrd file, no viewer")
+    where.add_argument("--web", action="store_true", help="serve it to a browser of this machine")
+
     watch = command(
         commands, "watch", "Show what a running daemon feels and believes, in the terminal.",
         "taxeld watch", "taxeld watch can0.toml",
@@ -40,14 +62,46 @@ def _add_endpoint(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _view(args: argparse.Namespace) -> int:
+    import numpy as np
+
+    from taxeld.view import view
+    from taxeld.view.recorded import Recording
+    from taxeld.view.stage import from_config
+
+    def say(line: str) -> None:
+        print(line, flush=True)
+
+    source, target = args.source, view.Target(args.save, args.web)
+    if source is not None and (source.is_dir() or not source.exists()):
+        if args.endpoint or args.keys or args.truth:
+            raise SetupError("--endpoint, --keys, --truth: are for a running daemon")
+        recording = Recording(source)
+        view.recorded(recording.stage, iter(recording), target, say, _stopping())
+        return 0
+    known = None
+    if source is not None:
+        known = from_config(load(source), args.truth and np.array(args.truth))
+    elif args.truth:
+        raise SetupError("--truth: needs CONFIG, which names the object")
+    args.config = source
+    shown = view.live(_endpoint(args), args.keys, known, target, say, _stopping())
+    return 0 if shown else FAILED
+
+
 def _watch(args: argparse.Namespace) -> int:
     from taxeld.view.watch import watch
 
+    watch(_endpoint(args), args.keys, _stopping())
+    return 0
+
+
+def _stopping() -> Callable[[], bool]:
+    """What tells whether a signal asked for the end."""
     stopped: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda got, _: stopped.append(got))
-    watch(_endpoint(args), args.keys, lambda: bool(stopped))
-    return 0
+    return lambda: bool(stopped)
 
 
 def _export(args: argparse.Namespace) -> int:

@@ -14,6 +14,7 @@ from rich.text import Text
 from taxeld.arrays import Floats
 from taxeld.estimator.estimate import Status
 from taxeld.stream import messages
+from taxeld.view.colour import plasma
 from taxeld.view.stage import Message, Stage, from_info
 
 COLUMNS, ROWS, MODES = 24, 8, 5  # of the skin's map, and modes shown
@@ -25,7 +26,6 @@ COLOURS = {
     Status.STARTING: "cyan", Status.BLIND: "magenta", Status.STALE: "red",
     Status.INCONSISTENT: "red",
 }  # fmt: skip
-PLASMA = ((13, 8, 135), (126, 3, 168), (204, 71, 120), (248, 149, 64), (240, 249, 33))
 
 
 @dataclass
@@ -175,15 +175,9 @@ def _cell(z: float, live: bool, width: int) -> tuple[str, Style]:
         return f"{'x':^{width}s}", Style(color="red")
     if z == 0.0:
         return f"{'·':^{width}s}", Style(dim=True)
-    r, g, b = (round(c) for c in _plasma(z))
+    r, g, b = plasma(np.array([z]))[0]
     ink = "black" if z > 0.5 else "white"
     return f"{min(int(10 * z), 9):^{width}d}", Style.parse(f"{ink} on rgb({r},{g},{b})")
-
-
-def _plasma(z: float) -> tuple[float, ...]:
-    at = min(max(z, 0.0), 1.0) * (len(PLASMA) - 1)
-    i = min(int(at), len(PLASMA) - 2)
-    return tuple(a + (at - i) * (b - a) for a, b in zip(PLASMA[i], PLASMA[i + 1], strict=True))
 
 
 def _row(name: str, text: str) -> Text:

@@ -96,7 +96,7 @@ def legend(truth: bool) -> list[Line2D]:
         "object, true": TRUTH, "object, estimated": FOUND, "object, by each particle": MAYBE,
         "link, seen from above": LINK,
     }  # fmt: skip
-    return [Line2D([], [], label=name, **style)  # type: ignore[arg-type]
+    return [Line2D([], [], label=name, **style)
             for name, style in kinds.items() if truth or style is not TRUTH]  # fmt: skip
 
 

@@ -1,0 +1,181 @@
+"""What is seen in three dimensions, beside plots of the same time: the streams as Rerun's entities.
+
+| entity | what it is |
+|---|---|
+| `world/link`, `world/link/skin`, `world/link/pressed` | the link where the robot says it is, its taxels by activation, those that are pressed |
+| `world/object`, `world/modes`, `world/particles`, `world/truth` | the object's slices at the likeliest pose, its outline at each mode, an arrow for each particle, where it truly stands |
+| `status/now`, `status/log` | the status and what it rests on; its changes |
+| `plot/belief`, `plot/spread`, `plot/error`, `plot/latency` | the heaviest mode's weight; standard deviations; ADD against the truth; time of each stage |
+"""  # noqa: E501
+
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from taxeld.arrays import Floats, Poses
+from taxeld.model import se2
+from taxeld.stream import messages
+from taxeld.view.colour import QUIET, of_taxels
+from taxeld.view.stage import Message, Stage, pose_of
+
+TIME = "scan"  # the time line: Unix time of the measurement
+TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii
+ARROW_M = 0.02
+FOUND, MODE, PARTICLE, TRUTH = (214, 39, 40), (31, 119, 180), (120, 170, 220), (240, 240, 240)
+ABOVE_M = 0.02  # of the link, beyond the highest and the lowest taxel
+SPREADS = ("x_mm", "y_mm", "yaw_deg")
+
+
+class Space:
+    """The entities of one recording stream."""
+
+    def __init__(self, stage: Stage, stream: rr.RecordingStream) -> None:
+        self._stage, self._stream = stage, stream
+        self._status: int | None = None
+        self._outline = max((line for _, line in stage.slices), key=len)
+        self._middle_m = float(np.mean([height for height, _ in stage.slices]))
+        self._draw_what_stays()
+
+    def take(self, message: Message) -> None:
+        """One of the streams' maps; those of other topics are left out."""
+        topic, m = message
+        takes = {
+            messages.TAXELS: self._taxels,
+            messages.ESTIMATE: self._estimate,
+            messages.PARTICLES: self._particles,
+        }.get(topic)
+        if takes is not None and m["t"]:  # nothing was measured before the first scan
+            self._stream.set_time(TIME, timestamp=m["t"])
+            takes(m)
+
+    def _log(self, entity: str, thing: Any, *, static: bool = False) -> None:
+        self._stream.log(entity, thing, static=static)
+
+    def _draw_what_stays(self) -> None:
+        stage = self._stage
+        z = stage.position_m[:, 2]
+        self._log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        body = rr.Cylinders3D(
+            lengths=[float(np.ptp(z)) + 2.0 * ABOVE_M],
+            radii=[0.97 * stage.radius_m],
+            centers=[[0.0, 0.0, float(z.mean())]],
+            colors=[(90, 90, 90)],
+            fill_mode="solid",
+        )
+        self._log("world/link/body", body, static=True)
+        skin = rr.Points3D(stage.position_m, radii=TAXEL_M, colors=QUIET)
+        self._log("world/link/skin", skin, static=False)
+        slices = [_at(line, height) for height, line in stage.slices]
+        drawn = rr.LineStrips3D(slices, colors=FOUND, radii=LINE_M)
+        self._log("world/object/slices", drawn, static=True)
+        if stage.truth is not None:
+            lines = [_at(se2.apply(stage.truth, line), height) for height, line in stage.slices]
+            self._log("world/truth", rr.LineStrips3D(lines, colors=TRUTH, radii=LINE_M / 2),
+                      static=True)  # fmt: skip
+        for name in messages.STAGES:
+            self._log(f"plot/latency/{name}", rr.SeriesLines(names=f"{name} [ms]"), static=True)
+
+    def _taxels(self, m: dict[str, Any]) -> None:
+        z, live = np.array(m["z"], dtype=float), np.array(m["live"], dtype=bool)
+        position = self._stage.position_m
+        if len(z) != len(position):  # of another skin: its info has not come yet
+            return
+        if m["placed"]:
+            self._place("world/link", pose_of(m["sensor"]))
+        colours, pressed = of_taxels(z, live), z > 0.0
+        self._log("world/link/skin", rr.Points3D(position, radii=TAXEL_M, colors=colours))
+        felt = rr.Points3D(position[pressed], radii=PRESSED_M, colors=colours[pressed])
+        self._log("world/link/pressed", felt)
+
+    def _estimate(self, e: dict[str, Any]) -> None:
+        known = bool(e["valid"])
+        modes = e["modes"] if known else []
+        self._place("world/object", pose_of(e["map"]) if known else None)
+        lines = [_at(se2.apply(pose_of(one), self._outline), self._middle_m) for one in modes]
+        colours = [(*MODE, round(255 * max(one["weight"], 0.15))) for one in modes]
+        self._log("world/modes", rr.LineStrips3D(lines, colors=colours, radii=LINE_M))
+        self._figures(e)
+        self._told(e)
+
+    def _figures(self, e: dict[str, Any]) -> None:
+        if e["valid"]:
+            self._log("plot/belief/heaviest", rr.Scalars(e["modes"][0]["weight"]))
+            sd = np.sqrt(np.maximum(np.diag(np.array(e["cov"], dtype=float)), 0.0))
+            for name, value in zip(SPREADS, sd * (1e3, 1e3, np.degrees(1.0)), strict=True):
+                self._log(f"plot/spread/{name}", rr.Scalars(float(value)))
+        error_mm = self._stage.error_mm(e)
+        if error_mm is not None:
+            self._log("plot/error/add_mm", rr.Scalars(error_mm))
+        if e["lat_us"].get("skin"):
+            for name in messages.STAGES:
+                self._log(f"plot/latency/{name}", rr.Scalars(e["lat_us"].get(name, 0.0) / 1e3))
+
+    def _told(self, e: dict[str, Any]) -> None:
+        status = self._stage.name("status", e["status"])
+        pose, error_mm = e["map"], self._stage.error_mm(e)
+        rows = [
+            ("valid", e["valid"]), ("touching", e["contact"]),
+            ("contacts", e.get("contacts", 0)),
+            ("x, y", f"{1e3 * pose['x']:.1f} mm, {1e3 * pose['y']:.1f} mm"),
+            ("yaw", f"{np.degrees(pose['theta']):.1f}°"),
+            ("modes", " ".join(f"{mode['weight']:.0%}" for mode in e["modes"])),
+            ("effective particles", f"{e['ess']:.0f}"),
+        ]  # fmt: skip
+        if error_mm is not None:
+            rows.append(("error (ADD)", f"{error_mm:.1f} mm"))
+        text = "\n".join(
+            [f"# {status}", "| | |", "|---|---|", *(f"| {k} | {v} |" for k, v in rows)]
+        )
+        self._log("status/now", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+        if e["status"] != self._status:
+            self._status = e["status"]
+            self._log("status/log", rr.TextLog(f"{status}, contacts {e.get('contacts', 0)}"))
+
+    def _particles(self, m: dict[str, Any]) -> None:
+        pose = np.array(m["xytheta"], dtype=float).reshape(-1, 3)
+        middle = self._outline.mean(axis=0)
+        origin = np.array([se2.apply(one, middle[None])[0] for one in pose]).reshape(-1, 2)
+        vector = ARROW_M * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+        arrows = rr.Arrows3D(origins=_at(origin, self._middle_m), vectors=_at(vector, 0.0),
+                             colors=PARTICLE, radii=LINE_M)  # fmt: skip
+        self._log("world/particles", arrows)
+
+    def _place(self, entity: str, pose: Poses | None) -> None:
+        """Move an entity; what has no pose is made too small to be seen."""
+        if pose is None:
+            self._log(entity, rr.Transform3D(scale=1e-6))
+            return
+        x, y, theta = map(float, pose)
+        turned = rr.RotationAxisAngle(axis=(0.0, 0.0, 1.0), radians=theta)
+        self._log(entity, rr.Transform3D(translation=(x, y, 0.0), rotation=turned, scale=1.0))
+
+
+def blueprint() -> rrb.Blueprint:
+    """The scene, with the plots beside it on the same time line."""
+    plots = [
+        rrb.TimeSeriesView(origin=f"/plot/{name}", name=title)
+        for name, title in (
+            ("error", "error: ADD [mm]"), ("spread", "spread: 1 sd [mm, °]"),
+            ("belief", "weight of the heaviest mode"), ("latency", "latency of a scan [ms]"),
+        )
+    ]  # fmt: skip
+    told = rrb.Tabs(
+        rrb.TextDocumentView(origin="/status/now", name="status"),
+        rrb.TextLogView(origin="/status/log", name="changes"),
+    )
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Spatial3DView(origin="/world", name="skin and object"),
+            rrb.Vertical(told, *plots, row_shares=[2, 1, 1, 1, 1]),
+            column_shares=[2, 1],
+        ),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _at(points: Floats, height_m: float) -> Floats:
+    """(n, 3) of points (n, 2) at a height."""
+    return np.column_stack([points, np.full(len(points), height_m)])
