@@ -1,6 +1,7 @@
 """The commands of this room: their arguments, and what they run."""
 
 import argparse
+import math
 import signal
 from collections.abc import Callable
 from pathlib import Path
@@ -31,6 +32,13 @@ def add(commands: Commands) -> None:
         "--truth", type=float, nargs=3, metavar=("X", "Y", "YAW"),
         help="where the object stands [m, m, rad], for its error; needs CONFIG",
     )  # fmt: skip
+    view.add_argument(
+        "--seconds",
+        type=float,
+        default=math.inf,
+        metavar="S",
+        help="so long alone, from the first scan",
+    )
     where = view.add_mutually_exclusive_group()
     where.add_argument("--save", type=Path, metavar="FILE", help="into an .rrd file, no viewer")
     where.add_argument("--web", action="store_true", help="serve it to a browser of this machine")
@@ -77,7 +85,7 @@ def _view(args: argparse.Namespace) -> int:
         if args.endpoint or args.keys or args.truth:
             raise SetupError("--endpoint, --keys, --truth: are for a running daemon")
         recording = Recording(source)
-        view.recorded(recording.stage, iter(recording), target, say, _stopping())
+        view.recorded(recording.stage, iter(recording), target, say, _stopping(), args.seconds)
         return 0
     known = None
     if source is not None:
@@ -85,7 +93,7 @@ def _view(args: argparse.Namespace) -> int:
     elif args.truth:
         raise SetupError("--truth: needs CONFIG, which names the object")
     args.config = source
-    shown = view.live(_endpoint(args), args.keys, known, target, say, _stopping())
+    shown = view.live(_endpoint(args), args.keys, known, target, say, _stopping(), args.seconds)
     return 0 if shown else FAILED
 
 

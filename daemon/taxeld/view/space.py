@@ -17,23 +17,28 @@ import rerun.blueprint as rrb
 from taxeld.arrays import Floats, Poses
 from taxeld.model import se2
 from taxeld.stream import messages
-from taxeld.view.colour import QUIET, of_taxels
+from taxeld.view.colour import of_taxels
 from taxeld.view.stage import Message, Stage, pose_of
 
 TIME = "scan"  # the time line: Unix time of the measurement
 TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii
 ARROW_M = 0.02
-FOUND, MODE, PARTICLE, TRUTH = (214, 39, 40), (31, 119, 180), (120, 170, 220), (240, 240, 240)
-ABOVE_M = 0.02  # of the link, beyond the highest and the lowest taxel
+FOUND, MODE, PARTICLE, TRUTH = (230, 60, 60), (70, 150, 255), (130, 180, 230), (240, 240, 240)
+EYE_M = (0.0, -0.35, 0.5)  # from what is looked at
+ABOVE_M = 0.01  # of the link, beyond the highest and the lowest taxel
 SPREADS = ("x_mm", "y_mm", "yaw_deg")
 
 
 class Space:
     """The entities of one recording stream."""
 
-    def __init__(self, stage: Stage, stream: rr.RecordingStream) -> None:
+    def __init__(self, stage: Stage, stream: rr.RecordingStream, *, is_live: bool) -> None:
+        """`is_live`: scans have latencies, as those of a session have not."""
         self._stage, self._stream = stage, stream
         self._status: int | None = None
+        self._begun = False
+        self._is_live = is_live
+        self._arrange(None)
         self._outline = max((line for _, line in stage.slices), key=len)
         self._middle_m = float(np.mean([height for height, _ in stage.slices]))
         self._draw_what_stays()
@@ -65,8 +70,6 @@ class Space:
             fill_mode="solid",
         )
         self._log("world/link/body", body, static=True)
-        skin = rr.Points3D(stage.position_m, radii=TAXEL_M, colors=QUIET)
-        self._log("world/link/skin", skin, static=False)
         slices = [_at(line, height) for height, line in stage.slices]
         drawn = rr.LineStrips3D(slices, colors=FOUND, radii=LINE_M)
         self._log("world/object/slices", drawn, static=True)
@@ -84,6 +87,9 @@ class Space:
             return
         if m["placed"]:
             self._place("world/link", pose_of(m["sensor"]))
+            if not self._begun:  # now it is known where there is something to see
+                self._begun = True
+                self._arrange(pose_of(m["sensor"]))
         colours, pressed = of_taxels(z, live), z > 0.0
         self._log("world/link/skin", rr.Points3D(position, radii=TAXEL_M, colors=colours))
         felt = rr.Points3D(position[pressed], radii=PRESSED_M, colors=colours[pressed])
@@ -94,7 +100,7 @@ class Space:
         modes = e["modes"] if known else []
         self._place("world/object", pose_of(e["map"]) if known else None)
         lines = [_at(se2.apply(pose_of(one), self._outline), self._middle_m) for one in modes]
-        colours = [(*MODE, round(255 * max(one["weight"], 0.15))) for one in modes]
+        colours = [(*MODE, round(255 * max(one["weight"], 0.4))) for one in modes]
         self._log("world/modes", rr.LineStrips3D(lines, colors=colours, radii=LINE_M))
         self._figures(e)
         self._told(e)
@@ -116,7 +122,7 @@ class Space:
         status = self._stage.name("status", e["status"])
         pose, error_mm = e["map"], self._stage.error_mm(e)
         rows = [
-            ("valid", e["valid"]), ("touching", e["contact"]),
+            ("valid", _yes(e["valid"])), ("touching", _yes(e["contact"])),
             ("contacts", e.get("contacts", 0)),
             ("x, y", f"{1e3 * pose['x']:.1f} mm, {1e3 * pose['y']:.1f} mm"),
             ("yaw", f"{np.degrees(pose['theta']):.1f}°"),
@@ -125,9 +131,7 @@ class Space:
         ]  # fmt: skip
         if error_mm is not None:
             rows.append(("error (ADD)", f"{error_mm:.1f} mm"))
-        text = "\n".join(
-            [f"# {status}", "| | |", "|---|---|", *(f"| {k} | {v} |" for k, v in rows)]
-        )
+        text = "\n\n".join([f"# {status}", *(f"**{name}** {value}" for name, value in rows)])
         self._log("status/now", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
         if e["status"] != self._status:
             self._status = e["status"]
@@ -142,6 +146,11 @@ class Space:
                              colors=PARTICLE, radii=LINE_M)  # fmt: skip
         self._log("world/particles", arrows)
 
+    def _arrange(self, look_at: Poses | None) -> None:
+        has_errors = self._stage.scene is not None and self._stage.truth is not None
+        made = blueprint(errors=has_errors, latencies=self._is_live, look_at=look_at)
+        self._stream.send_blueprint(made)
+
     def _place(self, entity: str, pose: Poses | None) -> None:
         """Move an entity; what has no pose is made too small to be seen."""
         if pose is None:
@@ -152,25 +161,40 @@ class Space:
         self._log(entity, rr.Transform3D(translation=(x, y, 0.0), rotation=turned, scale=1.0))
 
 
-def blueprint() -> rrb.Blueprint:
-    """The scene, with the plots beside it on the same time line."""
-    plots = [
-        rrb.TimeSeriesView(origin=f"/plot/{name}", name=title)
-        for name, title in (
-            ("error", "error: ADD [mm]"), ("spread", "spread: 1 sd [mm, °]"),
-            ("belief", "weight of the heaviest mode"), ("latency", "latency of a scan [ms]"),
-        )
+def _yes(flag: bool) -> str:
+    return "yes" if flag else "no"
+
+
+def blueprint(*, errors: bool, latencies: bool, look_at: Poses | None) -> rrb.Blueprint:
+    """The scene, with the plots beside it on the same time line; the eye is above a pose."""
+    eye = None
+    if look_at is not None:
+        target = np.array([look_at[0], look_at[1], 0.0])
+        eye = rrb.EyeControls3D(position=target + EYE_M, look_target=target)
+    lines = [
+        ("spread", "spread: 1 sd of x, y [mm], yaw [°]"), ("belief", "weight of the heaviest mode"),
     ]  # fmt: skip
+    lines += [("error", "error: ADD [mm]")] * errors
+    lines += [("latency", "latency of a scan, by stage [ms]")] * latencies
+    plots = [
+        rrb.TimeSeriesView(
+            origin=f"/plot/{name}",
+            name=title,
+            plot_legend=rrb.PlotLegend(visible=name == "latency"),
+        )
+        for name, title in lines
+    ]
     told = rrb.Tabs(
         rrb.TextDocumentView(origin="/status/now", name="status"),
         rrb.TextLogView(origin="/status/log", name="changes"),
     )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Spatial3DView(origin="/world", name="skin and object"),
-            rrb.Vertical(told, *plots, row_shares=[2, 1, 1, 1, 1]),
+            rrb.Spatial3DView(origin="/world", name="skin and object", eye_controls=eye),
+            rrb.Vertical(told, *plots, row_shares=[2] + [1] * len(plots)),
             column_shares=[2, 1],
         ),
+        rrb.TimePanel(timeline=TIME, play_state="following", state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )

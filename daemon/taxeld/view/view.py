@@ -1,11 +1,13 @@
 """`taxeld view`: streams or a session in Rerun's viewer, in a browser, or into a file."""
 
+import math
 import os
 import shutil
 import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 
 import rerun as rr
@@ -14,7 +16,7 @@ from taxeld.commands.unanswered import unanswered
 from taxeld.errors import SetupError
 from taxeld.stream import messages
 from taxeld.view.live import Streams
-from taxeld.view.space import Space, blueprint
+from taxeld.view.space import Space
 from taxeld.view.stage import Message, Stage, from_info
 
 ANSWER_S = 5.0  # in which a daemon that is there has said who it is
@@ -39,7 +41,6 @@ class Target:
     def open(self) -> tuple[rr.RecordingStream, str]:
         """What takes entities, and a line on where they are seen."""
         stream = rr.RecordingStream("taxeld")
-        stream.send_blueprint(blueprint())
         if self.save is not None:
             try:
                 self.save.open("wb").close()  # else the fault is told by another thread
@@ -57,10 +58,10 @@ class Target:
 
 def live(
     endpoint: str, keys: Path | None, known: Stage | None, target: Target,
-    say: Callable[[str], None], stopping: Callable[[], bool],
+    say: Callable[[str], None], stopping: Callable[[], bool], seconds: float = math.inf,
 ) -> bool:  # fmt: skip
-    """Show a daemon's streams until `stopping`; → whether there was one. `known`: more than the
-    streams tell, the slices and the truth.
+    """Show a daemon's streams until `stopping`, or for `seconds`; → whether there was one. `known`:
+    more than the streams tell, the slices and the truth.
 
     Raises:
         SetupError: nothing can be shown, the endpoint is none, or a stream of another version.
@@ -83,23 +84,24 @@ def live(
                 f"{endpoint}: its skin has {len(stage.position_m)} taxels, that of the "
                 f"configuration {len(known.position_m)}; name the daemon's own"
             )
+        stage = known or stage
         stream, line = target.open()
         say(line)
-        space = Space(known or stage, stream)
-        for message in heard:
+        space, until = Space(stage, stream, is_live=True), _Until(seconds)
+        for message in chain(heard, _heard(streams, stopping)):
+            if until.over(message):
+                break
             space.take(message)
-        while not stopping():
-            for message in streams.wait(LOOK_S):
-                space.take(message)
         stream.flush()
     return True
 
 
 def recorded(
     stage: Stage, recording: Iterator[Message], target: Target, say: Callable[[str], None],
-    stopping: Callable[[], bool],
+    stopping: Callable[[], bool], seconds: float = math.inf,
 ) -> None:  # fmt: skip
-    """Show a session, as fast as it is replayed; in a browser until `stopping`.
+    """Show a session, or its first `seconds`, as fast as it is replayed; in a browser until
+    `stopping`.
 
     Raises:
         SetupError: nothing can be shown, or the session is damaged.
@@ -108,20 +110,40 @@ def recorded(
     stream, line = target.open()
     if not target.save:
         say(line)
-    space, some = Space(stage, stream), False
+    space, until = Space(stage, stream, is_live=False), _Until(seconds)
     for message in recording:
-        if stopping():
+        if stopping() or until.over(message):
             break
         space.take(message)
-        some = True
     stream.flush()
-    if not some:
+    if until.begun is None:
         raise SetupError("view: the session holds no scan after the idle baseline")
     if target.save:
         stream.disconnect()
         say(line)
     while target.web and not stopping():
         time.sleep(LOOK_S)
+
+
+class _Until:
+    """The end of so many seconds, by the times of the scans."""
+
+    def __init__(self, seconds: float) -> None:
+        self._seconds = seconds
+        self.begun: float | None = None
+
+    def over(self, message: Message) -> bool:
+        t = message[1].get("t", 0.0)
+        if message[0] != messages.ESTIMATE or not t:
+            return False
+        if self.begun is None:
+            self.begun = t
+        return bool(t - self.begun > self._seconds)
+
+
+def _heard(streams: Streams, stopping: Callable[[], bool]) -> Iterator[Message]:
+    while not stopping():
+        yield from streams.wait(LOOK_S)
 
 
 def _has_screen() -> bool:
