@@ -74,27 +74,27 @@ def _view(args: argparse.Namespace) -> int:
     import numpy as np
 
     from taxeld.view import view
-    from taxeld.view.recorded import Recording
     from taxeld.view.stage import from_config
 
     def say(line: str) -> None:
         print(line, flush=True)
 
-    source, target = args.source, view.Target(args.save, args.web)
-    if source is not None and (source.is_dir() or not source.exists()):
+    source, truth = args.source, args.truth and np.array(args.truth)
+    if not args.seconds > 0.0:
+        raise SetupError("--seconds: must be more than 0")
+    shown = view.Shown(args.save, args.web, args.seconds, _stopping(), say)
+    if source is not None and (source.is_dir() or source.suffix != ".toml"):
         if args.endpoint or args.keys or args.truth:
-            raise SetupError("--endpoint, --keys, --truth: are for a running daemon")
-        recording = Recording(source)
-        view.recorded(recording.stage, iter(recording), target, say, _stopping(), args.seconds)
+            raise SetupError(
+                "--endpoint, --keys, --truth: are for a running daemon, not for a session"
+            )
+        view.recorded(source, shown)
         return 0
-    known = None
-    if source is not None:
-        known = from_config(load(source), args.truth and np.array(args.truth))
-    elif args.truth:
+    if truth is not None and source is None:
         raise SetupError("--truth: needs CONFIG, which names the object")
+    known = None if source is None else from_config(load(source), truth)
     args.config = source
-    shown = view.live(_endpoint(args), args.keys, known, target, say, _stopping(), args.seconds)
-    return 0 if shown else FAILED
+    return 0 if view.live(_endpoint(args), args.keys, known, shown) else FAILED
 
 
 def _watch(args: argparse.Namespace) -> int:

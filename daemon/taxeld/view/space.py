@@ -24,7 +24,7 @@ TIME = "scan"  # the time line: Unix time of the measurement
 TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii
 ARROW_M = 0.02
 FOUND, MODE, PARTICLE, TRUTH = (230, 60, 60), (70, 150, 255), (130, 180, 230), (240, 240, 240)
-EYE_M = (0.0, -0.35, 0.5)  # from what is looked at
+EYE_M = (0.08, -0.24, 0.3)  # from what is looked at
 ABOVE_M = 0.01  # of the link, beyond the highest and the lowest taxel
 SPREADS = ("x_mm", "y_mm", "yaw_deg")
 
@@ -67,7 +67,7 @@ class Space:
             radii=[0.97 * stage.radius_m],
             centers=[[0.0, 0.0, float(z.mean())]],
             colors=[(90, 90, 90)],
-            fill_mode="solid",
+            fill_mode="majorwireframe",
         )
         self._log("world/link/body", body, static=True)
         slices = [_at(line, height) for height, line in stage.slices]
