@@ -38,9 +38,7 @@ def export(directory: Path, out: Path, config: Path | None = None) -> dict[str, 
         with beside.open("wb") as file:
             written = _write(recording, Writer(file))
         if not written:
-            raise SetupError(
-                f"{directory}: holds no scan after the idle baseline, so there is nothing to export"
-            )
+            raise SetupError(f"{directory}: holds no scan, so there is nothing to export")
         beside.replace(out)
     except OSError as error:
         raise SetupError(f"--mcap: cannot write {out} ({error.strerror})") from None

@@ -42,7 +42,7 @@ class Recording:
         )  # fmt: skip
 
     def __iter__(self) -> Iterator[Message]:
-        """Of each scan from the end of the idle baseline on: taxels, estimate, particles.
+        """Of each scan: taxels, estimate, particles, those that it has.
 
         Raises:
             SetupError: the session is damaged.

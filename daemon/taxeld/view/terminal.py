@@ -18,6 +18,7 @@ from taxeld.view.colour import plasma
 from taxeld.view.stage import Message, Stage, from_info
 
 COLUMNS, ROWS, MODES = 24, 8, 5  # of the skin's map, and modes shown
+CELL = 3  # characters a taxel
 RATE_S = 3.0  # over which rates are counted
 SILENT_S = 2.0  # after which what is shown is called old
 ALIKE_M, ALIKE_RAD = 0.001, 0.01  # taxels so near in height or angle stand in one row or column
@@ -143,16 +144,15 @@ class SkinMap:
         if taxels is not None and len(taxels["z"]) == len(self._row):
             np.maximum.at(z, (self._row, self._column), np.array(taxels["z"], dtype=float))
             np.logical_or.at(live, (self._row, self._column), np.array(taxels["live"], dtype=bool))
-        width = 78 // columns if columns > 26 else 3
         lines = []
         for r in range(rows):
-            edge = {0: f"{self._high_mm:+.0f}", rows - 1: f"{self._low_mm:+.0f}"}.get(r, "")
+            edge = {0: f"{self._high_mm:+.0f}mm", rows - 1: f"{self._low_mm:+.0f}mm"}.get(r, "")
             text = Text(f"{edge:>5s} ", style="dim")
             for c in range(columns):
-                text.append(*_cell(float(z[r, c]), bool(live[r, c]), width))
+                text.append(*_cell(float(z[r, c]), bool(live[r, c])))
             lines.append(text)
-        under = " " * 6 + f"{'0°':<{columns * width // 2}s}180°"
-        return [*lines, Text(under + "   z [mm]; digit: tenths of full scale", style="dim")]
+        under = " " * 6 + f"{'0°':<{columns * CELL // 2}s}180°"
+        return [*lines, Text(under + "   0..9: tenths of full scale", style="dim")]
 
 
 def _places(values: Floats, alike: float, most: int) -> tuple[NDArray[np.intp], int]:
@@ -168,16 +168,16 @@ def _places(values: Floats, alike: float, most: int) -> tuple[NDArray[np.intp], 
     return np.minimum((share * most).astype(np.intp), most - 1), most
 
 
-def _cell(z: float, live: bool, width: int) -> tuple[str, Style]:
+def _cell(z: float, live: bool) -> tuple[str, Style]:
     if z < 0.0:  # no taxel stands there, or nothing was heard
-        return " " * width, Style()
+        return " " * CELL, Style()
     if not live:
-        return f"{'x':^{width}s}", Style(color="red")
+        return f"{'x':^{CELL}s}", Style(color="red")
     if z == 0.0:
-        return f"{'·':^{width}s}", Style(dim=True)
+        return f"{'·':^{CELL}s}", Style(dim=True)
     r, g, b = plasma(np.array([z]))[0]
     ink = "black" if z > 0.5 else "white"
-    return f"{min(int(10 * z), 9):^{width}d}", Style.parse(f"{ink} on rgb({r},{g},{b})")
+    return f"{min(int(10 * z), 9):^{CELL}d}", Style.parse(f"{ink} on rgb({r},{g},{b})")
 
 
 def _row(name: str, text: str) -> Text:

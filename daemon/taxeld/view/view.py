@@ -108,7 +108,7 @@ def recorded(directory: Path, shown: Shown) -> None:
     """
     recording = Recording(directory)
     if not shown.show(recording.stage, recording, is_live=False) and not shown.stopping():
-        raise SetupError(f"{directory}: holds no scan after the idle baseline")
+        raise SetupError(f"{directory}: holds no scan to show")
 
 
 class _Until:

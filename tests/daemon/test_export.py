@@ -1,0 +1,186 @@
+"""What is exported for ROS 2 is what the replay says, read by another's reader."""
+
+import shutil
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from taxeld.cli import main
+from taxeld.config import file as config_file
+from taxeld.errors import SetupError
+from taxeld.stream import messages
+from taxeld.view.recorded import Recording
+
+from .recorded import configuration, write_session
+
+pytest.importorskip("mcap_ros2")
+highlevel = pytest.importorskip("rosbags.highlevel")
+typesys = pytest.importorskip("rosbags.typesys")
+
+from taxeld.view import export, ros_types  # noqa: E402
+
+SESSION = Path(__file__).parent / "session"  # four contacts of a mug
+Heard = dict[str, list[Any]]
+
+
+@pytest.fixture(scope="module")
+def said() -> dict[bytes, list[dict[str, Any]]]:
+    """What a replay says, by topic."""
+    found: dict[bytes, list[dict[str, Any]]] = {}
+    for topic, message in Recording(SESSION):
+        found.setdefault(topic, []).append(message)
+    return found
+
+
+@pytest.fixture(scope="module")
+def heard(tmp_path_factory: pytest.TempPathFactory) -> Heard:
+    """What rosbags reads of the file, by topic."""
+    place = tmp_path_factory.mktemp("export")
+    shutil.copytree(SESSION, place / "session")
+    (place / "session" / "truth.csv").write_text("t,x,y,theta\n1,0.1,0.2,0.5\n", encoding="ascii")
+    assert main(["export", str(place / "session"), "--mcap", str(place / "run.mcap")]) == 0
+    assert [p.name for p in place.iterdir() if p.is_file()] == ["run.mcap"]
+    found: Heard = {}
+    for connection, t_ns, message in read(place / "run.mcap"):
+        assert connection.msgtype == export.TYPES[connection.topic].replace("/", "/msg/")
+        found.setdefault(connection.topic, []).append((t_ns, message))
+    return found
+
+
+def read(path: Path) -> Iterator[tuple[Any, int, Any]]:
+    with highlevel.AnyReader([path]) as reader:
+        for connection, t_ns, raw in reader.messages():
+            yield connection, t_ns, reader.deserialize(raw, connection.msgtype)
+
+
+def yaw(orientation: Any) -> float:
+    assert orientation.x == orientation.y == 0.0
+    return 2.0 * float(np.arctan2(orientation.z, orientation.w))
+
+
+def test_poses_are_mean_and_covariance_of_the_valid_estimates(
+    heard: Heard, said: dict[bytes, list[dict[str, Any]]]
+) -> None:
+    valid = [e for e in said[messages.ESTIMATE] if e["valid"]]
+    assert len(heard["/taxeld/pose"]) == len(valid) > 10
+    for (t_ns, message), e in zip(heard["/taxeld/pose"], valid, strict=True):
+        stamp = message.header.stamp
+        assert t_ns == stamp.sec * 10**9 + stamp.nanosec
+        assert t_ns / 1e9 == pytest.approx(e["t"], abs=1e-6)
+        assert message.header.frame_id == "world"
+        at = message.pose.pose
+        assert (at.position.x, at.position.y, at.position.z) == (e["mean"]["x"], e["mean"]["y"], 0)
+        assert np.cos(yaw(at.orientation) - e["mean"]["theta"]) == pytest.approx(1.0)
+        cov = message.pose.covariance.reshape(6, 6)
+        np.testing.assert_array_equal(cov[np.ix_([0, 1, 5], [0, 1, 5])], e["cov"])
+        assert np.count_nonzero(cov) <= 9
+
+
+def test_modes_and_particles_are_arrays_of_poses(
+    heard: Heard, said: dict[bytes, list[dict[str, Any]]]
+) -> None:
+    valid = [e for e in said[messages.ESTIMATE] if e["valid"]]
+    assert max(len(e["modes"]) for e in valid) > 1, "else the session tests little"
+    for (_, message), e in zip(heard["/taxeld/modes"], valid, strict=True):
+        assert [p.position.x for p in message.poses] == [mode["x"] for mode in e["modes"]]
+    for (_, message), cloud in zip(
+        heard["/taxeld/particles"], said[messages.PARTICLES], strict=True
+    ):
+        assert [p.position.y for p in message.poses] == [p[1] for p in cloud["xytheta"]]
+
+
+def test_taxels_are_points_with_their_activation_in_a_frame_that_moves_with_the_sensor(
+    heard: Heard, said: dict[bytes, list[dict[str, Any]]]
+) -> None:
+    position = Recording(SESSION).stage.position_m
+    taxels = said[messages.TAXELS]
+    assert max(max(one["z"]) for one in taxels) > 0.1
+    for (_, cloud), one in zip(heard["/taxeld/taxels"], taxels, strict=True):
+        assert cloud.header.frame_id == "taxeld_sensor"
+        assert [f.name for f in cloud.fields] == ["x", "y", "z", "intensity", "live"]
+        rows = cloud.data.reshape(cloud.width, cloud.point_step)
+        values = rows[:, :16].copy().view("<f4")
+        np.testing.assert_allclose(values[:, :3], position, atol=1e-7)
+        np.testing.assert_allclose(values[:, 3], one["z"], atol=1e-7)
+        assert rows[:, cloud.fields[4].offset].astype(bool).tolist() == one["live"]
+    placed = [one for one in taxels if one["placed"]]
+    assert placed
+    for (_, moved), one in zip(heard["/tf"], placed, strict=True):
+        (link,) = moved.transforms
+        assert (link.header.frame_id, link.child_frame_id) == ("world", "taxeld_sensor")
+        assert link.transform.translation.x == one["sensor"]["x"]
+        assert yaw(link.transform.rotation) == pytest.approx(one["sensor"]["theta"])
+
+
+def test_every_estimate_has_a_status_by_its_name(
+    heard: Heard, said: dict[bytes, list[dict[str, Any]]]
+) -> None:
+    assert len(heard["/taxeld/status"]) == len(said[messages.ESTIMATE])
+    names = {message.status[0].message for _, message in heard["/taxeld/status"]}
+    assert {"searching", "ambiguous"} <= names
+    values = {kv.key: kv.value for kv in heard["/taxeld/status"][-1][1].status[0].values}
+    assert values["contacts"] == str(said[messages.ESTIMATE][-1]["contacts"])
+    ((_, truth),) = heard["/taxeld/truth"]
+    assert (truth.pose.position.x, truth.pose.position.y) == (0.1, 0.2)
+
+
+def test_the_sensor_stands_where_the_robot_said(
+    said: dict[bytes, list[dict[str, Any]]],
+) -> None:
+    rows = np.loadtxt(SESSION / "sensor_pose.csv", delimiter=",", skiprows=1)
+    placed = [one for one in said[messages.TAXELS] if one["placed"]]
+    for one in placed[1:-1]:
+        x = np.interp(one["t"], rows[:, 0], rows[:, 1])
+        assert one["sensor"]["x"] == pytest.approx(x, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", sorted(set(export.TYPES.values())))
+def test_definitions_are_those_of_ros_2(name: str) -> None:
+    """rosbags has the definitions of a distribution; its parser reads ours to the same fields."""
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    full = name.replace("/", "/msg/")
+    ours = typesys.get_types_from_msg(ros_types.definition(name), full)
+    assert full in ours
+    for one, (_, fields) in ours.items():
+        assert fields == store.fielddefs[one][1]
+
+
+def test_a_session_without_a_whole_scan_is_one_line_and_leaves_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_session(tmp_path, touches=0)
+    lines = (tmp_path / "frames.log").read_text(encoding="ascii").splitlines(keepends=True)
+    (tmp_path / "frames.log").write_text("".join(lines[:5]), encoding="ascii")
+    configuration(tmp_path)
+    out = tmp_path / "run.mcap"
+    assert main(["export", str(tmp_path), "--mcap", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "nothing to export" in said
+    assert not list(tmp_path.glob("run.mcap*"))
+
+
+def test_what_is_no_session_and_what_cannot_be_written_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", str(tmp_path), "--mcap", str(tmp_path / "x.mcap")]) == 2
+    said = capsys.readouterr().err
+    assert f"{tmp_path}: is no session" in said
+    assert said.count("\n") == 1
+    assert main(["export", str(SESSION), "--mcap", str(tmp_path / "none" / "x.mcap")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("--mcap: cannot write")
+    assert said.count("\n") == 1
+
+
+def test_a_session_of_a_newer_version_is_one_line(tmp_path: Path) -> None:
+    shutil.copytree(SESSION, tmp_path / "s")
+    (tmp_path / "s" / "session.toml").write_text("version = 99\n", encoding="utf-8")
+    assert tomllib.loads((tmp_path / "s" / "session.toml").read_text(encoding="utf-8"))
+    assert config_file.load(tmp_path / "s" / "config.toml")
+    with pytest.raises(SetupError, match="is of version 99"):
+        list(Recording(tmp_path / "s"))

@@ -1,0 +1,257 @@
+"""`taxeld watch`: one page of a terminal, whatever the streams say, and nothing else."""
+
+import contextlib
+import copy
+import io
+import json
+import os
+import pty
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+
+pytest.importorskip("rich")
+
+from rich.console import Console
+
+from taxeld.cli import main
+from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.stream import messages
+from taxeld.view.live import Streams
+from taxeld.view.terminal import Page
+
+from .conftest import Sockets
+from .test_stream_document import documented
+
+Maps = dict[bytes, dict[str, Any]]
+SKINS = (
+    "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015",
+    "cylinder:rows=1,columns=1,radius_m=0.04,pitch_m=0.015",
+    "cylinder:rows=16,columns=10,radius_m=0.04,pitch_m=0.005",
+    "wrap:modules=16,radius_m=0.06,rows=1",
+)
+WAIT_S = 60.0
+
+
+def maps(skin: str = SKINS[0]) -> Maps:
+    """One message of each topic, as documented, of a skin of which two taxels are pressed."""
+    made = {topic: documented(topic.decode())[1] for topic in messages.TOPICS}
+    layout = layouts.load(skin)
+    info = made[messages.INFO]
+    info["layout"] |= {"taxels": len(layout), "position_m": layout.position_m.tolist()}
+    info["status"] |= {"2": "ambiguous", "3": "converged"}
+    z = [0.0] * len(layout)
+    z[0], z[-1] = 0.45, 1.0
+    made[messages.TAXELS] |= {"z": z, "live": [True] * len(z)}
+    return made
+
+
+def shown(page: Page, now_s: float = 100.0, width: int = 80) -> list[str]:
+    out = io.StringIO()
+    Console(file=out, width=width, height=24, force_terminal=False).print(page.render(now_s))
+    return out.getvalue().splitlines()
+
+
+def page_of(said: Maps) -> Page:
+    page = Page("ipc:///x")
+    for topic in (messages.INFO, *messages.TOPICS):
+        page.take((topic, said[topic]), 100.0)
+    return page
+
+
+@pytest.mark.parametrize("skin", SKINS)
+def test_a_page_of_any_skin_fits_a_terminal_of_80_by_24(skin: str) -> None:
+    said = maps(skin)
+    said[messages.ESTIMATE]["modes"] *= 5
+    lines = shown(page_of(said))
+    assert len(lines) <= 24
+    assert max(map(len, lines)) <= 80
+    text = "\n".join(lines)
+    assert "nan" not in text
+    assert "CONVERGED" in text
+    digits = sum(line[6:].count("9") for line in lines[1:9])
+    assert digits >= 1, "the taxel that is pressed fully"
+
+
+def test_the_map_has_a_character_a_taxel_in_the_row_of_its_height() -> None:
+    said = maps()
+    said[messages.TAXELS]["live"][1] = False
+    rows = [line[6:] for line in shown(page_of(said))[1:6]]
+    assert [row.split() for row in rows[1:4]] == [["·"] * 16] * 3
+    assert rows[4].split() == ["4", "x", *["·"] * 14], "the first taxels stand lowest"
+    assert rows[0].split() == [*["·"] * 15, "9"]
+
+
+def test_modes_rates_latencies_and_the_age_of_the_sensor_pose_are_told() -> None:
+    said = maps()
+    second = {"x": -0.02, "y": 0.031, "theta": 0.5, "weight": 0.25}
+    said[messages.ESTIMATE]["modes"] = [said[messages.ESTIMATE]["modes"][0], second]
+    page = page_of(said)
+    for number in range(60):
+        page.take((messages.TAXELS, said[messages.TAXELS]), 97.0 + 0.05 * number)
+    text = "\n".join(shown(page))
+    assert "-20.0      31.0      28.6     25%" in text
+    assert "20.3 scans/s" in text
+    assert "sensor pose 4 ms old" in text
+    assert "3.90" in text, "what the filter took now, in milliseconds"
+    assert "6 frames dropped" not in text
+
+
+def test_numbers_that_an_older_or_newer_daemon_has_or_lacks_do_no_harm() -> None:
+    said = maps()
+    said[messages.ESTIMATE] |= {"status": 99, "lat_us": {}, "news": 1}
+    del said[messages.HEALTH]["inputs"]["pose_age_s"]
+    said[messages.TAXELS]["z"] = [0.5]  # of another skin, before its info
+    text = "\n".join(shown(page_of(said)))
+    assert "UNKNOWN" in text
+
+
+def test_a_page_without_messages_says_whom_it_waits_for_and_an_old_page_that_it_is_old() -> None:
+    page = Page("ipc:///x", waits="no daemon answers at ipc:///x")
+    assert "waiting: no daemon answers at ipc:///x" in " ".join(shown(page))
+    page = page_of(maps())
+    page.waits = "no daemon answers"
+    assert "nothing for 7 s: no daemon answers" in shown(page, now_s=107.0)[0]
+
+
+@pytest.fixture
+def publisher(sockets: Sockets, tmp_path: Path) -> zmq.Socket[Any]:
+    socket = sockets.open(zmq.XPUB)
+    socket.bind(f"ipc://{tmp_path}/stream")
+    return socket
+
+
+@pytest.mark.parametrize(
+    ("topic", "change", "said"),
+    [
+        (messages.INFO, {"v": 2}, "the stream is of version 2, where this taxeld reads 1"),
+        (messages.ESTIMATE, {"v": None}, "the stream is of version None"),
+        (messages.ESTIMATE, {"map": ...}, "/taxeld/estimate: has no 'map'"),
+    ],
+)
+def test_a_stream_of_another_version_or_program_is_refused_with_what_is_wrong(
+    publisher: zmq.Socket[Any], tmp_path: Path, topic: bytes, change: dict[str, Any], said: str
+) -> None:
+    body = copy.deepcopy(documented(topic.decode())[1]) | change
+    body = {key: value for key, value in body.items() if value is not ...}
+    with Streams(f"ipc://{tmp_path}/stream") as streams:
+        assert publisher.poll(20_000)
+        publisher.recv()
+        publisher.send_multipart([topic, msgpack.packb(body), b"0.0"])
+        with pytest.raises(SetupError, match=said.replace("(", r"\(")):
+            list(streams.wait(20.0))
+
+
+def test_taxels_of_an_older_daemon_stand_nowhere(
+    publisher: zmq.Socket[Any], tmp_path: Path
+) -> None:
+    body = documented("/taxeld/taxels")[1]
+    del body["placed"], body["sensor"]
+    with Streams(f"ipc://{tmp_path}/stream") as streams:
+        assert publisher.poll(20_000)
+        publisher.recv()
+        publisher.send_multipart([messages.TAXELS, msgpack.packb(body), b"0.0"])
+        ((_, taxels),) = streams.wait(20.0)
+    assert taxels["placed"] is False
+
+
+class Terminal:
+    """`taxeld watch` in a terminal of 80 by 24."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._ours, theirs = pty.openpty()
+        command = [sys.executable, "-m", "taxeld.cli", "watch", "--endpoint", endpoint]
+        environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
+        self.process = subprocess.Popen(
+            command, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, env=environment
+        )
+        os.close(theirs)
+        self.seen = ""
+
+    def until(self, text: str) -> None:
+        deadline = time.monotonic() + WAIT_S
+        while text not in self.seen:
+            assert time.monotonic() < deadline, f"{text!r} is not shown"
+            self._read()
+
+    def stop(self, number: int) -> tuple[int, str]:
+        """Exit status and what stands on stderr."""
+        self.process.send_signal(number)
+        deadline = time.monotonic() + WAIT_S
+        while self.process.poll() is None:
+            assert time.monotonic() < deadline, "it does not end"
+            self._read()
+        self._read()
+        assert self.process.stderr is not None
+        return self.process.returncode, self.process.stderr.read().decode()
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        if self.process.stderr is not None:
+            self.process.stderr.close()
+        os.close(self._ours)
+
+    def _read(self) -> None:
+        if select.select([self._ours], [], [], 0.1)[0]:
+            with contextlib.suppress(OSError):  # its end is closed
+                self.seen += os.read(self._ours, 1 << 16).decode(errors="replace")
+
+
+@pytest.fixture
+def terminal(tmp_path: Path) -> Iterator[Terminal]:
+    opened = Terminal(f"ipc://{tmp_path}/stream")
+    yield opened
+    opened.close()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_it_waits_for_a_daemon_shows_it_and_gives_the_terminal_back(
+    terminal: Terminal, sockets: Sockets, tmp_path: Path, number: int
+) -> None:
+    terminal.until("no daemon answers at")
+    publisher = sockets.open(zmq.XPUB)
+    publisher.bind(f"ipc://{tmp_path}/stream")
+    assert publisher.poll(round(1e3 * WAIT_S))
+    publisher.recv()
+    for topic, body in maps().items():
+        publisher.send_multipart([topic, msgpack.packb(body), b"0.0"])
+    terminal.until("CONVERGED")
+    assert terminal.stop(number) == (0, "")
+    assert terminal.seen.count("\x1b[?1049h") == terminal.seen.count("\x1b[?1049l") == 1
+    assert terminal.seen.rstrip().endswith(("\x1b[?25h", "\x1b[?1049l")), "the cursor is back"
+
+
+def test_another_version_ends_it_with_one_line_after_the_terminal_is_given_back(
+    terminal: Terminal, sockets: Sockets, tmp_path: Path
+) -> None:
+    publisher = sockets.open(zmq.XPUB)
+    publisher.bind(f"ipc://{tmp_path}/stream")
+    assert publisher.poll(round(1e3 * WAIT_S))
+    publisher.recv()
+    body = json.loads(json.dumps(maps()[messages.INFO])) | {"v": 7}
+    publisher.send_multipart([messages.INFO, msgpack.packb(body), b"0.0"])
+    assert terminal.process.wait(WAIT_S) == 2
+    assert terminal.process.stderr is not None
+    said = terminal.process.stderr.read().decode()
+    assert said.startswith("the stream is of version 7, where this taxeld reads 1")
+    assert said.count("\n") == 1
+
+
+def test_without_a_terminal_it_says_what_else_there_is(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert main(["watch", "--endpoint", f"ipc://{tmp_path}/stream"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("watch: needs a terminal")
+    assert said.count("\n") == 1
