@@ -36,10 +36,10 @@ ROOMS = {  # what a room may import of its package, beside itself and what stand
         "stream": "config layout model skin proposals estimator pipeline",
         "service": "config layout model skin proposals estimator source pipeline stream",
         "commands": "config layout model skin proposals estimator source pipeline stream service",
-        "view": "config layout model skin proposals estimator source pipeline stream service "
-        "commands command_line",
         "api": "config layout model skin proposals estimator source pipeline stream service",
         "command_line": "config",
+        "view": "config layout model skin proposals estimator source pipeline stream service "
+        "commands command_line",
         "cli": "config layout model skin proposals estimator source pipeline stream service "
         "commands command_line view",
     },

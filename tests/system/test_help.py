@@ -112,6 +112,9 @@ WITHOUT = [
     ),
     ("taxeld-train", ["scene", "box.stl"], "train", ("trimesh", "shapely")),
     ("taxeld-hil", ["draw", "{place}", "--out", "{place}/x.png"], "view", ("matplotlib",)),
+    ("taxeld", ["watch", "--endpoint", "ipc://{place}/x"], "view", ("rich",)),
+    ("taxeld", ["view", "--save", "{place}/x"], "view", ("rerun",)),
+    ("taxeld", ["export", "{place}", "--mcap", "{place}/x"], "export", ("mcap_ros2",)),
     (
         "taxeld",
         ["layout", "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015", "--png", "{place}/x"],

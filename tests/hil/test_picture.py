@@ -1,0 +1,131 @@
+"""Pictures of a session say what is drawn, in which units, and tell the story in its order."""
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+from taxeld.commands.replay import open_pipeline
+from taxeld.config import file as config_file
+from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
+from taxeld_hil.cli import main
+from taxeld_hil.run import draw, picture
+from taxeld_hil.run.picture import Shot, four
+
+SESSION = Path(__file__).parents[1] / "daemon" / "session"  # four contacts of a mug
+
+
+@pytest.fixture(scope="module")
+def figure() -> Figure:
+    """Of the contacts, as it was written."""
+    kept: list[Figure] = []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(draw, "save", lambda figure, _: kept.append(figure))
+        draw.draw(SESSION, Path("unused.png"))
+    return kept[0]
+
+
+def test_contacts_are_drawn_in_millimetres_with_a_colour_bar_and_a_legend(figure: Figure) -> None:
+    *panels, bar = figure.axes
+    drawn = [axis for axis in panels if axis.lines]
+    assert len(drawn) == 4
+    assert {(axis.get_xlabel(), axis.get_ylabel()) for axis in drawn} == {("x [mm]", "y [mm]")}
+    assert all(10.0 < np.ptp(axis.get_xlim()) < 2000.0 for axis in drawn), "not metres"
+    assert bar.get_ylabel() == "activation of a taxel [full scale]"
+    (legend,) = figure.legends
+    named = [text.get_text() for text in legend.get_texts()]
+    assert "object, estimated" in named
+    assert "object, true" not in named, "nobody knows it of this session"
+
+
+def shot(status: Status, contacts: int, contact: bool, z: float, base: Shot) -> Shot:
+    made = Shot.__new__(Shot)
+    made.__dict__ |= base.__dict__
+    made.estimate = replace(base.estimate, status=status, contacts=contacts, contact=contact)
+    made.z = np.array([z])
+    return made
+
+
+@pytest.fixture(scope="module")
+def base() -> Shot:
+    pipeline = open_pipeline(SESSION, config_file.load(SESSION / "config.toml"))
+    return Shot(pipeline, pipeline.estimate, np.zeros(1), np.zeros(3))
+
+
+def test_the_four_moments_are_no_touch_the_first_the_last_doubt_and_the_object_found(
+    base: Shot,
+) -> None:
+    told: list[tuple[Any, ...]] = [
+        (Status.SEARCHING, 0, False, 0.0),
+        (Status.SEARCHING, 0, False, 0.1),  # the last before the touch
+        (Status.AMBIGUOUS, 1, True, 0.2),
+        (Status.AMBIGUOUS, 1, True, 0.9),  # the deepest of the first touch
+        (Status.AMBIGUOUS, 1, False, 0.0),
+        (Status.AMBIGUOUS, 2, True, 0.3),  # the next touch begins
+        (Status.AMBIGUOUS, 2, True, 0.4),
+        (Status.CONVERGED, 2, False, 0.0),
+        (Status.CONVERGED, 3, True, 0.5),  # found, and touched
+    ]
+    shots = [shot(*one, base) for one in told]
+    found = four(shots)
+    assert found is not None
+    assert [shots.index(one) for one in found.values()] == [1, 3, 5, 8]
+    assert four(shots[:7]) is None, "not found"
+
+
+def test_a_session_whose_object_is_not_found_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(picture, "four", lambda _: None)
+    out = tmp_path / "x.png"
+    assert main(["draw", str(SESSION), "--moments", "--out", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "is not found by touch" in said
+    assert said.count("\n") == 1
+    assert not out.exists()
+
+
+def test_the_moments_are_written_small_enough_for_a_page(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    chosen = picture.four
+
+    def last(shots: list[Shot]) -> dict[str, Shot] | None:
+        return chosen(shots) or dict(zip("abcd", shots[-4:], strict=True))
+
+    monkeypatch.setattr(picture, "four", last)
+    out = tmp_path / "x.png"
+    assert main(["draw", str(SESSION), "--moments", "--out", str(out)]) == 0
+    assert out.stat().st_size < 300_000
+    assert imread(out).shape[1] > 800
+
+
+def test_a_truth_that_was_cut_before_its_first_row_is_no_truth(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(SESSION, tmp_path / "s")
+    (tmp_path / "s" / "truth.csv").write_text("t,x,y,theta\n", encoding="ascii")
+    monkeypatch.setattr(draw, "_contacts", lambda *_: [])
+    assert main(["draw", str(tmp_path / "s"), "--out", str(tmp_path / "x.png")]) == 2
+    assert "holds no contact to draw" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["no/x.png", "x.nothing"])
+def test_a_picture_that_cannot_be_written_is_one_line(tmp_path: Path, name: str) -> None:
+    with pytest.raises(SetupError, match="--out: cannot write"):
+        draw.save(Figure(), tmp_path / name)
+
+
+def test_the_picture_of_the_readme_is_small() -> None:
+    docs = Path(__file__).parents[2] / "docs"
+    assert (docs / "demo.png").stat().st_size < 300_000
+    assert (docs / "view.png").stat().st_size < 300_000
