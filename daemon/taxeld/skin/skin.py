@@ -215,7 +215,7 @@ class Skin:
     def _read(self, counts: tuple[int, ...], wired: Wired) -> Reading:
         """What the channels of a hub say."""
         channels = np.array(counts, dtype=np.float64)
-        if 0 < min(counts) and max(counts) < INVALID_FROM:  # as nearly always
+        if min(counts) > 0 and max(counts) < INVALID_FROM:  # as nearly always
             self._saturated[wired.places] = False
             return Reading(channels[wired.channels], 1, channels[wired.t0_channels], 1)
         found, t0 = channels[wired.channels], channels[wired.t0_channels]

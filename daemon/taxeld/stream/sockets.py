@@ -70,7 +70,7 @@ def unpack(body: bytes) -> dict[str, Any]:
 
 def is_waiting(socket: zmq.Socket[Any]) -> bool:
     """Whether there is something to receive; cheaper than an exception."""
-    return bool(socket.get(EVENTS) & WAITING)
+    return bool(int(socket.get(EVENTS)) & WAITING)
 
 
 def messages(socket: zmq.Socket[Any], most: int) -> Iterator[list[bytes] | None]:
