@@ -5,7 +5,7 @@ SEED ?= 0
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
-.PHONY: demo test lint docs bench bench-peers picture install rollback uninstall deb lock sbom vm-test clean
+.PHONY: demo test lint docs bench bench-one-core bench-aarch64 bench-peers picture install rollback uninstall deb lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
@@ -26,6 +26,14 @@ docs: .venv/.docs
 bench: .venv/.all
 	$(BIN)/python benchmarks/run.py
 	$(BIN)/python benchmarks/hostile.py
+
+# The same on one core of this machine, which all its processes share
+bench-one-core: .venv/.all
+	taskset --cpu-list 0 $(BIN)/python benchmarks/run.py --no-demo
+
+# Whether it installs and works on an aarch64 processor, which QEMU emulates: needs Debian packages
+bench-aarch64: .venv/.all
+	$(BIN)/python benchmarks/aarch64.py
 
 # One update beside other filters, in an environment of their own: `particles` needs an older numpy
 bench-peers: .venv/.peers

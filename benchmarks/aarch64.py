@@ -32,9 +32,8 @@ DEBIAN = (f"python{PYTHON}", "libstdc++6", "libgomp1")
 MANYLINUX = ("2_28", "2_27", "2_17", "2014")
 COMPILER = "aarch64-linux-gnu-gcc"  # of gcc-aarch64-linux-gnu and libc6-dev-arm64-cross
 SESSION = ROOT / "tests/daemon/session"  # four contacts of a mug
-SAMPLERS = {"the table": 'proposal = "table"', "the shipped sampler": 'proposal = "auto"'}
-FINAL_MM, FINAL_RAD = 5.0, 0.1  # within which both processors must end, as they round differently
-READY_S, HEARD_S, EARLIEST = 120.0, 20.0, 50  # estimates in so many seconds, at least
+MODE_MM, SAME = 10.0, 0.95  # both processors believe in the same places, as they round differently
+READY_S, HEARD_S, EARLIEST = 120.0, 8.0, 50  # estimates in so many seconds, at least
 CPU = "cortex-a72"  # of a Raspberry Pi 4
 CPUINFO = """processor\t: {number}
 BogoMIPS\t: 108.00
@@ -61,7 +60,7 @@ def main() -> int:
         machine = Machine(place)
         if not machine.is_made:
             machine.make()
-        return 0 if all([works(machine, place), *replays(machine, place), runs(machine)]) else 1
+        return 0 if all([works(machine, place), replays(machine), runs(machine)]) else 1
 
 
 class Machine:
@@ -166,27 +165,23 @@ def works(machine: Machine, place: Path) -> bool:
     return told.startswith("aarch64")
 
 
-def replays(machine: Machine, place: Path) -> Iterator[bool]:
-    """Whether a session comes to the same end on both processors."""
-    for name, keys in SAMPLERS.items():
-        settings = place / "replay.toml"
-        text = (SESSION / "config.toml").read_text(encoding="utf-8")
-        settings.write_text(f"{text}{keys}\n", encoding="utf-8")
-        arguments = ("-m", "taxeld.cli", "replay", str(SESSION), "--config", str(settings))
-        here = estimates(run([sys.executable, *arguments]))
-        began = time.monotonic()
-        there = estimates(run(machine.command(*arguments), env=machine.environment))
-        took_s = time.monotonic() - began
-        same = sum(a["status"] == b["status"] for a, b in zip(here, there, strict=True))
-        a, b = here[-1]["map"], there[-1]["map"]
-        apart_mm = 1e3 * float(np.hypot(a["x"] - b["x"], a["y"] - b["y"]))
-        turned = abs((a["theta"] - b["theta"] + np.pi) % (2.0 * np.pi) - np.pi)
-        say(
-            f"replay with {name}: {len(there)} estimates ({took_s:.0f} s), {same} of the same "
-            f"status, the last {apart_mm:.2f} mm and {turned:.3f} rad from this processor's"
-        )
-        contacts = here[-1]["contacts"] == there[-1]["contacts"]
-        yield contacts and apart_mm <= FINAL_MM and turned <= FINAL_RAD
+def replays(machine: Machine) -> bool:
+    """Whether a session leads to the same beliefs on both processors."""
+    arguments = ("-m", "taxeld.cli", "replay", str(SESSION))
+    here = estimates(run([sys.executable, *arguments]))
+    there = estimates(run(machine.command(*arguments), env=machine.environment))
+    same = np.mean([a["status"] == b["status"] for a, b in zip(here, there, strict=True)])
+    last, map_ = here[-1], there[-1]["map"]
+    apart_mm = min(
+        1e3 * float(np.hypot(mode["x"] - map_["x"], mode["y"] - map_["y"]))
+        for mode in last["modes"]
+    )
+    say(
+        f"taxeld replay: {len(there)} estimates, {same:.0%} of the status that they have on this "
+        f"processor; the last is {apart_mm:.1f} mm from one of its modes here"
+    )
+    has_contacts = last["contacts"] == there[-1]["contacts"] > 0
+    return bool(has_contacts and same >= SAME and apart_mm <= MODE_MM)
 
 
 def runs(machine: Machine) -> bool:
@@ -209,10 +204,10 @@ def runs(machine: Machine) -> bool:
             if not stream.poll(round(1e3 * READY_S)):
                 say("taxeld run: it says nothing")
                 return False
+            answer = client.ask(f"ipc://{name}/control", "status", timeout_s=READY_S)
             until, heard = time.monotonic() + HEARD_S, []
             while (left_s := until - time.monotonic()) > 0.0 and stream.poll(round(1e3 * left_s)):
                 heard.append(msgpack.unpackb(stream.recv_multipart()[1]))
-            answer = client.ask(f"ipc://{name}/control", "status", timeout_s=30.0)
     last = heard[-1]
     say(
         f"taxeld run: {len(heard)} estimates in {HEARD_S:g} s, {last['contacts']} contacts, status "

@@ -153,7 +153,7 @@ class LoopConfig:
     rate_hz: float = key(
         100.0,
         between(1, 1000),
-        "1 / rate_hz is the time for a pass, and at most between two while one is to come",
+        "1 / rate_hz is the time for a pass, and at most between two while something is under way",
     )
     stale_s: float = key(0.5, between(0.01, 60), "without a scan for so long, not valid")
     priority: int = key(
