@@ -33,7 +33,7 @@ MANYLINUX = ("2_28", "2_27", "2_17", "2014")
 COMPILER = "aarch64-linux-gnu-gcc"  # of gcc-aarch64-linux-gnu and libc6-dev-arm64-cross
 SESSION = ROOT / "tests/daemon/session"  # four contacts of a mug
 MODE_MM, SAME = 10.0, 0.95  # both processors believe in the same places, as they round differently
-READY_S, HEARD_S, EARLIEST = 120.0, 8.0, 50  # estimates in so many seconds, at least
+READY_S, HEARD_S, EARLIEST = 600.0, 8.0, 50  # estimates in so many seconds, at least
 CPU = "cortex-a72"  # of a Raspberry Pi 4
 CPUINFO = """processor\t: {number}
 BogoMIPS\t: 108.00

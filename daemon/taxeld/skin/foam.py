@@ -27,7 +27,7 @@ class Residue:
         if self.is_none and not (over > threshold).any():
             self._peak = over
             return
-        level = np.where(pressed, level, np.clip(over, 0.0, level))
+        level = np.where(pressed, level, np.minimum(np.maximum(over, 0.0), level))
         peak = np.where(pressed, np.maximum(self._peak, over), over)
         pressed = pressed | (over > level + threshold)
         ended = pressed & (over <= level + KEPT * (peak - level))

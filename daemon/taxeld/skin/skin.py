@@ -51,8 +51,8 @@ class Reading(NamedTuple):
     t0_valid: Bools | int
 
 
-class Untouched(NamedTuple):
-    """What activations of a skin that nothing touches have in common."""
+class Marks(NamedTuple):
+    """What presses have left, as an activation has it."""
 
     floor: Floats
     residue: Floats
@@ -97,7 +97,7 @@ class Skin:
         self._drift = Drift(layout, self._wiring, self._scale.full_scale_counts, config.drift_s)
         self._rest = Rest(taxels, calibration)
         self._residue = Residue(taxels)
-        self._untouched: Untouched | None = None  # with the thresholds as they are
+        self._marks: Marks | None = None  # where nothing is left, with the thresholds as they are
         self.tare()
 
     def tare(self) -> None:
@@ -271,7 +271,7 @@ class Skin:
         self._drift.take(taxels, baseline)
         self._rest.take(taxels, noise, self.config.baseline_scans)
         self.threshold[taxels] = self._threshold(self._rest.noise[taxels])
-        self._untouched = None
+        self._marks = None
         self._usable = self._idle.known & ~self._rest.frozen
         self._slice.begin(self._t)  # the readings before may be those of a touch
 
@@ -285,20 +285,24 @@ class Skin:
         residue.on_scan(np.where(live, over, 0.0), self.threshold)
         if residue.is_none:
             self.touched = False
-            if self._untouched is None:
-                floor = scale.activation(self.threshold)
-                self._untouched = Untouched(floor, scale.activation(residue.level))
-            return Activation(self._t, np.zeros(len(live)), live, *self._untouched)
+            return Activation(self._t, np.zeros(len(live)), live, *self._unmarked())
         pressed = live & residue.pressed
         self.touched = bool(pressed.any())
-        self._drift.touched(self._t, pressed | (residue.level > self.threshold))
-        return Activation(
-            self._t,
-            z=np.where(pressed, scale.activation(over), 0.0),
-            live=live,
-            floor=scale.activation(self.threshold + residue.level),
-            residue=scale.activation(residue.level),
-        )
+        if not residue.level.any():  # the first press, for a long time
+            self._drift.touched(self._t, pressed)
+            marks = self._unmarked()
+        else:
+            self._drift.touched(self._t, pressed | (residue.level > self.threshold))
+            left = scale.activation(residue.level)
+            marks = Marks(scale.activation(self.threshold + residue.level), left)
+        return Activation(self._t, np.where(pressed, scale.activation(over), 0.0), live, *marks)
+
+    def _unmarked(self) -> Marks:
+        """Where presses have left nothing."""
+        if self._marks is None:
+            floor, nothing = self._scale.activation(self.threshold), np.zeros(len(self.threshold))
+            self._marks = Marks(floor, self._scale.activation(nothing))
+        return self._marks
 
     def _settle(self) -> None:
         """Learn from a second of scans: frozen taxels, drift, noise and thresholds."""
@@ -307,5 +311,5 @@ class Skin:
         self._usable = known & ~self._rest.frozen
         at_rest = self._drift.on_slice(part, self._usable, self.threshold)
         self._rest.varied(part.variance, part.scans, at_rest)
-        self.threshold, self._untouched = self._threshold(self._rest.noise), None
+        self.threshold, self._marks = self._threshold(self._rest.noise), None
         part.begin(self._t)
