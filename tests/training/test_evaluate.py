@@ -84,7 +84,7 @@ def test_frontier_writes_cost_and_distance_of_each_sampler(
     monkeypatch.setattr(runs, "EAGER_GROUP", "density-16")
     assert main(command("frontier", block, tmp_path)) == 0
     rows = json.loads((tmp_path / "out" / "frontier.json").read_text(encoding="utf-8"))
-    assert len(rows) == 6
+    assert len(rows) == 5
     for row in rows:
         assert row.keys() >= FRONTIER
         assert row["speedup"] == pytest.approx(row["ms_eager_ddpm100"] / row["ms"])
