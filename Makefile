@@ -31,11 +31,12 @@ bench: .venv/.all
 bench-peers: .venv/.peers
 	PYTHONPATH=firmware_protocol:daemon OPENBLAS_NUM_THREADS=1 .venv/peers/bin/python benchmarks/peers.py
 
-# The README's picture: the contacts of a demo session
+# The README's picture and the notebook's: the contacts of a demo session
 picture: .venv/.all
 	rm -rf .venv/picture
-	$(BIN)/taxeld-hil run demo --seed $(SEED) --out .venv/picture
-	$(BIN)/taxeld-hil draw .venv/picture --out docs/demo.png
+	$(BIN)/taxeld-hil run demo --seed $(SEED) --out .venv/picture/session
+	$(BIN)/taxeld-hil draw .venv/picture/session --out docs/demo.png
+	$(BIN)/python tests/pages.py examples/belief.ipynb .venv/picture
 
 # The service (docs/service.md). WHEEL is what pip installs: this tree, or a wheel of it
 install rollback uninstall:

@@ -36,7 +36,8 @@ ROOMS = {  # what a room may import of its package, beside itself and what stand
         "stream": "config layout model skin proposals estimator pipeline",
         "service": "config layout model skin proposals estimator source pipeline stream",
         "commands": "config layout model skin proposals estimator source pipeline stream service",
-        "api": "config layout model skin proposals estimator source pipeline stream service",
+        "api": "config layout model skin proposals estimator source pipeline stream service "
+        "commands",
         "command_line": "config",
         "cli": "config layout model skin proposals estimator source pipeline stream service "
         "commands command_line",
@@ -78,7 +79,7 @@ IMPURE = {
 }
 INSTALLED = {"taxeld.native"}  # what it finds depends on the installation alone
 MOST = 12  # modules of the project that one module may import
-UNBOUNDED = ("service", "cli")  # rooms that put everything together
+UNBOUNDED = ("service", "api", "cli")  # rooms that put everything together
 
 
 class Import(NamedTuple):
