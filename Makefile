@@ -5,13 +5,16 @@ SEED ?= 0
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
-.PHONY: demo test lint docs bench bench-peers picture install rollback uninstall deb lock sbom vm-test clean
+.PHONY: demo test node lint docs bench bench-peers picture install rollback uninstall deb lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
 
 test: .venv/.all
 	$(BIN)/python -m pytest
+
+# What the client in JavaScript needs, for its test
+node: .venv/.node
 
 lint: .venv/.all
 	$(BIN)/ruff format --check .
@@ -83,6 +86,12 @@ clean:
 .venv/.docs: .venv/bin/python
 	$(PYTHON) -m venv .venv/docs
 	.venv/docs/bin/python -m pip --disable-pip-version-check install --quiet mkdocs==1.6.1 mkdocs-material==9.8.1
+	touch $@
+
+.venv/.node: .venv/bin/python examples/clients/package.json
+	mkdir -p .venv/node
+	cp examples/clients/package.json .venv/node
+	npm install --prefix .venv/node --silent --no-audit --no-fund --no-package-lock
 	touch $@
 
 .venv/.sbom: .venv/bin/python

@@ -234,6 +234,9 @@ class RelayConfig:
     publish: tuple[str, ...] = key(("tcp://127.0.0.1:9872",), doc="where the relay publishes")
     control: str = key("", doc="where it answers status and info; empty: nowhere")
     change: bool = key(False, doc="it takes tare and reset as well")
+    frames: int = key(
+        3, between(2, 3), "of a message; 2: without its time, for a PlotJuggler that spoils three"
+    )
 
 
 @dataclass(frozen=True, slots=True)
