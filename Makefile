@@ -105,5 +105,5 @@ clean:
 	touch $@
 
 .venv/.all: .venv/.runtime
-	$(PIP) -e '.[train,view,dev,rivals,dask]'
+	$(PIP) -e '.[train,view,ros2,dev,rivals,dask]'
 	touch $@

@@ -16,12 +16,14 @@ FOLDERS = {  # package → its source root
     "taxeld": "daemon",
     "taxeld_training": "training",
     "taxeld_hil": "hil",
+    "taxeld_ros2": "ros2",
 }
 PACKAGES = {  # what a package may import, beside itself
     "taxeld_protocol": "",
     "taxeld": "taxeld_protocol",
     "taxeld_training": "taxeld_protocol taxeld torch",
     "taxeld_hil": "taxeld_protocol taxeld",
+    "taxeld_ros2": "taxeld",
 }
 ROOMS = {  # what a room may import of its package, beside itself and what stands in EVERYWHERE
     "taxeld": {

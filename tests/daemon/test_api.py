@@ -18,7 +18,7 @@ from .. import pages
 ROOT = Path(__file__).parents[2]
 PAGE, NOTEBOOK = ROOT / "docs" / "api.md", ROOT / "examples" / "belief.ipynb"
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
-PACKAGES = ("taxeld_protocol", "taxeld", "taxeld_training", "taxeld_hil")
+PACKAGES = ("taxeld_protocol", "taxeld", "taxeld_training", "taxeld_hil", "taxeld_ros2")
 MOST_BYTES = 100_000
 
 
