@@ -15,6 +15,7 @@ from taxeld.stream.sockets import connect, open_socket, unpack, why
 
 TOPICS = (messages.ESTIMATE, messages.HEALTH, messages.INFO)
 QUEUE = 1000
+SUBSCRIPTIONS = 64  # that may wait for the daemon: beyond it ZeroMQ drops them
 MESSAGE_BYTES = 1 << 24
 MOST = 100  # messages taken at once
 
@@ -34,7 +35,9 @@ class Stream:
         fault = endpoints.fault(endpoint, keys is not None)
         if fault:
             raise SetupError(f"--stream: {fault.replace('set curve.directory', 'name --keys')}")
-        self.socket = open_socket(context, zmq.SUB, send=1, receive=QUEUE, largest=MESSAGE_BYTES)
+        self.socket = open_socket(
+            context, zmq.SUB, send=SUBSCRIPTIONS, receive=QUEUE, largest=MESSAGE_BYTES
+        )
         if keys is not None and endpoint.startswith(endpoints.TCP):
             own = curve.secret_key(keys / client.OWN, "--keys")
             curve.as_client(self.socket, curve.public_key(keys / client.SERVER, "--keys"), *own)
@@ -80,7 +83,9 @@ class PoseOutput:
                 f"sensor_pose.endpoint: '{endpoint}' is not of this machine; run the bridge beside "
                 "the daemon, with an endpoint as tcp://127.0.0.1:9874"
             )
-        self._socket = open_socket(context, zmq.PUB, send=QUEUE, receive=1, largest=1)
+        self._socket = open_socket(
+            context, zmq.PUB, send=QUEUE, receive=SUBSCRIPTIONS, largest=1024
+        )
         try:
             self._socket.bind(endpoint)
         except zmq.ZMQError as error:

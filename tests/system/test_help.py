@@ -110,6 +110,7 @@ WITHOUT = [
     ),
     ("taxeld-train", ["scene", "box.stl"], "train", ("trimesh", "shapely")),
     ("taxeld-hil", ["draw", "{place}", "--out", "{place}/x.png"], "view", ("matplotlib",)),
+    ("taxeld-ros2", ["--stream", "ipc://{place}/stream"], "ros2", ("cyclonedds",)),
     (
         "taxeld",
         ["layout", "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015", "--png", "{place}/x"],

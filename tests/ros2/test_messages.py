@@ -1,0 +1,122 @@
+"""The daemon's maps as ROS 2 messages, and as the bytes that DDS sends."""
+
+import math
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from taxeld.estimator.estimate import Status
+
+from ..daemon.test_stream_document import documented
+
+pytest.importorskip("cyclonedds")
+
+from taxeld_ros2 import convert, dds, markers
+from taxeld_ros2 import ros_types as ros
+
+OUTLINE = np.array([[0.1, 0.0], [0.0, 0.2], [-0.1, 0.0]])
+
+
+@pytest.fixture
+def estimate() -> dict[str, Any]:
+    return {
+        **documented("/taxeld/estimate")[1],
+        "modes": [
+            {"x": 1.0, "y": 2.0, "theta": math.pi / 2, "weight": 0.75},
+            {"x": 0.5, "y": -2.0, "theta": 0.0, "weight": 0.05},
+        ],
+    }
+
+
+def test_the_covariance_stands_where_ros_has_x_y_and_yaw(estimate: dict[str, Any]) -> None:
+    message = convert.pose_with_covariance(estimate, "world", 0.3)
+    found = np.array(message.pose.covariance).reshape(6, 6)
+    assert np.array_equal(found[np.ix_([0, 1, 5], [0, 1, 5])], np.array(estimate["cov"]))
+    assert np.count_nonzero(found) == 9
+    assert message.pose.pose.position.z == 0.3
+
+
+def test_the_pose_is_the_mean_that_the_covariance_is_about(estimate: dict[str, Any]) -> None:
+    pose = convert.pose_with_covariance(estimate, "world", 0.0).pose.pose
+    assert pose.position.x == estimate["mean"]["x"]
+    assert 2 * math.atan2(pose.orientation.z, pose.orientation.w) == pytest.approx(
+        estimate["mean"]["theta"]
+    )
+
+
+@pytest.mark.parametrize("t", [1700000005.121, 1.9999999999, 0.0, 1795357978.776642])
+def test_a_stamp_is_the_measurements_time_and_its_nanoseconds_are_less_than_a_second(
+    t: float,
+) -> None:
+    stamp = convert.time_of(t)
+    assert 0 <= stamp.nanosec < 1_000_000_000
+    assert stamp.sec + stamp.nanosec * 1e-9 == pytest.approx(t, abs=1e-6)
+
+
+def test_modes_are_all_there_the_heaviest_first(estimate: dict[str, Any]) -> None:
+    poses = convert.modes(estimate, "world", 0.0).poses
+    assert [pose.position.x for pose in poses] == [1.0, 0.5]
+
+
+@pytest.mark.parametrize("status", list(Status))
+def test_every_status_has_a_level_and_its_name(estimate: dict[str, Any], status: Status) -> None:
+    health = documented("/taxeld/health")[1]
+    told = convert.diagnostics({**estimate, "status": int(status)}, health, 5.0, "taxeld")
+    (one,) = told.status
+    assert one.message == status.name.lower()
+    assert (one.level == convert.OK) == (
+        status in {Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED}
+    )
+    assert {value.key: value.value for value in one.values}["dead taxels"] == "4 17 30"
+
+
+def test_a_daemon_that_is_not_heard_is_stale() -> None:
+    (one,) = convert.diagnostics({}, {}, 5.0, "taxeld").status
+    assert (one.level, one.message) == (convert.STALE, convert.SILENT)
+
+
+@pytest.mark.parametrize("frame", ["", "a", "abc", "world"])
+@pytest.mark.parametrize("particles", [0, 1, 3])
+def test_markers_are_the_bytes_that_cyclonedds_itself_would_write(
+    estimate: dict[str, Any], frame: str, particles: int
+) -> None:
+    rng = np.random.default_rng(particles)
+    cloud = {"xytheta": rng.normal(size=(particles, 3)).tolist(), "weight": [1.0] * particles}
+    drawn = markers.markers(estimate, cloud if particles else {}, OUTLINE, frame, 0.1)
+    written = drawn.serialize()
+    read = ros.MarkerArray.deserialize(written)
+    assert ros.MarkerArray.serialize(read, use_version_2=False) == written
+    assert all(marker.header.frame_id == frame for marker in read.markers)
+    assert [m.action for m in read.markers][:5] == [0, 0, 2, 2, 2], "what is no more is taken away"
+    assert len(read.markers) == 5 + (particles > 0)
+
+
+def test_a_mode_is_drawn_where_it_is_and_as_strongly_as_it_weighs(estimate: dict[str, Any]) -> None:
+    first, second, *_ = ros.MarkerArray.deserialize(
+        markers.markers(estimate, {}, OUTLINE, "world", 0.1).serialize()
+    ).markers
+    at = [(p.x, p.y, p.z) for p in first.points]
+    assert at[0] == at[-1] == pytest.approx((1.0, 2.1, 0.1))
+    assert at[1] == pytest.approx((0.8, 2.0, 0.1))
+    assert first.color.a == pytest.approx(0.75)
+    assert second.color.a == pytest.approx(markers.FAINTEST)
+
+
+def test_nothing_is_drawn_of_an_estimate_that_is_not_valid(estimate: dict[str, Any]) -> None:
+    drawn = markers.markers({**estimate, "valid": False}, {}, OUTLINE, "world", 0.0)
+    assert all(
+        m.action == markers.DELETE for m in ros.MarkerArray.deserialize(drawn.serialize()).markers
+    )
+
+
+def test_every_type_is_named_as_ros_names_it() -> None:
+    kinds = [k for k in vars(ros).values() if isinstance(k, type) and issubclass(k, ros.IdlStruct)]
+    named = [k for k in kinds if k is not ros.IdlStruct]
+    assert len(named) > 20
+    for kind in named:
+        package, _, name = dds.ros_type(kind).split("/")
+        assert name == kind.__name__
+        assert re.fullmatch(r"\w+::msg::dds_::\w+_", kind.__idl_typename__.replace(".", "::"))
+        assert package.endswith(("_msgs", "_interfaces"))
