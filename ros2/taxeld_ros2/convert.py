@@ -4,17 +4,14 @@ import math
 from typing import Any
 
 from taxeld.estimator.estimate import Status
+from taxeld_ros2.cdr import Writer, Written
 from taxeld_ros2.ros_types import (
     DiagnosticArray,
     DiagnosticStatus,
     Header,
     KeyValue,
-    Point,
-    Pose,
     PoseArray,
-    PoseWithCovariance,
     PoseWithCovarianceStamped,
-    Quaternion,
     Time,
 )
 
@@ -42,32 +39,41 @@ def header(t: float, frame: str) -> Header:
     return Header(time_of(t), frame)
 
 
-def pose_of(pose: dict[str, float], z_m: float) -> Pose:
-    """A pose {x, y, theta} at a height."""
-    half = 0.5 * pose["theta"]
-    turn = Quaternion(0.0, 0.0, math.sin(half), math.cos(half))
-    return Pose(Point(pose["x"], pose["y"], z_m), turn)
+class PoseMessage(Written, PoseWithCovarianceStamped):
+    """Ready to be sent."""
 
 
-def pose_with_covariance(
-    estimate: dict[str, Any], frame: str, z_m: float
-) -> PoseWithCovarianceStamped:
+class ModesMessage(Written, PoseArray):
+    """Ready to be sent."""
+
+
+def pose_with_covariance(estimate: dict[str, Any], frame: str, z_m: float) -> PoseMessage:
     """The mean, and the covariance about it; 0 of height, roll and pitch, which the object has
     not."""
     covariance = [0.0] * 36
     for row, k in zip(estimate["cov"], PLANAR, strict=True):
         for value, other in zip(row, PLANAR, strict=True):
             covariance[6 * k + other] = value
-    return PoseWithCovarianceStamped(
-        header(estimate["t"], frame),
-        PoseWithCovariance(pose_of(estimate["mean"], z_m), covariance),
-    )
+    writer = Writer()
+    writer.header(estimate["t"], frame)
+    writer.float64(*_fields(estimate["mean"], z_m), *covariance)
+    return PoseMessage(writer.done())
 
 
-def modes(estimate: dict[str, Any], frame: str, z_m: float) -> PoseArray:
-    """The heaviest first; one that stands for almost all belief, alone."""
-    poses = [pose_of(mode, z_m) for mode in estimate["modes"]]
-    return PoseArray(header(estimate["t"], frame), poses)
+def modes(estimate: dict[str, Any], frame: str, z_m: float) -> ModesMessage:
+    """The heaviest first."""
+    writer = Writer()
+    writer.header(estimate["t"], frame)
+    writer.uint32(len(estimate["modes"]))
+    for mode in estimate["modes"]:
+        writer.float64(*_fields(mode, z_m))
+    return ModesMessage(writer.done())
+
+
+def _fields(pose: dict[str, float], z_m: float) -> tuple[float, ...]:
+    """Of a `geometry_msgs/msg/Pose`: position, and the quaternion of a turn about z."""
+    half = 0.5 * pose["theta"]
+    return pose["x"], pose["y"], z_m, 0.0, 0.0, math.sin(half), math.cos(half)
 
 
 def diagnostics(

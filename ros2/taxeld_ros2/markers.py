@@ -7,8 +7,7 @@ import numpy as np
 
 from taxeld.arrays import Floats
 from taxeld_ros2 import ros_types
-from taxeld_ros2.cdr import Writer
-from taxeld_ros2.convert import time_of
+from taxeld_ros2.cdr import Writer, Written
 
 LINE_STRIP, POINTS = 4, 8
 ADD, DELETE = 0, 2
@@ -30,48 +29,37 @@ class Drawn:
     colours: Floats  # (P, 4), or empty
 
 
-class Markers(ros_types.MarkerArray):
-    """A MarkerArray that is written at once; a reader sees no difference."""
+class Markers(Written, ros_types.MarkerArray):
+    """Ready to be sent."""
 
-    def __init__(self, t: float, frame: str, drawn: list[Drawn]) -> None:
-        super().__init__([])
-        self.t = t
-        self.frame = frame
-        self.drawn = drawn
 
-    def serialize(self, *_: Any, **__: Any) -> bytes:
-        """As cyclonedds's own writer asks for it."""
-        writer = Writer()
-        stamp = time_of(self.t)
-        writer.uint32(len(self.drawn))
-        for marker in self.drawn:
-            writer.int32(stamp.sec)
-            writer.uint32(stamp.nanosec)
-            writer.string(self.frame)
-            writer.string(marker.ns)
-            writer.int32(marker.id, marker.type, ADD if len(marker.points) else DELETE)
-            writer.float64(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # the pose, of no effect
-            width = LINE_M if marker.type == LINE_STRIP else POINT_M
-            writer.float64(width, width, 0.0)
-            writer.float32(*marker.rgba)
-            writer.int32(0)  # lives until it is replaced
-            writer.uint32(0)
-            writer.boolean(False)
-            writer.points(marker.points)
-            writer.colours(marker.colours)
-            writer.string("")  # no texture
-            writer.int32(0)
-            writer.uint32(0)
-            writer.string("")
-            writer.string("")
-            writer.nothing()
-            writer.nothing()
-            writer.string("")  # no text, no mesh
-            writer.string("")
-            writer.string("")
-            writer.nothing()
-            writer.boolean(False)
-        return writer.done()
+def written(t: float, frame: str, drawn: list[Drawn]) -> Markers:
+    writer = Writer()
+    writer.uint32(len(drawn))
+    for marker in drawn:
+        writer.header(t, frame)
+        writer.string(marker.ns)
+        writer.int32(marker.id, marker.type, ADD if len(marker.points) else DELETE)
+        writer.float64(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # the pose, of no effect
+        width = LINE_M if marker.type == LINE_STRIP else POINT_M
+        writer.float64(width, width, 0.0)
+        writer.float32(*marker.rgba)
+        writer.int32(0)  # lives until it is replaced
+        writer.uint32(0)
+        writer.boolean(False)
+        writer.points(marker.points)
+        writer.colours(marker.colours)
+        writer.string("")  # no texture
+        writer.header(0.0, "")
+        writer.string("")
+        writer.nothing()
+        writer.nothing()
+        writer.string("")  # no text, no mesh
+        writer.string("")
+        writer.string("")
+        writer.nothing()
+        writer.boolean(False)
+    return Markers(writer.done())
 
 
 def markers(
@@ -89,7 +77,7 @@ def markers(
         drawn.append(Drawn("modes", k, LINE_STRIP, points, (*BLUE, alpha), np.empty((0, 4))))
     if cloud:
         drawn.append(_particles(cloud, outline.mean(axis=0), z_m))
-    return Markers(estimate["t"], frame, drawn)
+    return written(estimate["t"], frame, drawn)
 
 
 def _particles(cloud: dict[str, Any], centre: Floats, z_m: float) -> Drawn:

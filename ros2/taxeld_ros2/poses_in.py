@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from taxeld_ros2 import ros_types as ros
-from taxeld_ros2.dds import BEST_EFFORT, LATCHED, RELIABLE, TAKEN, Participant, last, ros_type
+from taxeld_ros2.dds import BEST_EFFORT, LATCHED, RELIABLE, Participant, last, ros_type, taken
 from taxeld_ros2.stream import PoseOutput
 from taxeld_ros2.transforms import Rigid, Transforms
 
@@ -44,8 +44,8 @@ class FromTransforms:
     def take(self) -> list[tuple[float, Rigid]]:
         found = []
         for reader, is_static in self._readers:
-            for message in reader.take(N=TAKEN):
-                for one in getattr(message, "transforms", ()):  # none of a writer that has gone
+            for message in taken(reader):
+                for one in message.transforms:
                     self._take(one, is_static)
                 told = self._transforms.news()
                 found += [told] if told else []
@@ -67,13 +67,10 @@ class FromTopic:
     def __init__(self, dds: Participant, topic: str, wake: Callable[[], None]) -> None:
         self._dds, self._topic = dds, topic
         self._reader = dds.reader(topic, ros.PoseStamped, last(100, BEST_EFFORT), wake)
-        self._told = -math.inf
 
     def take(self) -> list[tuple[float, Rigid]]:
         found = []
-        for message in self._reader.take(N=TAKEN):
-            if not isinstance(message, ros.PoseStamped):  # of a writer that has gone
-                continue
+        for message in taken(self._reader):
             t = _seconds(message.header.stamp)
             rigid = _rigid(message.pose.position, message.pose.orientation)
             if rigid is not None:

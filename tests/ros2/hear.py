@@ -7,11 +7,10 @@ import dataclasses
 import json
 import sys
 import threading
-import time
 from typing import Any
 
 from taxeld_ros2 import ros_types
-from taxeld_ros2.dds import RELIABLE, Participant, last
+from taxeld_ros2.dds import RELIABLE, Participant, last, taken
 
 
 def plain(value: Any) -> Any:
@@ -33,12 +32,8 @@ def main(wanted: list[str]) -> None:
         came.wait(0.1)
         came.clear()
         for name, reader in readers.items():
-            for message in reader.take(N=100):
-                if dataclasses.is_dataclass(message) and hasattr(message, "sample_info"):
-                    if not message.sample_info.valid_data:
-                        continue
-                    told = {"topic": name, "at": time.monotonic(), "message": plain(message)}
-                    print(json.dumps(told), flush=True)  # noqa: T201
+            for message in taken(reader):
+                print(json.dumps({"topic": name, "message": plain(message)}), flush=True)  # noqa: T201
 
 
 if __name__ == "__main__":

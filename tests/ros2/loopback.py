@@ -1,5 +1,6 @@
 """DDS between processes of this machine alone, and what the tests of the bridge share."""
 
+import functools
 import os
 import subprocess
 import sys
@@ -29,6 +30,9 @@ URI = (
 ENVIRONMENT = {**os.environ, "CYCLONEDDS_URI": URI, "ROS_DOMAIN_ID": str(DOMAIN)}
 
 
+example = functools.cache(lambda topic: documented(topic)[1])
+
+
 class Daemon:
     """What a daemon publishes, on its own publisher, as the document has it."""
 
@@ -55,7 +59,7 @@ class Daemon:
     def send(self, topic: bytes, **changed: Any) -> None:
         """The document's example of another topic."""
         self.serve()
-        self._publisher.send(topic, {**documented(topic.decode())[1], **changed}, time.time())
+        self._publisher.send(topic, {**example(topic.decode()), **changed}, time.time())
 
     def close(self) -> None:
         self._publisher.close()

@@ -30,8 +30,18 @@ def estimate() -> dict[str, Any]:
     }
 
 
+def pose_of(estimate: dict[str, Any], frame: str = "world") -> ros.PoseWithCovarianceStamped:
+    """As a reader has it."""
+    sent = convert.pose_with_covariance(estimate, frame, 0.3).serialize()
+    return ros.PoseWithCovarianceStamped.deserialize(sent)
+
+
+def modes_of(estimate: dict[str, Any], frame: str = "world") -> ros.PoseArray:
+    return ros.PoseArray.deserialize(convert.modes(estimate, frame, 0.3).serialize())
+
+
 def test_the_covariance_stands_where_ros_has_x_y_and_yaw(estimate: dict[str, Any]) -> None:
-    message = convert.pose_with_covariance(estimate, "world", 0.3)
+    message = pose_of(estimate)
     found = np.array(message.pose.covariance).reshape(6, 6)
     assert np.array_equal(found[np.ix_([0, 1, 5], [0, 1, 5])], np.array(estimate["cov"]))
     assert np.count_nonzero(found) == 9
@@ -39,7 +49,7 @@ def test_the_covariance_stands_where_ros_has_x_y_and_yaw(estimate: dict[str, Any
 
 
 def test_the_pose_is_the_mean_that_the_covariance_is_about(estimate: dict[str, Any]) -> None:
-    pose = convert.pose_with_covariance(estimate, "world", 0.0).pose.pose
+    pose = pose_of(estimate).pose.pose
     assert pose.position.x == estimate["mean"]["x"]
     assert 2 * math.atan2(pose.orientation.z, pose.orientation.w) == pytest.approx(
         estimate["mean"]["theta"]
@@ -51,12 +61,13 @@ def test_a_stamp_is_the_measurements_time_and_its_nanoseconds_are_less_than_a_se
     t: float,
 ) -> None:
     stamp = convert.time_of(t)
+    assert pose_of({**documented("/taxeld/estimate")[1], "t": t}).header.stamp == stamp
     assert 0 <= stamp.nanosec < 1_000_000_000
     assert stamp.sec + stamp.nanosec * 1e-9 == pytest.approx(t, abs=1e-6)
 
 
 def test_modes_are_all_there_the_heaviest_first(estimate: dict[str, Any]) -> None:
-    poses = convert.modes(estimate, "world", 0.0).poses
+    poses = modes_of(estimate).poses
     assert [pose.position.x for pose in poses] == [1.0, 0.5]
 
 
@@ -75,6 +86,19 @@ def test_every_status_has_a_level_and_its_name(estimate: dict[str, Any], status:
 def test_a_daemon_that_is_not_heard_is_stale() -> None:
     (one,) = convert.diagnostics({}, {}, 5.0, "taxeld").status
     assert (one.level, one.message) == (convert.STALE, convert.SILENT)
+
+
+@pytest.mark.parametrize("frame", ["", "a", "abc", "world", "größe"])
+def test_poses_and_modes_are_the_bytes_that_cyclonedds_itself_would_write(
+    estimate: dict[str, Any], frame: str
+) -> None:
+    pose, poses = pose_of(estimate, frame), modes_of(estimate, frame)
+    assert pose.header.frame_id == poses.header.frame_id == frame
+    assert (
+        pose.serialize(use_version_2=False)
+        == convert.pose_with_covariance(estimate, frame, 0.3).serialize()
+    )
+    assert poses.serialize(use_version_2=False) == convert.modes(estimate, frame, 0.3).serialize()
 
 
 @pytest.mark.parametrize("frame", ["", "a", "abc", "world"])
