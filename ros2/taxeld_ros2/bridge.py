@@ -30,7 +30,7 @@ DIAGNOSTICS_S = 1.0  # between two, while the status stays
 MARKERS_S = 0.1
 DEPTH = 10  # messages kept for a reader, as ROS 2's own publishers do
 
-log = logging.getLogger(__name__)
+log = logging.getLogger(f"taxeld.{__name__}")  # which the command has written
 
 
 @dataclass(frozen=True, slots=True)

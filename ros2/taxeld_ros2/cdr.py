@@ -1,7 +1,7 @@
 """What DDS sends: values one after the other, each at a multiple of its own size (CDR, XCDR 1).
 
-cyclonedds does this for any message, at about 8 µs a point or a quaternion: for a cloud of particles
-that is so much that it would hold up the poses behind it.
+cyclonedds does this for any message, at about 8 µs a point or a quaternion. For a cloud of
+particles that is so much that it would hold up the poses behind it.
 """
 
 import struct

@@ -1,6 +1,8 @@
 """`taxeld-ros2`: the bridge to ROS 2."""
 
 import argparse
+import math
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +16,7 @@ from taxeld.errors import SetupError
 if TYPE_CHECKING:
     from taxeld_ros2.bridge import Settings
 
+NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 FRAMES = ("world", "sensor")  # of poses, with a sensor pose configured and without
 
 
@@ -58,6 +61,11 @@ def settings_of(args: argparse.Namespace, config: Config | None) -> "Settings":
         raise SetupError(
             "CONFIG or --stream: name the daemon's configuration, or where it publishes"
         )
+    for option, name in (("--prefix", args.prefix), ("--sensor-topic", args.sensor_topic)):
+        if name and not NAME.fullmatch(name):
+            raise SetupError(f"{option}: {name!r:.80} is no name of a ROS 2 topic; use /arm/skin")
+    if not math.isfinite(args.z_m):
+        raise SetupError(f"--z-m: must be a height in metres, not {args.z_m}")
     wants = args.sensor_tf is not None or bool(args.sensor_topic)
     if wants and not expected:
         raise SetupError(

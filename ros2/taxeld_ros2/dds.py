@@ -1,6 +1,9 @@
 """DDS as ROS 2 uses it: topics by their ROS names, with the qualities of service of its nodes."""
 
+import logging
+import math
 import os
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -18,11 +21,37 @@ DOMAIN = "ROS_DOMAIN_ID"
 DOMAIN_MAX = 232  # beyond it there are no ports
 BLOCKED_MS = 1  # that a reliable reader which does not keep up may hold a writer
 TAKEN = 200  # messages at once
+AGAIN_S = 30.0  # between lines of one kind
 # what writers of ROS 2 offer, and what a reader of either kind takes
 CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=BLOCKED_MS))
 BEST_EFFORT = Policy.Reliability.BestEffort
 LATCHED = Policy.Durability.TransientLocal
+
+log = logging.getLogger(f"taxeld.{__name__}")  # which the command has written
+
+
+class Output:
+    """A topic that is written to. A reader that does not keep up loses messages, alone."""
+
+    def __init__(self, name: str, writer: Any) -> None:
+        self.lost = 0
+        self._name, self._writer = name, writer
+        self._next_line_s = -math.inf
+
+    def write(self, message: Any) -> None:
+        """Never raises for what a reader does, and waits for none longer than `BLOCKED_MS`."""
+        try:
+            self._writer.write(message)
+        except DDSException as error:
+            self.lost += 1
+            now_s = time.monotonic()
+            if now_s >= self._next_line_s:
+                self._next_line_s = now_s + AGAIN_S
+                log.warning(
+                    "/%s: %d messages were lost (%s); a reader does not keep up",
+                    self._name, self.lost, error.msg.strip(),
+                )  # fmt: skip
 
 
 def last(depth: int, *policies: Any) -> Qos:
@@ -45,9 +74,10 @@ class Participant:
             ) from None
         self._seen = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
 
-    def writer(self, name: str, kind: type, qos: Qos) -> Any:
+    def writer(self, name: str, kind: type, qos: Qos) -> Output:
         """Of the ROS topic `/name`."""
-        return DataWriter(self._participant, self._topic(name, kind), qos=qos)
+        made = DataWriter(self._participant, self._topic(name, kind), qos=qos)
+        return Output(name.strip("/"), made)
 
     def reader(self, name: str, kind: type, qos: Qos, on_data: Callable[[], None]) -> Any:
         """`on_data` is called by a thread of DDS when something has come."""

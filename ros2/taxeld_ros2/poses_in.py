@@ -7,16 +7,24 @@ from collections.abc import Callable
 from typing import Protocol
 
 from taxeld_ros2 import ros_types as ros
-from taxeld_ros2.dds import BEST_EFFORT, LATCHED, RELIABLE, Participant, last, ros_type, taken
+from taxeld_ros2.dds import (
+    AGAIN_S,
+    BEST_EFFORT,
+    LATCHED,
+    RELIABLE,
+    Participant,
+    last,
+    ros_type,
+    taken,
+)
 from taxeld_ros2.stream import PoseOutput
 from taxeld_ros2.transforms import Rigid, Transforms
 
 TILT_RAD = 0.1  # of the link from upright, beyond which its pose is not planar
 PATIENCE_S = 5.0  # without a pose, until that is said
-AGAIN_S = 30.0  # between lines of one kind
 OFF_S = 1.0  # stamps so far from this machine's clock are of another
 
-log = logging.getLogger(__name__)
+log = logging.getLogger(f"taxeld.{__name__}")  # which the command has written
 
 
 class Source(Protocol):

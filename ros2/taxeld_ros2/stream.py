@@ -21,7 +21,7 @@ MOST = 100  # messages taken at once
 
 
 class VersionError(SetupError):
-    """The daemon speaks another version of the stream."""
+    """What comes is another version of the stream, or none at all."""
 
 
 class Stream:
@@ -60,6 +60,8 @@ class Stream:
                 continue
             message = unpack(body)
             version = message.get("v")
+            if not isinstance(version, int):
+                raise VersionError(f"{self.endpoint}: what is published there is no taxeld's")
             if version != messages.VERSION:
                 raise VersionError(
                     f"{self.endpoint}: speaks version {version} of the stream, and this bridge "

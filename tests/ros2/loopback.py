@@ -95,6 +95,9 @@ class Lines:
         assert self._process.stdout is not None
         self.lines.extend(iter(self._process.stdout.readline, ""))
 
+    def signal(self, number: int) -> None:
+        self._process.send_signal(number)
+
     def close(self) -> None:
         self._process.kill()
         self._process.wait(PATIENCE_S)

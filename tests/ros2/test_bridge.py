@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import signal
 import sys
 import time
 from collections.abc import Iterator
@@ -155,6 +156,47 @@ def test_a_daemon_of_another_version_ends_the_bridge_with_one_line(daemon: Daemo
         )
 
 
+def test_what_is_no_stream_ends_the_bridge_with_one_line(tmp_path: Path) -> None:
+    endpoint = f"ipc://{tmp_path}/stream"
+    with (
+        bridge("--stream", endpoint) as running,
+        zmq.Context() as context,
+        context.socket(zmq.PUB) as other,
+    ):
+        other.setsockopt(zmq.LINGER, 0)
+        other.bind(endpoint)
+        until(
+            lambda: running.poll() is not None,
+            lambda: other.send_multipart([messages.ESTIMATE, b"\xc1", b"0"]),
+        )
+        assert running.returncode == 1
+        assert running.stderr is not None
+        assert running.stderr.read() == f"{endpoint}: what is published there is no taxeld's\n"
+
+
+def test_a_reader_that_hangs_costs_the_others_nothing(daemon: Daemon, heard: Heard) -> None:
+    """A reliable one, for whom DDS keeps messages until it has no more room."""
+    hanging = Lines([sys.executable, str(HEAR), *TOPICS])
+    cloud = {"xytheta": [[0.1, 0.2, 0.3]] * 400, "weight": [1.0] * 400}
+    try:
+        with bridge("--stream", daemon.endpoint):
+            until(lambda: hanging.lines and heard.of("taxeld/pose"), daemon.say)
+            hanging.signal(signal.SIGSTOP)
+            for _ in range(1000):
+                said = daemon.say()
+                daemon.send(messages.PARTICLES, **cloud)
+                time.sleep(0.002)
+
+            def is_heard() -> bool:
+                stamp = heard.of("taxeld/pose")[-1]["header"]["stamp"]
+                return bool(stamp["sec"] + 1e-9 * stamp["nanosec"] >= said["t"] - 1e-6)
+
+            until(is_heard, lambda: None)
+    finally:
+        hanging.signal(signal.SIGCONT)
+        hanging.close()
+
+
 class Robot:
     """What the daemon would hear as the robot's poses."""
 
@@ -271,6 +313,11 @@ def test_why_no_sensor_pose_comes_is_said_after_a_while(
             ],
             "sensor_pose.endpoint: 'tcp://10.0.0.1:9874' is not of this machine",
         ),
+        (
+            ["--stream", "ipc:///tmp/x", "--prefix", "a b"],
+            "--prefix: 'a b' is no name of a ROS 2 topic",
+        ),
+        (["--stream", "ipc:///tmp/x", "--z-m", "nan"], "--z-m: must be a height in metres"),
         (["nowhere.toml"], "nowhere.toml: unreadable configuration"),
     ],
 )
