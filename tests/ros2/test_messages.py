@@ -2,6 +2,7 @@
 
 import math
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,10 @@ from ..daemon.test_stream_document import documented
 
 pytest.importorskip("cyclonedds")
 
-from taxeld_ros2 import convert, dds, markers
+from cyclonedds.core import DDSException
+from cyclonedds.idl.types import sequence, uint32
+
+from taxeld_ros2 import cdr, convert, dds, markers
 from taxeld_ros2 import ros_types as ros
 
 OUTLINE = np.array([[0.1, 0.0], [0.0, 0.2], [-0.1, 0.0]])
@@ -115,6 +119,40 @@ def test_markers_are_the_bytes_that_cyclonedds_itself_would_write(
     assert all(marker.header.frame_id == frame for marker in read.markers)
     assert [m.action for m in read.markers][:5] == [0, 0, 2, 2, 2], "what is no more is taken away"
     assert len(read.markers) == 5 + (particles > 0)
+
+
+@dataclass
+class Uneven(ros.IdlStruct, typename="test::Uneven"):
+    """Whose points do not follow a multiple of eight bytes by themselves."""
+
+    a: uint32
+    b: bool
+    points: sequence[ros.Point]
+
+
+@pytest.mark.parametrize("points", [0, 1, 2])
+def test_points_stand_at_multiples_of_their_size(points: int) -> None:
+    writer = cdr.Writer()
+    writer.uint32(7)
+    writer.boolean(True)
+    writer.points(np.full((points, 3), 1.5))
+    expected = Uneven(7, True, [ros.Point(1.5, 1.5, 1.5)] * points)
+    assert writer.done() == expected.serialize(use_version_2=False)
+
+
+def test_a_message_that_dds_does_not_take_is_counted_and_said_once(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    class Full:
+        def write(self, _: object) -> None:
+            raise DDSException(DDSException.DDS_RETCODE_TIMEOUT, "no room")
+
+    output = dds.Output("taxeld/pose", Full())
+    for _ in range(3):
+        output.write("message")
+    assert output.lost == 3
+    (line,) = [record.message for record in caplog.records]
+    assert line.startswith("/taxeld/pose: 1 messages were lost (")
 
 
 def test_a_mode_is_drawn_where_it_is_and_as_strongly_as_it_weighs(estimate: dict[str, Any]) -> None:
