@@ -84,9 +84,9 @@ def diagnostics(
     if not estimate:
         status = DiagnosticStatus(STALE, name, SILENT, "", [])
         return DiagnosticArray(header(now, ""), [status])
-    known = Status(estimate["status"])
+    level, told = _judged(estimate["status"])
     shown = {
-        "status": known.name.lower(),
+        "status": told,
         "valid": str(estimate["valid"]).lower(),
         "contacts": str(estimate["contacts"]),
         "modes": str(len(estimate["modes"])),
@@ -99,5 +99,13 @@ def diagnostics(
         shown["dead taxels"] = " ".join(map(str, health["dead_taxels"])) or "none"
         shown["scan to estimate p99 [ms]"] = f"{health['lat_us']['total']['p99'] / 1e3:.1f}"
     values = [KeyValue(key, value) for key, value in shown.items()]
-    status = DiagnosticStatus(LEVELS[known], name, known.name.lower(), "", values)
+    status = DiagnosticStatus(level, name, told, "", values)
     return DiagnosticArray(header(now, ""), [status])
+
+
+def _judged(status: int) -> tuple[int, str]:
+    """Level and name; a later daemon may know more of them than this bridge."""
+    if status not in LEVELS:
+        return WARN, f"status {status}"
+    known = Status(status)
+    return LEVELS[known], known.name.lower()

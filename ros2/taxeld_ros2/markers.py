@@ -65,8 +65,9 @@ def written(t: float, frame: str, drawn: list[Drawn]) -> Markers:
 def markers(
     estimate: dict[str, Any], cloud: dict[str, Any], outline: Floats, frame: str, z_m: float
 ) -> Markers:
-    """Modes of the estimate as outlines, the stronger the heavier, and particles as points, which
-    are left out where `cloud` is empty. `outline`: (P, 2) of the object, in its own frame."""
+    """Modes of the estimate as outlines, the stronger the heavier, and particles as points; nothing
+    of an estimate that is not valid. `cloud`: the particles, if any have come. `outline`: (P, 2) of
+    the object, in its own frame."""
     shown = estimate["modes"] if estimate["valid"] else []
     closed = np.vstack([outline, outline[:1]])
     drawn = []
@@ -75,19 +76,20 @@ def markers(
         if k < len(shown):
             points, alpha = _placed(closed, shown[k], z_m), max(shown[k]["weight"], FAINTEST)
         drawn.append(Drawn("modes", k, LINE_STRIP, points, (*BLUE, alpha), np.empty((0, 4))))
-    if cloud:
-        drawn.append(_particles(cloud, outline.mean(axis=0), z_m))
+    particles = cloud if shown else {}
+    drawn.append(_particles(particles, outline.mean(axis=0), z_m))
     return written(estimate["t"], frame, drawn)
 
 
 def _particles(cloud: dict[str, Any], centre: Floats, z_m: float) -> Drawn:
     """Each at the object's centre."""
-    poses, weight = np.array(cloud["xytheta"]), np.array(cloud["weight"])
+    poses = np.array(cloud.get("xytheta", ())).reshape(-1, 3)
+    weight = np.array(cloud.get("weight", ()))
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = centre
     at = [poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y, np.full(len(poses), z_m)]
     colours = np.tile((*GREEN, 1.0), (len(poses), 1))
-    colours[:, 3] = np.maximum(weight / weight.max(), FAINTEST)
+    colours[:, 3] = np.maximum(weight / weight.max(initial=1e-300), FAINTEST)
     return Drawn("particles", 0, POINTS, np.column_stack(at), (*GREEN, 1.0), colours)
 
 

@@ -7,6 +7,7 @@ from collections import deque
 from typing import NamedTuple, Self
 
 KEPT = 200  # transforms of one frame: two seconds at 100 a second
+FRAMES_MAX = 5000  # of a robot and all around it; more are not kept
 BACK_S = 1.0  # time that steps back by more begins anew
 LENGTH = (0.9, 1.1)  # of a rotation's quaternion, which should be 1
 
@@ -118,6 +119,9 @@ class Transforms:
             self.refused += 1
             return
         edge = self._edges.get(child)
+        if edge is None and len(self._edges) >= FRAMES_MAX:
+            self.refused += 1
+            return
         if edge is None or (edge.parent, edge.is_static) != (parent, is_static):
             edge = self._edges[child] = Edge(parent, is_static)
         if edge.take(t, rigid):

@@ -87,6 +87,11 @@ def test_every_status_has_a_level_and_its_name(estimate: dict[str, Any], status:
     assert {value.key: value.value for value in one.values}["dead taxels"] == "4 17 30"
 
 
+def test_a_status_of_a_later_daemon_is_told_by_its_number(estimate: dict[str, Any]) -> None:
+    (one,) = convert.diagnostics({**estimate, "status": 99}, {}, 5.0, "taxeld").status
+    assert (one.level, one.message) == (convert.WARN, "status 99")
+
+
 def test_a_daemon_that_is_not_heard_is_stale() -> None:
     (one,) = convert.diagnostics({}, {}, 5.0, "taxeld").status
     assert (one.level, one.message) == (convert.STALE, convert.SILENT)
@@ -118,7 +123,7 @@ def test_markers_are_the_bytes_that_cyclonedds_itself_would_write(
     assert ros.MarkerArray.serialize(read, use_version_2=False) == written
     assert all(marker.header.frame_id == frame for marker in read.markers)
     assert [m.action for m in read.markers][:5] == [0, 0, 2, 2, 2], "what is no more is taken away"
-    assert len(read.markers) == 5 + (particles > 0)
+    assert [len(m.points) for m in read.markers] == [4, 4, 0, 0, 0, particles]
 
 
 @dataclass
@@ -167,7 +172,8 @@ def test_a_mode_is_drawn_where_it_is_and_as_strongly_as_it_weighs(estimate: dict
 
 
 def test_nothing_is_drawn_of_an_estimate_that_is_not_valid(estimate: dict[str, Any]) -> None:
-    drawn = markers.markers({**estimate, "valid": False}, {}, OUTLINE, "world", 0.0)
+    cloud = {"xytheta": [[0.0, 0.0, 0.0]], "weight": [1.0]}
+    drawn = markers.markers({**estimate, "valid": False}, cloud, OUTLINE, "world", 0.0)
     assert all(
         m.action == markers.DELETE for m in ros.MarkerArray.deserialize(drawn.serialize()).markers
     )

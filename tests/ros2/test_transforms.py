@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from taxeld_ros2.transforms import BACK_S, KEPT, Rigid, Transforms
+from taxeld_ros2.transforms import BACK_S, FRAMES_MAX, KEPT, Rigid, Transforms
 
 NOWHERE = Rigid((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0))
 
@@ -150,6 +150,17 @@ def test_what_is_kept_of_a_frame_is_bounded_and_older_times_are_not_guessed() ->
     assert tree.news() is None
     edge = tree._edges["link"]
     assert len(edge._held) == KEPT
+
+
+def test_frames_without_end_are_not_kept() -> None:
+    tree = Transforms("world", "skin")
+    tree.take(1.0, "world", "skin", NOWHERE, False)
+    for k in range(FRAMES_MAX + 10):
+        tree.take(1.0, "world", f"frame{k}", NOWHERE, False)
+    assert len(tree._edges) == FRAMES_MAX
+    assert tree.refused == 11
+    tree.take(2.0, "world", "skin", NOWHERE, False)
+    assert tree.news() == (2.0, NOWHERE)
 
 
 def test_frames_that_go_round_end() -> None:
