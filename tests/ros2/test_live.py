@@ -13,7 +13,7 @@ from taxeld.stream import messages
 
 pytest.importorskip("cyclonedds")
 
-from taxeld_ros2.convert import SILENT
+from taxeld_ros2.convert import SILENT, time_of
 
 from ..system.test_clients import configured
 from .loopback import Lines, bridge, until
@@ -47,10 +47,11 @@ def test_what_a_running_daemon_estimates_is_heard_as_ros_messages(tmp_path: Path
             topic, body, _ = stream.recv_multipart()
             said.setdefault(topic, []).append(msgpack.unpackb(body))
     reader.close()
-    means = {round(e["t"] * 1e6): e["mean"] for e in said[messages.ESTIMATE]}
+    stamps = [(time_of(e["t"]), e["mean"]) for e in said[messages.ESTIMATE]]
+    means = {(stamp.sec, stamp.nanosec): mean for stamp, mean in stamps}
     for pose in heard.of("taxeld/pose"):
         stamp, at = pose["header"]["stamp"], pose["pose"]["pose"]["position"]
-        mean = means[round(stamp["sec"] * 1e6 + stamp["nanosec"] * 1e-3)]
+        mean = means[stamp["sec"], stamp["nanosec"]]
         assert (at["x"], at["y"]) == (mean["x"], mean["y"])
         assert pose["header"]["frame_id"] == "world", "the session has a robot"
     outline = said[messages.INFO][0]["outline"]
