@@ -87,7 +87,7 @@ class Machine:
         has_compiler = shutil.which(COMPILER) is not None
         say(f"taxeld's own, {'with' if has_compiler else 'without'} the part in C")
         copy = self._place / "source"
-        for part in ("firmware_protocol", "daemon", "training", "hil"):
+        for part in ("firmware_protocol", "daemon", "training", "hil", "ros2"):
             ignored = shutil.ignore_patterns("*.so", "__pycache__")
             shutil.copytree(ROOT / part, copy / part, ignore=ignored)
         for part in ("pyproject.toml", "hatch_build.py", "README.md", "LICENSE"):
