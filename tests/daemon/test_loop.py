@@ -1,5 +1,6 @@
 """The loop on a fake clock, and its sockets on real ones."""
 
+import contextlib
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ import zmq
 from taxeld.config.file import load, parse
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
+from taxeld.model.activation import Activation
 from taxeld.service.loop import Daemon
 from taxeld.source import session
 from taxeld.stream import messages
@@ -246,6 +248,29 @@ def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
     assert track.latest_t == 1.0
     assert daemon.pose_input.counters.malformed >= 4
     daemon.close()
+
+
+def test_health_tells_how_old_the_last_sensor_pose_is_and_0_where_there_is_none(
+    daemon: Daemon, tmp_path: Path
+) -> None:
+    assert daemon._health(0, 0.0, 100.0)["inputs"]["pose_age_s"] == 0.0
+    text = settings(tmp_path) + f'[sensor_pose]\nendpoint = "ipc://{tmp_path}/poses"\n'
+    text = text.replace("/stream", "/other").replace("/control", "/asked")
+    with contextlib.closing(Daemon(parse(text))) as moving:
+        assert moving._health(0, 0.0, 100.0)["inputs"]["pose_age_s"] == 0.0
+        moving.pipeline.poses.add(100.0, 0.1, 0.2, 0.3)
+        told = moving._health(0, 0.0, 100.25)["inputs"]
+        assert (told["pose_age_s"], told["poses_stale"]) == (0.25, True)
+
+
+def test_taxels_say_where_the_sensor_was_or_that_nobody_knows() -> None:
+    felt = Activation(5.0, np.array([0.0, 0.5]), np.array([True, True]))
+    placed = messages.taxels(felt, np.array([0.1, 0.2, 0.3]), 7)
+    assert placed["placed"] is True
+    assert placed["sensor"] == {"x": 0.1, "y": 0.2, "theta": 0.3}
+    nowhere = messages.taxels(felt, None, 7)
+    assert nowhere["placed"] is False
+    assert nowhere["sensor"] == {"x": 0.0, "y": 0.0, "theta": 0.0}
 
 
 def test_an_endpoint_without_its_directory_is_one_line(tmp_path: Path) -> None:
