@@ -8,6 +8,7 @@
 | `plot/belief`, `plot/spread`, `plot/error`, `plot/latency` | the heaviest mode's weight; standard deviations; ADD against the truth; time of each stage |
 """  # noqa: E501
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ class Space:
         self._stage, self._stream = stage, stream
         self._status: int | None = None
         self._begun = False
+        self._seen: dict[str, object] = {}
         self._is_live = is_live
         self._arrange(None)
         self._outline = max((line for _, line in stage.slices), key=len)
@@ -57,6 +59,13 @@ class Space:
 
     def _log(self, entity: str, thing: Any, *, static: bool = False) -> None:
         self._stream.log(entity, thing, static=static)
+
+    def _log_new(self, entity: str, state: object, make: Callable[[], Any]) -> None:
+        """Log what `make` gives, unless the entity is in that state already: to make and send a
+        thing takes far longer than to compare, and between touches little changes."""
+        if self._seen.get(entity) != state:
+            self._seen[entity] = state
+            self._log(entity, make())
 
     def _draw_what_stays(self) -> None:
         stage = self._stage
@@ -91,36 +100,43 @@ class Space:
                 self._begun = True
                 self._arrange(pose_of(m["sensor"]))
         colours, pressed = of_taxels(z, live), z > 0.0
-        self._log("world/link/skin", rr.Points3D(position, radii=TAXEL_M, colors=colours))
-        felt = rr.Points3D(position[pressed], radii=PRESSED_M, colors=colours[pressed])
-        self._log("world/link/pressed", felt)
+        self._log_new("world/link/skin", (m["z"], m["live"]),
+                      lambda: rr.Points3D(position, radii=TAXEL_M, colors=colours))  # fmt: skip
+        self._log_new(
+            "world/link/pressed", m["z"],
+            lambda: rr.Points3D(position[pressed], radii=PRESSED_M, colors=colours[pressed]),
+        )  # fmt: skip
 
     def _estimate(self, e: dict[str, Any]) -> None:
         known = bool(e["valid"])
         modes = e["modes"] if known else []
         self._place("world/object", pose_of(e["map"]) if known else None)
+        self._log_new("world/modes", modes, lambda: self._outlines(modes))
+        error_mm = self._stage.error_mm(e)
+        self._figures(e, error_mm)
+        self._told(e, error_mm)
+
+    def _outlines(self, modes: list[dict[str, float]]) -> rr.LineStrips3D:
+        """The brighter, the heavier."""
         lines = [_at(se2.apply(pose_of(one), self._outline), self._middle_m) for one in modes]
         colours = [(*MODE, round(255 * max(one["weight"], 0.4))) for one in modes]
-        self._log("world/modes", rr.LineStrips3D(lines, colors=colours, radii=LINE_M))
-        self._figures(e)
-        self._told(e)
+        return rr.LineStrips3D(lines, colors=colours, radii=LINE_M)
 
-    def _figures(self, e: dict[str, Any]) -> None:
+    def _figures(self, e: dict[str, Any], error_mm: float | None) -> None:
         if e["valid"]:
             self._log("plot/belief/heaviest", rr.Scalars(e["modes"][0]["weight"]))
             sd = np.sqrt(np.maximum(np.diag(np.array(e["cov"], dtype=float)), 0.0))
             for name, value in zip(SPREADS, sd * (1e3, 1e3, np.degrees(1.0)), strict=True):
                 self._log(f"plot/spread/{name}", rr.Scalars(float(value)))
-        error_mm = self._stage.error_mm(e)
         if error_mm is not None:
             self._log("plot/error/add_mm", rr.Scalars(error_mm))
         if e["lat_us"].get("skin"):
             for name in messages.STAGES:
                 self._log(f"plot/latency/{name}", rr.Scalars(e["lat_us"].get(name, 0.0) / 1e3))
 
-    def _told(self, e: dict[str, Any]) -> None:
+    def _told(self, e: dict[str, Any], error_mm: float | None) -> None:
         status = self._stage.name("status", e["status"])
-        pose, error_mm = e["map"], self._stage.error_mm(e)
+        pose = e["map"]
         rows = [
             ("valid", _yes(e["valid"])), ("touching", _yes(e["contact"])),
             ("contacts", e.get("contacts", 0)),
@@ -132,7 +148,9 @@ class Space:
         if error_mm is not None:
             rows.append(("error (ADD)", f"{error_mm:.1f} mm"))
         text = "\n\n".join([f"# {status}", *(f"**{name}** {value}" for name, value in rows)])
-        self._log("status/now", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
+        self._log_new(
+            "status/now", text, lambda: rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        )
         if e["status"] != self._status:
             self._status = e["status"]
             self._log("status/log", rr.TextLog(f"{status}, contacts {e.get('contacts', 0)}"))
@@ -153,12 +171,16 @@ class Space:
 
     def _place(self, entity: str, pose: Poses | None) -> None:
         """Move an entity; what has no pose is made too small to be seen."""
-        if pose is None:
-            self._log(entity, rr.Transform3D(scale=1e-6))
-            return
-        x, y, theta = map(float, pose)
-        turned = rr.RotationAxisAngle(axis=(0.0, 0.0, 1.0), radians=theta)
-        self._log(entity, rr.Transform3D(translation=(x, y, 0.0), rotation=turned, scale=1.0))
+        state = None if pose is None else pose.tolist()
+        self._log_new(entity, (state,), lambda: _transform(pose))
+
+
+def _transform(pose: Poses | None) -> rr.Transform3D:
+    if pose is None:
+        return rr.Transform3D(scale=1e-6)
+    x, y, theta = map(float, pose)
+    turned = rr.RotationAxisAngle(axis=(0.0, 0.0, 1.0), radians=theta)
+    return rr.Transform3D(translation=(x, y, 0.0), rotation=turned, scale=1.0)
 
 
 def _yes(flag: bool) -> str:
