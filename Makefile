@@ -60,7 +60,7 @@ screenshot: .venv/.all
 		--hide-welcome-screen --window-size 1300x800 --screenshot-to .venv/screenshot/view.png
 	$(BIN)/python -c "from PIL import Image; \
 		Image.open('.venv/screenshot/view.png').convert('RGB').resize((1300, 800)) \
-		.quantize(64).save('docs/view.png', optimize=True)"
+		.quantize(256).save('docs/view.png', optimize=True)"
 
 # The service (docs/service.md). WHEEL is what pip installs: this tree, or a wheel of it
 install rollback uninstall:
