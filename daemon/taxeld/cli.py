@@ -11,7 +11,7 @@ from taxeld import command_line
 from taxeld.command_line import FAILED, command
 from taxeld.config.endpoints import for_this_user
 from taxeld.config.file import load
-from taxeld.config.tables import ControlConfig
+from taxeld.config.tables import LEVELS, ControlConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 
@@ -35,12 +35,12 @@ def _run(args: argparse.Namespace) -> int:
     with log.written(), signals.Signals() as received:
         descriptors.ensure()
         config = load(args.config)
-        log.set_level(config.log.level)
+        log.set_level(args.log_level or config.log.level)
         recorder = recorder_of(config, args.config, args.record) if args.record else None
         daemon = Daemon(config, recorder)
         received.stop_by(daemon.stop)
         actions: dict[int, Callable[[], None]] = {
-            signal.SIGHUP: lambda: signals.reload(args.config, config),
+            signal.SIGHUP: lambda: signals.reload(args.config, config, args.log_level),
             signal.SIGUSR1: lambda: signals.dump(daemon.state()),
         }
         daemon.run(lambda: received.serve(actions))
@@ -70,11 +70,11 @@ def _relay(args: argparse.Namespace) -> int:
     with log.written(), signals.Signals() as received:
         descriptors.ensure()
         config = load(args.config)
-        log.set_level(config.log.level)
+        log.set_level(args.log_level or config.log.level)
         relay = Relay(config)
         received.stop_by(relay.stop)
         reload: dict[int, Callable[[], None]] = {
-            signal.SIGHUP: lambda: signals.reload(args.config, config)
+            signal.SIGHUP: lambda: signals.reload(args.config, config, args.log_level)
         }
         try:
             relay.run(lambda: received.serve(reload))
@@ -256,6 +256,7 @@ def _add_daemon(commands: command_line.Commands) -> None:
     run.add_argument(
         "--record", type=Path, metavar="DIR", help="also record a session into this new directory"
     )
+    _add_log_level(run)
 
     check = command(
         commands, "check", "Check everything that a run needs; one line for each fault.",
@@ -272,6 +273,13 @@ def _add_daemon(commands: command_line.Commands) -> None:
         "taxeld relay can0.toml", run=_relay,
     )  # fmt: skip
     relay.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's configuration")
+    _add_log_level(relay)
+
+
+def _add_log_level(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--log-level", choices=LEVELS, help="in place of log.level of the configuration"
+    )
 
 
 def _add_sessions(commands: command_line.Commands) -> None:
