@@ -1,6 +1,7 @@
 """`taxeld-hil`: the harness's commands."""
 
 import argparse
+import math
 import signal
 import sys
 import tempfile
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from taxeld import command_line
 from taxeld.command_line import Commands, command
+from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from taxeld_hil.scenario.scenario import Scenario
 
 VCAN = "vcan0"
+WATCH_SILENT_S = 3.0  # without a message for so long, it is said that none comes
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -102,11 +105,18 @@ def _matrix(args: argparse.Namespace) -> int:
 def _emulate(args: argparse.Namespace) -> int:
     from taxeld_hil.run.emulate import emulate
 
+    _check_endpoint("--poses", args.poses)
     scenario = _scenario(args).over("can" if args.can else "")
     if emulate(scenario, args.seed, args.poses, args.can or args.link, args.out):
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
     return 1
+
+
+def _check_endpoint(option: str, endpoint: str) -> None:
+    fault = endpoints.fault(endpoint, has_keys=True)
+    if fault:
+        raise SetupError(f"{option}: {fault}")
 
 
 def _accept(args: argparse.Namespace) -> int:
@@ -144,6 +154,7 @@ def _watch(args: argparse.Namespace) -> int:
     from taxeld.stream import messages, sockets
     from taxeld_hil.run.watch import HEADER, ContactTable, receive
 
+    _check_endpoint("--endpoint", args.endpoint)
     skin = layouts.load(args.layout)
     scene = bundle.load(args.bundle, skin, SkinConfig().full_scale_depth_m).model.scene
     truth = np.array(session.read_poses(args.truth)[-1][1:]) if args.truth else None
@@ -155,15 +166,21 @@ def _watch(args: argparse.Namespace) -> int:
         sockets.connect(socket, args.endpoint, "--endpoint")
         for topic in (messages.ESTIMATE, messages.TAXELS):
             socket.setsockopt(zmq.SUBSCRIBE, topic)
-        begun = False
+        begun, silent_s = False, time.monotonic() + WATCH_SILENT_S
         while not stopping:
             if socket.poll(50):
                 if not begun:
                     _say(HEADER)
-                begun = True
+                begun, silent_s = True, math.inf
                 line = receive(socket, table)
                 if line:
                     _say(line)
+            elif time.monotonic() > silent_s:
+                silent_s = math.inf
+                print(f"nothing comes from {args.endpoint} so far; is a daemon there?",
+                      file=sys.stderr)  # fmt: skip
+    if not begun:
+        return 0
     print("\n".join(table.latencies()))
     if truth is not None:
         _say(f"final symmetry-aware ADD {table.error_mm():.1f} mm")
