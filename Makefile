@@ -5,7 +5,7 @@ SEED ?= 0
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
-.PHONY: demo test lint docs bench bench-peers picture install rollback uninstall deb lock sbom vm-test clean
+.PHONY: demo test lint docs bench bench-peers picture install rollback uninstall deb dist-test lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
@@ -51,6 +51,10 @@ STAMP ?= $(shell date -u +%Y%m%dT%H%M%SZ)
 # A Debian package for the Debian and the Python that it is built with
 deb:
 	WHEEL='$(WHEEL)' PYTHON='$(PYTHON)' deploy/deb
+
+# Wheel and source distribution, each in a clean environment
+dist-test:
+	PYTHON='$(PYTHON)' deploy/dist-test
 
 # The runtime's versions (constraints.txt) with the hashes of their wheels
 lock: .venv/bin/python
