@@ -36,6 +36,7 @@ class Touching:
         self.order = np.arange(len(SKIN))
         self.contacts = 0
         self.placed = self.believed = PLACED
+        self.leaks = False  # whether presses are read beside them, and told apart as by the intake
 
     def touch(self, factor: float = 1.0, mount: Poses = se2.IDENTITY) -> None:
         """The next touch, and the scans after it; the daemon believes in a mount of zero."""
@@ -43,10 +44,16 @@ class Touching:
         self.contacts += 1
         h = MODEL.activation(se2.compose(se2.inverse(sensor), self.placed)[None])[0]
         noise = SIGMA * self.rng.standard_normal(len(h))
-        z = np.where(h > 0.0, np.clip(factor * self.gain * h + noise, 0.0, 1.0), 0.0)[self.order]
+        read = np.where(h > 0.0, factor * self.gain * h + noise, 0.0)
+        if self.leaks:
+            share = self.rng.uniform(0.5, 1.5, len(h))
+            read = read + share * MODEL.leak.of(np.maximum(read, 0.0))
+        z = np.clip(read, 0.0, 1.0)[self.order]
         z = np.where(z < FLOOR, 0.0, z)
         told = se2.compose(sensor, se2.inverse(mount))
-        self.scan(Observation(told, z, np.ones(len(z), dtype=bool)))
+        live = np.ones(len(z), dtype=bool)
+        evidence = MODEL.leak.without(z, FLOOR) if self.leaks else (z,)
+        self.scan(Observation(told, evidence[0], live, *evidence[1:]))
         for _ in range(2 * ITERATIONS):
             self.scan(None)
 
@@ -68,6 +75,20 @@ def test_a_right_skin_is_never_doubted(seed: int) -> None:
     assert touching.touches(16) is Suspect.NONE
     assert touching.doubt.raised == 0
     assert touching.doubt.touches >= LEAST_TOUCHES
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_presses_that_are_read_beside_them_hide_no_wrong_full_scale(seed: int) -> None:
+    touching = Touching(seed)
+    touching.leaks = True
+    assert touching.touches(8, factor=2.5) is Suspect.SCALE
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_presses_that_are_read_beside_them_raise_no_doubt(seed: int) -> None:
+    touching = Touching(seed)
+    touching.leaks = True
+    assert touching.touches(16) is Suspect.NONE
 
 
 @pytest.mark.parametrize("factor", [2.5, 1 / 2.5])

@@ -133,3 +133,11 @@ def test_a_response_is_undone_by_its_inverse() -> None:
     for h in GRID[::16]:
         reading = response(np.full(4, h), 0.1, onset)
         assert inverse(reading) == pytest.approx(np.full(4, h), abs=4e-3)
+
+
+@pytest.mark.parametrize("bend", [-0.3, 0.0, 0.1])
+def test_a_reading_of_full_scale_is_exactly_full_depth_so_that_it_counts_as_saturated(
+    bend: float,
+) -> None:
+    depth = Inverse(bend, np.linspace(-0.8, 2.5, 50))(np.full(50, 1.7))
+    assert (depth == 1.0).all()

@@ -9,12 +9,17 @@ import numpy as np
 import pytest
 
 from taxeld.arrays import Floats, Poses
+from taxeld.config.tables import FilterConfig
 from taxeld.config.toml_tables import Given
+from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
 from taxeld.model import se2
+from taxeld.model.activation import Activation
 from taxeld.proposals import bundle
+from taxeld.proposals.analytic import Manifold
 from taxeld_hil import cli
 from taxeld_hil.experiment import touch_experiment, touch_runs
+from taxeld_hil.experiment.overlooked import OVERLOOKED_NATS, truth_nats
 from taxeld_hil.experiment.touch_runs import AFTER, TouchRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN
@@ -120,15 +125,17 @@ def test_a_run_is_determined_by_its_seed() -> None:
 
 def run_of(seed: int, error: float) -> TouchRun:
     return TouchRun(
-        "box", "poor", seed, [50.0, error, 2.0, 1.0], [False, *[True] * 3], scans=500, air=300,
-        felt_in_air=50, contacts=10, silent_episodes=seed == 3, light=4, missed=seed,
+        "box", "poor", seed, [50.0, error, 20.0, 1.0], [False, *[True] * 3],
+        [0.5, None, 2.0 * seed, None], scans=500, air=300, felt_in_air=50, contacts=10,
+        silent_episodes=seed == 3, light=4, missed=seed,
     )  # fmt: skip
 
 
 def test_the_summary_is_of_the_runs() -> None:
     (row,) = touch_experiment.summary([run_of(seed, 3.0 * seed) for seed in range(4)])
     assert row["error_mm"]["after_6"] == {
-        "median": 4.5, "p90": 8.1, "under_5_mm": 0.5, "under_10_mm": 1.0, "converged": 1.0
+        "median": 4.5, "p90": 8.1, "under_5_mm": 0.5, "under_10_mm": 1.0, "converged": 1.0,
+        "not_found": 0, "overlooked": 0,
     }  # fmt: skip
     assert row["felt_in_air_of_scans"] == pytest.approx(0.1)
     assert row["felt_in_air_of_air"] == pytest.approx(1.0 / 6.0)
@@ -136,8 +143,22 @@ def test_the_summary_is_of_the_runs() -> None:
     assert row["runs_with_a_silent_failure"] == 0.25
     (line,) = list(touch_experiment.lines([row]))[2:]
     assert line.startswith(
-        "| poor, box | 50 (50), 0% | 4.5 (8.1), 50% | 2 (2), 100% | 1 (1), 100% |"
+        "| poor, box | 50 (50), 0% | 4.5 (8.1), 50% | 20 (20), 0% | 1 (1), 100% | 4, 2 | 0, 0 |"
     )
+
+
+def test_a_truth_that_the_filter_has_missed_is_told_from_one_that_touches_do_not_tell() -> None:
+    model = bundle.load("box", SKIN, 0.005).model
+    made = Estimator(model, Manifold(model), FilterConfig(injected=20, particles=20))
+    touched = touches.plan(model, TRUTH, lambda q: float(depth_m("box", q).max()), 0, 4, 0)
+    for k, touch in enumerate(touched.touches):
+        sensor = touched.path.at(float(np.mean(touch.held_s)))
+        z = model.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0]
+        made.on_scan(Activation(float(k), z, z >= 0.0), sensor)
+    made.estimate = replace(made.estimate, map=TRUTH + np.array([0.05, 0.0, 1.0]))
+    assert truth_nats(made, TRUTH) > OVERLOOKED_NATS
+    made.estimate = replace(made.estimate, map=TRUTH + np.array([0.002, 0.0, 0.02]))
+    assert abs(truth_nats(made, TRUTH)) < 1.0
 
 
 def test_the_command_goes_on_from_what_it_remembers(

@@ -10,7 +10,7 @@ import trimesh
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Projection
 from taxeld_training.cli import main
-from taxeld_training.jobs.rows import DISTANCES, EXACT, USED
+from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.limits.rivals import LARGE_EPOCHS
 from taxeld_training.models.variants import MODELS
 from taxeld_training.objects.setting import ring
@@ -22,9 +22,6 @@ FRONTIER = {
     "speedup", "ms_warm", "ms_eager_ddpm100_warm", "speedup_warm", "energy_distance",
     "energy_floor",
 }  # fmt: skip
-
-
-LIMITS = (EXACT, USED)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +49,7 @@ def test_proposals_writes_a_row_a_sampler_and_remembers_its_jobs(
     ]  # fmt: skip
     rows = json.loads(Path(printed[0]).read_text(encoding="utf-8"))
     assert {row["proposal"] for row in rows} == {
-        "projection", "manifold", "table", "exact", "likelihood in use", "density",
+        "projection", "manifold", "table", "exact", "density",
     }  # fmt: skip
     for row in rows:
         assert set(evaluate.PROPOSALS_KEYS) - {DISTANCES} == row.keys()
@@ -64,11 +61,11 @@ def test_proposals_writes_a_row_a_sampler_and_remembers_its_jobs(
     table = Path(printed[0]).with_suffix(".md").read_text(encoding="utf-8").splitlines()
     assert table[0] == "8 columns:"
     assert table[2].startswith("| sampler | objects | energy distance | × floor |")
-    assert len(table) == 4 + 6
+    assert len(table) == 4 + 5
     assert all(re.search(r"\| \d\.\d{4} \(\d\.\d{4} – \d\.\d{4}\) \|", line) for line in table[4:])
     by_name = {row["proposal"]: row for row in rows}
     assert by_name["exact"]["energy_distance"] == by_name["exact"]["energy_floor"]
-    informed = min(by_name, key=lambda name: (name in LIMITS, by_name[name]["energy_distance"]))
+    informed = min(by_name, key=lambda name: (name == EXACT, by_name[name]["energy_distance"]))
     assert by_name[informed]["p_nearest"] == 1.0
     assert by_name["projection"]["p_nearest"] < 0.05
     assert by_name["table"]["energy_distance"] < by_name["projection"]["energy_distance"]
@@ -87,7 +84,7 @@ def test_frontier_writes_cost_and_distance_of_each_sampler(
     monkeypatch.setattr(runs, "EAGER_GROUP", "density-16")
     assert main(command("frontier", block, tmp_path)) == 0
     rows = json.loads((tmp_path / "out" / "frontier.json").read_text(encoding="utf-8"))
-    assert len(rows) == 6
+    assert len(rows) == 5
     for row in rows:
         assert row.keys() >= FRONTIER
         assert row["speedup"] == pytest.approx(row["ms_eager_ddpm100"] / row["ms"])
@@ -119,7 +116,7 @@ def test_without_time_only_remembered_rows_are_written(block: Path, tmp_path: Pa
     assert main(command("proposals", block, tmp_path, *more)) == 0
     rows = json.loads((tmp_path / "out" / "proposals.json").read_text(encoding="utf-8"))
     assert {row["proposal"] for row in rows} == {
-        "projection", "manifold", "table", *LIMITS,
+        "projection", "manifold", "table", EXACT,
     }  # fmt: skip
 
 

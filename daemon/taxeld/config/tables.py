@@ -176,7 +176,9 @@ class BudgetConfig:
         5.0, between(0.01, 1000), "a proposal; auto chooses by it, measured at start"
     )
     filter_ms: float = key(5.0, between(0.01, 1000), "the belief and its summary")
-    publish_ms: float = key(1.0, between(0.01, 1000), "streams and control; reserved for them in each pass")
+    publish_ms: float = key(
+        1.0, between(0.01, 1000), "streams and control; reserved for them in each pass"
+    )
     degrade: bool = key(
         True, doc="save samples where the next scan would come too soon; false: let it wait"
     )

@@ -13,7 +13,7 @@ from enum import IntEnum
 
 import numpy as np
 
-from taxeld.arrays import Bools, Floats, Index, Poses
+from taxeld.arrays import Bools, Floats, Index, Poses, Reals
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.rule import noise_of
 from taxeld.model import se2
@@ -39,8 +39,9 @@ SCALE_MOST = np.log(1.6)  # of the factor's logarithm: responses differ by up to
 MOUNT_MOST_M, YAW_MOST = 0.002, np.radians(2.0)
 TOUCH_MOST = 30.0  # nats that a touch may cost: one in the air is no evidence of anything
 BEYOND = 0.05  # of what it would cost beyond: one pose that misses it is still nearer
-MOUNT_NATS = 22.0  # the same, for a mount: on a rough skin its gains imitate one, up to 20
-CERTAIN_NATS = 10.0  # by which touches are likelier than with a right calibration, the best aside
+# by which touches are likelier than with a right calibration, the best aside: a rough skin's gains
+# imitate a mount by up to 20, and a mug believed in a wrong place another full scale by 16
+CERTAIN_NATS = 22.0
 SWAPPED_NATS = 30.0  # by which two modules' readings are likelier in each other's place
 NAMES = 16  # that a module's taxels can have
 
@@ -162,29 +163,35 @@ class CalibrationCheck:
         been."""
         n, k = len(x), len(self._touches)
         h = self._model.activation(self._seen(x).reshape(-1, 3)).reshape(n, k, -1)
-        return self._nats(np.exp(x[:, 0])[:, None, None] * h, *self._read())
+        return self._nats(h, np.exp(x[:, 0])[:, None, None], *self._read())
 
-    def _nats(self, expected: Floats, z: Floats, live: Bools, floor: Floats) -> Floats:
-        """(…, K) of readings (K, M) where such (…, K, M) are expected."""
-        e = (z - expected) / self._sd(expected)
+    def _nats(
+        self, h: Floats, factor: Floats, z: Floats, live: Bools, floor: Floats, residue: Floats
+    ) -> Floats:
+        """(…, K) of readings (K, M) of true activations (…, K, M), all of them a factor greater."""
+        expected = factor * h
+        e = (z - expected) / self._sd(expected, factor, residue)
         e = np.where(_is_told(z, expected, floor) & live, e, 0.0)
         cost = 0.5 * (FREEDOM + 1.0) * np.log1p(e * e / FREEDOM).sum(axis=-1)
         return np.asarray(
             np.minimum(cost, TOUCH_MOST) + BEYOND * np.maximum(cost - TOUCH_MOST, 0.0)
         )
 
-    def _read(self) -> tuple[Floats, Bools, Floats]:
-        """(K, M) activations, which live, and floors."""
+    def _read(self) -> tuple[Floats, Bools, Floats, Floats]:
+        """(K, M) activations, which live, floors, and what may be of other presses."""
         z = np.array([touch.z for touch in self._touches])
         live = np.array([touch.live for touch in self._touches])
         floor = np.array([np.broadcast_to(touch.floor, z.shape[1]) for touch in self._touches])
-        return z, live, floor
+        residue = np.array([np.broadcast_to(touch.residue, z.shape[1]) for touch in self._touches])
+        return z, live, floor, residue
 
-    def _sd(self, expected: Floats) -> Floats:
-        """Of a reading, its taxel's own response included."""
+    def _sd(self, expected: Floats, factor: Floats | float, residue: Floats) -> Floats:
+        """Of a reading, its taxel's own response included, and what it may have of other presses:
+        of saturated ones more than they read."""
         within = np.minimum(expected, 1.0)
         own = ONSET_SD * deviation(within)
-        return np.sqrt(self._noise.variance(within) + own * own)
+        other = residue * np.maximum(factor, 1.0)
+        return np.sqrt(self._noise.variance(within) + own * own + other * other)
 
     def _linear(self, x: Floats) -> tuple[Floats, Floats, Floats, float]:
         """Residuals (R,), their slopes (R, 7) and weights (R,), in standard deviations; and the
@@ -195,11 +202,11 @@ class CalibrationCheck:
         near = np.concatenate([q, *(q + step for step in np.diag(STEP))])
         h, *ahead = model.activation(near).reshape(4, len(q), -1)
         by_pose = factor * (np.stack(ahead) - h) / STEP[:, None, None]
-        z, live, floor = self._read()
+        z, live, floor, residue = self._read()
         expected = factor * h
-        cost = float(self._nats(expected, z, live, floor).sum() + _prior(x[None])[0])
+        cost = float(self._nats(h, factor, z, live, floor, residue).sum() + _prior(x[None])[0])
         told = live & (h > 0.0) & _is_told(z, expected, floor)
-        sd = self._sd(expected)
+        sd = self._sd(expected, factor, residue)
         e = ((z - expected) / sd)[told]
         moves = np.eye(7)[1:] * 1e-6
         gap = self._seen(x + moves) - q
@@ -235,8 +242,6 @@ class CalibrationCheck:
             return Suspect.NONE
         if abs(x[0]) > SCALE_MOST:
             return Suspect.SCALE
-        if self.doubt.nats < MOUNT_NATS:
-            return Suspect.NONE
         off = np.hypot(x[1], x[2]) > MOUNT_MOST_M or abs(x[3]) > YAW_MOST
         return Suspect.MOUNT if off else Suspect.NONE
 
@@ -272,21 +277,24 @@ class _Modules:
 
     def take(self, touch: Observation, seen: Poses) -> None:
         """A touch, the object at a pose (3,) in the sensor's frame."""
-        z = self._spread(touch.z)
+        m = len(touch.z)
         h = self._spread(self._model.activation(seen[None])[0])
-        live = self._spread(touch.live.astype(np.float64))
-        at = np.flatnonzero((z > 0.0).any(axis=1) | (h > 0.0).any(axis=1))
+        read = [
+            self._spread(np.broadcast_to(each, m))
+            for each in (touch.z, touch.live, touch.floor, touch.residue)
+        ]
+        at = np.flatnonzero((read[0] > 0.0).any(axis=1) | (h > 0.0).any(axis=1))
         told = np.zeros(self._alike.shape)  # of the readings of column's module at row's place
-        told[at] = self._likely(z[None], h[at, None], live[None])
-        told[:, at] = self._likely(z[None, at], h[:, None], live[None, at])
+        told[at] = self._likely(h[at, None], *(each[None] for each in read))
+        told[:, at] = self._likely(h[:, None], *(each[None, at] for each in read))
         own = np.diag(told)
         gain = told + told.T - own[:, None] - own[None, :]
         self._gain += np.where(self._alike, gain, 0.0)
 
-    def _likely(self, z: Floats, h: Floats, live: Floats) -> Floats:
-        return np.asarray((self._noise.log_density(z, h) * live).sum(axis=2))
+    def _likely(self, h: Floats, z: Floats, live: Floats, floor: Floats, residue: Floats) -> Floats:
+        return np.asarray((self._noise.log_density(z, h, floor, residue) * live).sum(axis=2))
 
-    def _spread(self, values: Floats) -> Floats:
+    def _spread(self, values: Reals | Bools) -> Floats:
         """(M,) → (modules, NAMES), 0 where a module has no taxel of that name."""
         spread = np.zeros(self._shape)
         spread.ravel()[self._place] = values

@@ -42,14 +42,14 @@ class Inverse:
         rising = np.maximum.accumulate(response(GRID, bend, onset[:, None]), axis=1)
         at = np.linspace(0.0, 1.0, STEPS + 1)
         # a tiny slope of its own makes a level stretch invertible
-        rows = [np.interp(at, row / row[-1] + 1e-9 * GRID, GRID) for row in rising]
+        rows = [np.interp(at, row / row[-1] + 1e-9 * (GRID - 1.0), GRID) for row in rising]
         self._table = np.stack(rows).ravel()
         self._first: Index = np.arange(len(onset)) * (STEPS + 1)
 
     def __call__(self, reading: Floats) -> Floats:
-        """(M,) in 0..1, of readings clipped to that."""
+        """(M,) in 0..1, of readings clipped to that; of full scale 1 exactly: saturated."""
         place = np.clip(reading, 0.0, 1.0) * STEPS
         step = np.minimum(place.astype(np.intp), STEPS - 1)
         at = self._first + step
-        low, share = self._table.take(at), place - step
-        return np.asarray(low + share * (self._table.take(at + 1) - low))
+        share = place - step
+        return np.asarray((1.0 - share) * self._table.take(at) + share * self._table.take(at + 1))

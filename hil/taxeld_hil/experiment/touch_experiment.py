@@ -12,13 +12,14 @@ import numpy as np
 from taxeld.errors import SetupError
 from taxeld_hil.experiment import touch_runs
 from taxeld_hil.experiment.jobs import Memory, digest, played
-from taxeld_hil.experiment.touch_runs import AFTER, PAIRS, PRESSES, TouchRun
+from taxeld_hil.experiment.overlooked import OVERLOOKED_NATS
+from taxeld_hil.experiment.touch_runs import AFTER, FOUND_MM, PAIRS, PRESSES, TouchRun
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.world import load_model
 
-FOUND_MM, NEAR_MM = 5.0, 10.0
+CLOSE_MM = 5.0
 QUICK_SEEDS = 2
 
 Say = Callable[[str], None]
@@ -92,9 +93,11 @@ def summary(runs: list[TouchRun]) -> list[dict[str, Any]]:
                 f"after_{n}": {
                     "median": _quantile(error[:, k], 0.5),
                     "p90": _quantile(error[:, k], 0.9),
-                    "under_5_mm": float(np.mean(error[:, k] < FOUND_MM)),
-                    "under_10_mm": float(np.mean(error[:, k] < NEAR_MM)),
+                    "under_5_mm": float(np.mean(error[:, k] < CLOSE_MM)),
+                    "under_10_mm": float(np.mean(error[:, k] < FOUND_MM)),
                     "converged": float(np.mean([run.converged[k] for run in mine])),
+                    "not_found": int(np.count_nonzero(error[:, k] >= FOUND_MM)),
+                    "overlooked": sum((run.truth_nats[k] or 0.0) > OVERLOOKED_NATS for run in mine),
                 }
                 for k, n in enumerate(AFTER)
             },
@@ -112,7 +115,9 @@ def lines(rows: list[dict[str, Any]]) -> Iterator[str]:
     """The summary as a Markdown table."""
     noted = [name.removeprefix("after_") for name in rows[0]["error_mm"]]
     after = [f"median (p90) mm, < 5 mm after {n}" for n in noted]
-    head = ["skin, object", *after, "felt in the air", "light ones missed", "silent"]
+    judged = [name for name, e in rows[0]["error_mm"].items() if "overlooked" in e][-2:]
+    lost = [f"not found {name.replace('_', ' ')}, overlooked" for name in judged]
+    head = ["skin, object", *after, *lost, "felt in the air", "light ones missed", "silent"]
     yield "| " + " | ".join(head) + " |"
     yield "|---" * len(head) + "|"
     for row in rows:
@@ -123,6 +128,7 @@ def lines(rows: list[dict[str, Any]]) -> Iterator[str]:
         cells = [
             f"{row['skin']}, {row['object']}",
             *errors,
+            *(f"{e['not_found']}, {e['overlooked']}" for e in map(row["error_mm"].get, judged)),
             f"{row['felt_in_air_of_scans']:.1%}",
             f"{row['light_missed']:.0%} of {row['light']}",
             f"{row['runs_with_a_silent_failure']:.1%}",

@@ -8,6 +8,7 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.estimate import Status
 from taxeld.model import se2
 from taxeld.model.activation import Activation
+from taxeld_hil.experiment.overlooked import truth_nats
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario.scenario import Scenario
@@ -21,6 +22,7 @@ PRESSES = 10
 PAIRS = 4  # of a press and a light one, after them
 AFTER = (3, 6, 8, 10)  # touches, errors are noted
 RATE_HZ = 40.0  # ticks, where none is late: as the soak's
+FOUND_MM = 10.0  # an error below this
 SAME_S = 1e-4  # a reading and its truth are of one scan
 
 
@@ -33,6 +35,7 @@ class TouchRun:
     seed: int
     error_mm: list[float] = field(default_factory=list)  # after AFTER touches, up to symmetry
     converged: list[bool] = field(default_factory=list)  # then
+    truth_nats: list[float | None] = field(default_factory=list)  # then, where it is not found
     scans: int = 0
     air: int = 0  # of them, in which the object pressed no taxel
     felt_in_air: int = 0  # of those, in which the daemon felt one
@@ -118,8 +121,12 @@ def planned(
 def _note(found: TouchRun, run: FakeRun) -> None:
     last = run.judge.last
     assert last is not None  # noqa: S101  (a run has many estimates)
-    found.error_mm.append(round(run.judge.error_mm(last.map), 3))
+    assert run.daemon is not None  # noqa: S101  (no fault kills it)
+    error_mm = round(run.judge.error_mm(last.map), 3)
+    found.error_mm.append(error_mm)
     found.converged.append(last.status == Status.CONVERGED)
+    lost, estimator = error_mm >= FOUND_MM, run.daemon.pipeline.estimator
+    found.truth_nats.append(truth_nats(estimator, run.rig.world.truth) if lost else None)
 
 
 def _count(found: TouchRun, activation: Activation, pressed: Bools) -> None:

@@ -1,7 +1,7 @@
 """`taxeld-train evaluate shipped`: the configuration that ships, contact by contact, where all is
-exact, where the robot errs, and where the object gives way. With the group `grid` the grid filter
-stands beside it, on the same trials: what it does not find either, no filter of this likelihood
-does."""
+exact, where the robot errs, where the object gives way, and on soft skins. With the group `grid`
+the grid filter stands beside it, on the same trials: what it does not find either, no filter of
+this likelihood does."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -26,6 +26,7 @@ CONDITIONS = {
     "nudged 1 mm": Conditions(nudged_m=0.001),
     "nudged 2 mm": Conditions(nudged_m=0.002),
     "moved 2 mm": Conditions(pushed_m=0.002, pushed_rad=float(np.deg2rad(0.6))),
+    **{f"{skin} skin": Conditions(skin=skin) for skin in ("typical", "poor")},
 }
 
 

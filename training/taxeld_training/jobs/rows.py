@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 
 GRID = "grid"  # `proposal` of the grid filter's rows
-EXACT, USED = "exact", "likelihood in use"  # `proposal` of limits: of the readings' own noise, and
-# of the noise that the shipped filter assumes
+EXACT = "exact"  # `proposal` of the exact posterior's rows
 DISTANCES = "distances"  # of each reading; they stay out of the files of rows
 SUCCESS_MM = 10.0  # symmetric ADD of the heaviest mode under which a trial has succeeded
 

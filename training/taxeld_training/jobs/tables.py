@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from taxeld_training.jobs.rows import DISTANCES, EXACT, USED, Row, label
+from taxeld_training.jobs.rows import DISTANCES, EXACT, Row, label
 from taxeld_training.jobs.statistics import of_mean, p_paired
 
 # heading: how a mean of rows is written
@@ -37,10 +37,10 @@ SOURCE = {
 
 def compared(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows with `p_nearest`: how likely chance alone parts a sampler so far from the nearest one,
-    limits left out, on the same object, skin and readings."""
+    the exact posterior left out, on the same object, skin and readings."""
     nearest: dict[tuple[str, int], dict[str, Any]] = {}
     for row in sorted(rows, key=lambda row: -float(row["energy_distance"])):
-        if row["proposal"] not in (EXACT, USED):
+        if row["proposal"] != EXACT:
             nearest[row["object"], row["columns"]] = row
     best = [nearest.get((row["object"], row["columns"])) for row in rows]
     return [
@@ -66,8 +66,7 @@ def _table(rows: Sequence[Row]) -> str:
     of: dict[str, list[Row]] = {}
     for row in rows:
         of.setdefault(label(row), []).append(row)
-    limits = [name for name in of if name in (EXACT, USED)]
-    nearest = min(of.keys() - set(limits), key=lambda name: _mean(of[name], "energy_distance"))
+    nearest = min(of.keys() - {EXACT}, key=lambda name: _mean(of[name], "energy_distance"))
     shown = [h for h in COLUMNS if SOURCE.get(h, "object") in rows[0]]
     order = sorted(of, key=lambda name: _mean(of[name], "energy_distance"))
     lines = [["sampler", *shown, "p"], ["---"] * (len(shown) + 2)]

@@ -14,7 +14,7 @@ from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import Draws, ExactPosterior, energy_distance
-from taxeld_training.models.dataset import IN_USE, Touches, read, simulate
+from taxeld_training.models.dataset import Touches, read, simulate
 
 SAMPLES = 100
 BANK_STAGE, EXACT_STAGE = "contacts to measure with", "exact posteriors"
@@ -32,7 +32,6 @@ class Reference:
     z: list[NDArray[np.float64]]  # (M,) each, as a filter sees it
     live: list[NDArray[np.bool_]]  # (M,) each
     exact: list[Poses]  # (2 · SAMPLES, 3) each: one half to measure to, one for the floor
-    used: list[Poses]  # (SAMPLES, 3) each, by the likelihood that the shipped filter uses; or none
     ess: list[float]  # effective contacts behind the draws of each reading
     length_m: float
     left_out: int
@@ -60,16 +59,15 @@ class Reference:
 
 def reference(
     model: ObservationModel, noise: Noise, readings: int, rng: np.random.Generator,
-    *, dead: float = 0.0, bank: int = BANK, used: bool = False,
+    *, dead: float = 0.0, bank: int = BANK,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Reference:  # fmt: skip
     """Exact posteriors of `readings` simulated readings, a share `dead` of the taxels dead in
-    each. Where the bank is too thin for one, contacts are made around it. `used`: with what the
-    shipped filter's likelihood would make of them. `progress` is told the stage, and which share
-    of it is done."""
+    each. Where the bank is too thin for one, contacts are made around it. `progress` is told the
+    stage, and which share of it is done."""
     contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
-    exact, other = (Posterior(model, contacts, n, rng) for n in (noise, IN_USE))
-    kept = Reference([], [], [], [], [], [], model.scene.size, 0, bank, 0.0)
+    exact = Posterior(model, contacts, noise, rng)
+    kept = Reference([], [], [], [], [], model.scene.size, 0, bank, 0.0)
     drawn = read(model, noise, readings, rng, dead)
     spent_s = 0.0
     for done, (pose, seen) in enumerate(zip(drawn.pose, drawn, strict=True)):
@@ -83,12 +81,10 @@ def reference(
         kept.z.append(seen.z)
         kept.live.append(seen.live)
         kept.exact.append(draws.pose)
-        if used:
-            kept.used.append(other.sample(seen, SAMPLES, rng).pose)
         kept.ess.append(draws.ess)
     progress(EXACT_STAGE, 1.0)
     return Reference(
-        kept.truth, kept.z, kept.live, kept.exact, kept.used, kept.ess,
+        kept.truth, kept.z, kept.live, kept.exact, kept.ess,
         kept.length_m, readings - len(kept.z), bank, spent_s / readings * 1e3,
     )  # fmt: skip
 
@@ -124,7 +120,6 @@ def load(path: Path) -> Reference:
             z=list(kept["z"]),
             live=list(kept["live"]),
             exact=list(kept["exact"]),
-            used=list(kept["used"]),
             ess=list(kept["ess"]),
             length_m=float(kept["length_m"]),
             left_out=int(kept["left_out"]),

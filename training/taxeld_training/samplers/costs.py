@@ -18,11 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.layout.layout import Layout
-from taxeld.model.observation import Noise
 from taxeld.model.proposal import Proposal
 from taxeld.proposals.sampler import Sampler
 from taxeld_training.limits import quality
-from taxeld_training.models.dataset import read
+from taxeld_training.models.dataset import IN_USE, read
 from taxeld_training.models.export import export
 from taxeld_training.models.variants import Variant
 from taxeld_training.samplers import experiment
@@ -39,7 +38,7 @@ def time_calls(
     cold and warm; `groups` as in `experiment.measure`."""
     model = setting.model()
     rng = np.random.default_rng(0)
-    readings = read(model, Noise(), CALLS + 1, rng).z
+    readings = read(model, IN_USE, CALLS + 1, rng).z
     untrained = replace(setting, updates=0.0)
     with tempfile.TemporaryDirectory() as place:
         timed = [

@@ -4,11 +4,11 @@ from pathlib import Path
 
 from taxeld_training.jobs import tables
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import EXACT, USED
+from taxeld_training.jobs.rows import EXACT
 from taxeld_training.samplers.runs import DISTANCE_KEYS, rows
 
 PROPOSALS = (  # the paper's Fig. 2, and limits
-    "projection", "manifold", "table", "paper", "density", EXACT, USED,
+    "projection", "manifold", "table", "paper", "density", EXACT,
 )  # fmt: skip
 PROPOSALS_KEYS = (
     "object", "columns", "proposal",

@@ -13,7 +13,7 @@ import torch
 from numpy.typing import NDArray
 
 from taxeld.arrays import Floats, Poses
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.proposals.analytic import ANALYTIC, Table
 from taxeld_training.limits import quality
@@ -24,7 +24,7 @@ from taxeld_training.limits.rivals import (
     train_rival,
 )
 from taxeld_training.models import variants
-from taxeld_training.models.dataset import simulate
+from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.export import AnySampler, flops
 from taxeld_training.models.variants import Variant
 from taxeld_training.objects.setting import Setting
@@ -89,7 +89,7 @@ def samplers_of(
         variant = variants.trained_with(variant, setting.updates)
         rng = np.random.default_rng(setting.seed)
         touches = simulate(model, variant.training.contacts, rng)
-        network = variants.fit(variant, model, Noise(), touches)
+        network = variants.fit(variant, model, IN_USE, touches)
         for sampler in variants.samplers(variant, network).values():
             yield Tried(
                 "paper" if group == "paper" else sampler.family,
@@ -105,5 +105,5 @@ def samplers_of(
         )
         if setting.epochs is not None:
             size = {"max_epochs": setting.epochs}
-        rival = train_rival(kind, model, Noise(), seed=setting.seed, **size)
+        rival = train_rival(kind, model, IN_USE, seed=setting.seed, **size)
         yield Tried(group, None, None, None, rival)

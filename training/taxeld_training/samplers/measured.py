@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
-from taxeld.model.observation import Noise, ObservationModel
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld_training.jobs import fingerprint
-from taxeld_training.jobs.rows import DISTANCES, EXACT, USED
+from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.jobs.statistics import of_mean, rounded
 from taxeld_training.limits import metrics, quality
-from taxeld_training.limits.posterior import energy_distance
-from taxeld_training.models.dataset import read
+from taxeld_training.models.dataset import IN_USE, read
 from taxeld_training.models.variants import Variant
 from taxeld_training.samplers.experiment import Measurement, Tried, samplers_of
 
@@ -34,9 +32,7 @@ def make_reference(setting: Measurement, code: str, path: str) -> dict[str, floa
     of the job's key alone."""
     del code
     rng = np.random.default_rng(setting.seed + 1)
-    to = quality.reference(
-        setting.model(), Noise(), setting.readings, rng, bank=setting.bank, used=True
-    )
+    to = quality.reference(setting.model(), IN_USE, setting.readings, rng, bank=setting.bank)
     quality.save(to, Path(path))
     return {"floor": to.floor, "error": to.error, "left_out": to.left_out, "ms": to.ms}
 
@@ -50,7 +46,7 @@ def measure(
     model = setting.model()
     to = quality.load(Path(reference))
     rng = np.random.default_rng(setting.seed + 2)
-    seen = read(model, Noise(), setting.contacts, rng)
+    seen = read(model, IN_USE, setting.contacts, rng)
 
     def row(
         tried: Tried, z: Floats, truth: Poses, samples: Sequence[Poses], distances: Floats
@@ -76,17 +72,9 @@ def measure(
     if group == "analytic":
         z, truth, n = np.array(to.z), np.array(to.truth), quality.SAMPLES
         exact = [draws[:n] for draws in to.exact]
-        used = [
-            energy_distance(one, other, to.length_m)
-            for one, other in zip(to.used, exact, strict=True)
-        ]
-        rows.append(row(_limit(EXACT, model), z, truth, exact, to.floors))
-        rows.append(row(_limit(USED, model), z, truth, to.used, np.array(used)))
+        limit = Tried(EXACT, None, None, None, ANALYTIC["projection"](model))
+        rows.append(row(limit, z, truth, exact, to.floors))
     return rows
-
-
-def _limit(name: str, model: ObservationModel) -> Tried:
-    return Tried(name, None, None, None, ANALYTIC["projection"](model))
 
 
 def _named(setting: Measurement, tried: Tried) -> dict[str, Any]:

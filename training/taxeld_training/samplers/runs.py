@@ -10,7 +10,7 @@ from taxeld.errors import SetupError
 from taxeld_training.jobs import jobs, tables
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs
-from taxeld_training.jobs.rows import DISTANCES, EXACT, USED
+from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.limits.rivals import LARGE, RIVALS
 from taxeld_training.models.variants import MODELS
 from taxeld_training.objects import meshes
@@ -117,7 +117,7 @@ def _with_cost(
         return float(found["ms"]), float(found["ms_warm"])
 
     eager, eager_warm = ms(costs.EAGER, *EAGER_SIZE)
-    if row["proposal"] in (EXACT, USED):
+    if row["proposal"] == EXACT:
         own = own_warm = exact[row["object"], row["columns"]]
     else:
         own, own_warm = ms(row["proposal"], row["steps"], row["width"])
