@@ -149,7 +149,9 @@ def _calibrate(args: argparse.Namespace) -> int:
         from taxeld.commands.calibrate_guided import Guided
 
         if config_path:
-            raise SetupError("--config: is for a session; a running skin has its own")
+            raise SetupError(
+                "--config: is only for a session; a running skin has its own configuration"
+            )
         config = load(directory)
         directory = Guided.place(args.out)
         guided = Guided(config, args.source, directory, args.idle_s, args.presses, say)
@@ -251,7 +253,10 @@ def _add_daemon(commands: command_line.Commands) -> None:
     )  # fmt: skip
     run.add_argument("config", type=Path, metavar="CONFIG")
     run.add_argument(
-        "--histogram", type=Path, metavar="FILE", help="write the latencies there at the end"
+        "--histogram",
+        type=Path,
+        metavar="FILE",
+        help="write a histogram of the latencies at the end",
     )
     run.add_argument(
         "--record", type=Path, metavar="DIR", help="also record a session into this new directory"
@@ -265,7 +270,7 @@ def _add_daemon(commands: command_line.Commands) -> None:
     check.add_argument("config", type=Path, metavar="CONFIG")
     check.add_argument(
         "--running", action="store_true",
-        help="a daemon runs with it already: what that has in use is no fault",
+        help="a daemon runs with this configuration: what it has in use is no fault",
     )  # fmt: skip
 
     relay = command(
@@ -308,7 +313,9 @@ def _add_sessions(commands: command_line.Commands) -> None:
         "log", type=Path, metavar="LOG", help="a log of candump or another tool, or a serial.bin"
     )
     decode.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
-    decode.add_argument("--config", type=Path, help="its source.modules is the module table")
+    decode.add_argument(
+        "--config", type=Path, help="take the module table from source.modules of this file"
+    )
     decode.add_argument(
         "--interface", default="", help="the skin's CAN interface, where the log holds several"
     )
@@ -332,7 +339,11 @@ def _add_skin(commands: command_line.Commands) -> None:
     )  # fmt: skip
     calibrate.add_argument("--config", type=Path, help="in place of the session's own config.toml")
     calibrate.add_argument(
-        "--presses", type=int, default=20, metavar="N", help="to ask for (default %(default)s)"
+        "--presses",
+        type=int,
+        default=20,
+        metavar="N",
+        help="number of presses to ask for (default %(default)s)",
     )
     calibrate.add_argument(
         "--idle-s", type=float, default=60.0,

@@ -237,7 +237,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     add(
         "--memory", type=Path, default=Path(".experiments"), metavar="DIR",
-        help="results of jobs, from which an experiment cut short goes on (default %(default)s)",
+        help="finished jobs; what was interrupted goes on from them (default %(default)s)",
     )  # fmt: skip
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     add(

@@ -54,7 +54,7 @@ def read(path: Path) -> Floats:
         import trimesh  # noqa: PLC0415
     except ImportError:
         raise SetupError(
-            f"physics: trimesh reads {path.name}; pip install 'taxeld[train]'"
+            f"physics: reading {path.name} needs trimesh; pip install 'taxeld[train]'"
         ) from None
     try:
         mesh = trimesh.load_mesh(path, process=False)
