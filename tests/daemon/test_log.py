@@ -182,8 +182,10 @@ def test_a_daemon_says_when_it_is_ready_with_what(
     assert f"source replay {tmp_path}, open" in lines[0]
     assert f"streams at ipc://{tmp_path}/stream; control at ipc://{tmp_path}/control" in lines[0]
     assert any(line.endswith("hub 1 sends: 8 modules, 8 of them in the layout") for line in lines)
+    before = logging.getLogger("taxeld").level
     assert main(["run", "--log-level", "error", config]) == 0
     assert capsys.readouterr().err == ""
+    assert logging.getLogger("taxeld").level == before
 
 
 def test_a_ration_is_filled_again_with_time() -> None:

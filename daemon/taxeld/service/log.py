@@ -46,7 +46,8 @@ class _Coloured(logging.Formatter):
 
 @contextlib.contextmanager
 def written() -> Iterator[None]:
-    """Meanwhile, what is logged is written."""
+    """Meanwhile, what is logged is written; its level is as before afterwards."""
+    level = _ROOT.level
     lines: SimpleQueue[logging.LogRecord] = SimpleQueue()
     hand, handler = _Hand(lines), logging.StreamHandler(sys.stderr)
     handler.setFormatter(formatter(sys.stderr, os.environ))
@@ -57,6 +58,7 @@ def written() -> Iterator[None]:
         yield
     finally:
         _ROOT.removeHandler(hand)
+        _ROOT.setLevel(level)
         listener.stop()
 
 
