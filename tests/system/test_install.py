@@ -93,6 +93,17 @@ class Machine:
         assert (running.returncode == 0) == works, said
         return said
 
+    def is_idle(self) -> bool:
+        """Whether no installation is at work."""
+        directory = os.open(self.lib, os.O_RDONLY)
+        try:
+            fcntl.flock(directory, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        finally:
+            os.close(directory)
+        return True
+
     def used(self) -> str:
         """The version that the command would start, as its own interpreter is named."""
         first = self.command.read_text(encoding="utf-8").splitlines()[0]
@@ -186,6 +197,7 @@ def test_an_upgrade_that_is_interrupted_leaves_the_old_version_in_use(
         (machine.lib / "hangs").unlink()
         os.killpg(running.pid, number)
     assert running.returncode != 0
+    until(machine.is_idle)  # make has ended, and what it called may still clear up
     kept = {k: v for k, v in machine.tree().items() if "/.new/" not in k}
     assert kept == before
     machine.make("install", builds="2.0")
