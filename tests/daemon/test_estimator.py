@@ -8,6 +8,8 @@ import pytest
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
+from taxeld.estimator import particles as pf
+from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import REVISITS, SILENT_MAX, Mixture
@@ -105,6 +107,20 @@ def test_a_flicker_does_not_begin_a_contact(box_model: ObservationModel) -> None
     assert subject.on_scan(feel(box_model, press(-0.004), 0.45), press(-0.004)).contacts == 1
     assert not subject.on_scan(replace(silent, t=1.5), press(0.01)).contact
     assert subject.on_scan(feel(box_model, press(-0.004), 1.6), press(-0.004)).contacts == 2
+
+
+def test_a_touch_that_may_be_noise_confirms_nothing(box_model: ObservationModel) -> None:
+    """The first light scan of a press whose deepest may yet refute the belief."""
+    subject = estimator(box_model, injected=0)
+    near = TRUTH + 1e-4 * np.random.default_rng(0).standard_normal((100, 3))
+    rule = subject.rule
+    rule.belief = pf.equal(near, np.empty((100, 0)))
+    rule.confidence = Confidence.of(rule.belief, box_model.scene)
+    for t, gap, confirmed in ((0.0, -0.00015, False), (1.0, -0.003, True)):
+        for k in range(3):
+            subject.on_scan(feel(box_model, press(gap), t + 0.05 * k), press(gap))
+        assert subject.estimate.contact
+        assert rule.confidence.confirmed is confirmed
 
 
 def test_touching_nothing_is_evidence(box_model: ObservationModel) -> None:

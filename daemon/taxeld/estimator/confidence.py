@@ -1,6 +1,7 @@
 """What a belief is worth: what confirms it, what refutes it, and what speaks against it now.
 
-A belief is *confirmed* by a contact that leaves it narrow and where it was, and that it explains.
+A belief is *confirmed* by a firm contact that leaves it narrow and where it was, and that it
+explains.
 It is *searched* by samples that could have found a better place and did not. It is in *doubt* while
 no pose explains the newest scan, or all remembered contacts together. It was *refuted* once
 contacts contradicted each other.
@@ -11,11 +12,13 @@ from typing import Self
 
 from taxeld.estimator.estimate import SEARCHING_WEIGHT, Status, Summary, summarise
 from taxeld.estimator.particles import Belief
+from taxeld.model.observation import Observation
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
 
 CONFIRMED_M = 0.02  # a heaviest mode that moved less has stayed; less of a smaller object
 AGREEING = 4  # remembered contacts that must agree once any was refuted: a few may do so by chance
+FIRM = 0.05  # of full scale: a lighter contact may be noise, and begins a press that tells more
 SEARCHED = 100  # samples that must have left a narrow belief where it was
 
 
@@ -46,8 +49,8 @@ class Confidence:
     def learned(
         self, belief: Belief, samples: int, contact: int, remembered: int, *, in_doubt: bool
     ) -> None:
-        """The belief has learned from a scan of the given contact, counted from 1, or from a
-        silent one, 0. `in_doubt`: as it was before."""
+        """The belief has learned from a firm scan of the given contact, counted from 1, or from one
+        that is not firm, 0. `in_doubt`: as it was before."""
         stayed = self._search(belief, samples)
         self.remembered = remembered
         if contact and contact != self._contact:
@@ -86,6 +89,11 @@ class Confidence:
         stayed = before.is_narrow and self.summary.is_narrow and bool(apart < near_m)
         self.searched = self.searched + samples if stayed else 0
         return stayed
+
+
+def firm(observation: Observation, contact: int) -> int:
+    """The number of a contact if a scan of it is firm; else 0."""
+    return contact if observation.z.max() >= FIRM else 0
 
 
 def status(confidence: Confidence, contacts: int, *, blind: bool = False) -> Status:

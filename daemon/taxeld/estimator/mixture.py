@@ -9,7 +9,7 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import consistency, injection
 from taxeld.estimator import particles as pf
-from taxeld.estimator.confidence import Confidence
+from taxeld.estimator.confidence import Confidence, firm
 from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.memory import Memory, Slack
 from taxeld.estimator.particles import Belief
@@ -77,7 +77,7 @@ class Mixture:
         log_evidence = yield from self._update(observation, samples, contacts)
         if log_evidence is None:
             return 0, 0.0
-        contact = contacts if observation.is_contact else 0
+        contact = firm(observation, contacts)
         self.confidence.learned(
             self.belief, len(samples), contact, self.memory.contacts, in_doubt=in_doubt
         )

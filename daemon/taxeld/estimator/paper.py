@@ -6,7 +6,7 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import consistency, injection
 from taxeld.estimator import particles as pf
-from taxeld.estimator.confidence import Confidence
+from taxeld.estimator.confidence import Confidence, firm
 from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.parts import Parts
@@ -50,7 +50,7 @@ class Paper:
         in_doubt = self.confidence.doubt
         samples = drawn(draw, observation, self._wanted(contacts))
         log_evidence = self.update(observation, samples)
-        contact = contacts if observation.is_contact else 0
+        contact = firm(observation, contacts)
         self.confidence.learned(self.belief, len(samples), contact, 0, in_doubt=in_doubt)
         return len(samples), log_evidence
 
