@@ -5,13 +5,17 @@ SEED ?= 0
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
-.PHONY: demo test lint docs bench bench-peers picture install rollback uninstall deb dist-test lock sbom vm-test clean
+.PHONY: demo test node lint docs bench bench-one-core bench-aarch64 bench-peers picture
+.PHONY: install rollback uninstall deb dist-test lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
 
 test: .venv/.all
 	$(BIN)/python -m pytest
+
+# What the client in JavaScript needs, for its test
+node: .venv/.node
 
 lint: .venv/.all
 	$(BIN)/ruff format --check .
@@ -27,15 +31,24 @@ bench: .venv/.all
 	$(BIN)/python benchmarks/run.py
 	$(BIN)/python benchmarks/hostile.py
 
+# The same on one core of this machine, which all its processes share
+bench-one-core: .venv/.all
+	taskset --cpu-list 0 $(BIN)/python benchmarks/run.py --no-demo
+
+# Whether it installs and works on an aarch64 processor, which QEMU emulates: needs Debian packages
+bench-aarch64: .venv/.all
+	$(BIN)/python benchmarks/aarch64.py
+
 # One update beside other filters, in an environment of their own: `particles` needs an older numpy
 bench-peers: .venv/.peers
 	PYTHONPATH=firmware_protocol:daemon OPENBLAS_NUM_THREADS=1 .venv/peers/bin/python benchmarks/peers.py
 
-# The README's picture: the contacts of a demo session
+# The README's picture and the notebook's: the contacts of a demo session
 picture: .venv/.all
 	rm -rf .venv/picture
-	$(BIN)/taxeld-hil run demo --seed $(SEED) --out .venv/picture
-	$(BIN)/taxeld-hil draw .venv/picture --out docs/demo.png
+	$(BIN)/taxeld-hil run demo --seed $(SEED) --out .venv/picture/session
+	$(BIN)/taxeld-hil draw .venv/picture/session --out docs/demo.png
+	$(BIN)/python tests/pages.py examples/belief.ipynb .venv/picture
 
 # The service (docs/service.md). WHEEL is what pip installs: this tree, or a wheel of it
 install rollback uninstall:
@@ -88,6 +101,12 @@ clean:
 	.venv/docs/bin/python -m pip --disable-pip-version-check install --quiet mkdocs==1.6.1 mkdocs-material==9.8.1
 	touch $@
 
+.venv/.node: .venv/bin/python examples/clients/package.json
+	mkdir -p .venv/node
+	cp examples/clients/package.json .venv/node
+	npm install --prefix .venv/node --silent --no-audit --no-fund --no-package-lock
+	touch $@
+
 .venv/.sbom: .venv/bin/python
 	$(PYTHON) -m venv .venv/sbom
 	.venv/sbom/bin/python -m pip --disable-pip-version-check install --quiet cyclonedx-bom==7.5.0
@@ -99,5 +118,5 @@ clean:
 	touch $@
 
 .venv/.all: .venv/.runtime
-	$(PIP) -e '.[train,view,dev,rivals,dask]'
+	$(PIP) -e '.[train,view,ros2,dev,rivals,dask]'
 	touch $@

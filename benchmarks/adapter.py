@@ -17,8 +17,9 @@ from contextlib import closing
 
 from taxeld.config.tables import SkinConfig, SourceConfig
 from taxeld.layout import read as layouts
+from taxeld.source.can_device import CanDevice
 from taxeld.source.device import Device
-from taxeld.source.devices import CanDevice, open_device
+from taxeld.source.devices import open_device
 from taxeld_protocol import cyskin, slcan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired

@@ -1,6 +1,8 @@
 """`make bench`: what the wire, a tick, a touch and a running daemon cost, beside their budgets.
 
 CPU time and counts, medians over interleaved rounds; wall-clock figures are printed, not judged.
+What is CPU time is told in loops of this machine's as well (`yardstick`): that column can be
+compared between machines.
 """
 
 import argparse
@@ -12,19 +14,19 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-from packaging.requirements import Requirement
 
 import adapter
 import decoding
 import escapes
 import fuzzing
+import installed
 import protocol
 import service
 import streams
+import yardstick
 from taxeld import native
 from taxeld.config import file as config_file
 from taxeld.config.tables import FilterConfig, SkinConfig
@@ -38,6 +40,7 @@ from taxeld.service.loop import Daemon
 ROUNDS = 7
 TOUCHES = 20
 IDLE_TICKS = 2000
+Row = tuple[str, float, float | None]  # a figure, measured, and its budget
 
 
 def main() -> int:
@@ -45,24 +48,28 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="write the figures there as well")
     parser.add_argument("--no-demo", action="store_true", help="leave the real-time demo out")
     args = parser.parse_args()
-    told = (*protocol.rows(), *escapes.rows(), *adapter.rows())
-    told += (*decoding.rows(), *fuzzing.rows())
-    wire = [row(*figures) for figures in told]
-    served = [row(*figures) for figures in streams.rows()]
-    process = [row(*figures) for figures in service.rows()]
-    rows = [*installed(), *wire, *touches(), idle_tick(), *served, *process]
-    rows += [] if args.no_demo else demo()
-    print(f"{'figure':52s} {'measured':>12s} {'budget':>10s}")
-    for line in rows:
-        budget = "" if line["budget"] is None else f"{line['budget']:10.2f}"
-        print(f"{line['figure']:52s} {line['measured']:12.3f} {budget:>10s}")
+    loop = yardstick.Loop()
+    lines: list[dict[str, str | float | None]] = []
+    for group in (
+        installed.rows, protocol.rows, escapes.rows, adapter.rows, decoding.rows, fuzzing.rows,
+        touches, idle_tick, streams.rows, service.rows, *(() if args.no_demo else (demo,)),
+    ):  # fmt: skip
+        with loop.around():
+            found = [*group()]
+        lines += [
+            {"figure": figure, "measured": measured, "loops": loop.ratio(figure, measured),
+             "budget": budget}
+            for figure, measured, budget in found
+        ]  # fmt: skip
+    print(f"{'figure':60s} {'measured':>12s} {'loops':>10s} {'budget':>10s}")
+    for line in lines:
+        numbers = (line["measured"], line["loops"], line["budget"])
+        told = ("" if number is None else f"{number:.3f}" for number in numbers)
+        print("{:60s} {:>12s} {:>10s} {:>10s}".format(line["figure"], *told))
+    print(f"{'a loop of the yardstick: CPU ms':60s} {loop.ms:12.3f}")
     if args.json:
-        args.json.write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        args.json.write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
     return 0
-
-
-def row(figure: str, measured: float, budget: float | None = None) -> dict[str, object]:
-    return {"figure": figure, "measured": measured, "budget": budget}
 
 
 def cpu_ms(work: Callable[[], None], times: int) -> float:
@@ -76,32 +83,7 @@ def cpu_ms(work: Callable[[], None], times: int) -> float:
     return float(np.median(spent))
 
 
-def installed() -> list[dict[str, object]]:
-    """Size of the runtime's packages on disk, and how many of them are torch."""
-    found: set[str] = set()
-    wanted = ["taxeld"]
-    while wanted:
-        name = wanted.pop().lower()
-        if name in found:
-            continue
-        found.add(name)
-        for text in metadata.requires(name) or []:
-            requirement = Requirement(text)
-            if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
-                wanted.append(requirement.name)
-    size = sum(
-        Path(str(file.locate())).stat().st_size
-        for name in found - {"taxeld"}
-        for file in metadata.files(name) or []
-        if Path(str(file.locate())).is_file()
-    )
-    return [
-        row("runtime packages, MB on disk", size / 1e6),
-        row("torch among them", float("torch" in found), 0.0),
-    ]
-
-
-def touches() -> list[dict[str, object]]:
+def touches() -> list[Row]:
     """One touch through the estimator with S = 100, N = 100: the baseline, each sampler, and the
     shipped one without the code in C."""
     skin = layouts.load(SkinConfig().layout)
@@ -114,7 +96,7 @@ def touches() -> list[dict[str, object]]:
     readings = model.activation(pressed)
     sensors = se2.inverse(pressed)  # the object stands at the origin
     live = np.ones(len(skin), dtype=bool)
-    rows = []
+    rows: list[Row] = []
     shipped = loaded.info["auto"][0]
     by_c = ["projection", *(s["name"] for s in loaded.info["samplers"])]
     for name, switch in [*((name, "1") for name in by_c), (shipped, "0")]:
@@ -139,13 +121,13 @@ def touches() -> list[dict[str, object]]:
         how = name if switch == "1" else f"{name}, numpy alone"
         figure = f"a touch, N = 100, S = 100, {how}: CPU ms"
         budget = 5.0 if (name, switch) == (shipped, "1") else None
-        rows.append(row(figure, float(np.median(spent)), budget))
+        rows.append((figure, float(np.median(spent)), budget))
     del os.environ[native.SWITCH]
     native.library.cache_clear()
     return rows
 
 
-def idle_tick() -> dict[str, object]:
+def idle_tick() -> list[Row]:
     """A tick of a whole daemon to which nothing comes."""
     with tempfile.TemporaryDirectory() as place:
         endpoint = f"ipc://{place}/"
@@ -159,10 +141,10 @@ def idle_tick() -> dict[str, object]:
         ticks = iter(np.arange(10**7) * 0.01)
         spent = cpu_ms(lambda: daemon.tick(float(next(ticks))), IDLE_TICKS)
         daemon.close()
-    return row("a tick without a scan: CPU ms", spent, 0.3)
+    return [("a tick without a scan: CPU ms", spent, 0.3)]
 
 
-def demo() -> list[dict[str, object]]:
+def demo() -> list[Row]:
     """The demo in real time, and the daemon's memory at the end of it, as it says itself."""
     with tempfile.TemporaryDirectory() as place:
         start = time.monotonic()
@@ -171,8 +153,8 @@ def demo() -> list[dict[str, object]]:
         took = time.monotonic() - start
         peak_mb = replayed_peak_mb(Path(place))
     return [
-        row("the demo: wall seconds", took, 60.0),
-        row("the daemon's peak resident memory, MB", peak_mb, 150.0),
+        ("the demo: wall seconds", took, 60.0),
+        ("the daemon's peak resident memory, MB", peak_mb, 150.0),
     ]
 
 

@@ -16,12 +16,14 @@ FOLDERS = {  # package → its source root
     "taxeld": "daemon",
     "taxeld_training": "training",
     "taxeld_hil": "hil",
+    "taxeld_ros2": "ros2",
 }
 PACKAGES = {  # what a package may import, beside itself
     "taxeld_protocol": "",
     "taxeld": "taxeld_protocol",
     "taxeld_training": "taxeld_protocol taxeld torch",
     "taxeld_hil": "taxeld_protocol taxeld",
+    "taxeld_ros2": "taxeld",
 }
 ROOMS = {  # what a room may import of its package, beside itself and what stands in EVERYWHERE
     "taxeld": {
@@ -36,7 +38,8 @@ ROOMS = {  # what a room may import of its package, beside itself and what stand
         "stream": "config layout model skin proposals estimator pipeline",
         "service": "config layout model skin proposals estimator source pipeline stream",
         "commands": "config layout model skin proposals estimator source pipeline stream service",
-        "api": "config layout model skin proposals estimator source pipeline stream service",
+        "api": "config layout model skin proposals estimator source pipeline stream service "
+        "commands",
         "command_line": "config",
         "cli": "config layout model skin proposals estimator source pipeline stream service "
         "commands command_line",
@@ -78,7 +81,7 @@ IMPURE = {
 }
 INSTALLED = {"taxeld.native"}  # what it finds depends on the installation alone
 MOST = 12  # modules of the project that one module may import
-UNBOUNDED = ("service", "cli")  # rooms that put everything together
+UNBOUNDED = ("service", "api", "cli")  # rooms that put everything together
 
 
 class Import(NamedTuple):

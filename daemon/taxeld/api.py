@@ -1,15 +1,20 @@
-"""The public face of `taxeld`: what a program that imports it may rely on.
+"""The public face of `taxeld`: what a program that imports it may rely on (docs/api.md).
 
-    from taxeld import api
+    from taxeld.api import Replay
 
-    layout = api.load_layout("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
-    box = api.load_bundle("box", layout, depth_max_m=0.005)
+    for outcome in Replay("session"):
+        print(outcome.estimate.status.name, outcome.estimate.map)
 
-Names that are not listed here may change at any time.
+Names that are not listed here may change at any time. `import taxeld` alone imports none of them,
+so that the commands start at once.
 """
 
+from taxeld.commands.replayed import Replay
+from taxeld.config.file import load as load_config
+from taxeld.config.tables import Config, FilterConfig, SkinConfig
+from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import Estimate, Status
+from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.layout.layout import Layout
 from taxeld.layout.read import load as load_layout
@@ -17,11 +22,16 @@ from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.scene import Scene
+from taxeld.model.symmetry import Mode, PoseMetric
+from taxeld.pipeline.outcome import Outcome
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.bundle import load as load_bundle
 from taxeld.skin.skin import Skin
+from taxeld_protocol.decoder import Scan
 
 __all__ = [
-    "Activation", "Bundle", "Estimate", "Estimator", "Layout", "ObservationModel", "Proposal",
-    "Scene", "SetupError", "Skin", "Status", "load_bundle", "load_layout",
+    "Activation", "Bundle", "Config", "ConfigError", "Estimate", "Estimator", "FilterConfig",
+    "Layout", "Mode", "ObservationModel", "Outcome", "PoseMetric", "Proposal", "ProposalKind",
+    "Replay", "Scan", "Scene", "SetupError", "Skin", "SkinConfig", "Status", "load_bundle",
+    "load_config", "load_layout",
 ]  # fmt: skip

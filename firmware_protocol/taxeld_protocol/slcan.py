@@ -6,11 +6,13 @@ CAN FD's of some adapters. An adapter answers a host's lines with CR, or BEL whe
 """
 
 import re
+from binascii import unhexlify
 from dataclasses import dataclass, field
 
 from taxeld_protocol.frames import Frame
 
 CR, BEL = b"\r", b"\a"
+ZERO, ID_MAX = ord("0"), 0x7FF
 STAMP_BYTES = (0, 2, 4)  # an adapter may add its time: none, in ms, or in µs
 MAX_LINE = 1 + 8 + 1 + 16 + 8  # of a frame with the longest stamp; anything longer is noise
 ACCEPTED = (b"", b"z", b"Z")  # answers: to a command, and of some adapters to `t` and to `T`
@@ -44,6 +46,13 @@ def split(buffer: bytes) -> tuple[list[bytes], bytes]:
 
 def parse(line: bytes, t: float = 0.0) -> Frame | None:
     """A line as a data frame, its time stamp passed over; None for answers and damage."""
+    if line[:1] == b"t" and 5 <= len(line) <= 21 and len(line) == 5 + 2 * (line[4] - ZERO):
+        try:  # as nearly all
+            read = unhexlify(b"0" + line[1:4] + line[5:])
+        except ValueError:
+            return None
+        can_id = read[0] << 8 | read[1]
+        return Frame(t, can_id, read[2:]) if can_id <= ID_MAX else None
     match = _FRAME.fullmatch(line.removesuffix(BEL))
     if match is None:
         return None

@@ -1,8 +1,32 @@
-"""The public face."""
+"""The public face: every name, and the page and the notebook that show how it is used."""
 
+import json
+import shutil
+import subprocess
+import sys
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 import pytest
 
 from taxeld import api
+
+from .. import pages
+
+ROOT = Path(__file__).parents[2]
+PAGE, NOTEBOOK = ROOT / "docs" / "api.md", ROOT / "examples" / "belief.ipynb"
+SESSION = Path(__file__).parent / "session"  # four contacts of a mug
+PACKAGES = ("taxeld_protocol", "taxeld", "taxeld_training", "taxeld_hil", "taxeld_ros2")
+MOST_BYTES = 100_000
+
+
+@pytest.fixture
+def place(tmp_path: Path) -> Path:
+    """A directory with a session, as the page asks for."""
+    shutil.copytree(SESSION, tmp_path / "session")
+    return tmp_path
 
 
 @pytest.mark.parametrize("name", api.__all__)
@@ -10,3 +34,101 @@ def test_every_public_name_is_there_and_says_what_it_is(name: str) -> None:
     found = getattr(api, name)
     assert found.__doc__
     assert not found.__doc__.startswith(f"{name}(")  # what a dataclass has without a docstring
+
+
+@pytest.mark.parametrize("name", api.__all__)
+def test_every_public_name_is_on_the_page(name: str) -> None:
+    assert name in PAGE.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_each_package_says_that_it_has_types(package: str) -> None:
+    assert (resources.files(package) / "py.typed").is_file()
+
+
+def test_the_page_prints_what_it_shows(place: Path) -> None:
+    """Its blocks in their order; numbers may differ."""
+    names: dict[str, Any] = {}
+    shown = pages.blocks(PAGE)
+    assert len(shown) >= 4
+    with pages.working_in(place):
+        for block in shown:
+            said = pages.run(block.code, names)
+            assert pages.NUMBER.sub("N", said) == pages.NUMBER.sub("N", block.shown), block.code
+
+
+def test_the_estimator_on_recorded_activations_takes_ten_lines_and_gives_the_sessions_estimate(
+    place: Path,
+) -> None:
+    """The same as the session's own pipeline, bit for bit."""
+    _, kept, estimator, _ = pages.blocks(PAGE)
+    assert len(estimator.code.splitlines()) <= 10
+    names: dict[str, Any] = {}
+    with pages.working_in(place):
+        pages.run(kept.code.replace("used =", "from taxeld.api import Replay\nused ="), names)
+        pages.run(estimator.code, names)
+    for ours, replayed in (
+        (names["estimate"].map, names["used"][-1].estimate.map),
+        (names["estimate"].cov, names["used"][-1].estimate.cov),
+    ):
+        assert np.array_equal(ours, replayed)
+
+
+def test_a_sessions_belief_is_that_of_its_last_scan(place: Path) -> None:
+    session = api.Replay(place / "session")
+    for outcome in session:
+        poses, weights = session.belief
+        estimate = outcome.estimate
+        assert len(poses) == len(weights) == estimate.particles
+    assert weights.sum() == pytest.approx(1.0)
+    assert session.is_valid(estimate)
+    poses[:] = 0.0
+    assert session.belief[0].any(), "what is handed out is a copy"
+
+
+def test_a_seed_takes_the_place_of_the_sessions_own(place: Path) -> None:
+    def last(seed: int | None) -> Any:
+        *_, outcome = api.Replay(place / "session", seed=seed)
+        return outcome.estimate.map.tolist()
+
+    assert last(None) == last(5) != last(6)
+
+
+def test_a_session_that_is_not_there_is_one_line_that_names_it(tmp_path: Path) -> None:
+    with pytest.raises(api.ConfigError) as raised:
+        api.Replay(tmp_path / "none")
+    (fault,) = raised.value.faults
+    assert fault.startswith(f"{tmp_path}/none/config.toml: unreadable configuration")
+
+
+def test_the_notebook_goes_from_a_session_to_a_picture_of_the_belief(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    from matplotlib import pyplot as plt  # noqa: PLC0415
+
+    names: dict[str, Any] = {}
+    monkeypatch.setattr(plt, "show", lambda: None)
+    with pages.working_in(place):
+        for cell in pages.cells(NOTEBOOK):
+            pages.run(cell, names)
+    drawn = names["figure"].axes
+    assert len(drawn) == 4, "one for each contact"
+    for axes in drawn:
+        assert any(len(c.get_offsets()) > 1 for c in axes.collections), "particles"
+        assert len(axes.lines) > 1, "the object and the skin"
+    plt.close("all")
+
+
+def test_the_notebook_holds_no_more_output_than_a_repository_bears() -> None:
+    notebook = json.loads(NOTEBOOK.read_text(encoding="utf-8"))
+    assert notebook["nbformat"] == 4
+    for cell in notebook["cells"]:
+        assert len(json.dumps(cell.get("outputs", []))) < MOST_BYTES
+
+
+def test_taxeld_by_itself_imports_nothing_that_is_slow() -> None:
+    code = "import sys, taxeld; print('numpy' in sys.modules or 'zmq' in sys.modules)"
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout == "False\n"

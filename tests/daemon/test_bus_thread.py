@@ -9,10 +9,9 @@ import can
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source import bus_thread
-from taxeld.source.bus_thread import BusThread
+from taxeld.source import can_device
+from taxeld.source.can_device import BusThread, CanDevice
 from taxeld.source.device import LostError
-from taxeld.source.devices import CanDevice
 from taxeld_protocol.frames import Frame
 
 PATIENCE_S = 20.0
@@ -72,7 +71,7 @@ def test_who_never_waits_has_no_thread(device: CanDevice, hub: can.BusABC) -> No
 def test_a_flood_that_nobody_reads_stays_in_the_driver(
     device: CanDevice, hub: can.BusABC, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(bus_thread, "HELD", 10)
+    monkeypatch.setattr(can_device, "HELD", 10)
     device.fileno()
     assert device._thread is not None
     say(hub, *range(100))

@@ -126,6 +126,26 @@ def test_every_topic_is_relayed_as_it_came_and_late_joiners_are_told_who_speaks(
         assert first(subscribe(sockets, running.stream, messages.INFO)) == info
 
 
+def test_a_relay_leaves_out_the_time_where_it_is_configured_so(
+    sockets: Sockets, tmp_path: Path
+) -> None:
+    """For a PlotJuggler that spoils the map when a third frame follows it."""
+    running = Running(tmp_path, "frames = 2\n")
+    try:
+        running.ask("info")
+        everything = subscribe(sockets, running.stream)
+        heard: dict[bytes, list[bytes]] = {}
+        while heard.keys() < set(messages.TOPICS):
+            assert everything.poll(1000 * PATIENCE_S), heard.keys()
+            topic, *rest = everything.recv_multipart()
+            heard[topic] = rest
+    finally:
+        running.stop()
+    for body, *more in heard.values():
+        assert msgpack.unpackb(body)["v"] == messages.VERSION
+        assert more == []
+
+
 def test_who_reaches_the_relay_may_read_and_change_nothing(
     running: Running, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -12,7 +12,7 @@ import pytest
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.source.devices import CanDevice
+from taxeld.source.can_device import CanDevice
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source
 from taxeld_protocol import cyskin, serial_link

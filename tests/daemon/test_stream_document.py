@@ -20,7 +20,7 @@ from .conftest import Sockets
 from .recorded import configuration, write_session
 
 ROOT = Path(__file__).parents[2]
-DOCUMENT, EXAMPLE = ROOT / "docs" / "stream.md", ROOT / "examples" / "subscribe.py"
+DOCUMENT, EXAMPLE = ROOT / "docs" / "stream.md", ROOT / "examples" / "clients" / "subscribe.py"
 COMMANDS = ("status", "info", "tare", "reset")
 PERIOD_S = 0.02  # a brisk session
 Types = dict[str, str]

@@ -99,6 +99,20 @@ def test_inputs_at_the_idle_pace_are_the_only_passes() -> None:
         assert ticker.until(busy=False) > 0.05 * (k + 1) + 0.004
 
 
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0])
+@pytest.mark.parametrize("idle_s", [0.01, 0.05])
+def test_what_is_due_while_nothing_comes_is_at_most_a_tick_late(
+    rate_hz: float, idle_s: float
+) -> None:
+    clock = FakeClock()
+    ticker = Ticker(rate_hz, idle_s, clock=clock)
+    tick_s = 1.0 / rate_hz
+    for woken_s in (0.0, 0.3 * idle_s, 0.9 * idle_s):
+        began = clock.now = ticker.until(busy=False) - woken_s
+        ticker.begin()
+        assert ticker.until(busy=False) - began <= max(idle_s, tick_s) + tick_s + 1e-9
+
+
 @pytest.mark.parametrize("rate_hz", [1.0, 10.0])
 def test_slow_ticks_leave_nobody_alone_for_long(rate_hz: float) -> None:
     """Peers are served and a device is tended however slow the loop may be."""

@@ -1,5 +1,6 @@
 """The native serial link and SLCAN: bytes in pieces of any size."""
 
+import re
 from itertools import pairwise
 
 import pytest
@@ -212,3 +213,21 @@ def test_answers_are_no_noise_and_a_refusal_ends_a_line_as_well() -> None:
     assert reader.feed(b"\r\az\rZ\r" + slcan.encode(frame)[:-1] + b"\a", 0.0) == [frame]
     assert reader.counters.noise == 0
     assert slcan.split(b"\r\at1010\a")[0] == [b"", b"\a", b"t1010\a"]
+
+
+LINE = re.compile(rb"t([0-7][0-9A-Fa-f]{2})([0-8])((?:[0-9A-Fa-f]{2})*)")
+
+
+@given(
+    st.one_of(
+        st.from_regex(rb"t[0-9A-Fa-f]{3}[0-9][0-9A-Fa-f]{0,20}", fullmatch=True),
+        st.text("t0178Aa +_x\a-", max_size=24).map(lambda text: b"t" + text.encode()),
+    )
+)
+def test_a_line_of_a_short_id_is_a_frame_only_if_it_is_one_to_the_letter(line: bytes) -> None:
+    frame, match = slcan.parse(line, 1.5), LINE.fullmatch(line.removesuffix(b"\a"))
+    is_frame = match is not None and len(match[3]) // 2 - int(match[2]) in slcan.STAMP_BYTES
+    assert (frame is not None) == is_frame
+    if frame is not None and match is not None:
+        data = bytes.fromhex(match[3].decode())[: int(match[2])]
+        assert frame == Frame(1.5, int(match[1], 16), data)

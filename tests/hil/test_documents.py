@@ -28,6 +28,7 @@ def scenarios(path: Path) -> Iterator[str]:
         ("physics.md", "touches_before.json", touches),
         ("physics.md", "touches_foam.json", touches),
         ("physics.md", "touches.json", touches),
+        ("physics.md", "touches_poor.json", touches),
         ("harness.md", "scenarios.json", scenarios),
     ],
 )

@@ -12,6 +12,7 @@ import pytest
 
 import taxeld.cli
 import taxeld_hil.cli
+import taxeld_ros2.cli
 import taxeld_training.cli
 from taxeld import __version__, command_line
 
@@ -20,6 +21,7 @@ PROGRAMS = {
     "taxeld": taxeld.cli,
     "taxeld-train": taxeld_training.cli,
     "taxeld-hil": taxeld_hil.cli,
+    "taxeld-ros2": taxeld_ros2.cli,
 }
 HEAVY = {  # the slow ones: 0.03 to 2 s of CPU each
     "numpy", "zmq", "can", "serial", "onnxruntime", "msgpack",
@@ -108,6 +110,7 @@ WITHOUT = [
     ),
     ("taxeld-train", ["scene", "box.stl"], "train", ("trimesh", "shapely")),
     ("taxeld-hil", ["draw", "{place}", "--out", "{place}/x.png"], "view", ("matplotlib",)),
+    ("taxeld-ros2", ["--stream", "ipc://{place}/stream"], "ros2", ("cyclonedds",)),
     (
         "taxeld",
         ["layout", "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015", "--png", "{place}/x"],

@@ -72,7 +72,9 @@ class Relay:
             for topic in ALWAYS:
                 self._daemon.setsockopt(zmq.SUBSCRIBE, topic)
             connect(self._daemon, config.publish.endpoints[0], "publish.endpoints")
-            self._publisher = Publisher(context, queue, guard=self._guard)
+            self._publisher = Publisher(
+                context, queue, guard=self._guard, frames=config.relay.frames
+            )
             opened.callback(self._publisher.close)
             self._publisher.bind(config.relay.publish, "relay.publish")
             self._hoard = Hoard(filter(None, (*config.relay.publish, config.relay.control)))

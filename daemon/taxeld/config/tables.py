@@ -66,6 +66,8 @@ def _skin_type(value: int) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class SkinConfig:
+    """`[skin]`: how counts become activations."""
+
     layout: str = key(
         "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015", doc="where the taxels are"
     )
@@ -158,7 +160,7 @@ class LoopConfig:
     rate_hz: float = key(
         100.0,
         between(1, 1000),
-        "1 / rate_hz is the time for a pass, and at most between two while one is to come",
+        "1 / rate_hz is the time for a pass, and at most between two while something is under way",
     )
     stale_s: float = key(0.5, between(0.01, 60), "without a scan for so long, not valid")
     priority: int = key(
@@ -186,6 +188,8 @@ class BudgetConfig:
 
 @dataclass(frozen=True, slots=True)
 class FilterConfig:
+    """`[filter]`: the belief and what it learns from."""
+
     particles: int = key(100, between(2, 100_000), "N, at least")
     particles_max: int = key(400, between(2, 100_000), "N while the belief is wide, at most")
     kld_error: float = key(0.05, between(0.001, 10), "nats between a wide belief and its particles")
@@ -237,6 +241,9 @@ class RelayConfig:
     publish: tuple[str, ...] = key(("tcp://127.0.0.1:9872",), doc="where the relay publishes")
     control: str = key("", doc="where it answers status and info; empty: nowhere")
     change: bool = key(False, doc="it takes tare and reset as well")
+    frames: int = key(
+        3, between(2, 3), "of a message; 2: without its time, for a PlotJuggler that spoils three"
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -261,6 +268,8 @@ class MetricsConfig:
 
 @dataclass(frozen=True, slots=True)
 class Config:
+    """A whole configuration, table by table."""
+
     scene: SceneConfig
     source: SourceConfig
     skin: SkinConfig = field(default_factory=SkinConfig)

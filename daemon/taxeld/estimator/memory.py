@@ -110,9 +110,8 @@ class Memory:
         z, live = observation.z, observation.live
         floor = np.broadcast_to(observation.floor, len(z))
         residue = np.broadcast_to(observation.residue, len(z))
-        density = self._noise.log_density(
-            z[:, None], z[:, None] * LIKELY, floor[:, None], residue[:, None]
-        )
+        explained = z[:, None] * (LIKELY if z.any() else LIKELY[:1])  # silence is so by nothing
+        density = self._noise.log_density(z[:, None], explained, floor[:, None], residue[:, None])
         density = density * live[:, None]
         kept = {
             Kept.Z: z,

@@ -58,20 +58,29 @@ class PoseMetric:
 
     def distance(self, a: Poses, b: Poses) -> Floats:
         """Root-mean-square displacement of surface points, to first order; broadcasts."""
-        gap = self.centres(a) - self.centres(b)
-        arc = self.arm_m * self.turn(a[..., 2], b[..., 2])
-        return np.asarray(np.sqrt(np.sum(gap**2, axis=-1) + arc**2))
+        return self._apart(self.centres(a), self.centres(b), self.turn(a[..., 2], b[..., 2]))
 
     def mean(self, poses: Poses, weight: Floats, near: Poses) -> tuple[Poses, Floats]:
         """Weighted mean (3,) of poses (N, 3), each taken as its equivalent nearest to `near`, and
         the covariance (3, 3) about it."""
         weight = weight / weight.sum()
-        centre = weight @ self.centres(poses)
-        turns = self.turn(poses[:, 2], near[2])
-        theta = near[2] + float(weight @ turns) if self.order != CONTINUOUS else near[2]
-        mean = self.placed(centre, np.asarray(theta))
-        off = np.column_stack([self.centres(poses) - centre, self.turn(poses[:, 2], theta)])
-        return mean, (off * weight[:, None]).T @ off
+        at, turned = self.centres(poses), poses[:, 2]
+        centre, theta = self._middle(at, turned, weight, near[2])
+        off = np.column_stack([at - centre, self.turn(turned, theta)])
+        return self.placed(centre, theta), (off * weight[:, None]).T @ off
+
+    def _apart(self, a: Floats, b: Floats, turn: Floats) -> Floats:
+        """`distance` of poses with these centres (…, 2) and turns between them; broadcasts."""
+        gap, arc = a - b, self.arm_m * turn
+        return np.asarray(np.sqrt(gap[..., 0] ** 2 + gap[..., 1] ** 2 + arc**2))
+
+    def _middle(
+        self, at: Floats, turned: Floats, weight: Floats, near: Floats
+    ) -> tuple[Floats, Floats]:
+        """Weighted mean of centres (N, 2) and of turns (N,), each as it is nearest to `near`."""
+        if self.order == CONTINUOUS:
+            return weight @ at, near
+        return weight @ at, np.asarray(near + float(weight @ self.turn(turned, near)))
 
     def modes(
         self, poses: Poses, weight: Floats, radius_m: float, most: int, candidates: int
@@ -84,7 +93,9 @@ class PoseMetric:
         n = len(poses)
         comb = (np.arange(candidates) + 0.5) / candidates * weight.sum()
         top = np.unique(np.minimum(np.searchsorted(np.cumsum(weight), comb), n - 1))
-        gap = self.distance(poses[top][:, None], poses[None])
+        at, turned = self.centres(poses), poses[:, 2]
+        turn = self.turn(turned[top][:, None], turned[None])
+        gap = self._apart(at[top][:, None], at[None], turn)
         kernel = np.exp(-0.5 * (gap / (0.4 * radius_m)) ** 2)
         free = np.ones(n, dtype=bool)
         found: list[Mode] = []
@@ -96,8 +107,10 @@ class PoseMetric:
                 break
             members = np.flatnonzero(free & (gap[peak] < radius_m))
             free[members] = False
-            pose, _ = self.mean(poses[members], weight[members], poses[top[peak]])
-            found.append(Mode(pose, float(weight[members].sum()), members))
+            own = weight[members]
+            total = own.sum()
+            middle = self._middle(at[members], turned[members], own / total, turned[top[peak]])
+            found.append(Mode(self.placed(*middle), float(total), members))
         found.sort(key=lambda mode: -mode.weight)
         return found
 

@@ -125,13 +125,13 @@ class PoseTrack:
 
     def _between(self, i: int, t: float) -> Poses:
         """On the line through two poses, or on its way on from the second."""
-        before, after = np.array(self._pose[i]), np.array(self._pose[i + 1])
+        before, after = self._pose[i], self._pose[i + 1]
         share = (t - self._t[i]) / (self._t[i + 1] - self._t[i])
-        if np.hypot(*(after - before)[:2]) > se2.JUMP_M:  # one of them is wrong, as is all between
-            return before if share < 0.5 else after
-        pose: Poses = before + share * (after - before)
-        pose[2] = se2.wrap(before[2] + share * se2.wrap(after[2] - before[2]))
-        return pose
+        x, y, turn = (b - a for a, b in zip(before, after, strict=True))
+        if math.hypot(x, y) > se2.JUMP_M:  # one of them is wrong, as is all between
+            return np.array(before if share < 0.5 else after)
+        theta = se2.wrap(np.float64(before[2] + share * se2.wrap(np.float64(turn))))
+        return np.array([before[0] + share * x, before[1] + share * y, theta])
 
 
 class StandingStill:

@@ -7,9 +7,8 @@ from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 PEERS_S = 0.01  # those who come again and again are looked at so often
-REST_S = (0.0005, 0.004)  # for frames to gather
-SOONER = 0.9  # of the time that scans usually take, a scan is looked at again
-FOLLOW, DOUBT = 0.5, 0.3  # how much of that is learned, and unlearned, with a scan
+REST_S = (0.0005, 0.004)  # for more frames, after a look that brought too few
+LONGER_S, SHORTER_S = 0.0002, 0.00004  # steps to the time in which five of six scans are whole
 IN, ONCE = select.EPOLLIN, select.EPOLLIN | select.EPOLLONESHOT
 
 
@@ -76,34 +75,44 @@ class Inputs:
             self._looked_s = now_s if come else NEVER_S
         return Ready(self._device.number in numbers, self._robot.number in numbers, come or again)
 
+    def rest(self, until_s: float) -> Ready:
+        """The same, while the device may go on speaking: it is not listened to."""
+        self._device.listen(0)
+        try:
+            return self.wait(until_s)
+        finally:
+            self._device.listen(IN)
+
     def close(self) -> None:
         self._epoll.close()
 
 
 class Gathering:
-    """How long frames are left to gather, after a look that brought some but no whole scan: each
-    look costs more than what it takes."""
+    """How long frames are left to gather before a look at them: each look costs more than what it
+    takes, and a scan that is looked at when its last frame has come costs one."""
 
     def __init__(self) -> None:
-        self._usual_s = 0.0  # from the first look that finds a part of a scan to the whole of it
-        self._began_s = 0.0  # that look
+        self._usual_s = 0.0  # from the first sign of a scan to the whole of it
+        self._has_begun = False  # whether there was a sign since the last scan
         self._looks = 0  # at this scan, in vain
 
-    def rest_s(self, now_s: float, *, whole: bool) -> float:
-        """After a look at the device, which had something: until the next."""
-        least_s, most_s = REST_S
-        if whole:
-            if self._looks == 1:  # it may have been there for long
-                self._usual_s *= 1.0 - DOUBT
-            elif self._looks:
-                self._usual_s += FOLLOW * (now_s - self._began_s - self._usual_s)
-            self._looks = 0
+    def heard(self) -> float:
+        """The device has something to say; → how long it is left to go on."""
+        if self._has_begun:  # it was, after a look in vain
             return 0.0
-        self._looks += 1
-        if self._looks == 1:
-            self._began_s = now_s
-            return min(max(SOONER * self._usual_s, least_s), most_s)
-        return min(least_s * 2.0 ** min(self._looks - 2, 9), most_s)
+        self._has_begun = True
+        return self._usual_s
+
+    def looked(self, *, whole: bool) -> float:
+        """It was looked at, and had a `whole` scan or less; → how long it is left alone then."""
+        least_s, most_s = REST_S
+        if not whole:
+            self._looks += 1
+            return min(least_s * 2.0 ** min(self._looks - 1, 9), most_s)
+        step_s = LONGER_S if self._looks else -SHORTER_S  # without a look in vain it was long there
+        self._usual_s = min(max(self._usual_s + step_s, 0.0), most_s)
+        self._has_begun, self._looks = False, 0
+        return 0.0
 
 
 class _Slot:
@@ -125,3 +134,7 @@ class _Slot:
         self.number = -1 if owner is None else owner.fileno()
         if self.number >= 0:
             self._epoll.register(self.number, IN)
+
+    def listen(self, events: int) -> None:
+        if self.number >= 0:
+            self._epoll.modify(self.number, events)

@@ -192,22 +192,30 @@ class Daemon:
                     raise SetupError(self.source.fault)
                 if self.source.finished and not self.pipeline.is_busy:
                     break
-                whole = self.counters.scans > scans
-                rest_s = gathering.rest_s(now, whole=whole) if ready.device else 0.0
-                ready = self._wait(ticker, inputs, rest_s)
+                rest_s = 0.0
+                if ready.device:
+                    rest_s = gathering.looked(whole=self.counters.scans > scans)
+                ready = self._wait(ticker, inputs, gathering, rest_s)
 
-    def _wait(self, ticker: Ticker, inputs: Inputs, rest_s: float) -> Ready:
-        """Until the next pass is due: when something has come, after a rest, or by the clock."""
+    def _wait(self, ticker: Ticker, inputs: Inputs, gathering: Gathering, rest_s: float) -> Ready:
+        """Until the next pass is due: when something has come, or by the clock. The device is left
+        alone for `rest_s`, and while frames gather."""
         pipeline, source = self.pipeline, self.source
         robot = self.pose_input.socket if self.pose_input and pipeline.has_waiting else None
         inputs.follow(source.device, robot)
         until_s = ticker.until(busy=pipeline.is_busy or source.is_busy)
         now_s = time.monotonic()
         if pipeline.is_at_work:  # a moment, for others on this processor
-            until_s = min(until_s, now_s + BREATH_S)
-        elif rest_s and until_s > now_s:
-            time.sleep(min(rest_s, until_s - now_s))
-        return inputs.wait(until_s)
+            return inputs.wait(min(until_s, now_s + BREATH_S))
+        if rest_s:
+            ready = inputs.rest(min(until_s, now_s + rest_s))
+            if ready.robot or ready.peers:
+                return ready
+        ready = inputs.wait(until_s)
+        if ready.device and (gather_s := gathering.heard()):
+            others = inputs.rest(min(until_s, time.monotonic() + gather_s))
+            ready = Ready(True, ready.robot or others.robot, ready.peers or others.peers)
+        return ready
 
     def tick(self, now_s: float, left_s: float = math.inf, ready: Ready = ALL) -> None:
         """One pass: inputs, pipeline, outputs. `now_s` is monotonic; there is time for `left_s`;

@@ -63,5 +63,5 @@ class Scale:
 
     def activation(self, over: Floats) -> Floats:
         """(M,) in 0..1, of counts (M,) over baseline."""
-        reading = np.clip(over / self._own, 0.0, 1.0)
+        reading = np.minimum(np.maximum(over / self._own, 0.0), 1.0)
         return reading if self._inverse is None else self._inverse(reading)

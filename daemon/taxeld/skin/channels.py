@@ -18,7 +18,8 @@ class Wired(NamedTuple):
     """A hub's channels by what they read."""
 
     channels: Index  # that are taxels,
-    taxels: Index  # which
+    taxels: Index  # which, in their order
+    places: Index | slice  # the same, shorter where they are all that the skin has
     t0_channels: Index  # that are temperatures,
     t0_modules: Index  # of which modules
 
@@ -47,7 +48,10 @@ class Wiring:
         version, wired = self._maps.get(scan.ihb, (None, None))
         if wired is None or version != scan.table_version:
             uids = [uid for module in scan.table for uid in module.uids]
-            wired = Wired(*_pairs(uids, self._taxel), *_pairs(uids, self._t0))
+            channels, taxels = _pairs(uids, self._taxel)
+            is_all = np.array_equal(taxels, np.arange(len(self._taxel)))
+            places = slice(None) if is_all else taxels
+            wired = Wired(channels, taxels, places, *_pairs(uids, self._t0))
             self._maps[scan.ihb] = scan.table_version, wired
             self._note(scan.ihb, {uid >> 4 for uid in uids if uid & 0xF and uid != ABSENT_UID})
         return wired
@@ -62,6 +66,7 @@ class Wiring:
 def _pairs(uids: list[int], index: dict[int, int]) -> tuple[Index, Index]:
     """Channels whose UIDs are in the index, and what they are there."""
     pairs = [(channel, index[uid]) for channel, uid in enumerate(uids) if uid in index]
+    pairs.sort(key=lambda pair: pair[1])
     channels, found = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
     return channels, found
 

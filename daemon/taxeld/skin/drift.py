@@ -38,7 +38,9 @@ class Slice:
         for total in (self.scans, self.changed, self._sum, self._squares, self._t0_sum, self._t0_n):
             total[:] = 0
 
-    def add(self, t: float, taxels: Index, counts: Floats, valid: Bools, changed: Bools) -> bool:
+    def add(
+        self, t: float, taxels: Index | slice, counts: Floats, valid: Bools | int, changed: Bools
+    ) -> bool:
         """Counts of some taxels, 0 where not valid, and whether they have changed since the scan
         before; → whether the slice is full."""
         if not self.end <= t < self.end + GAP_S:
@@ -50,8 +52,9 @@ class Slice:
         self._squares[taxels] += counts * counts
         return t - self.start >= SLICE_S
 
-    def add_t0(self, modules: Index, counts: Floats, valid: Bools) -> None:
-        self._t0_sum[modules] += np.where(valid, counts, 0.0)
+    def add_t0(self, modules: Index, counts: Floats, valid: Bools | int) -> None:
+        """Counts of some modules' temperatures, 0 where not valid."""
+        self._t0_sum[modules] += counts
         self._t0_n[modules] += valid
 
     @property

@@ -18,14 +18,19 @@ class Residue:
     def __init__(self, taxels: int) -> None:
         self.level = np.zeros(taxels)  # (M,) counts over baseline that presses have left
         self.pressed = np.zeros(taxels, dtype=np.bool_)  # (M,)
+        self.is_none = True  # nothing is pressed, and nothing is left
         self._peak = np.zeros(taxels)  # of the press under way
 
     def on_scan(self, over: Floats, threshold: Floats) -> None:
         """Counts (M,) over baseline; what rises by `threshold` (M,) is a press."""
         level, pressed = self.level, self.pressed
-        level = np.where(pressed, level, np.clip(over, 0.0, level))
+        if self.is_none and not (over > threshold).any():
+            self._peak = over
+            return
+        level = np.where(pressed, level, np.minimum(np.maximum(over, 0.0), level))
         peak = np.where(pressed, np.maximum(self._peak, over), over)
         pressed = pressed | (over > level + threshold)
         ended = pressed & (over <= level + KEPT * (peak - level))
         self.level = np.where(ended, np.maximum(over, 0.0), level)
         self.pressed, self._peak = pressed & ~ended, peak
+        self.is_none = not (self.pressed.any() or self.level.any())

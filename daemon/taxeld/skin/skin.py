@@ -7,6 +7,7 @@ docs/skin.md has the rules.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,22 @@ class SkinCounters:
     states_refused: int = 0  # and those that they did not
 
 
+class Reading(NamedTuple):
+    """What a hub's channels say: counts, 0 where not valid."""
+
+    counts: Floats  # of its taxels
+    valid: Bools | int  # 1: all are
+    t0: Floats  # of its modules
+    t0_valid: Bools | int
+
+
+class Marks(NamedTuple):
+    """What presses have left, as an activation has it."""
+
+    floor: Floats
+    residue: Floats
+
+
 class Skin:
     """Activations of one skin, from scans of all hubs that its taxels hang on."""
 
@@ -70,7 +87,9 @@ class Skin:
         self._counts: Floats = np.zeros(taxels)  # of each taxel's last scan, 0 where not valid
         self._saturated: Bools = np.zeros(taxels, dtype=bool)
         self._usable: Bools = np.zeros(taxels, dtype=bool)  # has a baseline, and is not frozen
-        self._last_scans: dict[int, tuple[float, Index]] = {}  # by hub: when, and its taxels
+        self._last_scans: dict[
+            int, tuple[float, Index | slice]
+        ] = {}  # by hub: when, and its taxels
         self._t = -np.inf
         self._state: SkinState | None = None  # stored, and not yet confirmed where
         self._pending = np.zeros(taxels, dtype=bool)
@@ -78,6 +97,7 @@ class Skin:
         self._drift = Drift(layout, self.wiring, self._scale.full_scale_counts, config.drift_s)
         self._rest = Rest(taxels, calibration)
         self._residue = Residue(taxels)
+        self._marks: Marks | None = None  # where nothing is left, with the thresholds as they are
         self.tare()
 
     def tare(self) -> None:
@@ -125,25 +145,23 @@ class Skin:
         if not len(taxels):
             self.counters.unmapped += 1
             return None
-        channels = np.array(scan.counts, dtype=np.float64)
-        counts = channels[wired.channels]
-        valid = (counts > 0) & (counts < INVALID_FROM)
-        self._saturated[taxels] = counts >= INVALID_FROM
-        self.counters.invalid_counts += int(len(counts) - valid.sum())
-        self._age(scan.ihb, scan.t, taxels)
-        before, after = self._counts[taxels], np.where(valid, counts, 0.0)
-        self._counts[taxels] = after
-        full = self._slice.add(self._t, taxels, after, valid, after != before)
-        t0 = channels[wired.t0_channels]
-        t0_valid = (t0 > 0) & (t0 < INVALID_FROM)
-        self._slice.add_t0(wired.t0_modules, t0, t0_valid)
+        read = self._read(scan.counts, wired)
+        self._age(scan.ihb, scan.t, wired.places)
+        before = self._counts[wired.places]
+        full = self._slice.add(
+            self._t, wired.places, read.counts, read.valid, read.counts != before
+        )
+        self._counts[wired.places] = read.counts
+        self._slice.add_t0(wired.t0_modules, read.t0, read.t0_valid)
         if self._state is not None:
-            self._judge(self._state, wired, after, np.where(t0_valid, t0, np.nan))
-        was_ready = self.is_ready
-        self._capture(taxels[valid], counts[valid])
-        if not was_ready:
-            self.counters.learning += 1
-            return None
+            self._judge(self._state, wired, read.counts, np.where(read.t0 > 0, read.t0, np.nan))
+        if not self._idle.known.all():
+            was_ready = self.is_ready
+            answered = read.counts > 0
+            self._capture(taxels[answered], read.counts[answered])
+            if not was_ready:
+                self.counters.learning += 1
+                return None
         activation = self._activation()
         if full:
             self._settle()
@@ -195,7 +213,19 @@ class Skin:
             "t0_steps": temperature.steps,
         }
 
-    def _age(self, hub: int, t: float, taxels: Index) -> None:
+    def _read(self, counts: tuple[int, ...], wired: Wired) -> Reading:
+        """What the channels of a hub say."""
+        channels = np.array(counts, dtype=np.float64)
+        if min(counts) > 0 and max(counts) < INVALID_FROM:  # as nearly always
+            self._saturated[wired.places] = False
+            return Reading(channels[wired.channels], 1, channels[wired.t0_channels], 1)
+        found, t0 = channels[wired.channels], channels[wired.t0_channels]
+        valid, t0_valid = (found > 0) & (found < INVALID_FROM), (t0 > 0) & (t0 < INVALID_FROM)
+        self._saturated[wired.places] = found >= INVALID_FROM
+        self.counters.invalid_counts += int(len(found) - valid.sum())
+        return Reading(np.where(valid, found, 0.0), valid, np.where(t0_valid, t0, 0.0), t0_valid)
+
+    def _age(self, hub: int, t: float, taxels: Index | slice) -> None:
         """A hub has sent a scan at time t; the readings of hubs that sent none for too long end."""
         self._t = max(self._t, t)  # hubs end their scans in any order
         self._last_scans[hub] = self._t, taxels
@@ -232,8 +262,6 @@ class Skin:
 
     def _capture(self, taxels: Index, counts: Floats) -> None:
         """Learn the baseline of those that have none yet."""
-        if self._idle.known.all():
-            return
         found = self._idle.on_scan(taxels, counts, self._drift.busy(self._t))
         if len(found):
             self._know(found, self._idle.mean[found], self._idle.noise[found])
@@ -244,6 +272,7 @@ class Skin:
         self._drift.take(taxels, baseline)
         self._rest.take(taxels, noise, self.config.baseline_scans)
         self.threshold[taxels] = self._threshold(self._rest.noise[taxels])
+        self._marks = None
         self._usable = self._idle.known & ~self._rest.frozen
         self._slice.begin(self._t)  # the readings before may be those of a touch
 
@@ -252,19 +281,29 @@ class Skin:
 
     def _activation(self) -> Activation:
         scale, residue = self._scale, self._residue
-        live = (self._counts > 0) & self._usable
+        live = self.live = (self._counts > 0) & self._usable
         over = self.over = self._counts - self.baseline
         residue.on_scan(np.where(live, over, 0.0), self.threshold)
+        if residue.is_none:
+            self.touched = False
+            return Activation(self._t, np.zeros(len(live)), live, *self._unmarked())
         pressed = live & residue.pressed
-        self.live, self.touched = live, bool(pressed.any())
-        self._drift.touched(self._t, pressed | (residue.level > self.threshold))
-        return Activation(
-            self._t,
-            z=np.where(pressed, scale.activation(over), 0.0),
-            live=live,
-            floor=scale.activation(self.threshold + residue.level),
-            residue=scale.activation(residue.level),
-        )
+        self.touched = bool(pressed.any())
+        if not residue.level.any():  # the first press, for a long time
+            self._drift.touched(self._t, pressed)
+            marks = self._unmarked()
+        else:
+            self._drift.touched(self._t, pressed | (residue.level > self.threshold))
+            left = scale.activation(residue.level)
+            marks = Marks(scale.activation(self.threshold + residue.level), left)
+        return Activation(self._t, np.where(pressed, scale.activation(over), 0.0), live, *marks)
+
+    def _unmarked(self) -> Marks:
+        """Where presses have left nothing."""
+        if self._marks is None:
+            floor, nothing = self._scale.activation(self.threshold), np.zeros(len(self.threshold))
+            self._marks = Marks(floor, self._scale.activation(nothing))
+        return self._marks
 
     def _settle(self) -> None:
         """Learn from a second of scans: frozen taxels, drift, noise and thresholds."""
@@ -273,5 +312,5 @@ class Skin:
         self._usable = known & ~self._rest.frozen
         at_rest = self._drift.on_slice(part, self._usable, self.threshold)
         self._rest.varied(part.variance, part.scans, at_rest)
-        self.threshold = self._threshold(self._rest.noise)
+        self.threshold, self._marks = self._threshold(self._rest.noise), None
         part.begin(self._t)

@@ -52,14 +52,15 @@ class Wire:
         return heard
 
     def data(self, data: bytes, t: float) -> list[Heard]:
-        """Take bytes of a serial line, in pieces of any size, that were read at time `t`.
+        """Take bytes of a serial line, in pieces of any size, that were read at time `t`; frames
+        that end nothing are left out.
 
         Raises:
             SetupError: a dialect that has no packets is configured for a line that carries them.
         """
         if self._slcan is not None:
             foreign = self._slcan.counters.foreign
-            heard = [self.frame(frame) for frame in self._slcan.feed(data, t)]
+            heard = self.take_all(self._slcan.feed(data, t))
             for _ in range(self._slcan.counters.foreign - foreign):
                 self.decoder.drop_foreign()
             return heard

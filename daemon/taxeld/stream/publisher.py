@@ -29,13 +29,16 @@ class Publisher:
         queue: int,
         info: dict[str, Any] | None = None,
         guard: Guard | None = None,
+        frames: int = 3,
     ) -> None:
         """`queue`: messages kept for a subscriber that is slow; `info`: for a new one, if it is
-        known yet; `guard`: of the endpoints that take keys."""
+        known yet; `guard`: of the endpoints that take keys; `frames`: of a message, 2 without its
+        time."""
         self.counters = SubscriberCounters()
         self._context = context
         self._queue = queue
         self._guard = guard
+        self._frames = frames
         self._pack = msgpack.Packer().pack
         self._info = None if info is None else self._pack(info)
         self._next_look_s = -math.inf
@@ -78,14 +81,16 @@ class Publisher:
         if frames[0] == messages.INFO:
             self._info = frames[1]
         for outlet in self._outlets:
-            outlet.forward(frames)
+            outlet.forward(frames[: self._frames])
 
     def greet(self, now_s: float, t: float) -> None:
         """Take subscriptions, and send newcomers `/taxeld/info`; `now_s` is monotonic."""
         if now_s < self._next_look_s:
             return
         self._next_look_s = now_s + LOOK_S
-        info = None if self._info is None else (messages.INFO, self._info, b"%.6f" % t)
+        info: Frames | None = None
+        if self._info is not None:
+            info = (messages.INFO, self._info, b"%.6f" % t)[: self._frames]
         for outlet in self._outlets:
             outlet.listen(now_s, info)
 

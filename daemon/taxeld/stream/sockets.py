@@ -15,6 +15,10 @@ FRAMES_MAX = 8  # a message of more frames is none of ours, and none is read any
 HANDSHAKE_MS = 5000  # a peer that has not said who it is by then is let go
 KEEPALIVE_S = 10  # the kernel asks a silent peer beyond this machine, and lets a dead one go
 KEEPALIVE_TRIES = 3
+# as plain numbers: pyzmq takes long over its enumerations
+EVENTS, MORE, WAITING, AT_ONCE = (
+    int(x) for x in (zmq.EVENTS, zmq.RCVMORE, zmq.POLLIN, zmq.NOBLOCK)
+)
 
 
 def open_socket(
@@ -66,7 +70,7 @@ def unpack(body: bytes) -> dict[str, Any]:
 
 def is_waiting(socket: zmq.Socket[Any]) -> bool:
     """Whether there is something to receive; cheaper than an exception."""
-    return bool(int(socket.getsockopt(zmq.EVENTS)) & zmq.POLLIN)
+    return bool(int(socket.get(EVENTS)) & WAITING)
 
 
 def messages(socket: zmq.Socket[Any], most: int) -> Iterator[list[bytes] | None]:
@@ -78,12 +82,12 @@ def messages(socket: zmq.Socket[Any], most: int) -> Iterator[list[bytes] | None]
     for _ in range(most):
         if not is_waiting(socket):
             return
-        parts = [socket.recv(zmq.NOBLOCK)]
-        while socket.getsockopt(zmq.RCVMORE):
+        parts = [socket.recv(AT_ONCE)]
+        while socket.get(MORE):
             if len(parts) == FRAMES_MAX:
                 yield None
                 return
-            parts.append(socket.recv(zmq.NOBLOCK))
+            parts.append(socket.recv(AT_ONCE))
         yield parts
 
 

@@ -12,7 +12,7 @@ PREFIX_MAX = 1024  # bytes
 EVENTS_MAX = 256  # of a peer in COUNTED_S; of more it is hung up on
 COUNTED_S = 10.0
 
-Frames = tuple[bytes, bytes, bytes]  # topic, map, time
+Frames = tuple[bytes, ...]  # topic, map, and, but for some relays, time
 
 
 @dataclass(slots=True)

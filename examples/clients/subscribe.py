@@ -11,7 +11,7 @@ socket.connect(endpoint)
 socket.setsockopt(zmq.SUBSCRIBE, b"/taxeld/estimate")
 touching = False
 while True:
-    _, body, _ = socket.recv_multipart()
+    _topic, body, *_time = socket.recv_multipart()
     estimate = msgpack.unpackb(body)
     if touching and not estimate["contact"] and estimate["valid"]:
         pose, weight = estimate["map"], estimate["modes"][0]["weight"]

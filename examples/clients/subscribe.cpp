@@ -1,0 +1,30 @@
+// The smallest subscriber: print where the object is whenever a touch has ended.
+// Debian: cppzmq-dev libmsgpack-cxx-dev; g++ -std=c++17 -O2 subscribe.cpp -o subscribe -lzmq
+#include <cstdio>
+#include <map>
+#include <msgpack.hpp>
+#include <vector>
+#include <zmq_addon.hpp>
+
+using Map = std::map<std::string, msgpack::object>;
+
+int main(int argc, char** argv) {
+    zmq::context_t context;
+    zmq::socket_t socket(context, zmq::socket_type::sub);
+    socket.connect(argc > 1 ? argv[1] : "ipc:///run/taxeld/stream");
+    socket.set(zmq::sockopt::subscribe, "/taxeld/estimate");
+    for (bool touching = false;;) {
+        std::vector<zmq::message_t> frames;  // topic, map, time
+        (void)zmq::recv_multipart(socket, std::back_inserter(frames));
+        auto held = msgpack::unpack(frames.at(1).data<char>(), frames.at(1).size());
+        auto estimate = held->as<Map>();
+        if (touching && !estimate["contact"].as<bool>() && estimate["valid"].as<bool>()) {
+            auto pose = estimate["map"].as<std::map<std::string, double>>();
+            auto modes = estimate["modes"].as<std::vector<std::map<std::string, double>>>();
+            std::printf("x %.3f m  y %.3f m  yaw %.2f  (%.0f%%)\n", pose["x"], pose["y"],
+                        pose["theta"], 100.0 * modes.at(0)["weight"]);
+            std::fflush(stdout);
+        }
+        touching = estimate["contact"].as<bool>();
+    }
+}

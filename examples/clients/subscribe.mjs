@@ -1,0 +1,19 @@
+// The smallest subscriber: print where the object is whenever a touch has ended.
+// npm install; node subscribe.mjs
+import { decode } from "@msgpack/msgpack";
+import { Subscriber } from "zeromq";
+
+const socket = new Subscriber();
+socket.connect(process.argv[2] ?? "ipc:///run/taxeld/stream");
+socket.subscribe("/taxeld/estimate");
+let touching = false;
+for await (const [, body] of socket) {
+  const estimate = decode(body);
+  if (touching && !estimate.contact && estimate.valid) {
+    const { x, y, theta } = estimate.map;
+    const percent = (100 * estimate.modes[0].weight).toFixed(0);
+    const at = `x ${x.toFixed(3)} m  y ${y.toFixed(3)} m  yaw ${theta.toFixed(2)}`;
+    console.log(`${at}  (${percent}%)`);
+  }
+  touching = estimate.contact;
+}

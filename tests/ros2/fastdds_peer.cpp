@@ -1,0 +1,239 @@
+// Fast DDS, the DDS of ROS 2's default middleware, on the other side of the bridge.
+//
+//     fastdds_peer hear DOMAIN    a line for each pose, the array of modes, the markers, diagnostics
+//     fastdds_peer tell DOMAIN    transforms on /tf and /tf_static and poses on /skin, 50 a second
+//
+// Messages are read and written by Fast DDS's own CDR; only the order of their fields is known here.
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <cstring>
+#include <functional>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <fastcdr/Cdr.h>
+#include <fastdds/dds/domain/DomainParticipant.hpp>
+#include <fastdds/dds/domain/DomainParticipantFactory.hpp>
+#include <fastdds/dds/publisher/DataWriter.hpp>
+#include <fastdds/dds/publisher/Publisher.hpp>
+#include <fastdds/dds/subscriber/DataReader.hpp>
+#include <fastdds/dds/subscriber/DataReaderListener.hpp>
+#include <fastdds/dds/subscriber/SampleInfo.hpp>
+#include <fastdds/dds/subscriber/Subscriber.hpp>
+#include <fastdds/dds/topic/TopicDataType.hpp>
+#include <fastdds/rtps/transport/UDPv4TransportDescriptor.h>
+
+using namespace eprosima::fastdds::dds;
+using eprosima::fastcdr::Cdr;
+using eprosima::fastcdr::FastBuffer;
+using eprosima::fastrtps::rtps::InstanceHandle_t;
+using eprosima::fastrtps::rtps::SerializedPayload_t;
+
+using Bytes = std::vector<char>;
+
+// A type of which nothing is known but its name: its messages are bytes
+class AnyType : public TopicDataType {
+public:
+    explicit AnyType(const std::string& name) {
+        setName(name.c_str());
+        m_typeSize = 1 << 20;
+        m_isGetKeyDefined = false;
+    }
+    bool serialize(void* data, SerializedPayload_t* payload) override {
+        auto& bytes = *static_cast<Bytes*>(data);
+        std::memcpy(payload->data, bytes.data(), bytes.size());
+        payload->length = static_cast<uint32_t>(bytes.size());
+        payload->encapsulation = CDR_LE;
+        return true;
+    }
+    bool deserialize(SerializedPayload_t* payload, void* data) override {
+        auto* from = reinterpret_cast<char*>(payload->data);
+        static_cast<Bytes*>(data)->assign(from, from + payload->length);
+        return true;
+    }
+    std::function<uint32_t()> getSerializedSizeProvider(void* data) override {
+        return [data] { return static_cast<uint32_t>(static_cast<Bytes*>(data)->size()); };
+    }
+    void* createData() override { return new Bytes; }
+    void deleteData(void* data) override { delete static_cast<Bytes*>(data); }
+    bool getKey(void*, InstanceHandle_t*, bool) override { return false; }
+};
+
+struct Stamp { int32_t sec; uint32_t nanosec; std::string frame; };
+
+static Stamp header(Cdr& in) {
+    Stamp h;
+    in >> h.sec >> h.nanosec >> h.frame;
+    return h;
+}
+
+static std::vector<double> doubles(Cdr& in, size_t n) {
+    std::vector<double> v(n);
+    for (auto& d : v) in >> d;
+    return v;
+}
+
+static void skip(Cdr& in, size_t each, bool aligned_to_8) {
+    uint32_t n;
+    in >> n;
+    for (uint32_t k = 0; k < n * each; ++k) {
+        if (aligned_to_8) { double d; in >> d; } else { float f; in >> f; }
+    }
+}
+
+static void on_pose(Cdr& in) {
+    auto h = header(in);
+    auto v = doubles(in, 7 + 36);
+    std::printf("pose %d.%09u %s %.17g %.17g %.17g %.17g %.17g %.17g %.17g %.17g\n", h.sec,
+                h.nanosec, h.frame.c_str(), v[0], v[1], v[2], 2 * std::atan2(v[5], v[6]), v[7],
+                v[8], v[7 + 5], v[7 + 35]);
+}
+
+static void on_modes(Cdr& in) {
+    header(in);
+    uint32_t n;
+    in >> n;
+    std::printf("modes %u", n);
+    for (uint32_t k = 0; k < n; ++k) std::printf(" %.17g", doubles(in, 7)[0]);
+    std::printf("\n");
+}
+
+static void on_markers(Cdr& in) {
+    uint32_t n;
+    in >> n;
+    std::printf("markers %u", n);
+    for (uint32_t k = 0; k < n; ++k) {
+        header(in);
+        std::string ns, text;
+        int32_t id, type, action, sec;
+        uint32_t points, nanosec, none;
+        float f;
+        bool b;
+        in >> ns >> id >> type >> action;
+        doubles(in, 10);
+        for (int c = 0; c < 4; ++c) in >> f;
+        in >> sec >> nanosec >> b >> points;
+        doubles(in, 3 * points);
+        skip(in, 4, false);
+        in >> text;              // texture_resource
+        header(in);              // texture
+        in >> text >> none >> none >> text >> text >> text >> none >> b;
+        std::printf(" %s:%d:%u", ns.c_str(), action, points);
+    }
+    std::printf("\n");
+}
+
+static void on_diagnostics(Cdr& in) {
+    header(in);
+    uint32_t n, values;
+    uint8_t level;
+    std::string name, message, hardware;
+    in >> n >> level >> name >> message >> hardware >> values;
+    std::printf("diagnostics %u %s, %u values\n", level, message.c_str(), values);
+}
+
+class Hearer : public DataReaderListener {
+public:
+    explicit Hearer(void (*decode)(Cdr&)) : decode_(decode) {}
+    void on_data_available(DataReader* reader) override {
+        Bytes bytes;
+        SampleInfo info;
+        while (reader->take_next_sample(&bytes, &info) == ReturnCode_t::RETCODE_OK) {
+            if (!info.valid_data) continue;
+            FastBuffer buffer(bytes.data(), bytes.size());
+            Cdr in(buffer, Cdr::DEFAULT_ENDIAN, Cdr::DDS_CDR);
+            in.read_encapsulation();
+            decode_(in);
+            std::fflush(stdout);
+        }
+    }
+
+private:
+    void (*decode_)(Cdr&);
+};
+
+static DomainParticipant* participant(uint32_t domain) {
+    auto udp = std::make_shared<eprosima::fastdds::rtps::UDPv4TransportDescriptor>();
+    udp->interfaceWhiteList.push_back("127.0.0.1");
+    DomainParticipantQos qos;
+    qos.transport().use_builtin_transports = false;
+    qos.transport().user_transports.push_back(udp);
+    for (uint32_t k = 0; k < 20; ++k) {  // no multicast: the first participants are asked
+        eprosima::fastrtps::rtps::Locator_t peer;
+        eprosima::fastrtps::rtps::IPLocator::setIPv4(peer, "127.0.0.1");
+        peer.port = 7400 + 250 * domain + 10 + 2 * k;
+        qos.wire_protocol().builtin.initialPeersList.push_back(peer);
+    }
+    return DomainParticipantFactory::get_instance()->create_participant(domain, qos);
+}
+
+static Topic* topic(DomainParticipant* dds, const char* name, const char* type) {
+    TypeSupport(new AnyType(type)).register_type(dds);
+    return dds->create_topic(name, type, TOPIC_QOS_DEFAULT);
+}
+
+static void hear(DomainParticipant* dds) {
+    auto* subscriber = dds->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
+    DataReaderQos qos;
+    qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
+    qos.history().depth = 100;
+    auto open = [&](const char* name, const char* type, void (*decode)(Cdr&)) {
+        subscriber->create_datareader(topic(dds, name, type), qos, new Hearer(decode));
+    };
+    open("rt/taxeld/pose", "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_", on_pose);
+    open("rt/taxeld/modes", "geometry_msgs::msg::dds_::PoseArray_", on_modes);
+    open("rt/taxeld/markers", "visualization_msgs::msg::dds_::MarkerArray_", on_markers);
+    open("rt/diagnostics", "diagnostic_msgs::msg::dds_::DiagnosticArray_", on_diagnostics);
+    for (;;) std::this_thread::sleep_for(std::chrono::seconds(1));
+}
+
+static Bytes written(const std::function<void(Cdr&)>& fields) {
+    FastBuffer buffer;
+    Cdr out(buffer, Cdr::LITTLE_ENDIANNESS, Cdr::DDS_CDR);
+    out.serialize_encapsulation();
+    fields(out);
+    return Bytes(out.getBufferPointer(), out.getBufferPointer() + out.getSerializedDataLength());
+}
+
+static void stamp(Cdr& out, const char* frame) {
+    auto ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
+                  std::chrono::system_clock::now().time_since_epoch()).count();
+    out << int32_t(ns / 1000000000) << uint32_t(ns % 1000000000) << std::string(frame);
+}
+
+static void transform(Cdr& out, const char* parent, const char* child, double x, double yaw) {
+    stamp(out, parent);
+    out << std::string(child) << x << 0.25 << 0.5;
+    out << 0.0 << 0.0 << std::sin(yaw / 2) << std::cos(yaw / 2);
+}
+
+static void tell(DomainParticipant* dds) {
+    auto* publisher = dds->create_publisher(PUBLISHER_QOS_DEFAULT);
+    DataWriterQos qos;
+    const char* tf = "tf2_msgs::msg::dds_::TFMessage_";
+    auto* moving = publisher->create_datawriter(topic(dds, "rt/tf", tf), qos);
+    auto* skin = publisher->create_datawriter(
+        topic(dds, "rt/skin", "geometry_msgs::msg::dds_::PoseStamped_"), qos);
+    qos.durability().kind = TRANSIENT_LOCAL_DURABILITY_QOS;
+    auto* fixed = publisher->create_datawriter(topic(dds, "rt/tf_static", tf), qos);
+    auto mount = written([](Cdr& out) { out << uint32_t(1); transform(out, "link", "skin", 0.1, 0.0); });
+    fixed->write(&mount);
+    for (;; std::this_thread::sleep_for(std::chrono::milliseconds(20))) {
+        auto link = written([](Cdr& out) { out << uint32_t(1); transform(out, "world", "link", 1.0, M_PI / 2); });
+        moving->write(&link);
+        auto pose = written([](Cdr& out) {
+            stamp(out, "world");
+            out << 2.0 << -1.0 << 0.5 << 0.0 << 0.0 << std::sin(0.15) << std::cos(0.15);
+        });
+        skin->write(&pose);
+    }
+}
+
+int main(int argc, char** argv) {
+    if (argc != 3) return 2;
+    auto* dds = participant(static_cast<uint32_t>(std::stoul(argv[2])));
+    if (dds == nullptr) return 1;
+    std::strcmp(argv[1], "hear") == 0 ? hear(dds) : tell(dds);
+}

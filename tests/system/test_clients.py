@@ -1,0 +1,209 @@
+"""The clients in examples/clients, each in its own language, hear a running daemon alike."""
+
+import itertools
+import os
+import shutil
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ET
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+
+from taxeld.stream import messages
+
+from ..daemon.test_stream_document import documented
+
+ROOT = Path(__file__).parents[2]
+CLIENTS = ROOT / "examples" / "clients"
+SESSION = ROOT / "tests" / "daemon" / "session"  # four contacts of a mug
+LAYOUT = ROOT / "examples" / "plotjuggler.xml"
+NODE_MODULES = Path(os.environ.get("NODE_PATH", str(Path(sys.prefix) / "node" / "node_modules")))
+CPP_HEADERS = ("zmq_addon.hpp", "msgpack.hpp")
+INLINE_BYTES = 33  # ZeroMQ keeps no more in the message itself, where the next frame goes
+PATIENCE_S = 120.0
+MOST_LINES = 30
+
+
+def expected(estimates: list[dict[str, Any]]) -> list[str]:
+    """What a client prints of these estimates, that came one after the other."""
+    said = []
+    for before, now in itertools.pairwise(estimates):
+        if before["contact"] and not now["contact"] and now["valid"]:
+            at, share = now["map"], now["modes"][0]["weight"]
+            said.append(
+                f"x {at['x']:.3f} m  y {at['y']:.3f} m  yaw {at['theta']:.2f}  ({share:.0%})"
+            )
+    return said
+
+
+def python(place: Path) -> list[str] | None:  # noqa: ARG001
+    return [sys.executable, "-u", str(CLIENTS / "subscribe.py")]
+
+
+def cpp(place: Path) -> list[str] | None:
+    compiler = shutil.which("g++")
+    if compiler is None or not all(_has_header(compiler, name) for name in CPP_HEADERS):
+        return None
+    source, built = CLIENTS / "subscribe.cpp", place / "subscribe"
+    how = ("-std=c++17", "-Wall", "-Wextra", "-Werror")
+    subprocess.run([compiler, *how, source, "-o", built, "-lzmq"], check=True)
+    return [str(built)]
+
+
+def _has_header(compiler: str, name: str) -> bool:
+    asked = f"#if !__has_include(<{name}>)\n#error\n#endif\n".encode()
+    command = [compiler, "-E", "-x", "c++", "-"]
+    return subprocess.run(command, input=asked, capture_output=True, check=False).returncode == 0
+
+
+def node(place: Path) -> list[str] | None:
+    program = shutil.which("node")
+    if program is None or not (NODE_MODULES / "zeromq").is_dir():
+        return None
+    shutil.copy(CLIENTS / "subscribe.mjs", place)
+    (place / "node_modules").symlink_to(NODE_MODULES)
+    return [program, str(place / "subscribe.mjs")]
+
+
+MAKERS = {"python": python, "cpp": cpp, "node": node}  # None without the language's tools
+NEEDS = {
+    "python": "python",
+    "cpp": "g++, cppzmq-dev and libmsgpack-cxx-dev",
+    "node": f"node, and in {NODE_MODULES} the packages of examples/clients",
+}
+
+
+def started(place: Path, name: str, command: list[str]) -> "subprocess.Popen[bytes]":
+    """A client of the daemon in `place`; what it prints goes into a file of its name."""
+    with (place / name).open("wb") as printed:
+        return subprocess.Popen([*command, f"ipc://{place}/stream"], stdout=printed)
+
+
+def configured(place: Path) -> Path:
+    """A daemon that replays a recorded session and serves in `place`."""
+    shutil.copytree(SESSION, place / "session")
+    text = (SESSION / "config.toml").read_text(encoding="utf-8")
+    source = f'kind = "replay"\npath = "{place}/session"\n'
+    served = (
+        f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
+        f'[control]\nendpoint = "ipc://{place}/control"\n'
+    )
+    text = text.replace('kind = "serial"\nchannel = "/dev/null"\n', source) + served
+    (place / "config.toml").write_text(text, encoding="utf-8")
+    return place / "config.toml"
+
+
+def wait_for_subscriptions(context: "zmq.Context[Any]", place: Path, wanted: int) -> None:
+    """Until so many clients have started and subscribed; they will find the daemon by
+    themselves, in the same place."""
+    with context.socket(zmq.XPUB) as stand_in:
+        stand_in.setsockopt(zmq.LINGER, 0)
+        stand_in.setsockopt(zmq.XPUB_VERBOSE, 1)
+        stand_in.bind(f"ipc://{place}/stream")
+        for _ in range(wanted):
+            assert stand_in.poll(1000 * PATIENCE_S), "a client has not subscribed"
+            assert stand_in.recv() == b"\x01" + messages.ESTIMATE
+    (place / "stream").unlink(missing_ok=True)
+
+
+@pytest.fixture(scope="module")
+def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
+    """What each client has printed of one run of a daemon, and what it should have."""
+    place = tmp_path_factory.mktemp("run")
+    config = configured(place)
+    commands = {name: made for name, make in MAKERS.items() if (made := make(place)) is not None}
+    clients = [started(place, name, command) for name, command in commands.items()]
+    estimates: list[dict[str, Any]] = []
+    try:
+        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+            socket.setsockopt(zmq.LINGER, 0)
+            socket.setsockopt(zmq.SUBSCRIBE, messages.ESTIMATE)
+            wait_for_subscriptions(context, place, len(clients))
+            socket.connect(f"ipc://{place}/stream")
+            with subprocess.Popen([sys.executable, "-m", "taxeld.cli", "run", config]) as daemon:
+                while daemon.poll() is None or socket.poll(100):
+                    if socket.poll(100):
+                        estimates.append(msgpack.unpackb(socket.recv_multipart()[1]))
+            assert daemon.returncode == 0
+        lines = expected(estimates)
+        deadline = time.monotonic() + PATIENCE_S
+        while time.monotonic() < deadline:
+            said = {name: (place / name).read_text().splitlines() for name in commands}
+            if all(len(told) >= len(lines) for told in said.values()):
+                break
+            time.sleep(0.05)
+    finally:
+        for client in clients:
+            client.kill()
+            client.wait()
+    return {**said, "expected": lines}
+
+
+@pytest.mark.parametrize("name", list(MAKERS))
+def test_each_client_prints_where_a_running_daemon_believes_the_object_after_each_touch(
+    name: str, printed: dict[str, list[str]]
+) -> None:
+    if name not in printed:
+        pytest.skip(f"{NEEDS[name]}: not here")
+    assert len(printed["expected"]) >= 3
+    assert printed[name] == printed["expected"]
+
+
+@pytest.mark.parametrize("name", ["subscribe.py", "subscribe.cpp", "subscribe.mjs"])
+def test_each_client_is_as_short_as_the_page_says(name: str) -> None:
+    lines = len((CLIENTS / name).read_text(encoding="utf-8").splitlines())
+    page = (ROOT / "docs" / "stream.md").read_text(encoding="utf-8")
+    (row,) = (line for line in page.splitlines() if line.startswith(f"| `{name}` |"))
+    assert row.endswith(f"| {lines} |")
+    assert lines <= MOST_LINES
+
+
+@pytest.mark.parametrize("topic", [topic.decode() for topic in messages.TOPICS])
+def test_no_payload_is_so_small_that_the_next_frame_takes_its_place(topic: str) -> None:
+    """PlotJuggler 3.10 to 3.17.2 read a payload after its message took the third frame."""
+    _, example = documented(topic)
+    least = {key: value[:1] if isinstance(value, list) else value for key, value in example.items()}
+    assert len(msgpack.packb(least)) > INLINE_BYTES
+
+
+def test_plotjugglers_layout_plots_keys_that_are_sent_and_fills_each_of_its_panes() -> None:
+    layout = ET.parse(LAYOUT).getroot()  # noqa: S314
+    sent = set()
+    for topic in ("/taxeld/estimate", "/taxeld/health"):
+        _, example = documented(topic)
+        sent |= set(_series(topic, example))
+    sent.add("/taxeld/estimate/modes[1]/weight")  # while there are two
+    plotted = set()
+    for curve in layout.iter("curve"):
+        if curve.get("curve_x"):
+            plotted |= {curve.get("curve_x"), curve.get("curve_y")}
+        else:
+            plotted.add(curve.get("name"))
+    assert len(plotted) > 20
+    assert plotted <= sent
+    for splitter in layout.iter("DockSplitter"):
+        areas = len(splitter)
+        assert splitter.get("count") == str(areas)
+        assert len(splitter.get("sizes", "").split(";")) == areas
+        assert all(area.find("plot") is not None for area in splitter)
+    streamer = layout.find("previouslyLoaded_Streamer")
+    assert streamer is not None
+    assert streamer.get("name") == "ZMQ Subscriber"
+
+
+def _series(name: str, value: object) -> Iterator[str]:
+    """The names that PlotJuggler gives to the numbers of a map."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _series(f"{name}/{key}", item)
+    elif isinstance(value, list):
+        for k, item in enumerate(value):
+            yield from _series(f"{name}[{k}]", item)
+    else:
+        yield name
