@@ -179,7 +179,7 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
         "v", "seq", "t", "uptime_s", "loop", "over_budget", "degraded", "realtime", "source",
         "skin", "skin_state", "estimator", "inputs", "control", "recording", "subscribers",
         "hoarders", "keys_refused", "lat_us", "belief", "drift", "dead_taxels", "stuck_taxels",
-        "saturated_taxels", "untared_taxels", "calibration",
+        "saturated_taxels", "untared_taxels", "calibration", "modules", "missing_modules",
     }  # fmt: skip
     assert health["source"]["frames"] == 0
 

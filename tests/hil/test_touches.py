@@ -185,7 +185,7 @@ def test_wrong_options_are_refused_with_one_line(
     (tmp_path / "file").touch()
     for option, value, message in (
         ("--skin", "marble", "no skin 'marble'"),
-        ("--skin", "scene", "--skin scene: no soft skin"),
+        ("--skin", "scene", "--skin scene: is no soft skin"),
         ("--object", "party", "scene.bundle: no bundle 'party'"),
         ("--seeds", "-1", "--seeds and --workers must be at least 1"),
         ("--workers", "0", "--seeds and --workers must be at least 1"),
