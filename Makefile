@@ -6,7 +6,7 @@ BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
 .PHONY: demo test node lint docs bench bench-one-core bench-aarch64 bench-peers picture screenshot
-.PHONY: install rollback uninstall deb lock sbom vm-test clean
+.PHONY: install rollback uninstall deb dist-test lock sbom vm-test clean
 
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
@@ -76,6 +76,10 @@ STAMP ?= $(shell date -u +%Y%m%dT%H%M%SZ)
 # A Debian package for the Debian and the Python that it is built with
 deb:
 	WHEEL='$(WHEEL)' PYTHON='$(PYTHON)' deploy/deb
+
+# Wheel and source distribution, each in a clean environment
+dist-test:
+	PYTHON='$(PYTHON)' deploy/dist-test
 
 # The runtime's versions (constraints.txt) with the hashes of their wheels
 lock: .venv/bin/python

@@ -11,7 +11,7 @@ from taxeld import command_line
 from taxeld.command_line import FAILED, command
 from taxeld.config.endpoints import for_this_user
 from taxeld.config.file import load
-from taxeld.config.tables import ControlConfig
+from taxeld.config.tables import LEVELS, ControlConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.view import cli as view_cli
@@ -36,12 +36,12 @@ def _run(args: argparse.Namespace) -> int:
     with log.written(), signals.Signals() as received:
         descriptors.ensure()
         config = load(args.config)
-        log.set_level(config.log.level)
+        log.set_level(args.log_level or config.log.level)
         recorder = recorder_of(config, args.config, args.record) if args.record else None
         daemon = Daemon(config, recorder)
         received.stop_by(daemon.stop)
         actions: dict[int, Callable[[], None]] = {
-            signal.SIGHUP: lambda: signals.reload(args.config, config),
+            signal.SIGHUP: lambda: signals.reload(args.config, config, args.log_level),
             signal.SIGUSR1: lambda: signals.dump(daemon.state()),
         }
         daemon.run(lambda: received.serve(actions))
@@ -71,11 +71,11 @@ def _relay(args: argparse.Namespace) -> int:
     with log.written(), signals.Signals() as received:
         descriptors.ensure()
         config = load(args.config)
-        log.set_level(config.log.level)
+        log.set_level(args.log_level or config.log.level)
         relay = Relay(config)
         received.stop_by(relay.stop)
         reload: dict[int, Callable[[], None]] = {
-            signal.SIGHUP: lambda: signals.reload(args.config, config)
+            signal.SIGHUP: lambda: signals.reload(args.config, config, args.log_level)
         }
         try:
             relay.run(lambda: received.serve(reload))
@@ -150,7 +150,9 @@ def _calibrate(args: argparse.Namespace) -> int:
         from taxeld.commands.calibrate_guided import Guided
 
         if config_path:
-            raise SetupError("--config: is for a session; a running skin has its own")
+            raise SetupError(
+                "--config: is only for a session; a running skin has its own configuration"
+            )
         config = load(directory)
         directory = Guided.place(args.out)
         guided = Guided(config, args.source, directory, args.idle_s, args.presses, say)
@@ -253,11 +255,15 @@ def _add_daemon(commands: command_line.Commands) -> None:
     )  # fmt: skip
     run.add_argument("config", type=Path, metavar="CONFIG")
     run.add_argument(
-        "--histogram", type=Path, metavar="FILE", help="write the latencies there at the end"
+        "--histogram",
+        type=Path,
+        metavar="FILE",
+        help="write a histogram of the latencies at the end",
     )
     run.add_argument(
         "--record", type=Path, metavar="DIR", help="also record a session into this new directory"
     )
+    _add_log_level(run)
 
     check = command(
         commands, "check", "Check everything that a run needs; one line for each fault.",
@@ -266,7 +272,7 @@ def _add_daemon(commands: command_line.Commands) -> None:
     check.add_argument("config", type=Path, metavar="CONFIG")
     check.add_argument(
         "--running", action="store_true",
-        help="a daemon runs with it already: what that has in use is no fault",
+        help="a daemon runs with this configuration: what it has in use is no fault",
     )  # fmt: skip
 
     relay = command(
@@ -274,6 +280,13 @@ def _add_daemon(commands: command_line.Commands) -> None:
         "taxeld relay can0.toml", run=_relay,
     )  # fmt: skip
     relay.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's configuration")
+    _add_log_level(relay)
+
+
+def _add_log_level(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--log-level", choices=LEVELS, help="in place of log.level of the configuration"
+    )
 
 
 def _add_sessions(commands: command_line.Commands) -> None:
@@ -302,7 +315,9 @@ def _add_sessions(commands: command_line.Commands) -> None:
         "log", type=Path, metavar="LOG", help="a log of candump or another tool, or a serial.bin"
     )
     decode.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
-    decode.add_argument("--config", type=Path, help="its source.modules is the module table")
+    decode.add_argument(
+        "--config", type=Path, help="take the module table from source.modules of this file"
+    )
     decode.add_argument(
         "--interface", default="", help="the skin's CAN interface, where the log holds several"
     )
@@ -326,7 +341,11 @@ def _add_skin(commands: command_line.Commands) -> None:
     )  # fmt: skip
     calibrate.add_argument("--config", type=Path, help="in place of the session's own config.toml")
     calibrate.add_argument(
-        "--presses", type=int, default=20, metavar="N", help="to ask for (default %(default)s)"
+        "--presses",
+        type=int,
+        default=20,
+        metavar="N",
+        help="number of presses to ask for (default %(default)s)",
     )
     calibrate.add_argument(
         "--idle-s", type=float, default=60.0,

@@ -1,6 +1,7 @@
 """`taxeld-hil`: the harness's commands."""
 
 import argparse
+import math
 import signal
 import sys
 import tempfile
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from taxeld import command_line
 from taxeld.command_line import Commands, command
+from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from taxeld_hil.scenario.scenario import Scenario
 
 VCAN = "vcan0"
+WATCH_SILENT_S = 3.0  # without a message for so long, it is said that none comes
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -102,11 +105,18 @@ def _matrix(args: argparse.Namespace) -> int:
 def _emulate(args: argparse.Namespace) -> int:
     from taxeld_hil.run.emulate import emulate
 
+    _check_endpoint("--poses", args.poses)
     scenario = _scenario(args).over("can" if args.can else "")
     if emulate(scenario, args.seed, args.poses, args.can or args.link, args.out):
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
     return 1
+
+
+def _check_endpoint(option: str, endpoint: str) -> None:
+    fault = endpoints.fault(endpoint, has_keys=True)
+    if fault:
+        raise SetupError(f"{option}: {fault}")
 
 
 def _accept(args: argparse.Namespace) -> int:
@@ -144,6 +154,7 @@ def _watch(args: argparse.Namespace) -> int:
     from taxeld.stream import messages, sockets
     from taxeld_hil.run.watch import HEADER, ContactTable, receive
 
+    _check_endpoint("--endpoint", args.endpoint)
     skin = layouts.load(args.layout)
     scene = bundle.load(args.bundle, skin, SkinConfig().full_scale_depth_m).model.scene
     truth = np.array(session.read_poses(args.truth)[-1][1:]) if args.truth else None
@@ -155,15 +166,21 @@ def _watch(args: argparse.Namespace) -> int:
         sockets.connect(socket, args.endpoint, "--endpoint")
         for topic in (messages.ESTIMATE, messages.TAXELS):
             socket.setsockopt(zmq.SUBSCRIBE, topic)
-        begun = False
+        begun, silent_s = False, time.monotonic() + WATCH_SILENT_S
         while not stopping:
             if socket.poll(50):
                 if not begun:
                     _say(HEADER)
-                begun = True
+                begun, silent_s = True, math.inf
                 line = receive(socket, table)
                 if line:
                     _say(line)
+            elif time.monotonic() > silent_s:
+                silent_s = math.inf
+                print(f"nothing comes from {args.endpoint} so far; is a daemon there?",
+                      file=sys.stderr)  # fmt: skip
+    if not begun:
+        return 0
     print("\n".join(table.latencies()))
     if truth is not None:
         _say(f"final symmetry-aware ADD {table.error_mm():.1f} mm")
@@ -313,10 +330,16 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_world(command: argparse.ArgumentParser) -> None:
     command.add_argument(
-        "--object", default="", metavar="BUNDLE", help="over the scenario's: box, mug, or a path"
+        "--object",
+        default="",
+        metavar="BUNDLE",
+        help="in place of the scenario's object: box, mug, or a path",
     )
     command.add_argument(
-        "--skin", default="", metavar="SKIN", help="over the scenario's: scene, typical, poor, …"
+        "--skin",
+        default="",
+        metavar="SKIN",
+        help="in place of the scenario's skin: scene, typical, poor, …",
     )
 
 
@@ -338,10 +361,15 @@ def _add_run(commands: Commands) -> None:
         "--truth", type=float, nargs=3, metavar=("X", "Y", "THETA"),
         help="on hardware: where the object is in the robot's world [m, m, rad]",
     )  # fmt: skip
-    run.add_argument("--limit-s", type=float, default=600.0, help="on hardware: the longest run")
+    run.add_argument(
+        "--limit-s",
+        type=float,
+        default=600.0,
+        help="on hardware: end the run after so many seconds",
+    )
     run.add_argument("--clock", choices=("real", "fake"), default="real")
     run.add_argument(
-        "--transport", default="", help="over the scenario's: slcan, native or can:INTERFACE"
+        "--transport", default="", help="in place of the scenario's: slcan, native or can:INTERFACE"
     )
     _add_world(run)
 
@@ -354,12 +382,21 @@ def _add_many(commands: Commands) -> None:
     soak.add_argument("scenario", nargs="?", default="demo", metavar="SCENARIO")
     soak.add_argument("--seed", type=int, default=0)
     long = soak.add_mutually_exclusive_group()
-    long.add_argument("--hours", type=float, default=1.0, help="of scans, on the fake clock")
-    long.add_argument("--real-minutes", type=float, help="over the transport, in real time")
-    soak.add_argument("--out", type=Path, default=Path("soak.json"), help="report; goes on with it")
-    long.add_argument("--lap", type=int, metavar="N", help="no soak: this lap of one, by itself")
+    long.add_argument("--hours", type=float, default=1.0, help="hours of scans, on the fake clock")
+    long.add_argument("--real-minutes", type=float, help="minutes over the transport, in real time")
+    soak.add_argument(
+        "--out",
+        type=Path,
+        default=Path("soak.json"),
+        help="the report; a soak that was cut short goes on from it",
+    )
+    long.add_argument("--lap", type=int, metavar="N", help="instead: this lap alone")
     long.add_argument(
-        "--table", type=Path, nargs="+", metavar="REPORT", help="no soak: reports, as Markdown"
+        "--table",
+        type=Path,
+        nargs="+",
+        metavar="REPORT",
+        help="instead: print these reports as a Markdown table",
     )
     _add_world(soak)
 
@@ -380,12 +417,12 @@ def _add_many(commands: Commands) -> None:
     matrix.add_argument("--seeds", type=int, default=5)
     matrix.add_argument(
         "--real", action="store_true",
-        help="scenarios with faults that no fake clock can do in real time, not without the fault",
+        help="run the scenarios whose faults need real time in real time",
     )  # fmt: skip
-    matrix.add_argument("--workers", type=int, default=2, help="a thread each")
+    matrix.add_argument("--workers", type=int, default=2, help="runs at a time, one thread each")
     matrix.add_argument(
         "--memory", type=Path, default=Path(".experiments/scenarios.jsonl"), metavar="FILE",
-        help="runs, from which one cut short goes on (default %(default)s)",
+        help="finished runs; what was interrupted goes on from them (default %(default)s)",
     )  # fmt: skip
     matrix.add_argument("--out", type=Path, required=True, help="directory for scenarios.json")
 
@@ -400,11 +437,16 @@ def _add_measurements(commands: Commands) -> None:
     accept.add_argument(
         "target", metavar="TARGET", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …"
     )
-    accept.add_argument("--layout", required=True, help="of this skin, as skin.layout")
+    accept.add_argument("--layout", required=True, help="the layout of this skin, as skin.layout")
     accept.add_argument("--out", type=Path, help="directory for the report")
-    accept.add_argument("--seconds", type=float, default=15.0, help="to listen, untouched")
+    accept.add_argument(
+        "--seconds",
+        type=float,
+        default=15.0,
+        help="seconds to listen while nothing touches the skin",
+    )
     accept.add_argument("--press", action="store_true", help="then ask for a press on each module")
-    accept.add_argument("--period-ms", type=int, default=50, help="between scans, to ask for")
+    accept.add_argument("--period-ms", type=int, default=50, help="milliseconds between scans")
     accept.add_argument(
         "--full-scale-counts", type=float, default=SkinConfig().full_scale_counts,
         help="as skin.full_scale_counts",
@@ -416,7 +458,9 @@ def _add_measurements(commands: Commands) -> None:
     )  # fmt: skip
     other = physics.add_mutually_exclusive_group()
     other.add_argument(
-        "--touches", action="store_true", help="instead: ten touches a run, and what comes of them"
+        "--touches",
+        action="store_true",
+        help="instead: runs of ten touches, and how well the object is found",
     )
     other.add_argument(
         "--curves", action="store_true", help="instead: the named skins beside recordings' bands"
@@ -429,18 +473,20 @@ def _add_measurements(commands: Commands) -> None:
         "--skin",
         action="append",
         metavar="SKIN",
-        help="of --touches and --curves any number, else one (default typical)",
+        help="skin; may be given several times with --touches and --curves (default typical)",
     )
-    physics.add_argument("--workers", type=int, default=2, help="of --touches, a thread each")
+    physics.add_argument(
+        "--workers", type=int, default=2, help="runs of --touches at a time, one thread each"
+    )
     physics.add_argument(
         "--memory", type=Path, default=Path(".experiments/touches.jsonl"), metavar="FILE",
-        help="runs of --touches, from which one cut short goes on (default %(default)s)",
+        help="finished runs of --touches; what was interrupted goes on (default %(default)s)",
     )  # fmt: skip
     physics.add_argument("--contacts", type=int, metavar="N", help="an object, to compare readings")
     physics.add_argument(
         "--seeds", type=int, metavar="N", help="runs of --touches; skins of --curves"
     )
-    physics.add_argument("--seed", type=int, help="of the contacts")
+    physics.add_argument("--seed", type=int, help="of the random contacts")
     physics.add_argument("--noise-sigma", type=float, metavar="SD", help="default: the daemon's")
     physics.add_argument("--quick", action="store_true", help="a smoke run of seconds")
     physics.add_argument("--out", type=Path, required=True, help="directory for JSON and PNG")
@@ -452,16 +498,25 @@ def _add_measurements(commands: Commands) -> None:
     calibration.add_argument(
         "--skin", action="append", metavar="SKIN", help="default: typical, poor"
     )
-    calibration.add_argument("--seeds", type=int, metavar="N", help="skins drawn, of each sort")
-    calibration.add_argument("--right-seeds", type=int, metavar="N", help="with nothing wrong")
-    calibration.add_argument("--workers", type=int, default=2, help="a thread each")
+    calibration.add_argument("--seeds", type=int, metavar="N", help="random skins of each kind")
+    calibration.add_argument(
+        "--right-seeds", type=int, metavar="N", help="runs in which nothing is wrong"
+    )
+    calibration.add_argument(
+        "--workers", type=int, default=2, help="runs at a time, one thread each"
+    )
     calibration.add_argument(
         "--memory", type=Path, default=Path(".experiments/calibration.jsonl"), metavar="FILE",
-        help="runs, from which a measurement cut short goes on (default %(default)s)",
+        help="finished runs; what was interrupted goes on from them (default %(default)s)",
     )  # fmt: skip
     calibration.add_argument("--quick", action="store_true", help="a smoke run of minutes")
     calibration.add_argument("--out", type=Path, help="directory for the JSON")
-    calibration.add_argument("--picture", type=Path, metavar="FILE", help="instead: of one skin")
+    calibration.add_argument(
+        "--picture",
+        type=Path,
+        metavar="FILE",
+        help="instead: draw the calibration of one skin there",
+    )
 
 
 def _add_parts(commands: Commands) -> None:
@@ -474,8 +529,12 @@ def _add_parts(commands: Commands) -> None:
     emulate.add_argument("scenario", metavar="SCENARIO")
     emulate.add_argument("--seed", type=int, default=0)
     where = emulate.add_mutually_exclusive_group(required=True)
-    where.add_argument("--link", type=Path, help="that will name an SLCAN adapter")
-    where.add_argument("--can", metavar="INTERFACE", help="of this machine's kernel, as vcan0")
+    where.add_argument(
+        "--link", type=Path, help="path that will be a link to the virtual SLCAN adapter"
+    )
+    where.add_argument(
+        "--can", metavar="INTERFACE", help="CAN interface of this machine, such as vcan0"
+    )
     emulate.add_argument("--poses", required=True, help="endpoint for the robot's poses")
     emulate.add_argument("--out", type=Path, required=True, help="directory for the session")
     _add_world(emulate)
@@ -487,7 +546,9 @@ def _add_parts(commands: Commands) -> None:
     watch.add_argument("--endpoint", required=True)
     watch.add_argument("--bundle", required=True)
     watch.add_argument("--layout", default=SkinConfig().layout)
-    watch.add_argument("--truth", type=Path, help="t,x,y,theta of the object, for errors")
+    watch.add_argument(
+        "--truth", type=Path, help="CSV of t,x,y,theta of the object; errors are printed"
+    )
 
     draw = command(
         commands, "draw", "Draw the contacts of a recorded session.",

@@ -103,7 +103,8 @@ def _status(calibration: dict[str, object]) -> str:
         "uptime_s": 1.0, "loop": {"ticks": 1, "scans": 1, "overruns": 0, "own_overruns": 0},
         "source": {"incomplete": 0, "frames": 1, "dropped": {}, "lost": 0, "unsent": 0},
         "inputs": {"scans_stale": False, "poses_stale": False, "poses_malformed": 0,
-                   "poses_rejected": 0, "scans_without_pose": 0},
+                   "poses_rejected": 0, "poses_far": 0, "poses_from_the_future": 0, "poses": 0,
+                   "scans_without_pose": 0},
         "over_budget": {}, "degraded": {}, "realtime": {"fifo": 0, "locked": False},
         "dead_taxels": [], "lat_us": {}, "calibration": calibration,
     }  # fmt: skip

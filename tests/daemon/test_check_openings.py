@@ -8,13 +8,15 @@ import os
 import pty
 import socket
 import tempfile
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import zmq
 
 from taxeld.cli import main
-from taxeld.commands import openings
+from taxeld.commands import check, openings
 from taxeld.config import endpoints
 from taxeld.stream import client
 
@@ -234,3 +236,39 @@ class TestStatus:
             other.listen()
             assert main(["status", "--endpoint", f"ipc://{place}/control"]) == 1
         assert "takes the question and does not answer" in capsys.readouterr().err
+
+
+def test_a_robot_that_publishes_though_no_endpoint_is_set_is_noted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usual = f"ipc://{tmp_path}/poses"
+    monkeypatch.setattr(check, "POSES_USUAL", usual)
+    monkeypatch.setattr(check, "HEAR_POSES_S", 30.0)
+    text = (
+        '[source]\nkind = "can"\ninterface = "virtual"\nchannel = "x"\n[scene]\nbundle = "box"\n'
+        "[publish]\nendpoints = []\n[control]\nendpoint = ''\n"
+    )
+    config = tmp_path / "config.toml"
+    config.write_text(text, encoding="utf-8")
+    done = threading.Event()
+
+    def publish() -> None:
+        with zmq.Context() as context, context.socket(zmq.PUB) as robot:
+            robot.setsockopt(zmq.LINGER, 0)
+            robot.bind(usual)
+            while not done.wait(0.02):
+                robot.send_multipart([b"/robot/sensor_pose", b"", b""])
+
+    robot = threading.Thread(target=publish)
+    robot.start()
+    try:
+        assert main(["check", str(config)]) == 0
+        noted = capsys.readouterr().out.splitlines()[1:]
+        config.write_text(f'{text}[sensor_pose]\nendpoint = "{usual}"\n', encoding="utf-8")
+        assert main(["check", str(config)]) == 0
+        silent = capsys.readouterr().out.splitlines()[1:]
+    finally:
+        done.set()
+        robot.join()
+    assert [line.startswith("note: sensor_pose.endpoint: is empty") for line in noted] == [True]
+    assert silent == []

@@ -1,6 +1,5 @@
 """The loop on a fake clock, and its sockets on real ones."""
 
-import contextlib
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -181,7 +180,7 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
         "v", "seq", "t", "uptime_s", "loop", "over_budget", "degraded", "realtime", "source",
         "skin", "skin_state", "estimator", "inputs", "control", "recording", "subscribers",
         "hoarders", "keys_refused", "lat_us", "belief", "drift", "dead_taxels", "stuck_taxels",
-        "saturated_taxels", "untared_taxels", "calibration",
+        "saturated_taxels", "untared_taxels", "calibration", "modules", "missing_modules",
     }  # fmt: skip
     assert health["source"]["frames"] == 0
 
@@ -248,19 +247,6 @@ def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
     assert track.latest_t == 1.0
     assert daemon.pose_input.counters.malformed >= 4
     daemon.close()
-
-
-def test_health_tells_how_old_the_last_sensor_pose_is_and_0_where_there_is_none(
-    daemon: Daemon, tmp_path: Path
-) -> None:
-    assert daemon._health(0, 0.0, 100.0)["inputs"]["pose_age_s"] == 0.0
-    text = settings(tmp_path) + f'[sensor_pose]\nendpoint = "ipc://{tmp_path}/poses"\n'
-    text = text.replace("/stream", "/other").replace("/control", "/asked")
-    with contextlib.closing(Daemon(parse(text))) as moving:
-        assert moving._health(0, 0.0, 100.0)["inputs"]["pose_age_s"] == 0.0
-        moving.pipeline.poses.add(100.0, 0.1, 0.2, 0.3)
-        told = moving._health(0, 0.0, 100.25)["inputs"]
-        assert (told["pose_age_s"], told["poses_stale"]) == (0.25, True)
 
 
 def test_taxels_say_where_the_sensor_was_or_that_nobody_knows() -> None:

@@ -127,3 +127,11 @@ def test_a_daemon_keeps_the_file_and_takes_it_away(tmp_path: Path) -> None:
         finally:
             daemon.kill()
     assert not list(tmp_path.glob("skin.prom*"))
+
+
+def test_codes_and_numbers_of_now_are_gauges_not_counters() -> None:
+    health = documented("/taxeld/health")[1]
+    counters = {metric.path for metric in metrics(health) if metric.counts}
+    now = {"inputs.poses_fault", "inputs.poses_other_topics", "modules.layout", "modules.foreign"}
+    assert not counters & now
+    assert "inputs.poses_received" in counters

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from taxeld.service.notify import Notifier
+from tests.logged import warnings
 
 from .test_cli import configuration
 from .test_ticker import FakeClock
@@ -167,5 +168,7 @@ def test_a_daemon_whose_device_is_away_is_ready_and_says_what_it_waits_for(
         reason = f"source.channel: cannot open {device} (it is not there; is it plugged in?)"
         assert said == ["READY=1", *[f"STATUS=waiting, {reason}"] * 2]
         process.send_signal(signal.SIGTERM)
-        assert process.communicate(timeout=DEADLINE_S)[1] == f"{reason}; waiting for it\n"
+        said = warnings(process.communicate(timeout=DEADLINE_S)[1])
+        assert said[0] == f"{reason}; waiting for it"
+        assert all(line.startswith("status: stale") for line in said[1:])
         assert process.returncode == 0

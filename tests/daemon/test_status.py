@@ -69,7 +69,7 @@ def test_status_as_json_is_the_whole_answer(
 ) -> None:
     assert main(["status", "--endpoint", f"ipc://{running}/control", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
-    assert set(answer) == {"ok", "estimate", "health", "waits_for"}
+    assert set(answer) == {"ok", "estimate", "health", "waits_for", "sensor_pose"}
     assert answer["waits_for"] == ""
 
 

@@ -102,7 +102,7 @@ def test_modes_rates_latencies_and_the_age_of_the_sensor_pose_are_told() -> None
     text = "\n".join(shown(page))
     assert "-20.0      31.0      28.6     25%" in text
     assert "20.3 scans/s" in text
-    assert "sensor pose 4 ms old" in text
+    assert "sensor pose 8 ms old" in text
     assert "3.90" in text, "what the filter took now, in milliseconds"
     assert "6 frames dropped" not in text
 
@@ -110,7 +110,7 @@ def test_modes_rates_latencies_and_the_age_of_the_sensor_pose_are_told() -> None
 def test_numbers_that_an_older_or_newer_daemon_has_or_lacks_do_no_harm() -> None:
     said = maps()
     said[messages.ESTIMATE] |= {"status": 99, "lat_us": {}, "news": 1}
-    del said[messages.HEALTH]["inputs"]["pose_age_s"]
+    del said[messages.HEALTH]["inputs"]["poses_age_s"]
     said[messages.TAXELS]["z"] = [0.5]  # of another skin, before its info
     text = "\n".join(shown(page_of(said)))
     assert "UNKNOWN" in text

@@ -118,6 +118,6 @@ def test_a_skin_without_depths_of_its_own_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert cli.main(["calibration", "--skin", "scene", "--out", str(tmp_path)]) == 2
-    assert "--skin scene: no soft skin" in capsys.readouterr().err
+    assert "--skin scene: is no soft skin" in capsys.readouterr().err
     assert cli.main(["calibration"]) == 2
     assert "--out: is required" in capsys.readouterr().err

@@ -1,5 +1,6 @@
 """A solid against a soft skin: closed forms, symmetry, and the estimator's model beside it."""
 
+import json
 import shutil
 import time
 from dataclasses import dataclass
@@ -7,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from taxeld.arrays import Floats
 from taxeld.errors import SetupError
@@ -268,3 +270,21 @@ def test_a_damaged_bundle_json_is_one_line(tmp_path: Path, text: bytes, said: st
         solid_of(str(box), SKIN)
     assert str(error.value).startswith(f"{box / 'bundle.json'}: {said}")
     assert str(error.value).isprintable()
+
+
+def test_a_bundle_of_ones_own_mesh_holds_what_a_soft_skin_needs(tmp_path: Path) -> None:
+    own = Path(shutil.copytree(bundle.find("box"), tmp_path / "block"))
+    info = json.loads((own / "bundle.json").read_text(encoding="utf-8"))
+    trimesh.creation.box((0.06, 0.1, 0.2)).export(own / "mesh.stl")
+    (own / "bundle.json").write_text(json.dumps(info | {"object": "block"}), encoding="utf-8")
+    with pytest.raises(SetupError, match=r"block is no YCB object, and its bundle holds no mesh: "):
+        solid_of(str(own), SKIN)
+    named = info | {"object": "block", "mesh": "mesh.stl"}
+    (own / "bundle.json").write_text(json.dumps(named), encoding="utf-8")
+    distance = solid_of(str(own), SKIN).distance(np.array([[0.0], [0.0], [0.0]]))
+    assert distance[0] < -0.005
+    beside = solid_of(str(own), SKIN).distance(np.array([[0.032], [0.0], [0.0]]))
+    assert beside[0] == pytest.approx(0.002, abs=3e-4)
+    (own / "bundle.json").write_text(json.dumps(info | {"mesh": "../x.stl"}), encoding="utf-8")
+    with pytest.raises(SetupError, match="mesh is no name of a file"):
+        solid_of(str(own), SKIN)

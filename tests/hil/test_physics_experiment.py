@@ -56,7 +56,7 @@ def test_wrong_options_are_refused_with_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for option, value, message in (("--noise-sigma", "-1", "filter.noise_sigma: must be"),
-                                   ("--skin", "scene", "--skin scene: no soft skin"),
+                                   ("--skin", "scene", "--skin scene: is no soft skin"),
                                    ("--contacts", "0", "--contacts must be at least"),
                                    ("--object", "party", "no bundle 'party'")):  # fmt: skip
         assert cli.main(["physics", option, value, "--out", str(tmp_path)]) == 2

@@ -7,9 +7,6 @@ from pathlib import Path
 
 import pytest
 
-# the daemon's log: when the skin is started, and where its last second of silence is told
-STARTED = "hub 1 answers from its bootloader, as after power-on; it is led out"
-ENDED = "source.channel: nothing has come from "
 SCENARIO = 'bundle = "box"\ncontacts = 3\n'
 
 
@@ -23,9 +20,7 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
         [sys.executable, *command], capture_output=True, text=True, timeout=120, check=False
     )
     assert done.returncode in (0, 1), done.stderr  # three touches may not be enough
-    started, *ended = done.stderr.splitlines()
-    assert started == STARTED
-    assert all(line.startswith(ENDED) for line in ended)
+    assert done.stderr == ""
     return place / "s", done.stdout
 
 

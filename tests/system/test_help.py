@@ -153,5 +153,5 @@ def test_a_missing_extra_is_one_line_that_names_the_command_that_installs_it(
 def test_watch_of_an_endpoint_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert taxeld_hil.cli.main(["watch", "--endpoint", "foo", "--bundle", "box"]) == 2
     said = capsys.readouterr().err
-    assert said.startswith("--endpoint: cannot use foo")
+    assert said.startswith("--endpoint: 'foo' is no endpoint; use ipc:///path")
     assert said.count("\n") == 1

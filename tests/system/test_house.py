@@ -1,8 +1,14 @@
 """Rules of the whole house."""
 
 import json
+import re
+import tomllib
 from pathlib import Path
 
+import pytest
+from deploy import manuals
+
+from taxeld import __version__
 from taxeld.config import file as config_file
 from taxeld.proposals import bundle
 
@@ -94,8 +100,29 @@ def test_a_module_that_imports_too_many_others_is_found(tmp_path: Path) -> None:
 ROOT = Path(__file__).parents[2]
 
 
-def test_the_readmes_sampler_table_is_what_the_bundles_say() -> None:
+def test_the_version_is_the_same_wherever_it_stands() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["version"] == __version__
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"\n## {__version__}\n" in changes
+
+
+@pytest.mark.parametrize("program", manuals.PROGRAMS)
+def test_the_readme_lists_every_command(program: str) -> None:
     text = (ROOT / "README.md").read_text(encoding="utf-8")
+    for name in manuals.commands_of(manuals.parser_of(program)):
+        assert re.search(rf"`{program} {name}\b", text), name
+
+
+def test_the_readme_lists_every_make_target() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    for target in set(" ".join(lines).split()) - {"clean"}:
+        assert f"`make {target}`" in text, target
+
+
+def test_the_performance_pages_sampler_table_is_what_the_bundles_say() -> None:
+    text = (ROOT / "docs" / "performance.md").read_text(encoding="utf-8")
     for name in ("box", "mug"):
         info = json.loads((bundle.find(name) / "bundle.json").read_text(encoding="utf-8"))
         known = {s["name"]: s for s in info["samplers"]} | info["analytic"]

@@ -30,7 +30,12 @@ case "$*" in
     [ "$FAILS_AT" != wheel ] || exit 1
     echo "$BUILDS" >"$here/version"
     echo "$REFUSES" >"$here/refuses"
-    printf '#!%s/bin/python\n' "$here" >"$here/bin/taxeld" ;;
+    for name in taxeld taxeld-hil taxeld-train; do
+        printf '#!%s/bin/python\n' "$here" >"$here/bin/$name"
+    done ;;
+*" deploy/manuals.py "*)
+    mkdir -p "$3/share/man/man1"
+    echo page >"$3/share/man/man1/taxeld.1" ;;
 *" --version") [ "$FAILS_AT" != version ] && cat "$here/version" ;;
 *" check "*)
     for config; do :; done
@@ -87,6 +92,17 @@ class Machine:
             said, _ = running.communicate(timeout=60.0)
         assert (running.returncode == 0) == works, said
         return said
+
+    def is_idle(self) -> bool:
+        """Whether no installation is at work."""
+        directory = os.open(self.lib, os.O_RDONLY)
+        try:
+            fcntl.flock(directory, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return False
+        finally:
+            os.close(directory)
+        return True
 
     def used(self) -> str:
         """The version that the command would start, as its own interpreter is named."""
@@ -181,6 +197,7 @@ def test_an_upgrade_that_is_interrupted_leaves_the_old_version_in_use(
         (machine.lib / "hangs").unlink()
         os.killpg(running.pid, number)
     assert running.returncode != 0
+    until(machine.is_idle)  # make has ended, and what it called may still clear up
     kept = {k: v for k, v in machine.tree().items() if "/.new/" not in k}
     assert kept == before
     machine.make("install", builds="2.0")
@@ -274,7 +291,8 @@ def test_uninstall_takes_exactly_what_install_put(machine: Machine, staged: bool
         "opt/bin/taxeld", "opt/lib/other", "opt/lib/taxeld/current",
         "opt/lib/systemd/network/60-can0.network", "opt/lib/sysusers.d/taxeld.conf",
         "opt/lib/udev/rules.d/60-taxeld.rules", "opt/share/doc/taxeld/can0.toml",
-        "opt/share/doc/taxeld/service.md",
+        "opt/share/doc/taxeld/service.md", "opt/bin/taxeld-hil", "opt/bin/taxeld-train",
+        "opt/share/man/man1/taxeld.1",
         *(f"opt/lib/systemd/system/{p.name}" for p in (ROOT / "systemd").glob("*.service")),
     }  # fmt: skip
     lib = "/opt/lib/taxeld" if staged else str(machine.lib)
@@ -343,3 +361,18 @@ def test_pip_refuses_a_wheel_that_is_not_the_locked_one(
     said = machine.make("install", works=False, PYTHON=sys.executable, LOCK=str(lock))
     assert "DO NOT MATCH THE HASHES" in said
     assert machine.tree() == before
+
+
+def test_all_commands_and_their_manual_are_installed_and_go_with_an_uninstall(
+    machine: Machine,
+) -> None:
+    machine.make("install")
+    page = machine.prefix / "share" / "man" / "man1" / "taxeld.1"
+    assert page.read_text(encoding="utf-8") == "page\n"
+    names = ("taxeld", "taxeld-hil", "taxeld-train")
+    commands = [machine.prefix / "bin" / name for name in names]
+    for command in commands:
+        assert command.readlink() == machine.lib / "current" / "bin" / command.name
+    machine.make("uninstall")
+    assert not page.exists()
+    assert not any(command.is_symlink() for command in commands)

@@ -1,6 +1,11 @@
 """`taxeld-train build`, small: the daemon loads what it makes."""
 
+import contextlib
+import io
 import json
+import os
+import pty
+import re
 import shutil
 from dataclasses import asdict
 from pathlib import Path
@@ -14,8 +19,12 @@ from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.rule import noise_of
 from taxeld.layout import read as layouts
+from taxeld.model.observation import Noise
 from taxeld.proposals import bundle
+from taxeld_training.build import summary
 from taxeld_training.cli import main
+from taxeld_training.jobs import stages
+from taxeld_training.limits import quality
 from taxeld_training.samplers.candidates import choose
 
 SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
@@ -29,8 +38,74 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh.export(place / "block.stl")
     arguments = ["build", str(place / "block.stl"), "--skin", SKIN, "--out", str(place / "block")]
     small = ["--effort", "0.01", "--contacts", "5000", "--bank", "5000", "--readings", "12"]
-    assert main(arguments + small) == 0
+    out, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+        assert main(arguments + small) == 0
+    (place / "out").write_text(out.getvalue(), encoding="utf-8")
+    (place / "errors").write_text(errors.getvalue(), encoding="utf-8")
     return place / "block"
+
+
+def test_a_bundle_of_a_mesh_file_holds_it_for_the_harness(built: Path) -> None:
+    info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
+    mesh = (built.parent / "block.stl").read_bytes()
+    assert (built / info["mesh"]).read_bytes() == mesh
+
+
+def test_a_build_that_is_piped_prints_a_line_a_stage(built: Path) -> None:
+    lines = (built.parent / "errors").read_text(encoding="utf-8").splitlines()
+    stages = [line for line in lines if re.match(r"\d/\d ", line)]
+    assert [line.split(":")[0] for line in stages] == [
+        "1/6 scene", "2/6 contacts", "3/6 training", "4/6 contacts to measure with",
+        "5/6 exact posteriors", "6/6 measuring",
+    ]  # fmt: skip
+    assert all(re.search(r": \d+ s$", line) for line in stages)
+
+
+def test_a_build_ends_with_what_it_made_how_good_and_what_to_do_next(built: Path) -> None:
+    text = (built.parent / "out").read_text(encoding="utf-8")
+    heads = [line[:11].strip() for line in text.splitlines() if not line.startswith(" ")]
+    assert heads == ["made", "samplers", "how good", "next", "took"]
+    assert f"made       {built}: block on {SKIN}, " in text
+    assert f"taxeld-hil run demo --object {built}" in text
+    assert f"taxeld init robot.toml --bundle {built} --layout {SKIN}" in text
+
+
+def test_samplers_that_are_far_from_exact_draws_are_called_poor(built: Path) -> None:
+    info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
+    best = min(one["energy_distance"] for one in info["samplers"])
+    for floor, is_poor in ((best, False), (best / 3.0, True)):
+        said = "\n".join(summary(built, info | {"energy_floor": floor}, ""))
+        assert ("the samplers are poor: build with more --effort and --contacts" in said) == is_poor
+
+
+def test_each_stage_of_a_build_tells_its_share_and_ends_with_all() -> None:
+    """A long stage does not stand at its end."""
+    model = bundle.load("box", layouts.load(SkinConfig().layout), 0.005).model
+    told: list[tuple[str, float]] = []
+    quality.reference(
+        model, Noise(), 4, np.random.default_rng(0), bank=60_000,
+        progress=lambda stage, share: told.append((stage, share)),
+    )  # fmt: skip
+    for stage in (quality.BANK_STAGE, quality.EXACT_STAGE):
+        shares = [share for name, share in told if name == stage]
+        assert len(shares) > 2
+        assert shares == sorted(shares)
+        assert shares[-1] == 1.0
+
+
+def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs, "w") as terminal:
+        with stages.shown(("scene", "training"), terminal) as tell:
+            tell("scene", 1.0)
+            tell("training", 0.5)
+        os.set_blocking(ours, False)
+        drawn = os.read(ours, 65536).decode()
+    os.close(ours)
+    assert "1/2 scene" in drawn
+    assert "2/2 training" in drawn
+    assert "50%" in drawn
 
 
 def test_the_daemon_loads_a_built_bundle_and_samples_from_it(built: Path) -> None:
@@ -134,8 +209,8 @@ def test_shipped_bundles_are_small_and_name_their_origin() -> None:
 
 def test_a_built_bundle_names_the_digest_of_each_file(built: Path) -> None:
     info = json.loads((built / "bundle.json").read_text(encoding="utf-8"))
-    files = {p.name for p in built.iterdir()} - {"bundle.json"}
-    assert info["files"].keys() == files
+    files = {p.name for p in built.iterdir()} - {"bundle.json", info["mesh"]}
+    assert info["files"].keys() == files  # the mesh is for the harness: the daemon never reads it
     assert info["format"] == 3
 
 

@@ -1,6 +1,9 @@
 """`taxeld-train build`: an object and a skin → a bundle that the daemon runs."""
 
+import shlex
+import shutil
 import tempfile
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,6 +18,11 @@ from taxeld_training.objects.scene_error import grid_error
 from taxeld_training.objects.setting import DEPTH_MAX_M
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
+
+MESH = "mesh"  # and its suffix: a copy of a mesh file, for the harness
+SCENE = "scene"
+STAGES = (SCENE, *candidates.STAGES)  # in this order
+FAR = 2.0  # times the distance of two sets of exact draws: a sampler beyond it is poor
 
 
 def build(
@@ -33,12 +41,17 @@ def build(
     mesh = meshes.load(path)
     model = ObservationModel(scenes.build(mesh, layout, height_m), layout, DEPTH_MAX_M)
     info: dict[str, Any] = {"object": path.stem, "attribution": attribution}
+    if Path(name).suffix:  # the harness has the meshes of YCB objects
+        info["mesh"] = MESH + path.suffix
     info |= _describe(mesh, model, height_m)
+    progress(SCENE, 1.0)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent) as temporary:
         made = Path(temporary) / "bundle"
         made.mkdir()
         info |= candidates.make(model, given, made, progress)
+        if "mesh" in info:
+            shutil.copyfile(path, made / info["mesh"])
         bundles.write(model.scene, info, made)
         bundles.replace(made, out)
     return out
@@ -55,3 +68,25 @@ def _describe(mesh: trimesh.Trimesh, model: ObservationModel, height_m: float) -
         "repairs": scenes.repairs(mesh, layout, height_m),
         "grid_error_mm": asdict(grid_error(scene, mesh, layout, height_m, model.depth_max_m)),
     }
+
+
+def summary(out: Path, info: dict[str, Any], skin: str) -> Iterator[str]:
+    """What was built, how good it is, and the next commands; `skin`: the layout, where it is not
+    the default."""
+    size = sum(path.stat().st_size for path in out.iterdir())
+    samplers = {one["name"]: one["energy_distance"] for one in info["samplers"]}
+    best = min(samplers, key=lambda name: samplers[name])
+    floor = info["energy_floor"]
+    yield f"made       {out}: {info['object']} on {info['layout']['name']}, {size / 1e6:.1f} MB"
+    yield f"samplers   {', '.join(samplers)}; auto: {info['auto'][0]}"
+    yield (
+        f"how good   {best} is {samplers[best]:.3f} from the exact posterior, table "
+        f"{info['analytic']['table']['energy_distance']:.3f}; two sets of exact draws are "
+        f"{floor:.3f} apart"
+    )
+    if samplers[best] > FAR * floor:
+        yield "           the samplers are poor: build with more --effort and --contacts"
+    layout = f" --layout {shlex.quote(skin)}" if skin else ""
+    shape = f" --skin {shlex.quote(skin)}" if skin else ""
+    yield f"next       taxeld-hil run demo --object {out}{shape} --out demo    # without a robot"
+    yield f"           taxeld init robot.toml --bundle {out}{layout}"

@@ -40,10 +40,9 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _build(args: argparse.Namespace) -> int:
-    from rich.progress import Progress, SpinnerColumn, TimeElapsedColumn
-
     from taxeld.layout import read as layouts
-    from taxeld_training.build import build
+    from taxeld_training.build import STAGES, build, summary
+    from taxeld_training.jobs import stages
     from taxeld_training.models.variants import trained_with
     from taxeld_training.objects import meshes
     from taxeld_training.samplers.candidates import VARIANTS, Candidates
@@ -56,19 +55,15 @@ def _build(args: argparse.Namespace) -> int:
     )
     skin = layouts.load(args.skin)
     _doubt(args, meshes.load(meshes.find(args.object)[0]), skin)
-    columns = (SpinnerColumn(), *Progress.get_default_columns(), TimeElapsedColumn())
-    with Progress(*columns) as bar:
-        tasks: dict[str, int] = {}
-
-        def progress(stage: str, share: float) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=1.0)
-            bar.update(tasks[stage], completed=share)  # type: ignore[arg-type]
-
+    began_s = time.monotonic()
+    with stages.shown(STAGES, sys.stderr) as progress:
         out = build(args.object, skin, args.height_m, given, args.out, progress)
-    for repair in json.loads((out / "bundle.json").read_text(encoding="utf-8"))["repairs"]:
+    info = json.loads((out / "bundle.json").read_text(encoding="utf-8"))
+    for repair in info["repairs"]:
         print(f"taxeld-train: {args.object}: {repair}", file=sys.stderr)
-    print(out)
+    is_default = args.skin == DEFAULT_SKIN
+    print("\n".join(summary(out, info, "" if is_default else args.skin)))
+    print(f"took       {time.monotonic() - began_s:.0f} s")
     return 0
 
 
@@ -242,7 +237,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     add(
         "--memory", type=Path, default=Path(".experiments"), metavar="DIR",
-        help="results of jobs, from which an experiment cut short goes on (default %(default)s)",
+        help="finished jobs; what was interrupted goes on from them (default %(default)s)",
     )  # fmt: skip
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     add(

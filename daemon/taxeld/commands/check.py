@@ -10,11 +10,18 @@ from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file, metrics
 from taxeld.source import dialects, session
 from taxeld.source.session import Items
-from taxeld.stream import curve
+from taxeld.stream import client, curve
 
 MODULES_TO_COME = (
     "source.modules: lists none, so taxeld must listen already when the skin is started, to hear "
     "which modules its hub has"
+)
+
+POSES_USUAL = "tcp://127.0.0.1:9874"  # in the documents and examples
+HEAR_POSES_S = 0.3
+POSES_UNUSED = (
+    f"sensor_pose.endpoint: is empty, so the sensor is taken to stand still; but a robot publishes "
+    f'its poses at {POSES_USUAL}: set endpoint = "{POSES_USUAL}" if the sensor is on it'
 )
 
 
@@ -74,6 +81,8 @@ def notes(config: Config) -> list[str]:
         return []
     down = openings.down(source)
     found = [down] if down else []
+    if not config.sensor_pose.endpoint and client.hears_poses(POSES_USUAL, HEAR_POSES_S):
+        found.append(POSES_UNUSED)
     if source.dialect != "icub":
         return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
     return [

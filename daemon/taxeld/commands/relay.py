@@ -58,7 +58,7 @@ class Relay:
             empty = "relay.publish" if config.publish.endpoints else "publish.endpoints"
             raise SetupError(f"{empty}: is empty, so there is nothing to relay")
         if config.relay.change and not config.control.endpoint:
-            raise SetupError("relay.change: takes control.endpoint, which is empty")
+            raise SetupError("relay.change: needs control.endpoint, which is empty")
         with contextlib.ExitStack() as opened:
             context: zmq.Context[Any] = opened.enter_context(zmq.Context())
             self._guard = Guard(context, curve.relay_keys(config), config.curve)

@@ -6,6 +6,8 @@ from typing import Any
 
 from taxeld.estimator.calibration_check import Suspect
 from taxeld.estimator.estimate import ProposalKind, Status
+from taxeld.pipeline import pose_watch
+from taxeld.skin.channels import mismatch
 
 WIDTH = 14
 
@@ -32,10 +34,11 @@ def _rows(e: dict[str, Any], answer: dict[str, Any]) -> Iterator[tuple[str, str]
     yield "Proposal", _name(ProposalKind, e["proposal"])
     if answer.get("health"):
         yield from _health_rows(answer["health"], answer.get("waits_for"))
+        yield from _input_rows(answer["health"], answer.get("sensor_pose", {}))
 
 
 def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tuple[str, str]]:
-    loop, source, inputs = health["loop"], health["source"], health["inputs"]
+    loop, source = health["loop"], health["source"]
     up_s = max(health["uptime_s"], 1e-9)
     rates = f"{loop['ticks'] / up_s:.1f} ticks/s, {loop['scans'] / up_s:.1f} scans/s"
     yield "Rate", f"{rates}, over {up_s:.0f} s"
@@ -57,16 +60,47 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     used = health.get("calibration")
     if used:
         yield "Calibration", _calibration(used)
-    stale = [name for name in ("scans", "poses") if inputs[f"{name}_stale"]]
-    yield "Stale inputs", ", ".join(stale) or "none"
-    poses = f"{inputs['poses_malformed']} malformed, {inputs['poses_rejected']} rejected"
-    yield "Sensor poses", f"{poses}, {inputs['scans_without_pose']} scans without"
     dead = health["dead_taxels"]
     yield "Dead taxels", f"{len(dead)} ({', '.join(map(str, dead))})" if dead else "none"
+    modules = health.get("modules")
+    if modules:
+        spoken = health["skin"]["scans"] > 0
+        yield "Modules", _modules(modules, health["missing_modules"]) if spoken else "no scan yet"
     for stage, us in health["lat_us"].items():
         p50, p99, top = (us[key] / 1e3 for key in ("p50", "p99", "max"))
         figures = f"median {p50:.2f} ms, 99 % {p99:.2f} ms, max {top:.2f} ms"
         yield f"{stage.capitalize()} time", figures
+
+
+def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """`sensor_pose`: of the daemon's own answer; a relay's comes without."""
+    inputs = health["inputs"]
+    stale = [name for name in ("scans", "poses") if inputs[f"{name}_stale"]]
+    yield "Stale inputs", ", ".join(stale) or "none"
+    unused = f"{inputs['poses_malformed']} malformed, {inputs['poses_rejected']} rejected"
+    unused += f", {inputs['poses_far']} too far, {inputs['poses_from_the_future']} from the future"
+    endpoint = sensor_pose.get("endpoint")
+    if endpoint == "":
+        yield "Sensor poses", "sensor_pose.endpoint is empty: the sensor stands still"
+        return
+    used = f"{inputs['poses']} used, {unused}"
+    yield "Sensor poses", f"{used}; {inputs['scans_without_pose']} scans without one"
+    if "poses_received" not in inputs:  # an older daemon
+        return
+    link = "connected" if inputs["poses_connected"] else "not connected"
+    yield "Pose link", f"{link}{f' to {endpoint}' if endpoint else ''}"
+    if inputs["poses_received"]:
+        rate, age_s = inputs["poses_rate_hz"], inputs["poses_age_s"]
+        late = f"their time {inputs['poses_offset_s']:.3g} s behind this clock"
+        yield "Pose timing", f"{rate:.4g} a second, the last {age_s:.3g} s ago, {late}"
+    fault = pose_watch.line(inputs, health["t"], endpoint or "", sensor_pose.get("topics", ()))
+    if fault:
+        yield "Pose fault", fault
+
+
+def _modules(modules: dict[str, Any], missing: list[int]) -> str:
+    wrong = mismatch(missing, modules["layout"], modules["foreign"], modules["match"])
+    return wrong or f"{modules['layout']}, as in the layout"
 
 
 def _calibration(used: dict[str, Any]) -> str:

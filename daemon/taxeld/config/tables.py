@@ -12,6 +12,8 @@ from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
 from taxeld_protocol.slcan import BITRATES
 
+LEVELS = ("debug", "info", "warning", "error")  # of the log
+
 
 def _bit_rate(value: int) -> str | None:
     if value in BITRATES:
@@ -85,6 +87,9 @@ class SkinConfig:
     )
     state_max_age_s: float = key(
         43_200.0, between(1, 1e8), "a baseline that was stored longer ago is not used"
+    )
+    missing_modules: int = key(
+        0, between(0, 65535), "modules of the layout that the hubs may lack; with more, not valid"
     )
     calibration: str = key(
         "", doc="what taxeld calibrate wrote, relative to this file; empty: none is used"
@@ -173,7 +178,9 @@ class BudgetConfig:
         5.0, between(0.01, 1000), "a proposal; auto chooses by it, measured at start"
     )
     filter_ms: float = key(5.0, between(0.01, 1000), "the belief and its summary")
-    publish_ms: float = key(1.0, between(0.01, 1000), "streams and control, kept free of a pass")
+    publish_ms: float = key(
+        1.0, between(0.01, 1000), "streams and control; reserved for them in each pass"
+    )
     degrade: bool = key(
         True, doc="save samples where the next scan would come too soon; false: let it wait"
     )
@@ -249,7 +256,7 @@ class CurveConfig:
 class LogConfig:
     level: str = key(
         "info",
-        one_of("debug", "info", "warning", "error"),
+        one_of(*LEVELS),
         "what is logged on standard error; taken anew at SIGHUP",
     )
 

@@ -28,6 +28,7 @@ class Freshness:
         self._stale_s = stale_s
         self._verdict: Status | None = Status.STARTING  # of the last scan; None: it was used
         self._came_s = 0.0
+        self.is_whole = True  # the hubs have the modules that the layout has
 
     def starting(self) -> None:
         """The idle baseline is being learned."""
@@ -57,9 +58,9 @@ class Freshness:
         return estimate if verdict is None else replace(estimate, status=verdict)
 
     def is_valid(self, estimate: Estimate) -> bool:
-        """Whether a subscriber may use it: its inputs are fresh, something was touched, and the
-        object is where it can be."""
-        if estimate.contacts == 0 or estimate.status not in USABLE:
+        """Whether a subscriber may use it: its inputs are fresh and whole, something was touched,
+        and the object is where it can be."""
+        if not self.is_whole or estimate.contacts == 0 or estimate.status not in USABLE:
             return False
         return self._is_inside(estimate.map) and self._is_inside(estimate.mean)
 

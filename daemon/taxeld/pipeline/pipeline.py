@@ -156,6 +156,11 @@ class Pipeline:
             "estimator": self.estimator.counters,
             "belief": self.estimator.figures(),
             "drift": self.skin.figures(),
+            "modules": {
+                "layout": self.skin.modules,
+                "foreign": len(self.skin.wiring.foreign),
+                "match": self.freshness.is_whole,
+            },
             **self.skin.faults(),
         }
 
@@ -213,6 +218,7 @@ class Pipeline:
         start = clock()
         activation = self.skin.on_scan(scan)
         skin_ns = clock() - start
+        self.freshness.is_whole = len(self.skin.wiring.lacking) <= self.config.skin.missing_modules
         if activation is None:
             self.freshness.starting()
             return self._unused(scan, skin_ns)

@@ -56,6 +56,9 @@ def _parse(text: bytes) -> dict[str, Any]:
         raise ValueError("object is missing or no line of text")
     if not (info.get("attribution", "") is None or _is_text(info.get("attribution"))):
         raise ValueError("attribution is missing or no line of text")
+    mesh = info.get("mesh")  # a file of the bundle, where the object is none of YCB's
+    if mesh is not None and not (isinstance(mesh, str) and _NAME.fullmatch(mesh)):
+        raise ValueError("mesh is no name of a file")
     layout = info.get("layout")
     if not isinstance(layout, dict) or not all(_is_text(layout.get(k)) for k in ("name", "digest")):
         raise ValueError("layout needs a name and a digest")

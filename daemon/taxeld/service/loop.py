@@ -25,6 +25,7 @@ from taxeld.model.activation import Activation
 from taxeld.pipeline.calibrated import told
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
+from taxeld.pipeline.pose_watch import PoseFigures, PoseWatch
 from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file, metrics, realtime, state_file
@@ -32,6 +33,7 @@ from taxeld.service.clock import WallClock
 from taxeld.service.inputs import ALL, Gathering, Inputs, Ready
 from taxeld.service.latency import Latencies
 from taxeld.service.metrics import MetricsFile
+from taxeld.service.notices import Notices
 from taxeld.service.notify import Notifier
 from taxeld.service.state_file import StateFile
 from taxeld.service.ticker import Ticker
@@ -95,9 +97,8 @@ class Daemon:
         self._budget_us = {stage: 1e3 * getattr(budget, f"{stage}_ms") for stage in STAGES}
         self._over = dict.fromkeys(STAGES, 0)
         self._realtime = realtime.RealTime()
-        self._began_ns = 0  # with what is published next,
-        self._before_us = 0.0  # after so long in passes before; sending what was published last
-        self._publish_us = 0.0  # took this
+        self._began_ns = 0  # with what is published next, after so long in passes before;
+        self._before_us = self._publish_us = 0.0  # and sending what was published last took this
         self._seq = 0
         self._start_s = time.monotonic()
         self.pipeline.freshness.came(self._start_s)  # as if a scan had come at the start
@@ -105,6 +106,7 @@ class Daemon:
         self._estimate_s = 1.0 / config.publish.rate_hz
         self._next_look_s = self._next_poses_s = 0.0
         self._told: Estimate | None = None  # what was published last
+        self._notices = Notices(scene.path, self.pipeline.ladder.name)
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
         digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
@@ -134,7 +136,9 @@ class Daemon:
         self.pose_input: PoseInput | None = None
         keys, endpoint = curve.robot_keys(config), config.sensor_pose.endpoint
         if endpoint and not self._replays_poses:
-            self.pose_input = PoseInput(context, endpoint, self.pipeline.poses.add, keys)
+            place, period_s = config.filter, config.source.period_ms / 1000.0
+            watch = PoseWatch(place.centre_m, place.half_width_m, period_s)
+            self.pose_input = PoseInput(context, endpoint, self.pipeline.poses.add, keys, watch)
             opened.callback(self.pose_input.close)
         self.control: Control | None = None
         if config.control.endpoint:
@@ -164,6 +168,7 @@ class Daemon:
             self.pipeline.freshness.came(time.monotonic())  # as if a scan had come at the start
             with realtime.thread(self.config.loop.priority) as self._realtime:
                 notifier.ready()
+                self._notices.ready(self.config, self._info, self.source.waits_for)
                 self._loop(notifier, between)
         finally:
             notifier.stopping()
@@ -225,6 +230,8 @@ class Daemon:
         if stepped:
             self.pipeline.clock_stepped(stepped)
             self.source.clock_stepped(stepped)
+            if self.pose_input is not None:
+                self.pose_input.clock_stepped()
         scans = self.source.poll(now_s, hear=ready.device)
         self.counters.scans += len(scans)
         self._take_poses(now_s, asked=ready.robot or bool(scans) or self.pipeline.has_waiting)
@@ -282,10 +289,12 @@ class Daemon:
         self._seq += 1
         wall_s = time.time()
         self._told, self._next_estimate_s = estimate, now_s + self._estimate_s
+        valid = self.pipeline.freshness.is_valid(estimate)
+        self._notices.estimate(estimate, valid, now_s)
         self._estimate_sent = messages.estimate(
             estimate,
             seq=self._seq,
-            valid=self.pipeline.freshness.is_valid(estimate),
+            valid=valid,
             mono_ns=time.monotonic_ns(),
             age_us=(wall_s - estimate.t) * 1e6 if estimate.t else 0.0,
             overruns=self.counters.overruns,
@@ -317,6 +326,9 @@ class Daemon:
             self._health_sent = self._health(self._seq, now_s, wall_s)
             self.publisher.send(messages.HEALTH, self._health_sent, wall_s)
             self._metrics.offer(self._health_sent)
+            scans_hz = 1000.0 / self.config.source.period_ms
+            wiring = self.pipeline.skin.wiring
+            self._notices.inputs(self._health_sent, self._sensor_pose(), wiring, scans_hz, now_s)
 
     def _attend(self, now_s: float, ready: Ready) -> None:
         """To those who subscribe and ask."""
@@ -343,8 +355,8 @@ class Daemon:
     def _health(self, seq: int, now_s: float, t: float) -> dict[str, Any]:
         pipeline = self.pipeline
         poses = self.pose_input.counters if self.pose_input else PoseCounters()
+        figures = self.pose_input.figures(t) if self.pose_input else PoseFigures()
         control = self.control.counters if self.control else ControlCounters()
-        pose_age_s = t - pipeline.poses.latest_t
         parts = {
             "uptime_s": now_s - self._start_s,
             "loop": self.counters,
@@ -363,8 +375,8 @@ class Daemon:
                 "poses_malformed": poses.malformed,
                 "poses_oversized": poses.oversized,
                 "scans_stale": pipeline.freshness.is_silent(now_s),
-                "poses_stale": pose_age_s > pipeline.poses.max_age_s,
-                "pose_age_s": pose_age_s if math.isfinite(pose_age_s) else 0.0,
+                "poses_stale": t - pipeline.poses.latest_t > pipeline.poses.max_age_s,
+                **{f"poses_{name}": value for name, value in asdict(figures).items()},
             },
             "control": control,
             "recording": self._recorder.counters if self._recorder else RecordCounters(),
@@ -382,7 +394,12 @@ class Daemon:
             "estimate": self._estimate_sent,
             "health": self._health_sent,
             "waits_for": self.source.waits_for,
+            "sensor_pose": self._sensor_pose(),
         }
+
+    def _sensor_pose(self) -> dict[str, Any]:
+        topics = self.pose_input.topics if self.pose_input else []
+        return {"endpoint": self.config.sensor_pose.endpoint, "topics": topics}
 
     def _on_tare(self) -> dict[str, Any]:
         self.pipeline.tare()

@@ -21,6 +21,7 @@ LEFT_OUT = {"v", "seq", "t"}  # of each message
 NOT_COUNTED = {  # whole numbers that go up and down
     *("source_pending", "inputs_scans_waiting", "realtime_fifo", "drift_t0_modules"),
     *("calibration_suspect", "calibration_touches"),
+    *("inputs_poses_fault", "inputs_poses_other_topics", "modules_layout", "modules_foreign"),
 }
 UNITS = {"_us": ("_seconds", 1e-6), "_s": ("_seconds", 1.0)}
 

@@ -76,21 +76,23 @@ class Signals:
             faulthandler.dump_traceback(STDERR, all_threads=True)
 
 
-def reload(path: Path, config: Config) -> None:
-    """Take from the configuration what can be taken while it runs; the rest needs a restart."""
+def reload(path: Path, config: Config, level: str | None = None) -> None:
+    """Take from the configuration what can be taken while it runs; the rest needs a restart.
+    `level`: of the log, which the command line has set."""
     try:
         new = config_file.load(path)
     except ConfigError as error:
         log.error("%s; going on as before", "; ".join(error.faults))
         return
-    service_log.set_level(new.log.level)
+    level = level or new.log.level
+    service_log.set_level(level)
     others = [
         name
         for name in Config.__dataclass_fields__
         if name != "log" and getattr(new, name) != getattr(config, name)
     ]
     rest = f"; a restart is needed for what changed in {', '.join(others)}" if others else ""
-    log.warning("%s: read anew, log.level is %s%s", path, new.log.level, rest)
+    log.warning("%s: read anew, log.level is %s%s", path, level, rest)
 
 
 def dump(state: Mapping[str, object]) -> None:

@@ -78,7 +78,7 @@ def _check_presses(model: ObservationModel, presses: Presses) -> None:
     if len(presses) < LEAST_PRESSES:
         raise SetupError(
             f"calibrate: {len(presses)} presses were held still, and it takes {LEAST_PRESSES}; "
-            "press the object more often, each time for a second without moving"
+            "press the object more often, and hold each press still for a second"
         )
     felt = np.unique(sides(model, presses))
     if len(felt) < min(LEAST_SIDES, int(np.count_nonzero(covered(model)))):

@@ -83,7 +83,7 @@ class Skin:
         self._silent_s = silent_s
         self._scale = Scale.used(config.full_scale_counts, calibration)
         self._floor = FLOOR * self._scale.full_scale_counts
-        self._wiring = Wiring(layout)
+        self.wiring = Wiring(layout)
         self._counts: Floats = np.zeros(taxels)  # of each taxel's last scan, 0 where not valid
         self._saturated: Bools = np.zeros(taxels, dtype=bool)
         self._usable: Bools = np.zeros(taxels, dtype=bool)  # has a baseline, and is not frozen
@@ -93,8 +93,8 @@ class Skin:
         self._t = -np.inf
         self._state: SkinState | None = None  # stored, and not yet confirmed where
         self._pending = np.zeros(taxels, dtype=bool)
-        self._slice = Slice(taxels, len(self._wiring.suis))
-        self._drift = Drift(layout, self._wiring, self._scale.full_scale_counts, config.drift_s)
+        self._slice = Slice(taxels, len(self.wiring.suis))
+        self._drift = Drift(layout, self.wiring, self._scale.full_scale_counts, config.drift_s)
         self._rest = Rest(taxels, calibration)
         self._residue = Residue(taxels)
         self._marks: Marks | None = None  # where nothing is left, with the thresholds as they are
@@ -125,7 +125,7 @@ class Skin:
     @property
     def modules(self) -> int:
         """How many modules the taxels hang on."""
-        return len(self._wiring.suis)
+        return len(self.wiring.suis)
 
     @property
     def hubs(self) -> int:
@@ -140,7 +140,7 @@ class Skin:
     def on_scan(self, scan: Scan) -> Activation | None:
         """The activation after this scan; None while the baseline is being learned."""
         self.counters.scans += 1
-        wired = self._wiring.of(scan)
+        wired = self.wiring.of(scan)
         taxels = wired.taxels
         if not len(taxels):
             self.counters.unmapped += 1
@@ -197,6 +197,7 @@ class Skin:
             "stuck_taxels": np.flatnonzero(self._rest.frozen).tolist(),
             "saturated_taxels": np.flatnonzero(self._saturated).tolist(),
             "untared_taxels": np.flatnonzero(~self._idle.known).tolist(),
+            "missing_modules": list(self.wiring.lacking),
         }
 
     def figures(self) -> dict[str, float]:
@@ -242,7 +243,7 @@ class Skin:
         if not answered.any() or 2 * answered.sum() < asked.sum():
             return
         self._pending[taxels] = False
-        noise, module = state.noise[taxels], self._wiring.module[taxels]
+        noise, module = state.noise[taxels], self.wiring.module[taxels]
         threshold = self._threshold(noise)
         over = np.where(answered, counts - state.baseline[taxels], 0.0)
         press = np.bincount(module, np.where(over > threshold, over, 0.0), len(state.t0))

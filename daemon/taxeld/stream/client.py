@@ -9,13 +9,24 @@ import zmq
 
 from taxeld.config import endpoints
 from taxeld.errors import SetupError
-from taxeld.stream import curve
+from taxeld.stream import curve, messages
 from taxeld.stream.sockets import connect, open_socket, unpack
 
 ANSWER_BYTES = 1 << 20
 TIMEOUT_S = 2.0
 AGAIN_S = 0.5  # without an answer for so long, the daemon may have closed its socket: ask anew
 SERVER, OWN = "server.key", "client.key_secret"
+
+
+def hears_poses(endpoint: str, within_s: float) -> bool:
+    """Whether a robot publishes its poses there."""
+    with (
+        zmq.Context() as context,
+        open_socket(context, zmq.SUB, send=1, receive=1, largest=ANSWER_BYTES) as socket,
+    ):
+        socket.setsockopt(zmq.SUBSCRIBE, messages.SENSOR_POSE)
+        connect(socket, endpoint, "--endpoint")
+        return bool(socket.poll(round(within_s * 1000)))
 
 
 def ask(

@@ -14,6 +14,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.scene import Scene
+from taxeld.pipeline.pose_watch import PoseFault
 from taxeld.proposals.ladder import Step
 
 VERSION = 1  # of the stream: `v` in every message
@@ -89,6 +90,7 @@ def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str)
         "status": {str(int(s)): s.name.lower() for s in Status},
         "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
         "degraded": {str(int(s)): s.name.lower() for s in Step},
+        "poses_fault": {str(int(f)): f.name.lower() for f in PoseFault},
         "layout": {
             "name": layout.name,
             "digest": layout.digest,

@@ -105,8 +105,8 @@ class Page:
         if health is None:
             return [*rows, _row("health", "not heard yet; it comes once a second")]
         inputs, source = health["inputs"], health["source"]
-        old_ms = 1e3 * inputs.get("pose_age_s", 0.0)
-        pose = f"sensor pose {old_ms:.0f} ms old" if old_ms else "without sensor poses"
+        old_s = inputs.get("poses_age_s", -1.0)  # as the daemon says where none came
+        pose = "without sensor poses" if old_s < 0.0 else f"sensor pose {1e3 * old_s:.0f} ms old"
         stale = [kind for kind in ("scans", "poses") if inputs.get(f"{kind}_stale")]
         rows[-1].append(f", {pose}" + (f"; STALE {', '.join(stale)}" if stale else ""))
         stages = [s for s in messages.STAGES if s in health["lat_us"]]

@@ -79,7 +79,7 @@ def experiment(plan: Plan, out: Path, memory: Path, workers: int, say: Say) -> P
     base = scenario.load("demo")
     for skin in plan.skins:
         if base.on(skin).physics == "scene":
-            raise SetupError("--skin scene: no soft skin; its taxels have no depth of their own")
+            raise SetupError("--skin scene: is no soft skin; name typical, poor or stiff")
     for name in ("box", "mug"):  # each mesh is built once, and not by every worker
         solid_of(name, load_model(replace(base, bundle=name)).layout)
     jobs = plan.jobs()

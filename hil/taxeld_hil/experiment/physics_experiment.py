@@ -48,7 +48,7 @@ def experiment(plan: Plan, out: Path, say: Say) -> Iterator[Path]:
         raise SetupError(f"--contacts must be at least {LEAST_CONTACTS}")
     base = scenario.load("demo").on(plan.skin)
     if base.physics == "scene":
-        raise SetupError("--skin scene: no soft skin; it is what they are compared with")
+        raise SetupError("--skin scene: is no soft skin; it is what soft skins are compared with")
     filter_keys = f"noise_sigma = {plan.noise_sigma}"
     settings.on_a_fake_clock(base, plan.seed, filter_keys)  # faults in it are raised at once
     result = {

@@ -48,7 +48,7 @@ def experiment(plan: Plan, out: Path, memory: Path, workers: int, say: Say) -> P
     base = scenario.load("demo")
     for skin in plan.skins:
         if base.on(skin).physics == "scene":
-            raise SetupError("--skin scene: no soft skin; its taxels have no depth of their own")
+            raise SetupError("--skin scene: is no soft skin; name typical, poor or stiff")
     for name in plan.objects:  # each mesh is built once, and not by every worker
         solid_of(name, load_model(base.touching(name)).layout)
     wanted = [

@@ -75,7 +75,7 @@ def graded(
         context = stack.enter_context(zmq.Context())
         stream = f"ipc://{place}/stream"
         listener = Listener(stack, context, stream, judge, ContactTable(scene, site.truth), say)
-        processes = Processes(directory / session.CONFIG, stream, scenario)
+        processes = Processes(directory / session.CONFIG, stream, scenario, "warning")
         stack.callback(processes.kill)
         processes.start()
         say(f"touch the object {scenario.contacts} times, after a second of touching nothing")

@@ -26,6 +26,7 @@ START_S = 20.0  # until the first estimate
 STEP_MS = 2
 LAST_HEALTH_S = 5.0
 DRAIN_S = 0.2
+LOG_LEVEL = "error"  # of the daemon: what goes wrong here is done to it, and told by the ledger
 NOT_INJECTED = {  # by transport
     "can": ("unplugged", "adapter_closed"),  # something else brings the interface up and down
     "native": ("adapter_closed",),
@@ -97,7 +98,9 @@ class LiveRun:
             self._listener = Listener(
                 stack, context, stream, self._judging(rig), self._table(rig), self._say
             )
-            self.processes = Processes(self._directory / session.CONFIG, stream, scenario)
+            self.processes = Processes(
+                self._directory / session.CONFIG, stream, scenario, LOG_LEVEL
+            )
             stack.callback(self.processes.kill)
             self.processes.start()
             yield bench

@@ -87,12 +87,14 @@ class Process:
 class Processes:
     """The daemon, and a subscriber that shows by printing that it works; either may be killed."""
 
-    def __init__(self, config: Path, endpoint: str, scenario: Scenario) -> None:
-        """`config`: the daemon's file; `endpoint`: where it publishes."""
+    def __init__(self, config: Path, endpoint: str, scenario: Scenario, log_level: str) -> None:
+        """`config`: the daemon's file; `endpoint`: where it publishes; `log_level`: its log's."""
         where = (
             "--endpoint", endpoint, "--bundle", scenario.bundle, "--layout", scenario.layout,
         )  # fmt: skip
-        self.daemon = Process("the daemon", "taxeld.cli", "run", str(config))
+        self.daemon = Process(
+            "the daemon", "taxeld.cli", "run", "--log-level", log_level, str(config)
+        )
         self._subscriber = Process("the subscriber", "taxeld_hil.cli", "watch", *where, quiet=True)
 
     def act(self, fails: Callable[[str], bool]) -> list[str]:

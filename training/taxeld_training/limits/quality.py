@@ -1,7 +1,9 @@
 """A sampler's distance to the exact posterior and its cost, as bundle.json states them."""
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +17,7 @@ from taxeld_training.limits.posterior import Draws, ExactPosterior, energy_dista
 from taxeld_training.models.dataset import Touches, read, simulate
 
 SAMPLES = 100
+BANK_STAGE, EXACT_STAGE = "contacts to measure with", "exact posteriors"
 BANK = 300_000
 THIN_ESS = 1000.0  # effective contacts of the bank, under which more are made around the reading
 LIMIT_ESS = 50.0  # readings with fewer all the same are left out
@@ -57,15 +60,18 @@ class Reference:
 def reference(
     model: ObservationModel, noise: Noise, readings: int, rng: np.random.Generator,
     *, dead: float = 0.0, bank: int = BANK,
+    progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Reference:  # fmt: skip
     """Exact posteriors of `readings` simulated readings, a share `dead` of the taxels dead in
-    each. Where the bank is too thin for one, contacts are made around it."""
-    contacts = simulate(model, bank, rng)
+    each. Where the bank is too thin for one, contacts are made around it. `progress` is told the
+    stage, and which share of it is done."""
+    contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
     exact = Posterior(model, contacts, noise, rng)
     kept = Reference([], [], [], [], [], model.scene.size, 0, bank, 0.0)
     drawn = read(model, noise, readings, rng, dead)
     spent_s = 0.0
-    for pose, seen in zip(drawn.pose, drawn, strict=True):
+    for done, (pose, seen) in enumerate(zip(drawn.pose, drawn, strict=True)):
+        progress(EXACT_STAGE, done / readings)
         start = time.thread_time()
         draws = exact.sample(seen, 2 * SAMPLES, rng)
         spent_s += time.thread_time() - start
@@ -76,6 +82,7 @@ def reference(
         kept.live.append(seen.live)
         kept.exact.append(draws.pose)
         kept.ess.append(draws.ess)
+    progress(EXACT_STAGE, 1.0)
     return Reference(
         kept.truth, kept.z, kept.live, kept.exact, kept.ess,
         kept.length_m, readings - len(kept.z), bank, spent_s / readings * 1e3,

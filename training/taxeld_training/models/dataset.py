@@ -1,7 +1,7 @@
 """Simulated touches: contact poses with their true activations, and readings of them as a filter
 sees them: 0 under a floor, and 0 where presses beside a taxel may explain what it reads."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -37,9 +37,12 @@ class Touches:
         return len(self.pose)
 
 
-def simulate(model: ObservationModel, n: int, rng: np.random.Generator) -> Touches:
+def simulate(
+    model: ObservationModel, n: int, rng: np.random.Generator,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Touches:  # fmt: skip
     """`n` contacts under the prior of single-step projection, each with a taxel over
-    MIN_ACTIVATION.
+    MIN_ACTIVATION. `progress` is told which share is done.
 
     Raises:
         SetupError: hardly any contact presses a taxel.
@@ -53,6 +56,7 @@ def simulate(model: ObservationModel, n: int, rng: np.random.Generator) -> Touch
         poses.append(contacts.pose[keep])
         activations.append(h[keep].astype(np.float32))
         kept, drawn, dropped = kept + int(keep.sum()), drawn + 20_000, dropped + contacts.dropped
+        progress(min(kept / n, 1.0))
         if drawn >= 400_000 and kept < drawn // 100:
             raise SetupError("fewer than 1 % of contacts are felt; the skin misses the object")
     return Touches(np.concatenate(poses)[:n], np.concatenate(activations)[:n], dropped / drawn)

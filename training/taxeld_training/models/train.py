@@ -14,6 +14,7 @@ from taxeld_training.models.base import Model
 from taxeld_training.models.dataset import Batches, Touches
 
 SCALE_BATCH = 10_000
+TELL_UPDATES = 20
 
 
 @dataclass(frozen=True)
@@ -32,9 +33,11 @@ AnyModel = TypeVar("AnyModel", bound=Model)
 
 
 def train(
-    make: Callable[[], AnyModel], config: TrainConfig, touches: Touches, leak: Leak, noise: Noise
-) -> AnyModel:
-    """The averaged model after `config.updates` updates, on readings as a filter sees them."""
+    make: Callable[[], AnyModel], config: TrainConfig, touches: Touches, leak: Leak, noise: Noise,
+    progress: Callable[[float], None] = lambda _: None,
+) -> AnyModel:  # fmt: skip
+    """The averaged model after `config.updates` updates, on readings as a filter sees them.
+    `progress` is told which share is done, now and then."""
     torch.manual_seed(config.seed)
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
     model = make()
@@ -64,6 +67,8 @@ def train(
         optimizer.step()
         schedule.step()
         decay = min(config.average, update / (update + 10.0))
+        if update % TELL_UPDATES == 0:
+            progress(update / config.updates)
         with torch.no_grad():
             torch._foreach_lerp_(list(averaged.parameters()), list(model.parameters()), 1.0 - decay)
     return averaged.cpu().eval()

@@ -1,6 +1,8 @@
 """Variants of the models, by their parts, for `build` and the experiments."""
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from typing import Any
 
 from taxeld.model.observation import Noise, ObservationModel
@@ -94,11 +96,15 @@ def trained_with(
     return replace(variant, training=training)
 
 
-def fit(variant: Variant, model: ObservationModel, noise: Noise, touches: Touches) -> Model:
+def fit(
+    variant: Variant, model: ObservationModel, noise: Noise, touches: Touches,
+    progress: Callable[[float], None] = lambda _: None,
+) -> Model:  # fmt: skip
     """The trained model of a variant, on its share of `touches`."""
     count = variant.training.contacts
     mine = Touches(touches.pose[:count], touches.activation[:count], touches.dropped_share)
-    return train(lambda: _make(variant, model), variant.training, mine, model.leak, noise)
+    make = partial(_make, variant, model)
+    return train(make, variant.training, mine, model.leak, noise, progress)
 
 
 def samplers(variant: Variant, trained: Model) -> dict[str, AnySampler]:

@@ -5,8 +5,11 @@ posterior. The daemon runs by default the cheapest one that is as good as the be
 object, such as a can, does not cost what a power drill costs.
 """
 
-from collections.abc import Callable, Sequence
+import contextlib
+import threading
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +33,10 @@ from taxeld_training.models.variants import Variant
 TOLERANCE = 1.15  # a proposal is as good as the nearest up to this factor of its distance
 VARIANTS = (variants.density(64), variants.diffusion(), variants.density(16, 48, 2))
 
+CONTACTS, TRAINING, MEASURING = "contacts", "training", "measuring"
+STAGES = (CONTACTS, TRAINING, quality.BANK_STAGE, quality.EXACT_STAGE, MEASURING)  # in this order
+LOOK_S = 0.5  # between looks at how far the trainings are
+
 Progress = Callable[[str, float], None]  # stage, share of it that is done
 
 
@@ -51,16 +58,18 @@ def make(
     """Train the candidates, export them into `folder` and measure them; → the part of bundle.json
     about samplers."""
     rng = np.random.default_rng(given.seed)
-    touches = simulate(model, max(v.training.contacts for v in given.variants), rng)
-    progress("contacts", 1.0)
-    trained = _train(given, model, touches, progress)
-    to = quality.reference(model, given.noise, given.readings, rng, bank=given.bank)
-    progress("exact posterior", 1.0)
+    most = max(v.training.contacts for v in given.variants)
+    touches = simulate(model, most, rng, partial(progress, CONTACTS))
+    trained = _train(given, model, touches, folder, progress)
+    to = quality.reference(
+        model, given.noise, given.readings, rng, bank=given.bank, progress=progress
+    )
     samplers: list[dict[str, Any]] = []
     for done, (variant, network) in enumerate(trained, 1):
         samplers += _samplers(variant, network, given, model, folder, to)
-        progress("samplers", done / len(trained))
+        progress(MEASURING, done / (len(trained) + 1))
     analytic = {name: _measured(make(model), to, given.seed) for name, make in ANALYTIC.items()}
+    progress(MEASURING, 1.0)
     choice = choose({s["name"]: s for s in samplers} | analytic, TOLERANCE)
     return {
         "contacts_dropped_share": touches.dropped_share,
@@ -115,24 +124,57 @@ def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str,
 
 
 def _train(
-    given: Candidates, model: ObservationModel, touches: Touches, progress: Progress
+    given: Candidates, model: ObservationModel, touches: Touches, folder: Path, progress: Progress
 ) -> list[tuple[Variant, Model]]:
     """Train all variants in parallel, one thread each, in their own order."""
-    jobs = (
-        joblib.delayed(_fit)(variant, model, given.noise, touches) for variant in given.variants
-    )
-    done: list[Model] = []
-    workers = min(given.workers, len(given.variants))
-    parallel = joblib.Parallel(workers, return_as="generator", mmap_mode="c")
-    for network in parallel(jobs):
-        done.append(network)
-        progress("training", len(done) / len(given.variants))
+    with _board(folder, len(given.variants), partial(progress, TRAINING)) as board:
+        jobs = (
+            joblib.delayed(_fit)(variant, model, given.noise, touches, board, place)
+            for place, variant in enumerate(given.variants)
+        )
+        workers = min(given.workers, len(given.variants))
+        done: list[Model] = joblib.Parallel(workers, mmap_mode="c")(jobs)
     return list(zip(given.variants, done, strict=True))
 
 
-def _fit(variant: Variant, model: ObservationModel, noise: Noise, touches: Touches) -> Model:
+@contextlib.contextmanager
+def _board(folder: Path, places: int, tell: Callable[[float], None]) -> Iterator[Path]:
+    """A file with a place for the share that each of several processes has done; meanwhile a
+    thread tells how far they are together."""
+    path = folder / "progress"
+    np.zeros(places).tofile(path)
+    is_over = threading.Event()
+
+    def look() -> None:
+        while not is_over.wait(LOOK_S):
+            tell(float(np.fromfile(path).mean()))
+
+    thread = threading.Thread(target=look, daemon=True)
+    thread.start()
+    try:
+        yield path
+        is_over.set()
+        thread.join()
+        tell(1.0)
+    finally:
+        is_over.set()
+        thread.join()
+        path.unlink()
+
+
+def _fit(
+    variant: Variant, model: ObservationModel, noise: Noise, touches: Touches, board: Path,
+    place: int,
+) -> Model:  # fmt: skip
     torch.set_num_threads(1)
-    return variants.fit(variant, model, noise, touches)
+    with board.open("r+b") as shares:
+
+        def progress(share: float) -> None:
+            shares.seek(place * 8)
+            shares.write(np.float64(share).tobytes())
+            shares.flush()
+
+        return variants.fit(variant, model, noise, touches, progress)
 
 
 def _samplers(

@@ -1,0 +1,195 @@
+"""What the daemon logs, for whom, and how often."""
+
+import io
+import logging
+import os
+import pty
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from taxeld.config.file import parse
+from taxeld.estimator.estimate import Estimate, Status
+from taxeld.estimator.estimator import Estimator
+from taxeld.layout import read as layouts
+from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld.proposals import bundle
+from taxeld.proposals.analytic import Projection
+from taxeld.service import log
+from taxeld.service.notices import Notices, Ration
+from taxeld.skin.channels import Wiring
+from taxeld_protocol.modules import wired
+from tests.daemon.recorded import configuration, write_session
+from tests.daemon.simulated_skin import SimulatedSkin
+
+SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+RECORD = logging.LogRecord("taxeld", logging.WARNING, "", 0, "a line\nand another", None, None)
+
+
+def test_the_journal_is_told_the_priority_of_each_line(tmp_path: Path) -> None:
+    with (tmp_path / "journal").open("w") as stream:
+        found = os.fstat(stream.fileno())
+        environ = {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino}"}
+        assert log.formatter(stream, environ).format(RECORD) == "<4>a line\n<4>and another"
+        elsewhere = {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino + 1}"}
+        assert "<4>" not in log.formatter(stream, elsewhere).format(RECORD)
+    assert "<4>" not in log.formatter(io.StringIO(), environ).format(RECORD)
+
+
+def test_a_terminal_shows_a_warning_in_colour_unless_told_not_to() -> None:
+    ours, theirs = pty.openpty()
+    with os.fdopen(theirs, "w") as terminal:
+        coloured = log.formatter(terminal, {"TERM": "xterm"}).format(RECORD)
+        assert coloured.startswith("\x1b[33m")
+        assert coloured.endswith("\x1b[0m")
+        for environ in ({"NO_COLOR": "1"}, {"TERM": "dumb"}):
+            assert "\x1b" not in log.formatter(terminal, environ).format(RECORD)
+    os.close(ours)
+
+
+@pytest.fixture
+def logged(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[[], list[str]]]:
+    """→ what was logged since asked last."""
+
+    def taken() -> list[str]:
+        lines = [f"{record.levelname}: {record.getMessage()}" for record in caplog.records]
+        caplog.clear()
+        return lines
+
+    with caplog.at_level(logging.INFO, logger="taxeld"):
+        yield taken
+
+
+@pytest.fixture
+def estimate(disc_model: ObservationModel) -> Estimate:
+    config = parse('[source]\nkind = "can"\nchannel = "x"\n[scene]\nbundle = "box"\n')
+    first = Estimator(disc_model, Projection(disc_model), config.filter).estimate
+    return replace(first, status=Status.SEARCHING)
+
+
+def notices() -> Notices:
+    return Notices(Path("box"), "table")
+
+
+def test_a_change_of_status_is_logged_once(
+    estimate: Estimate, logged: Callable[[], list[str]]
+) -> None:
+    told = notices()
+    for _ in range(3):
+        told.estimate(estimate, valid=False, now_s=0.0)
+    assert logged() == ["INFO: status: searching, not valid, 0 contacts"]
+    told.estimate(replace(estimate, status=Status.STALE), valid=False, now_s=0.1)
+    assert logged() == ["WARNING: status: stale, not valid, 0 contacts"]
+
+
+def test_a_status_that_flickers_does_not_fill_the_log(
+    estimate: Estimate, logged: Callable[[], list[str]]
+) -> None:
+    told = notices()
+    for k in range(1200):  # a minute of 20 scans a second
+        status = Status.STALE if k % 2 else Status.SEARCHING
+        told.estimate(replace(estimate, status=status), valid=False, now_s=k / 20.0)
+    lines = logged()
+    assert 10 < len(lines) < 30
+    assert "changes before were not logged)" in lines[-1]
+
+
+def told_of(health: dict[str, Any], wiring: Wiring, seconds: int, told: Notices) -> None:
+    for second in range(seconds):
+        told.inputs(health, {"endpoint": "tcp://robot:1", "topics": []}, wiring, 20.0, second)
+
+
+def health(fault: int = 0, *, match: bool = True) -> dict[str, Any]:
+    figures = {"poses_fault": fault, "poses_offset_s": 4.2, "poses_reach_m": 0.0,
+               "poses_rate_hz": 0.0, "poses_age_s": 0.0}  # fmt: skip
+    return {"t": 1.7e9, "inputs": figures, "modules": {"match": match}}
+
+
+def test_what_is_wrong_with_poses_is_logged_once_and_so_is_its_end(
+    logged: Callable[[], list[str]],
+) -> None:
+    told, wiring = notices(), Wiring(layouts.load(SPEC))
+    told_of(health(8), wiring, 5, told)
+    (line,) = logged()
+    assert line.startswith("WARNING: sensor_pose: the robot's clock is 4.2 s behind this machine's")
+    told_of(health(0), wiring, 5, told)
+    assert logged() == ["INFO: sensor_pose: poses come as they should"]
+
+
+def hub_of(modules: int) -> tuple[Pipeline, SimulatedSkin]:
+    """A pipeline for the layout of eight modules, and a skin whose hub has so many of them."""
+    whole = layouts.load(SPEC)
+    config = parse('[source]\nkind = "can"\nchannel = "x"\n[scene]\nbundle = "box"\n')
+    loaded = bundle.load("box", whole, 0.005)
+    skin = SimulatedSkin(whole, noise=5.0)
+    pipeline = Pipeline(config, loaded.model, loaded.untimed(config.filter))
+    table = wired(whole.uid.tolist())[:modules]
+    counts = sum(module.channels for module in table)
+    for _ in range(30):
+        scan = skin.scan()
+        cut = replace(scan, table=tuple(table), counts=scan.counts[:counts])
+        list(pipeline.advance([cut], scan.t))
+    return pipeline, skin
+
+
+def test_estimates_are_valid_only_where_the_hubs_have_the_modules_of_the_layout() -> None:
+    for modules, valid in ((8, True), (5, False)):
+        pipeline, _ = hub_of(modules)
+        touched = replace(pipeline.estimate, contacts=1)
+        assert touched.status is Status.SEARCHING
+        assert pipeline.freshness.is_valid(touched) is valid
+        assert pipeline.health()["modules"]["match"] is valid
+    assert pipeline.health()["missing_modules"] == [6, 7, 8]
+
+
+def test_modules_that_are_missing_may_be_allowed_for() -> None:
+    pipeline, skin = hub_of(7)
+    assert not pipeline.freshness.is_whole
+    allowed = replace(pipeline.config.skin, missing_modules=1)
+    pipeline.config = replace(pipeline.config, skin=allowed)
+    list(pipeline.advance([skin.scan()], skin.scan().t))
+    assert pipeline.freshness.is_whole
+
+
+def test_a_hub_that_lacks_modules_of_the_layout_is_logged(
+    logged: Callable[[], list[str]],
+) -> None:
+    pipeline, _ = hub_of(5)
+    logged()
+    told_of(health(match=False), pipeline.skin.wiring, 8, notices())
+    assert logged() == [
+        "INFO: hub 1 sends: 5 modules, 5 of them in the layout",
+        "WARNING: skin.layout: 3 of its 8 modules are on no hub (SUI 6, 7, 8); estimates are not "
+        "valid: give the layout of this skin, or see to its modules",
+    ]
+
+
+def test_a_daemon_says_when_it_is_ready_with_what(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from taxeld.cli import main  # noqa: PLC0415
+
+    write_session(tmp_path, touches=1, period_s=0.02)
+    config = str(configuration(tmp_path))
+    assert main(["run", config]) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert "ready: skin cylinder:rows=5" in lines[0]
+    assert "80 taxels; object 003_cracker_box; samples by " in lines[0]
+    assert f"source replay {tmp_path}, open" in lines[0]
+    assert f"streams at ipc://{tmp_path}/stream; control at ipc://{tmp_path}/control" in lines[0]
+    assert any(line.endswith("hub 1 sends: 8 modules, 8 of them in the layout") for line in lines)
+    before = logging.getLogger("taxeld").level
+    assert main(["run", "--log-level", "error", config]) == 0
+    assert capsys.readouterr().err == ""
+    assert logging.getLogger("taxeld").level == before
+
+
+def test_a_ration_is_filled_again_with_time() -> None:
+    ration = Ration(burst=2, every_s=10.0)
+    assert [ration.allows(0.0) for _ in range(4)] == [True, True, False, False]
+    assert ration.left_out == 2
+    assert [ration.allows(now_s) for now_s in (9.0, 10.0, 11.0, 20.0)] == [False, True, False, True]
