@@ -18,7 +18,7 @@ from taxeld.stream import messages
 
 Message = tuple[bytes, dict[str, Any]]  # a topic, and its map as docs/stream.md has it
 
-DARK = "unknown"  # the name of a number that a newer daemon sends
+UNKNOWN = "unknown"  # the name of a number that a newer daemon sends
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Stage:
 
     def name(self, kind: str, number: int) -> str:
         """Of a `status` or `proposal`."""
-        return self.names.get(kind, {}).get(str(number), DARK)
+        return self.names.get(kind, {}).get(str(number), UNKNOWN)
 
 
 def pose_of(map_: dict[str, float]) -> Poses:
