@@ -12,7 +12,7 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import REVISITS, SILENT_MAX, Mixture
+from taxeld.estimator.mixture import REVISITS, ROOM, SILENT_MAX, Mixture
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
@@ -121,6 +121,22 @@ def test_a_touch_that_may_be_noise_confirms_nothing(box_model: ObservationModel)
             subject.on_scan(feel(box_model, press(gap), t + 0.05 * k), press(gap))
         assert subject.estimate.contact
         assert rule.confidence.confirmed is confirmed
+
+
+def test_touches_that_no_pose_explains_do_not_drive_the_belief_away(
+    box_model: ObservationModel,
+) -> None:
+    """A broken skin, for hours: far away all poses explain the same, and there is room without
+    end."""
+    subject, rng, t = estimator(box_model, injected=20), np.random.default_rng(0), 0.0
+    for _ in range(60):
+        for pressed in (True, True, False, False, False, False, False):
+            z = np.zeros(32)
+            z[rng.permutation(32)[: 4 * pressed]] = 1.0
+            subject.on_scan(Activation(t, z, np.ones(32, dtype=bool)), se2.IDENTITY)
+            t += 0.05
+    far = np.hypot(*subject.rule.belief.pose[:, :2].T)
+    assert far.max() <= ROOM * FilterConfig().half_width_m
 
 
 def test_touching_nothing_is_evidence(box_model: ObservationModel) -> None:

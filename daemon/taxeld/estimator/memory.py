@@ -91,6 +91,11 @@ class Memory:
         return np.asarray(self.pressed == 0)
 
     @property
+    def last_place(self) -> Floats:
+        """(2,) where the sensor was in the world at the scan that was added last."""
+        return self._sensor[-1, :2]
+
+    @property
     def contacts(self) -> int:
         """How many the scans are of."""
         return len(np.unique(self.number[self.contact]))

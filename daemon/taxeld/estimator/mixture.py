@@ -18,6 +18,7 @@ from taxeld.estimator.push import push
 from taxeld.estimator.rule import PUSHED_M, Draw, Parts, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
+ROOM = 3.0  # half-widths of the table, from the sensor: all of it, and more
 MOVES = 2  # Metropolis steps a contact
 SILENT_MAX = 32  # silent scans remembered
 TELLING = 1.0  # nats by which a silent scan must part the particles to be remembered
@@ -230,10 +231,16 @@ class Mixture:
     def _become(self, belief: Belief, moves: int) -> Parts[None]:
         """Have as many particles as so wide a belief needs, all equal, and part the copies."""
         self.belief = pf.resample(belief, self._size(belief), self._rng)
-        share = self.memory.share
+        share, room = self.memory.share, self._room()
         for _ in range(moves):
             yield
-            pf.rejuvenate(self.belief, self.memory.explain, share, self._rng, self._scale)
+            pf.rejuvenate(self.belief, self.memory.explain, share, self._rng, self._scale, room)
+
+    def _room(self) -> pf.Room | None:
+        """Where the object may be, seen from where the sensor was: anywhere on the table."""
+        if not len(self.memory):
+            return None
+        return pf.Room(self.memory.last_place, ROOM * self._config.half_width_m)
 
     def _size(self, belief: Belief) -> int:
         config = self._config

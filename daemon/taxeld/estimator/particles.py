@@ -7,10 +7,11 @@ samples of a contact enter the belief is in `injection`.
 from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import NamedTuple
 
 import numpy as np
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model import se2
 
 Explain = Callable[[Poses], Floats]  # poses (N, 3) → (N, terms) as in `Belief.remembered`
@@ -22,6 +23,20 @@ DIFFERENCES = np.array(
     [0.3, 0.7, 1.0]
 )  # of two other particles, of which half of the steps are made
 CELL = np.array([0.01, 0.01, np.radians(10.0)])  # cells of SE(2) that a belief occupies
+
+
+class Room(NamedTuple):
+    """A circle that no step leads out of."""
+
+    centre: Floats  # (2,) [m]
+    radius_m: float
+
+    def lets(self, before: Poses, after: Poses) -> Bools:
+        """(N,) whether steps to `after` (N, 3) stay within, or at least lead back."""
+        gap = np.linalg.norm(after[:, :2] - self.centre, axis=1)
+        return np.asarray(
+            (gap <= self.radius_m) | (gap < np.linalg.norm(before[:, :2] - self.centre, axis=1))
+        )
 
 
 @dataclass(slots=True)
@@ -100,14 +115,20 @@ def roughen(belief: Belief, rng: np.random.Generator, scale: float = 1.0) -> Non
 
 
 def rejuvenate(
-    belief: Belief, explain: Explain, share: Floats, rng: np.random.Generator, scale: float = 1.0
+    belief: Belief,
+    explain: Explain,
+    share: Floats,
+    rng: np.random.Generator,
+    scale: float = 1.0,
+    room: Room | None = None,
 ) -> None:
     """One Metropolis step of every particle, which leaves the posterior ∏ p(z_k | q)^share_k as it
     is (resample-move, Gilks & Berzuini 2001).
 
     Half of the steps are random, half along the difference of two other particles, which has the
     posterior's own shape (differential evolution, ter Braak 2006). `share` (terms,): how
-    much each of what is remembered counts; `scale`: of the object's size, to the usual.
+    much each of what is remembered counts; `scale`: of the object's size, to the usual. Where
+    nothing was touched any pose explains the same, so only `room` keeps particles from straying.
     """
     n = len(belief)
     step = _random_steps(n, rng, scale)
@@ -120,6 +141,8 @@ def rejuvenate(
     remembered = explain(poses)
     gain = (remembered - belief.remembered) @ share
     taken = np.log(rng.random(n)) < gain
+    if room is not None:
+        taken &= room.lets(belief.pose, poses)
     belief.pose[taken] = poses[taken]
     belief.remembered[taken] = remembered[taken]
 
