@@ -7,6 +7,7 @@
   expects contact is evidence like any other.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,5 +81,6 @@ class News:
 
 def moved_m(a: Poses, b: Poses, radius_m: float) -> float:
     """How far a point of the skin went between two sensor poses (3,), at most."""
-    gap = se2.compose(se2.inverse(a), b)
-    return float(np.hypot(gap[0], gap[1]) + radius_m * abs(gap[2]))
+    (ax, ay, turned_a), (bx, by, turned_b) = a.tolist(), b.tolist()
+    turn = se2.wrap(np.float64(turned_b - turned_a))
+    return math.hypot(bx - ax, by - ay) + radius_m * abs(float(turn))

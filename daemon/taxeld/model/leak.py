@@ -37,6 +37,8 @@ class Leak:
         """Activations z (..., M) that are 0 under a floor → those that are evidence of a press at
         the taxel itself, 0 where they may be from elsewhere; their floor; and what may be in them
         of other presses, with the `residue` of earlier ones. Each (..., M)."""
+        if not z.any():  # nothing is pressed, and so nothing leaks
+            return z, np.broadcast_to(floor, z.shape), np.broadcast_to(residue, z.shape)
         leak = self.of(z)
         raised = np.maximum(floor, leak)
         return np.where(z < raised, 0.0, z), raised, np.hypot(residue, leak)
