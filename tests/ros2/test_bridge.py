@@ -22,6 +22,7 @@ pytest.importorskip("cyclonedds")
 from taxeld_ros2 import cli, convert
 from taxeld_ros2 import ros_types as ros
 from taxeld_ros2.dds import LATCHED, RELIABLE, Participant, last
+from tests import logged as logged_as
 
 from .loopback import DOMAIN, ENVIRONMENT, PATIENCE_S, Daemon, Lines, bridge, until
 
@@ -66,10 +67,10 @@ class Heard:
 
 
 def logged(process: Any, part: str) -> str:
-    """The first line on standard error that has `part`."""
+    """The first line on standard error that has `part`, without its time and level."""
     for line in process.stderr:
         if part in line:
-            return str(line).rstrip("\n")
+            return logged_as.messages(line)[0]
     raise AssertionError(f"{part!r} was not said")
 
 
