@@ -29,7 +29,8 @@ def touched(model: ObservationModel, noise: Noise, slack: Slack, seed: int) -> M
     memory = Memory(model, noise, slack=slack)
     for number in range(1, 9):
         sensor = rng.normal(size=3) * [0.05, 0.05, 1.0]
-        seen = contacts.synthesise(model.scene, 0.04, model.depth_max_m, 20, rng).pose[:1]  # some miss
+        made = contacts.synthesise(model.scene, 0.04, model.depth_max_m, 20, rng)
+        seen = made.pose[:1]  # some of the twenty miss the object
         z = noise.draw(model.activation(seen)[0], rng) * (rng.random() < 0.7)
         floor = np.where(rng.random(len(z)) < 0.2, 0.1, 0.02)
         live = rng.random(len(z)) < 0.9
