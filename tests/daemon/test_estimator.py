@@ -139,6 +139,18 @@ def test_touches_that_no_pose_explains_do_not_drive_the_belief_away(
     assert far.max() <= ROOM * FilterConfig().half_width_m
 
 
+def test_a_sensor_that_goes_far_away_does_not_draw_the_belief_after_it(
+    box_model: ObservationModel,
+) -> None:
+    subject = estimator(box_model, injected=20)
+    approach(subject, box_model)
+    away = se2.compose(press(0.0), np.array([5.0, 0.0, 0.0]))
+    subject.on_scan(Activation(2.0, np.zeros(32), np.ones(32, dtype=bool)), away)
+    room = subject.rule._room()
+    assert np.allclose(room.centre, press(-0.004)[:2])
+    assert room.lets(subject.rule.belief.pose, subject.rule.belief.pose + 1e-3).all()
+
+
 def test_touching_nothing_is_evidence(box_model: ObservationModel) -> None:
     """Silence where particles expect touch removes their weight."""
     subject = estimator(box_model)

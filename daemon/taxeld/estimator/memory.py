@@ -91,9 +91,10 @@ class Memory:
         return np.asarray(self.pressed == 0)
 
     @property
-    def last_place(self) -> Floats:
-        """(2,) where the sensor was in the world at the scan that was added last."""
-        return self._sensor[-1, :2]
+    def last_touch(self) -> Floats | None:
+        """(2,) where the sensor was in the world in the newest contact; None: there is none."""
+        touches = np.flatnonzero(self.contact)
+        return self._sensor[touches[-1], :2] if len(touches) else None
 
     @property
     def contacts(self) -> int:

@@ -18,7 +18,7 @@ from taxeld.estimator.push import push
 from taxeld.estimator.rule import PUSHED_M, Draw, Parts, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
-ROOM = 3.0  # half-widths of the table, from the sensor: all of it, and more
+ROOM = 3.0  # half-widths of the table, from the last touch: all of it, and more
 MOVES = 2  # Metropolis steps a contact
 SILENT_MAX = 32  # silent scans remembered
 TELLING = 1.0  # nats by which a silent scan must part the particles to be remembered
@@ -236,11 +236,12 @@ class Mixture:
             yield
             pf.rejuvenate(self.belief, self.memory.explain, share, self._rng, self._scale, room)
 
-    def _room(self) -> pf.Room | None:
-        """Where the object may be, seen from where the sensor was: anywhere on the table."""
-        if not len(self.memory):
-            return None
-        return pf.Room(self.memory.last_place, ROOM * self._config.half_width_m)
+    def _room(self) -> pf.Room:
+        """Where the object may be: about the last touch, or about the table's middle, not about a
+        sensor that has gone elsewhere since."""
+        touch, config = self.memory.last_touch, self._config
+        centre = np.array(config.centre_m) if touch is None else touch
+        return pf.Room(centre, ROOM * config.half_width_m)
 
     def _size(self, belief: Belief) -> int:
         config = self._config
