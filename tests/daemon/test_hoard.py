@@ -12,7 +12,14 @@ import pytest
 import zmq
 
 from taxeld.stream.door import Door
-from taxeld.stream.hoard import GROWTH_BYTES, LOOK_S, OWN_S, Hoard, _allocated
+from taxeld.stream.hoard import (
+    GROWTH_BYTES,
+    LOOK_S,
+    OWN_S,
+    Hoard,
+    _allocated,
+    _give_back,
+)
 from taxeld.stream.sockets import open_socket
 
 from .conftest import Sockets
@@ -25,6 +32,7 @@ COMES = 8
 
 
 def served(sockets: Sockets, place: Path, kind: int) -> tuple[zmq.Socket[Any], str]:
+    _give_back()  # what other tests have left free would take in much before the process grows
     socket = sockets.keep(open_socket(sockets.context, kind, send=10, receive=2, largest=1024))
     endpoint = f"ipc://{place}/x"
     door = Door(endpoint, "x")
