@@ -91,6 +91,11 @@ class CalibrationCheck:
         self._strength = 0.0  # of the last touch: all that it reads
         self._begun = False
 
+    @property
+    def is_due(self) -> bool:
+        """Whether it goes on with a scan that nothing was learned from."""
+        return self._due > 0 and not self._moves
+
     def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> None:
         """What was learned from, if anything, in the last of so many contacts, and what is believed
         of the object's pose: (N, 3), the best first."""

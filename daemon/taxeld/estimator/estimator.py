@@ -5,8 +5,6 @@ belief learn from them by the configured rule (`rules`), and says what the resul
 (`confidence`). docs/estimator.md has the way of a contact through these.
 """
 
-from collections.abc import Generator
-
 import numpy as np
 
 from taxeld.arrays import Poses
@@ -14,9 +12,10 @@ from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import confidence
 from taxeld.estimator.calibration_check import CalibrationCheck, CalibrationDoubt
 from taxeld.estimator.counters import EstimatorCounters
-from taxeld.estimator.estimate import Estimate
+from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.news import News
+from taxeld.estimator.parts import Parts
 from taxeld.estimator.rules import RULES
 from taxeld.estimator.sampling import Proposal, Sampling
 from taxeld.model.activation import Activation
@@ -62,9 +61,13 @@ class Estimator:
             pass
         return self.estimate
 
-    def parts(self, activation: Activation, sensor: Poses) -> Generator[None, None, Estimate]:
-        """The same in parts, of which none takes long. Until the last is done, `estimate` is of the
-        scan before; another scan, or `reset`, may come only after that, or after `close` of these.
+    def parts(self, activation: Activation, sensor: Poses) -> Parts[Estimate]:
+        """The same in parts, of which none takes long; another scan, or `reset`, may come only
+        after the last of them, or after `close` of these.
+
+        Until this scan's is there, `estimate` is of the scan before. Where the scan tells nothing
+        new it is there after the first part: the others are thoughts about what was felt before,
+        and may better it.
         """
         self.counters.scans += 1
         observation = self._intake.observation(activation, sensor)
@@ -72,10 +75,23 @@ class Estimator:
             self.estimate = self._estimate(max(self.estimate.t, self._intake.t))
             return self.estimate
         self._follow(observation)
-        injected, log_evidence = yield from self._learn(observation)
-        blind = self._is_blind(observation)
-        self.counters.blind += blind
-        self.estimate = self._estimate(self._intake.t, injected, log_evidence, blind=blind)
+        news, t = self._news, self._intake.t
+        used = news.on_scan(t, observation) if observation.live.any() else None
+        believed = np.array([mode.pose for mode in self.rule.confidence.summary.modes])
+        if used is not None:
+            self._check.on_scan(used, believed, news.contacts)
+            self.counters.updates += 1
+            injected, log_evidence = yield from self.rule.learn(used, news.contacts, self._draw)
+            self._conclude(observation, injected, log_evidence)
+        else:
+            self._conclude(observation)
+            if self._check.is_due:
+                yield
+                self._check.on_scan(used, believed, news.contacts)
+            if samples := (yield from self.rule.revisit(self._draw)):
+                self.counters.thoughts += 1
+                self._conclude(observation, samples)
+        self.counters.blind += self.estimate.status is Status.BLIND
         return self.estimate
 
     def figures(self) -> dict[str, float]:
@@ -90,19 +106,12 @@ class Estimator:
         if before.is_contact and observation.is_contact:
             self.rule.follow(before, observation)
 
-    def _learn(self, observation: Observation) -> Generator[None, None, tuple[int, float]]:
-        """Have the belief learn from what is new, or use the time; → how many samples that took,
-        and the scan's log evidence."""
-        news = self._news
-        used = news.on_scan(self._intake.t, observation) if observation.live.any() else None
-        believed = np.array([mode.pose for mode in self.rule.confidence.summary.modes])
-        self._check.on_scan(used, believed, news.contacts)
-        if used is not None:
-            self.counters.updates += 1
-            return (yield from self.rule.learn(used, news.contacts, self._draw))
-        samples = yield from self.rule.revisit(self._draw)
-        self.counters.thoughts += samples > 0
-        return samples, 0.0
+    def _conclude(
+        self, observation: Observation, injected: int = 0, log_evidence: float = 0.0
+    ) -> None:
+        """What the belief says now is the estimate."""
+        blind = self._is_blind(observation)
+        self.estimate = self._estimate(self._intake.t, injected, log_evidence, blind=blind)
 
     def _draw(self, observation: Observation, n: int) -> Poses:
         poses = self._sampling(observation, n)

@@ -74,7 +74,11 @@ class Mixture:
         self, observation: Observation, contacts: int, draw: Draw
     ) -> Parts[tuple[int, float]]:
         in_doubt = self.confidence.doubt
+        if observation.is_contact:
+            yield
         samples = drawn(draw, observation, self._wanted())
+        if len(samples):
+            yield
         log_evidence = yield from self._update(observation, samples, contacts)
         if log_evidence is None:
             return 0, 0.0
@@ -133,6 +137,7 @@ class Mixture:
         enough = confidence.is_searched and not confidence.doubt
         if len(contacts) < 2 or self._revisits >= REVISITS or enough:
             return 0
+        yield
         scan = int(self._rng.choice(contacts))
         samples = drawn(draw, memory.scan(scan), self._wanted())
         if not len(samples):  # none are asked for, or there is no time for any
@@ -141,6 +146,7 @@ class Mixture:
         opinion = yield from self._opinion(samples, memory, scan)
         merged = injection.merge(self.belief, opinion, memory.share, self._scale)
         yield from self._become(merged, moves=1)
+        yield
         excess = consistency.excess(memory, self.belief)
         newest = contacts[-1]
         confidence.doubt = bool(excess[newest] > 0.0) or consistency.is_excessive(
@@ -162,6 +168,7 @@ class Mixture:
         self._keep_to_size()
         if len(samples):
             yield from self._take(samples)
+            yield
             yield from self._reconsider(samples)
             yield from self._fit_slack()
         elif pf.resampling_is_due(self.belief):

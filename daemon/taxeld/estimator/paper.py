@@ -46,9 +46,10 @@ class Paper:
     def learn(
         self, observation: Observation, contacts: int, draw: Draw
     ) -> Parts[tuple[int, float]]:
-        yield from ()  # in one part
         in_doubt = self.confidence.doubt
         samples = drawn(draw, observation, self._wanted(contacts))
+        if len(samples):
+            yield
         log_evidence = self.update(observation, samples)
         contact = firm(observation, contacts)
         self.confidence.learned(self.belief, len(samples), contact, 0, in_doubt=in_doubt)
