@@ -18,6 +18,7 @@ from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import bundle, choice
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.ladder import Cost, Step
+from taxeld.service import health
 from taxeld.service.loop import STAGES, Daemon
 from taxeld.stream import messages
 from tests.daemon.recorded import configuration, write_session
@@ -191,11 +192,11 @@ def test_a_stage_that_takes_longer_than_its_budget_is_counted(daemon: Daemon) ->
     start = time.monotonic()
     for k in range(200):
         daemon.tick(start + k * 0.01)
-    health = daemon._health(1, start + 2.0, 0.0)
-    assert health["over_budget"]["source"] > 10
-    assert health["over_budget"]["publish"] <= health["loop"]["scans"]
-    assert health["over_budget"]["skin"] <= health["skin"]["scans"]
-    assert health["over_budget"]["propose"] == 0  # no touch
+    told = health.of(daemon, 1, start + 2.0, 0.0)
+    assert told["over_budget"]["source"] > 10
+    assert told["over_budget"]["publish"] <= told["loop"]["scans"]
+    assert told["over_budget"]["skin"] <= told["skin"]["scans"]
+    assert told["over_budget"]["propose"] == 0  # no touch
 
 
 def _pressed(box: Bundle) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from taxeld.service.inputs import PEERS_S, REST_S, Gathering, Inputs, Ready
+from taxeld.service.inputs import PEERS_S, Inputs, Ready
 
 SOON_S = 20.0  # a wait that ends by what comes ends long before
 
@@ -157,42 +157,3 @@ def test_a_device_that_rests_wakes_nobody_and_others_do(inputs: Inputs, pipes: l
     robot.say()
     assert inputs.rest(time.monotonic() + SOON_S) == Ready(robot=True)
     assert wait(inputs) == Ready(device=True, robot=True), "what it has said is still there"
-
-
-def looks_at(gathering: Gathering, took_s: float) -> list[float]:
-    """When a scan is looked at whose frames come for `took_s`; after the first of them."""
-    looks = [gathering.heard()]
-    assert 0.0 <= looks[0] <= REST_S[1]
-    while looks[-1] < took_s:
-        rest_s = gathering.looked(whole=False)
-        assert REST_S[0] <= rest_s <= REST_S[1]
-        looks.append(looks[-1] + rest_s + gathering.heard())
-    assert gathering.looked(whole=True) == 0.0
-    return looks
-
-
-@pytest.mark.parametrize(
-    ("took_s", "most"), [(0.0002, 1.3), (0.001, 1.3), (0.003, 1.3), (0.004, 1.6), (0.02, 9.0)]
-)
-def test_one_look_finds_most_scans_soon_after_their_last_frame(took_s: float, most: float) -> None:
-    gathering = Gathering()
-    looks = [looks_at(gathering, took_s) for _ in range(400)][100:]
-    assert sum(map(len, looks)) / len(looks) <= most
-    assert max(each[-1] - took_s for each in looks) <= max(REST_S[0], 0.3 * took_s)
-
-
-def test_scans_that_come_at_once_are_not_waited_for() -> None:
-    """As where an adapter hands over a scan in one piece."""
-    gathering = Gathering()
-    for _ in range(50):
-        looks_at(gathering, 0.002)
-    for _ in range(100):
-        looks = looks_at(gathering, 0.0)
-    assert looks == [0.0]
-
-
-def test_frames_that_are_no_scans_cost_a_look_now_and_then() -> None:
-    """A bus that others flood."""
-    gathering = Gathering()
-    rests = [gathering.looked(whole=False) + gathering.heard() for _ in range(50)]
-    assert rests[10:] == [REST_S[1]] * 40

@@ -5,6 +5,8 @@ belief learn from them by the configured rule (`rules`), and says what the resul
 (`confidence`). docs/estimator.md has the way of a contact through these.
 """
 
+from collections.abc import Generator
+
 import numpy as np
 
 from taxeld.arrays import Poses
@@ -15,7 +17,6 @@ from taxeld.estimator.counters import EstimatorCounters
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.news import News
-from taxeld.estimator.parts import Parts
 from taxeld.estimator.rules import RULES
 from taxeld.estimator.sampling import Proposal, Sampling
 from taxeld.model.activation import Activation
@@ -61,7 +62,7 @@ class Estimator:
             pass
         return self.estimate
 
-    def parts(self, activation: Activation, sensor: Poses) -> Parts[Estimate]:
+    def parts(self, activation: Activation, sensor: Poses) -> Generator[None, None, Estimate]:
         """The same in parts, of which none takes long; another scan, or `reset`, may come only
         after the last of them, or after `close` of these.
 

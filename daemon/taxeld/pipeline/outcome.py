@@ -22,6 +22,7 @@ class Outcome:
     skin_ns: int = 0
     propose_ns: int = 0
     filter_ns: int = 0
+    is_afterthought: bool = False  # it was told before, and may have been bettered since
 
     @property
     def is_used(self) -> bool:

@@ -72,6 +72,7 @@ class Pipeline:
         self.inputs = InputCounters()
         self.ends_ns = math.inf  # the time for a call, on the ladder's clock
         self.degrades = False  # samples are saved where the next scan would come too soon
+        self.tells_early = False  # an estimate comes before the thoughts that may better it
         self._waiting: deque[tuple[float, Scan]] = deque()  # with the time of arrival
         self._work: Work | None = None  # on a scan that was begun
         self._part_ns = 0.0  # the longest part of touches of late
@@ -112,8 +113,9 @@ class Pipeline:
 
     @property
     def is_at_work(self) -> bool:
-        """Whether the work on a scan was left after one of its parts, or another waits for it."""
-        return self._work is not None or self._is_put_off
+        """Whether the work on a scan was left before its estimate was there, or another waits for
+        it."""
+        return self._is_put_off or (self._work is not None and not self._work.is_told)
 
     @property
     def is_busy(self) -> bool:
@@ -203,13 +205,12 @@ class Pipeline:
 
     def _next(self) -> Iterator[Outcome]:
         """Go on with the scan that is begun, or with the next."""
-        outcome = None
         if self._work is None:
-            outcome = self._begin(self._waiting.popleft()[1])
+            unused = self._begin(self._waiting.popleft()[1])
+            if unused is not None:
+                yield unused
         if self._work is not None:
-            outcome = self._go_on(self._work)
-        if outcome is not None:
-            yield outcome
+            yield from self._go_on(self._work)
 
     def _begin(self, scan: Scan) -> Outcome | None:
         """Take a scan; the sensor's poses up to its time have been added. → what it led to; None
@@ -235,22 +236,28 @@ class Pipeline:
         self._work = Work(self.estimator, self.ladder, activation, sensor, skin_ns)
         return None
 
-    def _go_on(self, work: Work) -> Outcome | None:
-        """→ what the scan led to; None where the time was over before."""
-        estimate = work.go_on()
-        while estimate is None:
+    def _go_on(self, work: Work) -> Iterator[Outcome]:
+        """→ what the scan led to, if the time is long enough for that."""
+        while not work.go_on():
+            if self.tells_early and work.has_estimate and not work.is_told:
+                yield self._told(work)
+                work.is_told = True
+                return  # thoughts can wait
             if self._is_late(max(work.longest_ns, self._part_ns)):
-                return None
-            estimate = work.go_on()
+                return
         if work.parts > 1:
             self._part_ns = max(work.longest_ns, PART_KEPT * self._part_ns)
-        self._work, by = None, self._stepped_s
-        self.estimate = self.freshness.judged(later(estimate, by))
+        self._work = None
+        yield self._told(work)
+
+    def _told(self, work: Work) -> Outcome:
+        by = self._stepped_s
+        self.estimate = self.freshness.judged(later(work.estimate, by))
         filter_ns = work.own_ns - work.propose_ns
-        activation = later(work.activation, by)
         return Outcome(
-            self.estimate, activation, work.sensor, work.skin_ns, work.propose_ns, filter_ns
-        )
+            self.estimate, later(work.activation, by), work.sensor, work.skin_ns, work.propose_ns,
+            filter_ns, work.is_told,
+        )  # fmt: skip
 
     def _unused(self, scan: Scan, skin_ns: int) -> Outcome:
         """Of a scan that the estimator was not given."""

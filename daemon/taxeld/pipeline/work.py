@@ -27,35 +27,46 @@ class Work:
         self.skin_ns = skin_ns
         self.own_ns = 0  # so far, on the ladder's clock; without the time between parts
         self.parts = self.longest_ns = 0  # of it
+        self.is_told = False  # whether its estimate has been made known
         self._estimator = estimator
+        self._before = estimator.estimate
         self._ladder = ladder
         self._parts = estimator.parts(activation, sensor)
         self._proposed_ns = ladder.spent_ns
         self._left_ns: int | None = None
 
     @property
+    def estimate(self) -> Estimate:
+        """The scan's, or the one before it."""
+        return self._estimator.estimate
+
+    @property
+    def has_estimate(self) -> bool:
+        """Whether it is the scan's; thoughts that follow may better it."""
+        return self.estimate is not self._before
+
+    @property
     def propose_ns(self) -> int:
         """Of the time, what proposals took."""
         return self._ladder.spent_ns - self._proposed_ns
 
-    def go_on(self) -> Estimate | None:
-        """Do the next part; → the estimate, after the last one, or where all was forgotten."""
+    def go_on(self) -> bool:
+        """Do the next part; → whether it was the last, or all was forgotten."""
         begin = self._ladder.clock()
         if self._left_ns is not None:
             self._ladder.paused(begin - self._left_ns)
         try:
             next(self._parts)
-        except StopIteration as end:
-            estimate: Estimate | None = end.value
+        except StopIteration:
             self._ladder.used()
-            return self._estimator.estimate if estimate is None else estimate
+            return True
         finally:
             self._left_ns = self._ladder.clock()
             part_ns = self._left_ns - begin
             self.parts += 1
             self.longest_ns = max(self.longest_ns, part_ns)
             self.own_ns += part_ns
-        return None
+        return False
 
     def give_up(self) -> None:
         """The estimator is about to forget all."""

@@ -7,8 +7,6 @@ from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
 PEERS_S = 0.01  # those who come again and again are looked at so often
-REST_S = (0.0005, 0.004)  # for more frames, after a look that brought too few
-LONGER_S, SHORTER_S = 0.0002, 0.00004  # steps to the time in which five of six scans are whole
 IN, ONCE = select.EPOLLIN, select.EPOLLIN | select.EPOLLONESHOT
 
 
@@ -85,34 +83,6 @@ class Inputs:
 
     def close(self) -> None:
         self._epoll.close()
-
-
-class Gathering:
-    """How long frames are left to gather before a look at them: each look costs more than what it
-    takes, and a scan that is looked at when its last frame has come costs one."""
-
-    def __init__(self) -> None:
-        self._usual_s = 0.0  # from the first sign of a scan to the whole of it
-        self._has_begun = False  # whether there was a sign since the last scan
-        self._looks = 0  # at this scan, in vain
-
-    def heard(self) -> float:
-        """The device has something to say; → how long it is left to go on."""
-        if self._has_begun:  # it was, after a look in vain
-            return 0.0
-        self._has_begun = True
-        return self._usual_s
-
-    def looked(self, *, whole: bool) -> float:
-        """It was looked at, and had a `whole` scan or less; → how long it is left alone then."""
-        least_s, most_s = REST_S
-        if not whole:
-            self._looks += 1
-            return min(least_s * 2.0 ** min(self._looks - 1, 9), most_s)
-        step_s = LONGER_S if self._looks else -SHORTER_S  # without a look in vain it was long there
-        self._usual_s = min(max(self._usual_s + step_s, 0.0), most_s)
-        self._has_begun, self._looks = False, 0
-        return 0.0
 
 
 class _Slot:

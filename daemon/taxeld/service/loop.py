@@ -22,15 +22,15 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.model.activation import Activation
-from taxeld.pipeline.calibrated import told
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.pipeline.pose_watch import PoseFigures, PoseWatch
+from taxeld.pipeline.pose_watch import PoseWatch
 from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import bundle, choice
-from taxeld.service import calibration_file, metrics, realtime, state_file
+from taxeld.service import calibration_file, health, metrics, realtime, state_file
 from taxeld.service.clock import WallClock
-from taxeld.service.inputs import ALL, Gathering, Inputs, Ready
+from taxeld.service.gathering import Gathering
+from taxeld.service.inputs import ALL, Inputs, Ready
 from taxeld.service.latency import Latencies
 from taxeld.service.metrics import MetricsFile
 from taxeld.service.notices import Notices
@@ -38,12 +38,11 @@ from taxeld.service.notify import Notifier
 from taxeld.service.state_file import StateFile
 from taxeld.service.ticker import Ticker
 from taxeld.source import session
-from taxeld.source.recorder import RecordCounters, Recorder
+from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source
 from taxeld.stream import curve, messages
-from taxeld.stream.answers import ControlCounters
 from taxeld.stream.control import Control
-from taxeld.stream.pose_input import PoseCounters, PoseInput
+from taxeld.stream.pose_input import PoseInput
 from taxeld.stream.publisher import Publisher
 
 STAGES = messages.STAGES[:-1]  # all but their total
@@ -85,8 +84,8 @@ class Daemon:
         ladder = choice.ladder(scene, config, time.perf_counter_ns)
         on_pose = recorder.pose if recorder else None
         self.pipeline = Pipeline(config, scene.model, ladder, on_pose, calibration)
-        self.pipeline.degrades = config.budget.degrade
-        self._recorder = recorder
+        self.pipeline.degrades, self.pipeline.tells_early = config.budget.degrade, True
+        self.recorder = recorder
         self.latencies = Latencies(messages.STAGES)
         self.clock = WallClock()
         place, pipeline = state_file.directory(config), self.pipeline
@@ -95,13 +94,13 @@ class Daemon:
         self.kept.restore(time.time())
         budget = config.budget
         self._budget_us = {stage: 1e3 * getattr(budget, f"{stage}_ms") for stage in STAGES}
-        self._over = dict.fromkeys(STAGES, 0)
-        self._realtime = realtime.RealTime()
+        self.over_budget = dict.fromkeys(STAGES, 0)
+        self.realtime = realtime.RealTime()
         self._began_ns = 0  # with what is published next, after so long in passes before;
         self._before_us = self._publish_us = 0.0  # and sending what was published last took this
         self._seq = 0
-        self._start_s = time.monotonic()
-        self.pipeline.freshness.came(self._start_s)  # as if a scan had come at the start
+        self.start_s = time.monotonic()
+        self.pipeline.freshness.came(self.start_s)  # as if a scan had come at the start
         self._next_health_s = self._next_particles_s = self._next_estimate_s = 0.0
         self._estimate_s = 1.0 / config.publish.rate_hz
         self._next_look_s = self._next_poses_s = 0.0
@@ -166,7 +165,7 @@ class Daemon:
         try:
             warm_up(self.pipeline.estimator.model, self.pipeline.ladder, self.config.filter)
             self.pipeline.freshness.came(time.monotonic())  # as if a scan had come at the start
-            with realtime.thread(self.config.loop.priority) as self._realtime:
+            with realtime.thread(self.config.loop.priority) as self.realtime:
                 notifier.ready()
                 self._notices.ready(self.config, self._info, self.source.waits_for)
                 self._loop(notifier, between)
@@ -195,28 +194,30 @@ class Daemon:
                     break
                 rest_s = 0.0
                 if ready.device:
-                    rest_s = gathering.looked(whole=self.counters.scans > scans)
+                    rest_s = gathering.looked(self.counters.scans - scans)
                 ready = self._wait(ticker, inputs, gathering, rest_s)
 
     def _wait(self, ticker: Ticker, inputs: Inputs, gathering: Gathering, rest_s: float) -> Ready:
         """Until the next pass is due: when something has come, or by the clock. The device is left
-        alone for `rest_s`, and while frames gather."""
+        alone for `rest_s`, and while the frames of a scan gather."""
         pipeline, source = self.pipeline, self.source
         robot = self.pose_input.socket if self.pose_input and pipeline.has_waiting else None
         inputs.follow(source.device, robot)
         until_s = ticker.until(busy=pipeline.is_busy or source.is_busy)
         now_s = time.monotonic()
         if pipeline.is_at_work:  # a moment, for others on this processor
-            return inputs.wait(min(until_s, now_s + BREATH_S))
+            ready = inputs.wait(min(until_s, now_s + BREATH_S))
+            is_early = ready.device and gathering.heard(source.gather()) > 0.0
+            return ready._replace(device=False) if is_early else ready
         if rest_s:
             ready = inputs.rest(min(until_s, now_s + rest_s))
             if ready.robot or ready.peers:
                 return ready
-        ready = inputs.wait(until_s)
-        if ready.device and (gather_s := gathering.heard()):
-            others = inputs.rest(min(until_s, time.monotonic() + gather_s))
-            ready = Ready(True, ready.robot or others.robot, ready.peers or others.peers)
-        return ready
+        if not gathering.has_begun:
+            ready = inputs.wait(until_s)
+            if not ready.device or ready.robot or ready.peers:
+                return ready
+        return gathering.gather(inputs, source.gather, until_s)
 
     def tick(self, now_s: float, left_s: float = math.inf, ready: Ready = ALL) -> None:
         """One pass: inputs, pipeline, outputs. `now_s` is monotonic; there is time for `left_s`;
@@ -236,7 +237,7 @@ class Daemon:
         self.counters.scans += len(scans)
         self._take_poses(now_s, asked=ready.robot or bool(scans) or self.pipeline.has_waiting)
         source_us = (time.perf_counter_ns() - start) / 1000.0
-        self._over["source"] += source_us > self._budget_us["source"]
+        self.over_budget["source"] += source_us > self._budget_us["source"]
         # stamped while they were polled, so not older than now
         for outcome in self.pipeline.advance(scans, time.time() if scans else wall_s):
             self.pipeline.freshness.came(now_s)
@@ -262,6 +263,9 @@ class Daemon:
 
     def _publish(self, outcome: Outcome, source_us: float, now_s: float) -> None:
         """What a scan led to."""
+        if outcome.is_afterthought:
+            self._publish_bettered(outcome, now_s)
+            return
         lat_us = {
             "source": source_us,
             "skin": outcome.skin_ns / 1000.0,
@@ -279,7 +283,21 @@ class Daemon:
         self._began_ns = time.perf_counter_ns()
         self._before_us, self._publish_us = 0.0, (self._began_ns - begin) / 1000.0
         for stage in ("skin", "propose", "filter", "publish"):
-            self._over[stage] += lat_us[stage] > self._budget_us[stage]
+            self.over_budget[stage] += lat_us[stage] > self._budget_us[stage]
+
+    def _publish_bettered(self, outcome: Outcome, now_s: float) -> None:
+        """What thoughts have made of an estimate that was sent, if they have changed it. They are
+        on no scan's way."""
+        took_us = {
+            "propose": outcome.propose_ns / 1000.0,
+            "filter": outcome.filter_ns / 1000.0,
+        }
+        if outcome.estimate.injected:
+            lat_us = dict.fromkeys(messages.STAGES, 0.0) | took_us
+            self._send_estimate(self._estimate(now_s), lat_us, now_s)
+        for stage, us in took_us.items():
+            self.over_budget[stage] += us > self._budget_us[stage]
+        self._began_ns, self._before_us = time.perf_counter_ns(), 0.0
 
     def _is_news(self, estimate: Estimate) -> bool:
         told = self._told
@@ -323,7 +341,7 @@ class Daemon:
         if now_s >= self._next_health_s:
             wall_s = time.time()
             self._next_health_s = now_s + HEALTH_S
-            self._health_sent = self._health(self._seq, now_s, wall_s)
+            self._health_sent = health.of(self, self._seq, now_s, wall_s)
             self.publisher.send(messages.HEALTH, self._health_sent, wall_s)
             self._metrics.offer(self._health_sent)
             scans_hz = 1000.0 / self.config.source.period_ms
@@ -351,42 +369,6 @@ class Daemon:
             f"{estimate.status.name.lower()}, contacts {estimate.contacts}, "
             f"overruns {self.counters.overruns}"
         )
-
-    def _health(self, seq: int, now_s: float, t: float) -> dict[str, Any]:
-        pipeline = self.pipeline
-        poses = self.pose_input.counters if self.pose_input else PoseCounters()
-        figures = self.pose_input.figures(t) if self.pose_input else PoseFigures()
-        control = self.control.counters if self.control else ControlCounters()
-        parts = {
-            "uptime_s": now_s - self._start_s,
-            "loop": self.counters,
-            "over_budget": self._over,
-            "degraded": pipeline.ladder.counters,
-            "realtime": self._realtime,
-            "source": {
-                **self.source.wire.stats(),
-                **asdict(self.source.counters),
-                "waiting": bool(self.source.waits_for),
-            },
-            "skin_state": self.kept.counters,
-            "calibration": told(pipeline.calibration, pipeline.estimator.calibration, t),
-            "inputs": {
-                **pipeline.input_counts(),
-                "poses_malformed": poses.malformed,
-                "poses_oversized": poses.oversized,
-                "scans_stale": pipeline.freshness.is_silent(now_s),
-                "poses_stale": t - pipeline.poses.latest_t > pipeline.poses.max_age_s,
-                **{f"poses_{name}": value for name, value in asdict(figures).items()},
-            },
-            "control": control,
-            "recording": self._recorder.counters if self._recorder else RecordCounters(),
-            "subscribers": self.publisher.counters,
-            "hoarders": self.publisher.counters.oversized + control.oversized,
-            "keys_refused": 0,  # a relay, where keys are taken, puts its own count there
-            "lat_us": self.latencies.percentiles(),
-            **pipeline.health(),
-        }
-        return messages.health(seq, t, parts)
 
     def state(self) -> dict[str, Any]:
         """What was last published of the estimate and of health, and what must come."""

@@ -25,7 +25,7 @@ from taxeld.source.dialects import Dialect, ToFrames
 from taxeld.source.outbox import Outbox
 from taxeld.source.recorder import Recorder
 from taxeld.source.reserve import Reserve
-from taxeld.source.session import Session
+from taxeld.source.session import Chunk, Items, Session
 from taxeld.source.wire import Heard, Wire
 from taxeld_protocol.decoder import Scan
 
@@ -77,6 +77,11 @@ class Source(Protocol):
     @property
     def fault(self) -> str:
         """What makes all that comes useless, in a line; empty where nothing does."""
+        ...
+
+    def gather(self) -> int:
+        """Take what the device has to say, for the next `poll` that hears it; → how much is there
+        for that, in frames, or bytes of a line."""
         ...
 
     def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:
@@ -138,6 +143,9 @@ class LiveSource:
         self._listening = dialect.listening
         self.device: Device | None = None
         self._outbox: Outbox | None = None
+        self._held: Items = []  # that it has said, and nobody has heard
+        self._size = 0  # of that
+        self._failed: LostError | None = None  # after it
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._reserve = Reserve()
         self._lines, self._next_line_s = LOG_BURST, 0.0
@@ -152,6 +160,17 @@ class LiveSource:
     @property
     def is_busy(self) -> bool:
         return bool(self._outbox) or (self.device is not None and self.device.fileno() < 0)
+
+    def gather(self) -> int:
+        if self.device is not None and self._failed is None:
+            try:
+                items = self.device.read()
+            except LostError as error:
+                self._failed = error
+            else:
+                self._held = [*self._held, *items]
+                self._size += sum(len(i.data) if isinstance(i, Chunk) else 1 for i in items)
+        return self._size
 
     def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:
         if self.device is None:
@@ -177,14 +196,14 @@ class LiveSource:
         self._reserve.close()
 
     def _take(self, device: Device) -> None:
-        self.device, self._outbox = device, Outbox(device)
+        self.device, self._outbox, self._failed = device, Outbox(device), None
         self._pause_s = REOPEN_S[0]
         self.waits_for = ""
 
     def _exchange(self, device: Device, outbox: Outbox, now_s: float, *, hear: bool) -> list[Scan]:
         scans: list[Scan] = []
         bring_up = self._bring_up
-        for packet, ended in self._hear(device) if hear else ():
+        for packet, ended in self._hear() if hear or self._failed else ():
             scans += ended
             if packet is not None and bring_up is not None:
                 outbox.add_all(bring_up.on_packet(packet), now_s)
@@ -216,8 +235,11 @@ class LiveSource:
         if noticed.silences:
             outbox.clear()  # what still streams behind it is not to be set up anew
 
-    def _hear(self, device: Device) -> list[Heard]:
-        items = device.read()
+    def _hear(self) -> list[Heard]:
+        self.gather()
+        items, self._held, self._size = self._held, [], 0
+        if self._failed is not None and not items:
+            raise self._failed
         if self._recorder is not None:
             for item in items:
                 self._recorder.take(item)
@@ -314,6 +336,9 @@ class ReplaySource:
     @property
     def finished(self) -> bool:
         return self._at >= len(self._items)
+
+    def gather(self) -> int:
+        return 0
 
     def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:  # noqa: ARG002
         first_t = self._items[0].t
