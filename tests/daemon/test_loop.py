@@ -159,6 +159,37 @@ def test_each_scan_that_is_used_has_its_estimate_however_many_come_at_once(
     assert [e["seq"] for e in used] == [t["seq"] for t in heard.of(messages.TAXELS)][-len(used) :]
 
 
+def test_what_thoughts_have_bettered_is_sent_as_another_estimate_of_the_same_scan(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    heard, skin = Heard(daemon, monkeypatch), SimulatedSkin(daemon.layout, noise=5.0)
+    skin.t = time.time() - 9.0
+    now = time.monotonic()
+    monkeypatch.setattr(time, "time", lambda: skin.t)
+    sent = list[list[dict[str, Any]]]()  # for each scan
+    for k in range(120):
+        skin.press[[33, 34]] = 8_000.0 * (k % 40 > 30)
+        skin.press[[55, 56]] = 8_000.0 * (k % 80 > 60)
+        scan = skin.scan()
+        before = len(heard)
+        for passed in range(20):
+            scans = [] if passed else [scan]
+            monkeypatch.setattr(daemon.source, "poll", lambda *_, scans=scans, **__: scans)
+            daemon.tick(now + 0.05 * k + 0.002 * passed)
+        told = [m for topic, m in heard[before:] if topic == messages.ESTIMATE]
+        sent.append([e for e in told if e["t"] == scan.t])
+        assert sum(topic == messages.TAXELS for topic, _ in heard[before:]) <= 1
+    thought = [e for e in sent if e and e[0]["injected"] == 0 < e[-1]["injected"]]
+    assert len(thought) == daemon.pipeline.estimator.counters.thoughts > 0
+    for first, *_, last in thought:
+        assert first["lat_us"]["skin"] > 0.0
+        assert last["lat_us"]["skin"] == 0.0
+        assert last["lat_us"]["filter"] > 0.0
+    timed = daemon.latencies._stages["total"]
+    daemon.latencies.percentiles()
+    assert timed.cycles == daemon.pipeline.skin.counters.scans, "each scan counts once"
+
+
 def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Path) -> None:
     with zmq.Context() as context:
         for _ in range(2):

@@ -12,9 +12,12 @@ import pytest
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
+from taxeld.source import dialects, session
 from taxeld.source.can_device import CanDevice
+from taxeld.source.device import LostError, Noticed
+from taxeld.source.outbox import Unit
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source, open_source
+from taxeld.source.sources import LiveSource, Source, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
@@ -229,3 +232,60 @@ def test_stamps_of_an_adapters_own_clock_are_replaced_by_the_arrivals(
     assert (frame.t == stamp) == kept
     assert kept or time.time() - frame.t < DEADLINE_S
     device.close()
+
+
+class Speaker:
+    """A device that says what it is told to, and is lost then."""
+
+    waits_for = ""
+
+    def __init__(self) -> None:
+        self.noticed = Noticed()
+        self.says: list[list[Frame]] = []
+
+    def fileno(self) -> int:
+        return -1
+
+    def read(self) -> list[Frame]:
+        if not self.says:
+            raise LostError from OSError("gone")
+        return self.says.pop(0)
+
+    def tend(self, now_s: float) -> None: ...
+
+    def pack(self, command: int, payload: bytes) -> list[Unit]:  # noqa: ARG002
+        return []
+
+    def put(self, unit: Unit) -> None: ...
+
+    def close(self, wait_s: float = 0.0) -> None: ...
+
+
+def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_device(
+    tmp_path: Path,
+) -> None:
+    settings = SourceConfig(kind="can", listen_only=True, modules=LISTED)
+    frames = [
+        frame
+        for k in range(3)
+        for command, payload in VirtualIhb(MODULES).sensor_data(counts(k))
+        for frame in cyskin.to_frames(command, payload, ihb=1, t=1.0 + 0.05 * k)
+    ]
+    cut = len(frames) // 2
+    speaker = Speaker()
+    with Recorder(tmp_path / "session", moves=False) as recorder:
+        source = LiveSource(settings, dialects.live(settings, SKIN), lambda *_: speaker, recorder)
+        speaker.says = [frames[:5], [], frames[5:cut], [], frames[cut:]]
+        assert [source.gather() for _ in range(3)] == [5, 5, cut]
+        assert source.poll(0.0, hear=False) == []
+        scans = source.poll(0.1)  # with one more read
+        assert [source.gather() for _ in range(2)] == [len(frames) - cut] * 2, "lost by now"
+        scans += source.poll(0.2, hear=False)
+        assert source.counters.lost == 0
+        assert source.device is speaker
+        source.poll(0.3, hear=False)
+        assert source.counters.lost == 1
+        assert source.device is None
+        source.close()
+    assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
+    assert session.read(tmp_path / "session").items == frames

@@ -238,3 +238,52 @@ def test_a_scan_in_which_nothing_is_touched_is_not_spread(box: Bundle, scans: li
     for scan in scans[:LEARNED]:
         assert len(list(pipeline.advance([scan], scan.t))) == 1
     assert not pipeline.is_at_work
+
+
+def test_a_scan_that_tells_nothing_new_does_not_wait_for_thoughts_about_what_was_felt(
+    box: Bundle, scans: list[Scan]
+) -> None:
+    """Where estimates are told early. What comes of it in the end is the same."""
+    whole, early = pipeline_of(box), pipeline_of(box)
+    early.tells_early = True
+    told = list[list[Outcome]]()
+    for scan in scans:
+        found = list(early.advance([scan], scan.t))
+        assert len(found) == 1, "the scan's estimate is there"
+        assert found[0].estimate is early.estimate
+        assert not found[0].is_afterthought
+        assert not early.is_at_work
+        while early.is_busy:
+            found += early.advance((), scan.t)
+        told.append(found)
+    at_once = [o for scan in scans for o in whole.advance([scan], scan.t)]
+    assert as_text([found[-1] for found in told]) == as_text(at_once)
+    thought = [found for found in told if len(found) == 2]
+    assert len(thought) >= 4
+    for first, last in thought:
+        assert last.is_afterthought
+        assert first.estimate.t == last.estimate.t
+        assert first.estimate.injected == 0 < last.estimate.injected
+        assert (first.estimate.contact, first.estimate.contacts) == (
+            last.estimate.contact,
+            last.estimate.contacts,
+        )
+
+
+@pytest.mark.parametrize("lost", ["reset", "tare"])
+def test_thoughts_end_with_what_they_are_about(box: Bundle, scans: list[Scan], lost: str) -> None:
+    pipeline = pipeline_of(box)
+    pipeline.tells_early = True
+    for scan in scans:
+        list(pipeline.advance([scan], scan.t))
+        if pipeline.is_busy:
+            break
+    assert pipeline.is_busy
+    getattr(pipeline, lost)()
+    before = pipeline.estimate
+    (outcome,) = pipeline.advance((), scan.t)
+    assert not pipeline.is_busy
+    assert outcome.is_afterthought
+    assert outcome.estimate.status is before.status
+    if lost == "reset":
+        assert outcome.estimate.contacts == outcome.estimate.injected == 0
