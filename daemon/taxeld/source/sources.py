@@ -236,7 +236,8 @@ class LiveSource:
             outbox.clear()  # what still streams behind it is not to be set up anew
 
     def _hear(self) -> list[Heard]:
-        self.gather()
+        if not self._held:  # else what has come since wakes who waits
+            self.gather()
         items, self._held, self._size = self._held, [], 0
         if self._failed is not None and not items:
             raise self._failed

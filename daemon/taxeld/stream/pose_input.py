@@ -135,8 +135,11 @@ def as_pose(parts: list[bytes]) -> tuple[float, float, float, float] | None:
     if len(parts) != POSE_FRAMES:
         return None
     message = unpack(parts[1])
-    values = [message.get(key) for key in ("t", "x", "y", "theta")]
-    if not all(isinstance(v, (int, float)) and math.isfinite(v) for v in values):
+    try:
+        pose = message["t"], message["x"], message["y"], message["theta"]
+        if not all(map(math.isfinite, pose)):
+            return None
+        t, x, y, theta = map(float, pose)
+    except (KeyError, TypeError):  # one lacks, or is no number
         return None
-    t, x, y, theta = (float(v) for v in values if v is not None)
     return t, x, y, theta
