@@ -275,10 +275,10 @@ def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_de
     speaker = Speaker()
     with Recorder(tmp_path / "session", moves=False) as recorder:
         source = LiveSource(settings, dialects.live(settings, SKIN), lambda *_: speaker, recorder)
-        speaker.says = [frames[:5], [], frames[5:cut], [], frames[cut:]]
+        speaker.says = [frames[:5], [], frames[5:cut], frames[cut:]]
         assert [source.gather() for _ in range(3)] == [5, 5, cut]
         assert source.poll(0.0, hear=False) == []
-        scans = source.poll(0.1)  # with one more read
+        scans = source.poll(0.1)
         assert [source.gather() for _ in range(2)] == [len(frames) - cut] * 2, "lost by now"
         scans += source.poll(0.2, hear=False)
         assert source.counters.lost == 0
