@@ -31,7 +31,8 @@ HELD = 1000  # messages; while they are not fetched, the rest waits in the drive
 
 
 class CanDevice:
-    """Any interface that python-can knows but SLCAN, which it reads byte by byte."""
+    """Any interface that python-can knows but SLCAN, which it reads byte by byte, and the kernel's,
+    which it reads frame by frame."""
 
     waits_for = ""
 

@@ -1,10 +1,11 @@
-"""Devices that a skin hangs on: a CAN interface of python-can's, or a serial line."""
+"""Devices that a skin hangs on: a CAN interface, or a serial line."""
 
 from taxeld.config.tables import SourceConfig
 from taxeld.source.device import Device
 from taxeld.source.dialects import ToFrames
 from taxeld.source.lines import SerialDevice
 from taxeld.source.slcan_device import SlcanDevice
+from taxeld.source.socketcan_device import SocketCanDevice
 
 
 def open_device(config: SourceConfig, to_frames: ToFrames) -> Device:
@@ -14,6 +15,8 @@ def open_device(config: SourceConfig, to_frames: ToFrames) -> Device:
         AwayError: it is missing or busy.
         SetupError: it can never be opened so.
     """
+    if config.kind == "can" and config.interface == "socketcan":
+        return SocketCanDevice(config, to_frames)
     if config.kind == "can" and config.interface != "slcan":
         # python-can is a tenth of the time to start and of the memory: who needs none has none
         from taxeld.source.can_device import CanDevice  # noqa: PLC0415

@@ -1,0 +1,159 @@
+"""The kernel's CAN frames by the daemon's own socket; datagrams of a Unix socket stand in for them,
+which the kernel stamps and hands over in the same way."""
+
+import ctypes
+import errno
+import itertools
+import socket
+import struct
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
+from taxeld.source import dialects, socketcan_device
+from taxeld.source.device import AwayError, LostError
+from taxeld.source.devices import open_device
+from taxeld.source.outbox import Unit
+from taxeld.source.socketcan_device import FRAMES_PER_CALL, SocketCanDevice
+from taxeld.source.sources import LiveSource
+from taxeld_protocol import cyskin
+from taxeld_protocol.frames import Frame
+from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.daemon.test_sources import LISTED, MODULES, SKIN, counts
+
+CONFIG = SourceConfig(kind="can", channel="can0", listen_only=True, modules=LISTED)
+FRAME = struct.Struct("=IB3x8s")
+
+
+@pytest.fixture
+def bus(monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
+    """The other end of what is opened."""
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+    theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 20)
+    monkeypatch.setattr(socketcan_device, "_opened", lambda _: ours)
+    yield theirs
+    theirs.close()
+    ours.close()
+
+
+@pytest.fixture
+def device(bus: socket.socket) -> Iterator[SocketCanDevice]:  # noqa: ARG001
+    made = open_device(CONFIG, lambda *_: [])
+    assert isinstance(made, SocketCanDevice)
+    yield made
+    made.close()
+
+
+def packed(frame: Frame, flags: int = 0) -> bytes:
+    number = frame.can_id | 0x8000_0000 * frame.extended | flags
+    return FRAME.pack(number, len(frame.data), frame.data)
+
+
+def test_frames_come_out_as_they_are_with_the_time_of_each(
+    device: SocketCanDevice, bus: socket.socket
+) -> None:
+    sent = [
+        Frame(0.0, 0x000, b""),
+        Frame(0.0, 0x7FF, b"\x01"),
+        Frame(0.0, 0x1FFF_FFFF, b"12345678", extended=True),
+        Frame(0.0, 0x12, b"\x00\x00", extended=True),
+    ]
+    began = time.time()
+    for frame in sent:
+        bus.send(packed(frame))
+        time.sleep(0.002)
+    read = device.read()
+    assert [frame._replace(t=0.0) for frame in read] == sent
+    times = [began, *(frame.t for frame in read), time.time()]
+    assert times == sorted(times)
+    gaps = [b - a for a, b in itertools.pairwise(frame.t for frame in read)]
+    assert min(gaps) >= 0.001, "as the kernel took them"
+    assert device.read() == []
+
+
+def test_error_frames_and_remote_frames_are_counted_and_no_more(
+    device: SocketCanDevice, bus: socket.socket
+) -> None:
+    frame = Frame(0.0, 0x101, b"abc")
+    for flags in (0x2000_0000, 0x4000_0000, 0):
+        bus.send(packed(frame, flags))
+    assert [read._replace(t=0.0) for read in device.read()] == [frame]
+    assert device.noticed.foreign == 2
+
+
+@pytest.mark.parametrize("count", [FRAMES_PER_CALL - 1, FRAMES_PER_CALL, 3 * FRAMES_PER_CALL + 1])
+def test_all_that_has_come_is_read_at_once_in_its_order(
+    device: SocketCanDevice, bus: socket.socket, count: int
+) -> None:
+    bus.setblocking(False)
+    sent = 0
+    read = list[Frame]()
+    while sent < count:
+        try:
+            while sent < count:
+                bus.send(packed(Frame(0.0, 0x101, bytes((sent % 256, sent // 256)))))
+                sent += 1
+        except BlockingIOError:  # the kernel holds some tens of datagrams alone
+            pass
+        read += device.read()
+    assert [frame.data[0] + 256 * frame.data[1] for frame in read] == [*range(count)]
+
+
+def test_requests_go_out_and_wait_while_the_kernel_takes_none(
+    device: SocketCanDevice, bus: socket.socket
+) -> None:
+    for frame in (Frame(0.0, 0x5FF, b"\x38\x02"), Frame(0.0, 0x17FF_FFFF, b"\x01", extended=True)):
+        device.put(Unit(frame))
+        assert bus.recv(64) == packed(frame)
+    with pytest.raises(BlockingIOError):
+        put_many(device, frame)
+
+
+def put_many(device: SocketCanDevice, frame: Frame) -> None:
+    for _ in range(100_000):
+        device.put(Unit(frame))
+
+
+def test_an_interface_that_goes_down_is_lost(
+    device: SocketCanDevice, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def down(*_: object) -> int:
+        ctypes.set_errno(errno.ENETDOWN)
+        return -1
+
+    class Library:
+        recvmmsg = staticmethod(down)
+
+    monkeypatch.setattr(socketcan_device, "_libc", Library)
+    with pytest.raises(LostError) as lost:
+        device.read()
+    assert lost.value.__cause__ is not None
+    assert "down" in str(lost.value.__cause__)
+
+
+def test_a_skin_is_heard_by_it(bus: socket.socket) -> None:
+    source = LiveSource(CONFIG, dialects.live(CONFIG, SKIN), open_device, None)
+    scans, began = [], time.time()
+    for k in range(3):
+        for command, payload in VirtualIhb(MODULES).sensor_data(counts(k)):
+            for frame in cyskin.to_frames(command, payload, ihb=1):
+                bus.send(packed(frame))
+                source.gather()
+        scans += source.poll(float(k))
+        time.sleep(0.05)
+    assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
+    assert all(began <= scan.t <= time.time() for scan in scans)
+    source.close()
+
+
+@pytest.mark.parametrize("channel", ["can77", "a name that is far too long for an interface"])
+def test_an_interface_that_is_not_there_is_one_line(channel: str) -> None:
+    with pytest.raises(SetupError) as error:
+        open_device(SourceConfig(kind="can", channel=channel), lambda *_: [])
+    assert str(error.value).startswith(f"source.channel: cannot open socketcan {channel} (")
+    assert "\n" not in str(error.value)
+    assert isinstance(error.value, AwayError)
