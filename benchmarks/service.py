@@ -111,6 +111,7 @@ def rows(seconds: float = 20.0) -> list[Row]:
                 ("99 %", ran.reached_p99_ms, 5.0),
             )
         ),
+        ("  … touched, of scans that brought samples, median: ms", touched.sampled_p50_ms, None),
         ("touches served below the chosen sampler", touched.degraded, None),
         ("start to ready: CPU s", idle.start_cpu_s, 0.5),
         ("resident memory: MB", touched.resident_mb, 90.0),
@@ -182,6 +183,7 @@ class Measured:
     updates_hz: float
     reached_p50_ms: float  # from a scan's last frame to the subscriber of its estimate
     reached_p99_ms: float
+    sampled_p50_ms: float  # of those that brought samples of their own; 0 where none did
     p50_ms: float
     p99_ms: float
     max_ms: float
@@ -220,8 +222,10 @@ def measure(case: Case, seconds: float, place: Path) -> Measured:
                 before = _health(here, robot)
                 cpu_s, resident_mb = _cpu_s(pid), _resident_mb(pid)
                 robot.reached_s.clear()
+                robot.sampled_s.clear()
                 robot.serve(seconds)
                 reached_ms = 1e3 * np.array(robot.reached_s)
+                sampled_ms = 1e3 * np.array(robot.sampled_s or [0.0])
                 spent_s, grown_mb = _cpu_s(pid) - cpu_s, _resident_mb(pid) - resident_mb
                 after = _health(here, robot)
     total, loop = after["lat_us"]["total"], after["loop"]
@@ -233,6 +237,7 @@ def measure(case: Case, seconds: float, place: Path) -> Measured:
         updates_hz=updates / took_s,
         reached_p50_ms=float(np.percentile(reached_ms, 50)),
         reached_p99_ms=float(np.percentile(reached_ms, 99)),
+        sampled_p50_ms=float(np.median(sampled_ms)),
         p50_ms=total["p50"] / 1e3,
         p99_ms=total["p99"] / 1e3,
         max_ms=total["max"] / 1e3,
@@ -258,7 +263,8 @@ class Robot:
         estimates: zmq.Socket[bytes] | None = None,
     ) -> None:
         """`estimates`: hears those of the daemon, whose delay is measured."""
-        self.reached_s: list[float] = []  # from a scan's last frame to its estimate, for each
+        self.reached_s: list[float] = []  # from a scan's last frame to its first estimate
+        self.sampled_s: list[float] = []  # the same, of those in which samples are
         self._listening = [] if estimates is None else [estimates]
         self._sent_s = self._heard_t = 0.0
         self._model, self._touched = loaded.model, touched
@@ -310,6 +316,7 @@ class Robot:
             if estimate["t"] > self._heard_t and self._sent_s:
                 self._heard_t = estimate["t"]
                 self.reached_s.append(time.monotonic() - self._sent_s)
+                self.sampled_s += self.reached_s[-1:] * (estimate["injected"] > 0)
                 self._sent_s = 0.0
 
     def _send(self, answers: Iterable[Answer]) -> None:

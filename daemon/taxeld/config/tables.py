@@ -112,7 +112,7 @@ class SourceConfig:
     skin_type: int = key(
         icub.SKIN_TYPE, _skin_type, "dialect icub: how boards make up for their temperature"
     )
-    interface: str = key("socketcan", doc="kind can: any python-can interface")
+    interface: str = key("socketcan", doc="kind can: socketcan, slcan, or any of python-can's")
     channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
     bitrate: int = key(1_000_000, _bit_rate, "bit/s of the CAN bus")
     framing: str = key(
