@@ -21,6 +21,7 @@ from taxeld.proposals.ladder import Cost, Step
 from taxeld.service import health
 from taxeld.service.loop import STAGES, Daemon
 from taxeld.stream import messages
+from taxeld.stream.messages import HEALTH
 from tests.daemon.recorded import configuration, write_session
 from tests.daemon.simulated_skin import SimulatedSkin
 
@@ -186,6 +187,37 @@ def daemon(tmp_path: Path) -> Iterator[Daemon]:
     made = Daemon(load(configuration(tmp_path, tight)))
     yield made
     made.close()
+
+
+def test_health_is_put_off_while_a_pass_has_no_time_for_it_but_not_for_long(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pass that has worked on a touch is not made longer by it."""
+    took_s, sent = 0.0, list[float]()
+    now = start = time.monotonic()
+
+    def advance(*_: object) -> list[object]:
+        nonlocal clock_ns
+        clock_ns += round(1e9 * took_s)
+        return []
+
+    clock_ns = time.perf_counter_ns()
+    monkeypatch.setattr(time, "perf_counter_ns", lambda: clock_ns)
+    monkeypatch.setattr(daemon.pipeline, "advance", advance)
+    monkeypatch.setattr(daemon.publisher, "wants", lambda _: False)
+    monkeypatch.setattr(
+        daemon.publisher, "send", lambda topic, *_: sent.append(now) if topic == HEALTH else None
+    )
+    period_s = 1.0 / daemon.config.loop.rate_hz
+    while len(sent) < 4:
+        now += period_s
+        passed_s = now - start
+        took_s = period_s * (0.8 if 1.95 < passed_s < 2.06 or passed_s > 2.5 else 0.2)
+        daemon.tick(now)
+        assert now < start + 10.0
+    apart = np.diff([start + period_s, *sent[1:]])
+    assert sent[0] == start + period_s
+    assert np.allclose(apart, [1.0, 1.05, 1.1], atol=2.0 * period_s), apart
 
 
 def test_a_stage_that_takes_longer_than_its_budget_is_counted(daemon: Daemon) -> None:

@@ -48,6 +48,7 @@ from taxeld.stream.publisher import Publisher
 STAGES = messages.STAGES[:-1]  # all but their total
 PARTICLES_HZ = 20.0
 HEALTH_S = 1.0
+PUT_OFF_S = 0.1  # at most, for a pass that has more time
 BREATH_S = 0.0001  # between two passes of which the first has left work
 LOOK_S = 0.05  # between looks at peers who have not come, and at poses that no scan asks for
 
@@ -71,8 +72,9 @@ class Daemon:
         Raises:
             SetupError: something of it cannot be used.
         """
-        self._replays_poses = _replays_poses(config)
-        if self._replays_poses:
+        recorded, is_replay = Path(config.source.path), config.source.kind == "replay"
+        self._replays_poses = is_replay and session.has_poses(recorded)
+        if self._replays_poses:  # whatever the endpoint
             where = replace(config.sensor_pose, endpoint=config.source.path)
             config = replace(config, sensor_pose=where)
         self.config = config
@@ -92,8 +94,7 @@ class Daemon:
         max_age_s = config.skin.state_max_age_s
         self.kept = StateFile(place, pipeline.skin, pipeline.skin_state, max_age_s)
         self.kept.restore(time.time())
-        budget = config.budget
-        self._budget_us = {stage: 1e3 * getattr(budget, f"{stage}_ms") for stage in STAGES}
+        self._budget_us = {s: 1e3 * getattr(config.budget, f"{s}_ms") for s in STAGES}
         self.over_budget = dict.fromkeys(STAGES, 0)
         self.realtime = realtime.RealTime()
         self._began_ns = 0  # with what is published next, after so long in passes before;
@@ -244,7 +245,8 @@ class Daemon:
             self._publish(outcome, source_us, now_s)
             source_us = 0.0  # it is of the first alone
         self.kept.keep(now_s)
-        self._publish_due(now_s)
+        took_s = (time.perf_counter_ns() - start) / 1e9
+        self._publish_due(now_s, is_late=took_s * self.config.loop.rate_hz > 0.5)
         self._attend(now_s, ready)
         if self.pipeline.is_at_work:
             self._before_us += (time.perf_counter_ns() - self._began_ns) / 1000.0
@@ -332,13 +334,14 @@ class Daemon:
             cloud = messages.particles(t, self._seq, belief.pose, belief.weight)
             publisher.send(messages.PARTICLES, cloud, t)
 
-    def _publish_due(self, now_s: float) -> None:
+    def _publish_due(self, now_s: float, *, is_late: bool) -> None:
         """What is sent though no scan brought it: an estimate whose status has changed, or whose
-        time has come, and health."""
+        time has come, and health, in a pass that is not late already."""
         estimate = self._estimate(now_s)
         if self._is_news(estimate) or now_s >= self._next_estimate_s:
             self._send_estimate(estimate, dict.fromkeys(messages.STAGES, 0.0), now_s)
-        if now_s >= self._next_health_s:
+        due_s = self._next_health_s
+        if now_s >= due_s + PUT_OFF_S or (now_s >= due_s and not is_late):
             wall_s = time.time()
             self._next_health_s = now_s + HEALTH_S
             self._health_sent = health.of(self, self._seq, now_s, wall_s)
@@ -390,8 +393,3 @@ class Daemon:
     def _on_reset(self) -> dict[str, Any]:
         self.pipeline.reset()
         return {}
-
-
-def _replays_poses(config: Config) -> bool:
-    """Whether the sensor's poses are those of a recorded session, whatever the endpoint."""
-    return config.source.kind == "replay" and session.has_poses(Path(config.source.path))
