@@ -20,11 +20,12 @@ from particles.core import SMC
 from particles.state_space_models import Bootstrap, StateSpaceModel
 from pfilter import ParticleFilter
 
-from taxeld.config.tables import FilterConfig, SkinConfig
+from taxeld.config.tables import FilterConfig, SensorPoseConfig, SkinConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.paper import Paper
+from taxeld.estimator.parts import done
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
@@ -37,6 +38,7 @@ SIZES = {  # particles: rounds, steps of each, budget [ms]
 }
 SCENE = Path(str(importlib.util.find_spec("taxeld").submodule_search_locations[0]))  # type: ignore[union-attr, index]
 PRIOR_SD = np.array([0.01, 0.01, 0.1])
+TOUCHES = 8  # remembered
 
 
 class Scans:
@@ -66,15 +68,25 @@ def ours(scans: Scans, n: int, kind: type[Paper] | type[Mixture]) -> Callable[[]
     start = np.random.default_rng(1).standard_normal((n, 3)) * PRIOR_SD
 
     def made() -> Paper | Mixture:
-        rule = kind(scans.model, config, np.random.default_rng(2))
+        robot_m = SensorPoseConfig().sigma_m
+        rule = kind(scans.model, config, robot_m, np.random.default_rng(2))
         rule.belief = pf.equal(start.copy(), np.empty((n, 0)))
         if isinstance(rule, Mixture):
-            for observation in scans.observations[:8]:
-                rule.memory.add(observation)
+            for number, observation in enumerate(scans.observations[:TOUCHES], 1):
+                rule.memory.add(observation, number)
             rule.belief.remembered = rule.memory.explain(start)
         return rule
 
     return made
+
+
+def updated(rule: Paper | Mixture, observation: Observation) -> None:
+    """By a scan without samples."""
+    nothing = np.empty((0, 3))
+    if isinstance(rule, Mixture):
+        done(rule._update(observation, nothing, TOUCHES + 1))
+    else:
+        rule.update(observation, nothing)
 
 
 class PeerModel(StateSpaceModel):
@@ -141,7 +153,6 @@ def measure(scans: Scans, n: int) -> list[dict[str, object]]:
         noise_fn=lambda poses: poses + rng.standard_normal(poses.shape) * 0.1 * PRIOR_SD,
         n_eff_threshold=0.5,
     )
-    nothing = np.empty((0, 3))
     rules = {"taxeld": Paper, "taxeld, 8 touches remembered": Mixture}
     spent: dict[str, list[float]] = {name: [] for name in (*rules, "particles", "pfilter")}
     for k in range(rounds):
@@ -150,7 +161,7 @@ def measure(scans: Scans, n: int) -> list[dict[str, object]]:
         for name, kind in rules.items():
             make = ours(scans, n, kind)
             fresh = [(make(), observation) for _ in range(steps)]
-            spent[name].append(_ms(fresh, lambda item: item[0].update(item[1], nothing)))
+            spent[name].append(_ms(fresh, lambda item: updated(*item)))
         spent["particles"].append(_ms(range(steps), lambda _: next(smc)))
         spent["pfilter"].append(_ms(range(steps), lambda _: peer.update(np.zeros(3))))
     ms = {name: float(np.median(each[1:])) for name, each in spent.items()}
