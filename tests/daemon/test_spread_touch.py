@@ -233,6 +233,24 @@ def test_a_part_is_begun_only_where_there_is_time_for_it(touched: Touched) -> No
     assert not pipeline.is_at_work
 
 
+def test_samples_are_drawn_in_a_part_of_their_own(touched: Touched) -> None:
+    """Which is long enough without what comes before and after it."""
+    pipeline, drawn = touched.pipeline, list[int]()
+    learned = pipeline.estimator.rule.memory  # type: ignore[attr-defined]
+    while pipeline.is_at_work:
+        drawn.append(pipeline.ladder.counters.chosen)
+        if drawn[-1] == 1:
+            break
+        list(pipeline.advance((), touched.scan.t))
+    assert drawn == [0, 1], "not with the first part"
+    assert len(learned) == 0, "nor with the next"
+    parts = len(drawn)
+    while pipeline.is_at_work:
+        list(pipeline.advance((), touched.scan.t))
+        parts += 1
+    assert parts >= 7
+
+
 def test_a_scan_in_which_nothing_is_touched_is_not_spread(box: Bundle, scans: list[Scan]) -> None:
     pipeline = late(pipeline_of(box))
     for scan in scans[:LEARNED]:

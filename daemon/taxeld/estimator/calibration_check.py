@@ -15,7 +15,7 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index, Poses, Reals
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.rule import noise_of
+from taxeld.estimator.rule import Parts, noise_of
 from taxeld.model import se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.response import deviation
@@ -96,9 +96,9 @@ class CalibrationCheck:
         """Whether it goes on with a scan that nothing was learned from."""
         return self._due > 0 and not self._moves
 
-    def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> None:
+    def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> Parts[None]:
         """What was learned from, if anything, in the last of so many contacts, and what is believed
-        of the object's pose: (N, 3), the best first."""
+        of the object's pose: (N, 3), the best first. It is done when its parts are."""
         if self._moves:
             return
         if used is not None and used.is_contact:
@@ -106,12 +106,13 @@ class CalibrationCheck:
         elif self._due:
             self._due -= 1
             if self._due >= ITERATIONS:
-                self._right, gained = self._better(self._right, ALONE)
+                self._right, gained = yield from self._better(self._right, ALONE)
             else:
-                self._x, gained = self._better(self._x, TOGETHER)
+                self._x, gained = yield from self._better(self._x, TOGETHER)
             if gained < SETTLED_NATS:
                 self._due = ITERATIONS if self._due >= ITERATIONS else 0
             if not self._due:
+                yield
                 self._judge()
 
     def _take(self, used: Observation, believed: Poses, contacts: int) -> None:
@@ -146,7 +147,7 @@ class CalibrationCheck:
         right = np.flatnonzero((flat[:, :4] == 0.0).all(axis=1))
         self._right = flat[right[cost[right].argmin()]]
 
-    def _better(self, x: Floats, free: Index) -> tuple[Floats, float]:
+    def _better(self, x: Floats, free: Index) -> Parts[tuple[Floats, float]]:
         """One step of Gauss-Newton of the `free` on robust residuals, where it makes things
         better; → where that leads, and the nats that it gains."""
         residual, jacobian, weight, now = self._linear(x)
@@ -155,6 +156,7 @@ class CalibrationCheck:
         slope = jacobian.T @ (weight * residual) - x[free] * prior
         tried = np.repeat(x[None], len(SHARES), axis=0)
         tried[:, free] += SHARES[:, None] * np.linalg.solve(normal, slope)
+        yield
         cost = self._cost(tried)
         gained = now - float(cost.min())
         return (tried[cost.argmin()], gained) if gained > 0.0 else (x, 0.0)

@@ -80,7 +80,7 @@ class Estimator:
         used = news.on_scan(t, observation) if observation.live.any() else None
         believed = np.array([mode.pose for mode in self.rule.confidence.summary.modes])
         if used is not None:
-            self._check.on_scan(used, believed, news.contacts)
+            yield from self._check.on_scan(used, believed, news.contacts)
             self.counters.updates += 1
             injected, log_evidence = yield from self.rule.learn(used, news.contacts, self._draw)
             self._conclude(observation, injected, log_evidence)
@@ -88,7 +88,7 @@ class Estimator:
             self._conclude(observation)
             if self._check.is_due:
                 yield
-                self._check.on_scan(used, believed, news.contacts)
+                yield from self._check.on_scan(used, believed, news.contacts)
             if samples := (yield from self.rule.revisit(self._draw)):
                 self.counters.thoughts += 1
                 self._conclude(observation, samples)
