@@ -74,7 +74,7 @@ def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(
     assert whole["/world/link/skin"] == changes > 20
     topics = Counter(topic for topic, _ in said)
     assert whole["/world/particles"] == always + topics[messages.PARTICLES] > 4
-    assert whole["/plot/spread/x_mm"] == sum(
+    assert whole["/plot/spread/x_mm"] == always + sum(
         m["valid"] for topic, m in said if topic == messages.ESTIMATE
     )
     assert 2 <= whole["/status/log"] < 50, "changes alone"

@@ -26,9 +26,14 @@ TIME = "scan"  # the time line: Unix time of the measurement
 TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii
 ARROW_M = 0.02
 FOUND, MODE, PARTICLE, TRUTH = (230, 60, 60), (70, 150, 255), (130, 180, 230), (240, 240, 240)
-EYE_M = (0.08, -0.24, 0.3)  # from what is looked at
+LEGENDS = ("spread", "latency")  # of the plots that have several lines
+COLOURS = "red: likeliest pose, blue: modes and particles"
+EYE_M = (0.065, -0.2, 0.25)  # from what is looked at
 ABOVE_M = 0.01  # of the link, beyond the highest and the lowest taxel
-SPREADS = ("x_mm", "y_mm", "yaw_deg")
+SPREADS = {  # name and colour of a plot's line
+    "x_mm": ("x [mm]", (255, 120, 90)), "y_mm": ("y [mm]", (110, 200, 120)),
+    "yaw_deg": ("yaw [°]", (240, 200, 80)),
+}  # fmt: skip
 SHOWN_AS = np.array([1e3, 1e3, math.degrees(1.0)])
 
 
@@ -103,6 +108,8 @@ class Space:
         self._stays("status/now", markdown)
         for name in messages.STAGES:
             self._stays(f"plot/latency/{name}", rr.SeriesLines(names=f"{name} [ms]"))
+        for name, (shown, colour) in SPREADS.items():
+            self._stays(f"plot/spread/{name}", rr.SeriesLines(names=shown, colors=colour))
 
     def _taxels(self, m: dict[str, Any]) -> None:
         position = self._stage.position_m
@@ -112,7 +119,9 @@ class Space:
             self._place("world/link", pose_of(m["sensor"]))
             if not self._begun:  # now it is known where there is something to see
                 self._begun = True
-                self._arrange(pose_of(m["sensor"]))
+                seen = [pose_of(m["sensor"])]
+                seen += [] if self._stage.truth is None else [self._stage.truth]
+                self._arrange(np.mean(seen, axis=0))
         if not self._is_new("world/link/skin", (m["z"], m["live"])):
             return
         z, live = np.array(m["z"], dtype=float), np.array(m["live"], dtype=bool)
@@ -207,7 +216,7 @@ def blueprint(*, errors: bool, latencies: bool, look_at: Poses | None) -> rrb.Bl
         target = np.array([look_at[0], look_at[1], 0.0])
         eye = rrb.EyeControls3D(position=target + EYE_M, look_target=target)
     lines = [
-        ("spread", "spread: 1 sd of x, y [mm], yaw [°]"), ("belief", "weight of the heaviest mode"),
+        ("spread", "spread: 1 standard deviation"), ("belief", "weight of the heaviest mode"),
     ]  # fmt: skip
     lines += [("error", "error: ADD [mm]")] * errors
     lines += [("latency", "latency of a scan, by stage [ms]")] * latencies
@@ -215,17 +224,18 @@ def blueprint(*, errors: bool, latencies: bool, look_at: Poses | None) -> rrb.Bl
         rrb.TimeSeriesView(
             origin=f"/plot/{name}",
             name=title,
-            plot_legend=rrb.PlotLegend(visible=name == "latency"),
+            plot_legend=rrb.PlotLegend(rrb.Corner2D.RightTop, visible=name in LEGENDS),
         )
         for name, title in lines
     ]
+    colours = COLOURS + ", white: true pose" * errors
     told = rrb.Tabs(
         rrb.TextDocumentView(origin="/status/now", name="status"),
         rrb.TextLogView(origin="/status/log", name="changes"),
     )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Spatial3DView(origin="/world", name="skin and object", eye_controls=eye),
+            rrb.Spatial3DView(origin="/world", name=colours, eye_controls=eye),
             rrb.Vertical(told, *plots, row_shares=[2] + [1] * len(plots)),
             column_shares=[2, 1],
         ),
