@@ -26,7 +26,7 @@ from taxeld.view import viewer
 from taxeld.view.colour import DEAD, QUIET, of_taxels
 from taxeld.view.recorded import Recording
 from taxeld.view.space import Space
-from taxeld.view.stage import Message, Stage, from_config, from_info, pose_of
+from taxeld.view.stage import Message, Stage, check_version, from_config, from_info, pose_of
 from taxeld.view.view import _together
 
 from .conftest import Sockets
@@ -238,6 +238,13 @@ def test_an_info_that_lacks_something_is_refused(key: str) -> None:
     del info[key]
     with pytest.raises(SetupError, match="/taxeld/info: is not what a taxeld daemon sends"):
         from_info(info)
+
+
+@pytest.mark.parametrize("version", [None, "1", 1.0, True])
+def test_a_stream_without_a_version_is_another_programs(version: object) -> None:
+    """And not one of the version None."""
+    with pytest.raises(SetupError, match="is no stream of a taxeld daemon"):
+        check_version({"v": version})
 
 
 def test_taxels_have_the_colour_of_their_activation() -> None:

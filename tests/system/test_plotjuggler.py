@@ -34,8 +34,6 @@ Series = dict[str, tuple[int, float, float]]  # points; time and value of the la
 
 @pytest.fixture(scope="module")
 def listener(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    if ready := os.environ.get("PLOTJUGGLER_BUILT"):
-        return Path(ready)
     place = tmp_path_factory.mktemp("plotjuggler")
     streamer, base = SOURCES / "plotjuggler_plugins" / "DataStreamZMQ", SOURCES / "plotjuggler_base"
     headers = base / "include"
@@ -146,7 +144,8 @@ def test_plotjuggler_reads_each_message_whole_and_finds_what_the_layout_plots(
             if name.endswith("/t"):
                 continue
             assert found[name][2] == pytest.approx(value, nan_ok=True), name
-        assert 1e9 <= found[f"{topic.decode()}/v"][1] < 1e9 + 1e5, "the time of the measurement"
+        if "t" in body or frames == 3:  # else that of its arrival
+            assert 1e9 <= found[f"{topic.decode()}/v"][1] < 1e9 + 1e5, "that of the measurement"
 
 
 def _values(name: str, value: object) -> Iterator[tuple[str, float]]:
@@ -159,5 +158,3 @@ def _values(name: str, value: object) -> Iterator[tuple[str, float]]:
             yield from _values(f"{name}[{k}]", item)
     elif isinstance(value, int | float):
         yield name, float(value)
-
-

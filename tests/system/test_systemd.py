@@ -79,7 +79,9 @@ def test_the_unit_starts_what_the_command_line_takes(
     assert args.command is function
 
 
-def test_the_unit_of_the_bridge_and_the_options_it_proposes_start_what_its_command_line_takes() -> None:
+def test_the_unit_of_the_bridge_and_the_options_it_proposes_start_what_its_command_line_takes() -> (
+    None
+):
     (start,) = settings(BRIDGE)["ExecStart"]
     said = BRIDGE.read_text(encoding="utf-8")
     assert "TAXELD_ROS2=" in settings(BRIDGE)["Environment"], "none, unless somebody says more"
@@ -92,6 +94,12 @@ def test_the_unit_of_the_bridge_and_the_options_it_proposes_start_what_its_comma
         assert args.config == Path("/etc/taxeld/can0.toml")
         assert args.command is bridge._run
         assert args.sensor_tf == (["world", "skin_link"] if more else None)
+
+
+def test_the_page_on_the_bridge_installs_the_version_that_it_was_tried_with() -> None:
+    pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^cyclonedds==.*$", pinned, re.MULTILINE)
+    assert f"-m pip install {line}\n" in (ROOT / "docs" / "ros2.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("unit", [RELAY, BRIDGE], ids=lambda unit: unit.stem)
