@@ -2,7 +2,6 @@
 checkout. Built of it are the ZeroMQ subscriber and the MessagePack parser."""
 
 import os
-import shutil
 import subprocess
 import threading
 import time
