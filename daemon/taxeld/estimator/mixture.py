@@ -14,7 +14,7 @@ from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.memory import Memory, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.prior import Prior
-from taxeld.estimator.push import push
+from taxeld.estimator.push import assumed, changed, push
 from taxeld.estimator.rule import PUSHED_M, Draw, Parts, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
@@ -58,13 +58,17 @@ class Mixture:
     def follow(self, before: Observation, after: Observation) -> None:
         """What is remembered was read where the object no longer is: a prior stands for it."""
         belief, metric = self.belief, self.confidence.metric
+        if not belief.ground.size:
+            belief.ground = assumed(len(belief), self._rng)
         pose, pushed = push(
-            self._model, metric, belief.pose, before.sensor, after.sensor,
+            self._model, metric, belief.pose, belief.ground, before.sensor, after.sensor,
             float(after.z.max()) * self._model.depth_max_m, self._rng,
         )  # fmt: skip
         if belief.weight @ pushed < PUSHED_M:
             return
         belief.pose = pose
+        gone = float(belief.weight @ pushed) / (0.05 * self._model.scene.mean_radius)
+        belief.ground = changed(belief.ground, gone, self._rng)
         self.confidence.moved(belief)
         prior = Prior(metric, pose, belief.weight, self.confidence.summary.modes)
         self.memory = Memory(self._model, self._noise, prior, self.memory.slack)
@@ -139,6 +143,7 @@ class Mixture:
             return 0
         self._revisits += 1
         opinion = yield from self._opinion(samples, memory, scan)
+        self._ground(opinion)
         merged = injection.merge(self.belief, opinion, memory.share, self._scale)
         yield from self._become(merged, moves=1)
         excess = consistency.excess(memory, self.belief)
@@ -211,6 +216,7 @@ class Mixture:
         memory = self.memory
         opinion = yield from self._opinion(samples, memory, len(memory) - 1)
         if np.count_nonzero(memory.contact) > 1 or memory.prior is not None:
+            self._ground(opinion)
             opinion = injection.merge(self.belief, opinion, memory.share, self._scale)
         yield from self._become(opinion, moves=MOVES)
 
@@ -227,6 +233,12 @@ class Mixture:
                 opinion, own, memory.share, memory.explain, self._rng, self._scale
             )
         )
+
+    def _ground(self, opinion: Belief) -> None:
+        """Samples say nothing of how the object slides: they take it from the nearest particles."""
+        belief, metric = self.belief, self.confidence.metric
+        apart = metric.distance(opinion.pose[:, None], belief.pose[None])
+        opinion.ground = belief.ground.take(apart.argmin(axis=1), axis=0)
 
     def _become(self, belief: Belief, moves: int) -> Parts[None]:
         """Have as many particles as so wide a belief needs, all equal, and part the copies."""
