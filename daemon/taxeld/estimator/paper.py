@@ -36,15 +36,15 @@ class Paper:
         return 0.0  # the paper takes poses for exact
 
     def follow(self, before: Observation, after: Observation) -> None:
-        if not self.belief.ground.size:
-            self.belief.ground = assumed(len(self.belief), self._rng)
-        self.belief.pose, pushed = push(
-            self._model, self.confidence.metric, self.belief.pose, self.belief.ground,
-            before.sensor, after.sensor,
-            float(after.z.max()) * self._model.depth_max_m, self._rng,
+        belief = self.belief
+        if not belief.ground.size:
+            belief.ground = assumed(len(belief), self._rng)
+        belief.pose, pushed = push(
+            self._model, self.confidence.metric, belief.pose, belief.ground, before.sensor,
+            after.sensor, float(after.z.max()) * self._model.depth_max_m, self._rng,
         )  # fmt: skip
-        if self.belief.weight @ pushed >= PUSHED_M:
-            self.confidence.moved(self.belief)
+        if belief.weight @ pushed >= PUSHED_M:
+            self.confidence.moved(belief)
 
     def learn(
         self, observation: Observation, contacts: int, draw: Draw
