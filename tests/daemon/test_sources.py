@@ -17,6 +17,7 @@ from taxeld.source.can_device import CanDevice
 from taxeld.source.device import LostError, Noticed
 from taxeld.source.outbox import Unit
 from taxeld.source.recorder import Recorder
+from taxeld.source.session import Chunk
 from taxeld.source.sources import LiveSource, Source, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
@@ -289,3 +290,12 @@ def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_de
         source.close()
     assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
     assert session.read(tmp_path / "session").items == frames
+
+
+def test_bytes_of_a_line_that_gathered_are_one_piece_of_the_time_when_it_began() -> None:
+    """As many pieces as a pass has looked at would each be a row of a recording."""
+    chunks = [Chunk(1.0, b"a"), Chunk(1.5, b""), Chunk(2.0, b"bc")]
+    assert session.joined(chunks) == [Chunk(1.0, b"abc")]
+    frames = [Frame(1.0, 1, b""), Frame(2.0, 2, b"")]
+    for items in ([], chunks[:1], frames):
+        assert session.joined(items) == items

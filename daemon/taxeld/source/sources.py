@@ -25,7 +25,7 @@ from taxeld.source.dialects import Dialect, ToFrames
 from taxeld.source.outbox import Outbox
 from taxeld.source.recorder import Recorder
 from taxeld.source.reserve import Reserve
-from taxeld.source.session import Chunk, Items, Session
+from taxeld.source.session import Chunk, Items, Session, joined
 from taxeld.source.wire import Heard, Wire
 from taxeld_protocol.decoder import Scan
 
@@ -238,7 +238,7 @@ class LiveSource:
     def _hear(self) -> list[Heard]:
         if not self._held:  # else what has come since wakes who waits
             self.gather()
-        items, self._held, self._size = self._held, [], 0
+        items, self._held, self._size = joined(self._held), [], 0
         if self._failed is not None and not items:
             raise self._failed
         if self._recorder is not None:
