@@ -15,6 +15,7 @@ class Leak:
 
     def __init__(self, layout: Layout) -> None:
         module = layout.uid >> 4
+        self._member = (module[:, None] == np.unique(module)).astype(np.float64)  # (M, modules)
         place = layout.position_m
         apart = np.linalg.norm(place[:, None] - place, axis=-1)
         np.fill_diagonal(apart, np.inf)
@@ -23,13 +24,18 @@ class Leak:
         beside = apart <= BESIDE * np.median(apart.min(axis=1))
         most = int(beside.sum(axis=1).max(initial=1))
         order = np.argsort(apart, axis=1)[:, :most]
-        self._beside = order
-        self._share = SAG * np.take_along_axis(beside, order, axis=1)
+        self._beside = order.T.copy()  # (neighbours, M): a maximum over the first axis is quick
+        self._share = SAG * np.take_along_axis(beside, order, axis=1).T.copy()
 
     def of(self, z: Floats) -> Floats:
         """Activations z (..., M) → (..., M) about the most that each may have from elsewhere."""
-        sag = (self._share * z.take(self._beside, axis=-1)).max(axis=-1)
-        return np.asarray(z @ self._coupled.T + sag)
+        share = self._share.astype(z.dtype, copy=False)
+        sag = (share * z.take(self._beside, axis=-1)).max(axis=-2)
+        if z.ndim == 1:
+            return np.asarray(z @ self._coupled.T + sag)
+        member = self._member.astype(z.dtype, copy=False)  # of many, sums are a tenth of the work
+        others = (z @ member) @ member.T - z
+        return np.asarray(np.maximum(CROSS_TALK * others, 0.0) + sag)  # rounding leaves no less
 
     def without(
         self, z: Floats, floor: Floats | float, residue: Floats | float = 0.0
