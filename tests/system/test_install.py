@@ -30,7 +30,7 @@ case "$*" in
     [ "$FAILS_AT" != wheel ] || exit 1
     echo "$BUILDS" >"$here/version"
     echo "$REFUSES" >"$here/refuses"
-    for name in taxeld taxeld-hil taxeld-train; do
+    for name in taxeld taxeld-hil taxeld-ros2 taxeld-train; do
         printf '#!%s/bin/python\n' "$here" >"$here/bin/$name"
     done ;;
 *" deploy/manuals.py "*)
@@ -369,7 +369,7 @@ def test_all_commands_and_their_manual_are_installed_and_go_with_an_uninstall(
     machine.make("install")
     page = machine.prefix / "share" / "man" / "man1" / "taxeld.1"
     assert page.read_text(encoding="utf-8") == "page\n"
-    names = ("taxeld", "taxeld-hil", "taxeld-train")
+    names = ("taxeld", "taxeld-hil", "taxeld-ros2", "taxeld-train")
     commands = [machine.prefix / "bin" / name for name in names]
     for command in commands:
         assert command.readlink() == machine.lib / "current" / "bin" / command.name

@@ -77,9 +77,7 @@ def reference(
     )
     made = joblib.Parallel(workers, return_as="generator", mmap_mode="c")(jobs)
     spent_s = 0.0
-    for done, (pose, seen, (draws, took_s)) in enumerate(
-        zip(drawn.pose, drawn, made, strict=True)
-    ):
+    for done, (pose, seen, (draws, took_s)) in enumerate(zip(drawn.pose, drawn, made, strict=True)):
         progress(EXACT_STAGE, done / readings)
         spent_s += took_s
         if draws.ess < LIMIT_ESS:
@@ -96,9 +94,7 @@ def reference(
     )  # fmt: skip
 
 
-def _draws(
-    exact: "Posterior", seen: Observation, rng: np.random.Generator
-) -> tuple[Draws, float]:
+def _draws(exact: "Posterior", seen: Observation, rng: np.random.Generator) -> tuple[Draws, float]:
     """Draws for a reading, and the CPU time that they took [s]."""
     start = time.thread_time()
     draws = exact.sample(seen, 2 * SAMPLES, rng)
