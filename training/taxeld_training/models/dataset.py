@@ -58,7 +58,10 @@ def simulate(
         kept, drawn, dropped = kept + int(keep.sum()), drawn + 20_000, dropped + contacts.dropped
         progress(min(kept / n, 1.0))
         if drawn >= 400_000 and kept < drawn // 100:
-            raise SetupError("fewer than 1 % of contacts are felt; the skin misses the object")
+            raise SetupError(
+                "fewer than 1 % of simulated contacts press a taxel: the skin hardly reaches the "
+                "object; look at 'taxeld-train scene OBJECT --png', and change --height-m"
+            )
     return Touches(np.concatenate(poses)[:n], np.concatenate(activations)[:n], dropped / drawn)
 
 
