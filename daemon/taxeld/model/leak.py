@@ -28,7 +28,7 @@ class Leak:
         self._share = SAG * np.take_along_axis(beside, order, axis=1).T.copy()
 
     def of(self, z: Floats) -> Floats:
-        """Activations z (M,) or (n, M) → likewise, about the most that each may have from elsewhere."""
+        """Activations z (M,) or (n, M) → as many, about the most that each has from elsewhere."""
         if z.ndim > 1:
             return self._of_many(z)
         sag = (self._share * z.take(self._beside)).max(axis=0)
