@@ -87,7 +87,7 @@ class Scene:
         gap = np.abs(layout.position_m[:, 2, None] - self.heights)
         if gap.min(axis=1).max() > HEIGHT_TOLERANCE_M:
             raise SetupError(
-                f"scene: has no slice at a height of the layout {layout.name}; build the bundle again"
+                f"scene: has no slice at a height of the layout {layout.name}; build it again"
             )
         return np.asarray(gap.argmin(axis=1))
 
