@@ -12,7 +12,7 @@ from taxeld.estimator.particles import Belief
 def belief(log_weight: list[float]) -> Belief:
     n = len(log_weight)
     weight = np.array(log_weight)
-    made = Belief(np.arange(3.0 * n).reshape(n, 3), weight, np.empty((n, 0)))
+    made = Belief(np.arange(3.0 * n).reshape(n, 3), weight, np.empty((n, 0)), np.empty((n, 0)))
     pf.normalise(made)
     return made
 

@@ -24,7 +24,9 @@ def rng() -> np.random.Generator:
 
 def belief(log_weight: list[float]) -> Belief:
     n = len(log_weight)
-    made = Belief(np.arange(3.0 * n).reshape(n, 3), np.array(log_weight), np.empty((n, 0)))
+    made = Belief(
+        np.arange(3.0 * n).reshape(n, 3), np.array(log_weight), np.empty((n, 0)), np.empty((n, 0))
+    )
     pf.normalise(made)
     return made
 

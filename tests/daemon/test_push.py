@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from taxeld.arrays import Poses
-from taxeld.estimator.push import push
+from taxeld.estimator import particles as pf
+from taxeld.estimator.push import assumed, changed, push
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
@@ -16,9 +17,27 @@ N = 4000
 def pushed(
     model: ObservationModel, before: Poses, after: Poses, felt_m: float = DEPTH_M
 ) -> tuple[Poses, np.ndarray]:
-    """The box at the origin, N times."""
+    """The box at the origin, N times, on as many grounds."""
     rng = np.random.default_rng(0)
-    return push(model, PoseMetric(model.scene), np.zeros((N, 3)), before, after, felt_m, rng)
+    return push(
+        model,
+        PoseMetric(model.scene),
+        np.zeros((N, 3)),
+        assumed(N, rng),
+        before,
+        after,
+        felt_m,
+        rng,
+    )
+
+
+def on(model: ObservationModel, ground: list[float], before: Poses, after: Poses) -> Poses:
+    """(3,) where the box at the origin goes on one ground, on average."""
+    poses, _ = push(
+        model, PoseMetric(model.scene), np.zeros((N, 3)), np.tile(ground, (N, 1)), before, after,
+        DEPTH_M, np.random.default_rng(0),
+    )  # fmt: skip
+    return np.asarray(poses.mean(axis=0))
 
 
 def beside(model: ObservationModel, y: float, depth_m: float) -> Poses:
@@ -71,3 +90,64 @@ def test_it_is_never_pushed_farther_than_the_sensor_went(box_model: ObservationM
     """A particle that was far inside does not leap out."""
     _, far = pushed(box_model, beside(box_model, 0.0, 0.010), beside(box_model, 0.0, 0.012))
     assert far.max() <= 0.0021
+
+
+@pytest.mark.parametrize("side", [-1.5, 1.5])
+def test_a_push_past_the_centre_of_friction_turns_the_box_about_it(
+    box_model: ObservationModel, side: float
+) -> None:
+    """The sensor comes from +x, through the middle."""
+    before, after = beside(box_model, 0.0, DEPTH_M), beside(box_model, 0.0, DEPTH_M + 0.004)
+    turn = on(box_model, [0.0, side, 0.0, 0.0], before, after)[2]
+    assert turn * side < -0.01
+
+
+def test_a_contact_slips_off_a_smooth_object_and_takes_a_rough_one_along(
+    box_model: ObservationModel,
+) -> None:
+    before = beside(box_model, 0.0, DEPTH_M)
+    after = before + np.array([-0.002, 0.002, 0.0])
+    smooth, rough = (on(box_model, [0.0, 0.0, 0.0, mu], before, after) for mu in (-9.0, 3.0))
+    assert smooth[0] == pytest.approx(-0.002, abs=3e-4)
+    assert abs(smooth[1]) < 2e-4
+    assert rough[1] > 8e-4
+
+
+def test_what_is_assumed_changes_little_by_little_and_stays_as_wide() -> None:
+    rng = np.random.default_rng(0)
+    first = assumed(N, rng)
+    soon = changed(first, 0.2, rng)
+    assert np.corrcoef(first[:, 0], soon[:, 0])[0, 1] > 0.98
+    late = first
+    for _ in range(200):
+        late = changed(late, 0.5, rng)
+    assert np.allclose(late.mean(axis=0), 0.0, atol=0.08)
+    assert np.allclose(late.std(axis=0), 1.0, atol=0.08)
+    assert abs(np.corrcoef(first[:, 0], late[:, 0])[0, 1]) < 0.2
+
+
+def test_those_particles_stay_whose_ground_explains_where_the_object_went(
+    box_model: ObservationModel,
+) -> None:
+    """It is pushed through its middle, and turns: its load lies to the side."""
+    rng, metric, ground = (
+        np.random.default_rng(1),
+        PoseMetric(box_model.scene),
+        [0.0, 1.5, 0.0, 0.0],
+    )
+    truth, n = np.zeros(3), 800
+    belief = pf.equal(np.zeros((n, 3)), np.empty((n, 0)), assumed(n, rng))
+    for _ in range(12):
+        before = se2.compose(truth, beside(box_model, 0.0, DEPTH_M))
+        after = se2.compose(truth, beside(box_model, 0.0, DEPTH_M + 0.002))
+        same = np.tile(truth, (N, 1)), np.tile(ground, (N, 1))
+        went = push(box_model, metric, *same, before, after, DEPTH_M, rng)[0].mean(axis=0)
+        args = box_model, metric, belief.pose, belief.ground, before, after, DEPTH_M, rng
+        belief.pose, _ = push(*args)
+        off = (belief.pose - went) / [2e-4, 2e-4, 5e-3]
+        pf.reweight(belief, -0.5 * np.sum(off**2, axis=1))
+        belief = pf.resample(belief, n, rng)
+        belief.ground = changed(belief.ground, 0.2, rng)
+        truth = went
+    assert belief.ground[:, 1].mean() > 0.8
+    assert abs(truth[2]) > 0.05

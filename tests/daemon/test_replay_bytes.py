@@ -25,7 +25,7 @@ FIXED = {
 DIGESTS = {
     'proposal = "table"': "9480e8fe05de4c7b",
     'proposal = "manifold"\ninjection = "paper"': "43da76a1d4bd4048",
-    'proposal = "table"\nmotion = "push"': "e5342987fc87054f",
+    'proposal = "table"\nmotion = "push"': "1db7613c8cca25bc",
     'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "cc8c1af114251c76",
 }
 

@@ -12,10 +12,22 @@ from taxeld.arrays import Floats
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
+from taxeld.model.symmetry import PoseMetric
 from taxeld_training.filters import push
 from taxeld_training.filters.ground import Ground
 from taxeld_training.filters.pusher import DEPTH_M, STEP_M, TOUCHES, PushedTrial, gave_way
+from taxeld_training.filters.told import told
 from taxeld_training.jobs.options import Options
+
+
+class Calm(np.random.Generator):
+    """Draws zeros."""
+
+    def __init__(self) -> None:
+        super().__init__(np.random.PCG64(0))
+
+    def standard_normal(self, size: tuple[int, ...]) -> Floats:  # type: ignore[override]
+        return np.zeros(size)
 
 
 def even(friction: float = 0.4) -> Ground:
@@ -23,6 +35,11 @@ def even(friction: float = 0.4) -> Ground:
     angle = np.arange(16) * np.pi / 8.0
     points = 0.03 * np.column_stack([np.cos(angle), np.sin(angle)])
     return Ground(points, np.full(16, 1.0 / 16.0), friction)
+
+
+def slide(ground: Ground, contact: Floats, wanted: Floats, inwards: Floats) -> Floats:
+    """Of one contact, as `Ground.slide`."""
+    return ground.slide(contact[None], wanted[None], inwards[None])[0]
 
 
 def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> float:
@@ -76,7 +93,7 @@ def test_an_object_slides_with_the_least_power_that_follows_the_push() -> None:
             return float(given.load @ np.hypot(shift[0] - turn * y, shift[1] + turn * x))
 
         best = optimize.minimize_scalar(power, bounds=(-0.2, 0.2), method="bounded")
-        motion = ground.slide(contact, wanted, np.array([-1.0, 0.0]))
+        motion = slide(ground, contact, wanted, np.array([-1.0, 0.0]))
         assert power(float(motion[2])) <= power(float(best.x)) * 1.01
         held = motion[:2] + motion[2] * np.array([-contact[1], contact[0]])
         assert np.allclose(held, wanted, atol=1e-9)
@@ -85,14 +102,31 @@ def test_an_object_slides_with_the_least_power_that_follows_the_push() -> None:
 def test_a_contact_slips_where_its_friction_is_too_small() -> None:
     contact, wanted = np.array([0.03, 0.0]), np.array([-0.001, 0.002])  # mostly sideways
     inwards = np.array([-1.0, 0.0])
-    stuck = even(100.0).slide(contact, wanted, inwards)
-    slips = even(0.2).slide(contact, wanted, inwards)
+    stuck = slide(even(100.0), contact, wanted, inwards)
+    slips = slide(even(0.2), contact, wanted, inwards)
     for motion, holds in ((stuck, True), (slips, False)):
         held = motion[:2] + motion[2] * np.array([-contact[1], contact[0]])
         assert held @ inwards == pytest.approx(0.001)  # it follows all the same
         assert np.allclose(held, wanted) == holds
-    smooth = even(0.0).slide(contact, wanted, inwards)
+    smooth = slide(even(0.0), contact, wanted, inwards)
     assert np.allclose(smooth, [-0.001, 0.0, 0.0], atol=1e-6)
+
+
+def test_who_is_told_the_ground_pushes_every_particle_as_the_world_does(
+    ring_model: ObservationModel,
+) -> None:
+    ground = PushedTrial(ring_model, 3).ground
+    before = np.array([0.03 + 0.04 - DEPTH_M, 0.006, 0.0])
+    after = before - [STEP_M, 0.0, 0.0]
+    pose = gave_way(ring_model, np.zeros(3), before, after, ground)
+    calm = Calm()
+    poses, pushed = told(ground)(
+        ring_model, PoseMetric(ring_model.scene), np.zeros((3, 3)), np.zeros((3, 4)), before, after,
+        DEPTH_M, calm,
+    )  # fmt: skip
+    assert abs(pose[2]) > 1e-3
+    assert np.allclose(poses, pose, atol=[2e-5, 2e-5, 1e-3])
+    assert np.allclose(pushed, STEP_M, atol=3e-4)
 
 
 def test_no_filter_knows_the_grounds_of_the_trials(ring_model: ObservationModel) -> None:
@@ -116,13 +150,13 @@ def test_the_quick_run_writes_a_row_an_object_and_motion(tmp_path: Path) -> None
     (path,) = push.run(options)
     rows = json.loads(path.read_text(encoding="utf-8"))
     assert [(row["object"], row["motion"]) for row in rows] == [
-        ("003_cracker_box", "push"), ("003_cracker_box", "none"),
+        ("003_cracker_box", "push"), ("003_cracker_box", "none"), ("003_cracker_box", "told"),
     ]  # fmt: skip
     assert rows[0]["p_push"] is None
     assert 0.0 < rows[1]["p_push"] <= 1.0
     assert all(r["end_mm_ci"][0] <= r["end_mm"]["median"] <= r["end_mm_ci"][1] for r in rows)
-    followed, ignored = (row["path_mm"]["median"] for row in rows)
-    assert followed < ignored
+    followed, ignored, told = (row["path_mm"]["median"] for row in rows)
+    assert max(followed, told) < ignored
 
 
 def test_an_object_without_a_bundle_is_refused_in_one_line(tmp_path: Path) -> None:

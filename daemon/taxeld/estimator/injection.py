@@ -70,6 +70,7 @@ def merge(a: Belief, b: Belief, share: Floats, scale: float = 1.0) -> Belief:
         np.concatenate([a.pose, b.pose]),
         np.concatenate([c.log_weight + evidence(c, share, scale) for c in (a, b)]),
         np.concatenate([a.remembered, b.remembered]),
+        np.concatenate([a.ground, b.ground]),
     )
     pf.normalise(made)
     return made

@@ -14,7 +14,7 @@ from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.memory import Memory, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.prior import Prior
-from taxeld.estimator.push import push
+from taxeld.estimator.push import STRIDE, Push, assumed, changed, push
 from taxeld.estimator.rule import PUSHED_M, Draw, Parts, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
@@ -48,6 +48,7 @@ class Mixture:
         self.confidence = Confidence.of(self.belief, model.scene)
         self._scale = self.confidence.metric.scale
         self.counters = RuleCounters()
+        self.push: Push = push
         self._revisits = 0  # since the last contact
         self._fitted = 0  # number of the contact that slack was fitted after
 
@@ -58,13 +59,18 @@ class Mixture:
     def follow(self, before: Observation, after: Observation) -> None:
         """What is remembered was read where the object no longer is: a prior stands for it."""
         belief, metric = self.belief, self.confidence.metric
-        pose, pushed = push(
-            self._model, metric, belief.pose, before.sensor, after.sensor,
+        if not belief.ground.size:
+            belief.ground = assumed(len(belief), self._rng)
+        pose, pushed = self.push(
+            self._model, metric, belief.pose, belief.ground, before.sensor, after.sensor,
             float(after.z.max()) * self._model.depth_max_m, self._rng,
         )  # fmt: skip
-        if belief.weight @ pushed < PUSHED_M:
+        pushed_m = float(belief.weight @ pushed)
+        if pushed_m < PUSHED_M:
             return
         belief.pose = pose
+        strides = pushed_m / (STRIDE * self._model.scene.mean_radius)
+        belief.ground = changed(belief.ground, strides, self._rng)
         self.confidence.moved(belief)
         prior = Prior(metric, pose, belief.weight, self.confidence.summary.modes)
         self.memory = Memory(self._model, self._noise, prior, self.memory.slack)
@@ -139,7 +145,7 @@ class Mixture:
             return 0
         self._revisits += 1
         opinion = yield from self._opinion(samples, memory, scan)
-        merged = injection.merge(self.belief, opinion, memory.share, self._scale)
+        merged = self._merged(opinion)
         yield from self._become(merged, moves=1)
         excess = consistency.excess(memory, self.belief)
         newest = contacts[-1]
@@ -211,7 +217,7 @@ class Mixture:
         memory = self.memory
         opinion = yield from self._opinion(samples, memory, len(memory) - 1)
         if np.count_nonzero(memory.contact) > 1 or memory.prior is not None:
-            opinion = injection.merge(self.belief, opinion, memory.share, self._scale)
+            opinion = self._merged(opinion)
         yield from self._become(opinion, moves=MOVES)
 
     def _opinion(self, samples: Poses, memory: Memory, scan: int) -> Parts[Belief]:
@@ -227,6 +233,15 @@ class Mixture:
                 opinion, own, memory.share, memory.explain, self._rng, self._scale
             )
         )
+
+    def _merged(self, opinion: Belief) -> Belief:
+        """The belief, and samples' opinion beside it. They say nothing of how the object slides:
+        each takes it from the particle that is nearest."""
+        belief, metric = self.belief, self.confidence.metric
+        if belief.ground.size:
+            apart = metric.distance(opinion.pose[:, None], belief.pose[None])
+            opinion.ground = belief.ground.take(apart.argmin(axis=1), axis=0)
+        return injection.merge(belief, opinion, self.memory.share, self._scale)
 
     def _become(self, belief: Belief, moves: int) -> Parts[None]:
         """Have as many particles as so wide a belief needs, all equal, and part the copies."""

@@ -10,7 +10,7 @@ from taxeld.estimator.confidence import Confidence, firm
 from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.parts import Parts
-from taxeld.estimator.push import push
+from taxeld.estimator.push import assumed, push
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
@@ -36,12 +36,15 @@ class Paper:
         return 0.0  # the paper takes poses for exact
 
     def follow(self, before: Observation, after: Observation) -> None:
-        self.belief.pose, pushed = push(
-            self._model, self.confidence.metric, self.belief.pose, before.sensor, after.sensor,
-            float(after.z.max()) * self._model.depth_max_m, self._rng,
+        belief = self.belief
+        if not belief.ground.size:
+            belief.ground = assumed(len(belief), self._rng)
+        belief.pose, pushed = push(
+            self._model, self.confidence.metric, belief.pose, belief.ground, before.sensor,
+            after.sensor, float(after.z.max()) * self._model.depth_max_m, self._rng,
         )  # fmt: skip
-        if self.belief.weight @ pushed >= PUSHED_M:
-            self.confidence.moved(self.belief)
+        if belief.weight @ pushed >= PUSHED_M:
+            self.confidence.moved(belief)
 
     def learn(
         self, observation: Observation, contacts: int, draw: Draw

@@ -46,6 +46,7 @@ class Belief:
     pose: Poses  # (N, 3) world frame
     log_weight: Floats  # (N,)
     remembered: Floats  # (N, terms) as `Memory.explain` has them
+    ground: Floats  # (N, K) what each assumes of how the object slides; K = 0 where it does not
 
     def __len__(self) -> int:
         return len(self.log_weight)
@@ -64,10 +65,11 @@ def uniform(
     return equal(rng.uniform(low, high, (n, 3)), np.empty((n, 0)))
 
 
-def equal(pose: Poses, remembered: Floats) -> Belief:
+def equal(pose: Poses, remembered: Floats, ground: Floats | None = None) -> Belief:
     """Equally weighted poses (N, 3) that explain what is remembered by `remembered` (N, terms)."""
     n = len(pose)
-    return Belief(pose, np.full(n, -np.log(n)), remembered)
+    ground = np.empty((n, 0)) if ground is None else ground
+    return Belief(pose, np.full(n, -np.log(n)), remembered, ground)
 
 
 def effective_sample_size(belief: Belief) -> float:
@@ -105,7 +107,8 @@ def resample(belief: Belief, n: int, rng: np.random.Generator) -> Belief:
     below = np.ceil(n * cumulative - rng.random()).astype(np.intp)  # teeth of a comb of n
     below[1:] -= below[:-1].copy()
     drawn = np.repeat(np.arange(len(belief)), below)
-    return equal(belief.pose.take(drawn, axis=0), belief.remembered.take(drawn, axis=0))
+    of_each = (belief.pose, belief.remembered, belief.ground)
+    return equal(*(each.take(drawn, axis=0) for each in of_each))
 
 
 def roughen(belief: Belief, rng: np.random.Generator, scale: float = 1.0) -> None:

@@ -1,10 +1,17 @@
-"""Where a pushed object goes: a quasi-static prior from sensor motion and contact normal.
+"""Where a pushed object goes: a quasi-static model from sensor motion and contact normal.
 
 An object on a table moves only as far as it is pushed. The load that the sensor puts on it and its
 slow motion are related by the friction's limit surface, taken as an ellipsoid: a force f at a point
-r from the centre of friction moves the object by f and turns it by (r × f) / c² (Lynch, Maekawa &
-Tanie 1992). Whether the skin slips or sticks is not known: each particle draws its share of both.
+r from the centre of friction moves that centre by f and turns the object by (r × f) / c² (Lynch,
+Maekawa & Tanie 1992). The contact sticks while the force that this takes is inside Coulomb's cone,
+else it slips along the cone's edge.
+
+Where that centre is, c and the friction are an object's own, and not known. Each particle assumes
+some and keeps them, so those are left whose object went where it was felt.
 """
+
+from collections.abc import Callable
+from typing import TypeAlias
 
 import numpy as np
 
@@ -13,38 +20,84 @@ from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 
-LIMIT = 0.6  # of the outline's mean radius: the c of an even load on a table
-SPREAD = 1.0  # sd of how far and where it goes, as a share of how far it was pushed
+MEAN = np.array([0.0, 0.0, 0.6, 0.4])  # centre (x, y) from the middle, and c, in mean radii of the
+SD = np.array([0.2, 0.2, 0.08, 0.15])  # outline, in the object's frame; friction of skin on object
+LEAST = np.array([-np.inf, -np.inf, 0.3, 0.05])
+CHANGE = 0.25  # of what is assumed, in sd, while it is pushed by STRIDE
+STRIDE = 0.05  # mean radii
+SPREAD = 0.25  # sd of how far and where it goes, as a share of how far it was pushed
+
+Push: TypeAlias = Callable[
+    [ObservationModel, PoseMetric, Poses, Floats, Poses, Poses, float, np.random.Generator],
+    tuple[Poses, Floats],
+]
+
+
+def assumed(n: int, rng: np.random.Generator) -> Floats:
+    """(n, 4) what so many particles assume of the ground, in SD from MEAN."""
+    return np.asarray(rng.standard_normal((n, len(MEAN))))
+
+
+def changed(ground: Floats, strides: float, rng: np.random.Generator) -> Floats:
+    """What was assumed (N, 4) after a push of so many strides: a little else, so that copies part.
+    Where nothing was felt it stays distributed as `assumed` has it."""
+    step = min(CHANGE * np.sqrt(strides), 1.0)
+    return np.asarray(np.sqrt(1.0 - step**2) * ground + step * assumed(len(ground), rng))
 
 
 def push(
-    model: ObservationModel, metric: PoseMetric, poses: Poses, before: Poses, after: Poses,
-    depth_m: float, rng: np.random.Generator,
+    model: ObservationModel, metric: PoseMetric, poses: Poses, ground: Floats, before: Poses,
+    after: Poses, depth_m: float, rng: np.random.Generator,
 ) -> tuple[Poses, Floats]:  # fmt: skip
     """Object poses (N, 3) in the world after the sensor has gone from one pose (3,) to another
-    while a contact was read `depth_m` deep; → poses, and how far each was pushed (N,) [m].
+    while a contact was read `depth_m` deep, on a `ground` as `assumed` (N, 4); → poses, and how far
+    each was pushed (N,) [m].
 
     Where the sensor would press deeper than was read, the object has given way; nothing is pulled.
     """
-    n = len(poses)
-    radius_m = model.layout.radius_m
+    length_m = model.scene.mean_radius
+    ground = np.maximum(MEAN + SD * ground, LEAST)
+    offset, limit_m, friction = length_m * ground[:, :2], length_m * ground[:, 2], ground[:, 3]
     ax, ay = contacts.axis_in_object(se2.compose(se2.inverse(after), poses))
     clearance, gx, gy = model.scene.clearance(ax, ay)
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    inwards = -np.column_stack([c * gx - s * gy, s * gx + c * gy])  # into the object, in the world
+    inwards = -_turned(np.column_stack([gx, gy]), poses[:, 2])  # into the object, in the world
     moved = after[:2] - before[:2]
     advance = np.maximum(inwards @ moved, 0.0)
-    pushed = np.clip(radius_m - clearance - depth_m, 0.0, advance)
-    arm = after[:2] + clearance[:, None] * inwards - metric.centres(poses)
-    limit_m = LIMIT * model.scene.mean_radius
-    stick = rng.random((n, 1)) * (pushed / np.maximum(advance, 1e-9))[:, None]
-    wanted = pushed[:, None] * inwards + stick * (moved - advance[:, None] * inwards)
-    across = np.column_stack([-arm[:, 1], arm[:, 0]]) / limit_m
-    force = (
-        wanted
-        - across * (np.sum(across * wanted, axis=1) / (1.0 + np.sum(across**2, axis=1)))[:, None]
-    )  # (I + a aᵀ)⁻¹ wanted: the contact moves as wanted
-    noise = SPREAD * pushed[:, None] * rng.standard_normal((n, 3))
-    turn = (np.sum(across * force, axis=1) + noise[:, 2]) / limit_m
-    centre = metric.centres(poses) + force + noise[:, :2]
+    pushed = np.clip(model.layout.radius_m - clearance - depth_m, 0.0, advance)
+    share = (pushed / np.maximum(advance, 1e-9))[:, None]
+    wanted = pushed[:, None] * inwards + share * (moved - advance[:, None] * inwards)
+    aside = _turned(offset, poses[:, 2])  # of the centre of friction, from the middle
+    arm = after[:2] + clearance[:, None] * inwards - metric.centres(poses) - aside
+    lever = np.column_stack([-arm[:, 1], arm[:, 0]]) / limit_m[:, None]
+    force = _force(lever, wanted, inwards, friction)
+    noise = SPREAD * pushed[:, None] * assumed(len(poses), rng)[:, :3]
+    turn = (_dot(lever, force) + noise[:, 2]) / limit_m
+    centre = metric.centres(poses) + force + aside - _turned(aside, turn) + noise[:, :2]
     return metric.placed(centre, poses[:, 2] + turn), pushed
+
+
+def _force(lever: Floats, wanted: Floats, inwards: Floats, friction: Floats) -> Floats:
+    """(N, 2) the force f that moves the contact, by f + lever (lever · f), as is wanted (N, 2); on
+    the friction cone about `inwards` (N, 2) where it would be outside, and as large then as moves
+    the contact on along the normal as far as is wanted."""
+    force = wanted - lever * (_dot(lever, wanted) / (1.0 + _dot(lever, lever)))[:, None]
+    normal = _dot(force, inwards)
+    sideways = force - normal[:, None] * inwards
+    size = np.linalg.norm(sideways, axis=1)
+    edge = inwards + (friction / np.maximum(size, 1e-12))[:, None] * sideways
+    speed = _dot(inwards, edge) + _dot(inwards, lever) * _dot(lever, edge)
+    slips = (size > friction * normal) & (speed > 0.0)
+    force[slips] = (edge * (_dot(wanted, inwards) / np.where(slips, speed, 1.0))[:, None])[slips]
+    return np.asarray(force)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """(N, 2), (N, 2) → (N,)."""
+    return np.asarray(np.sum(a * b, axis=1))
+
+
+def _turned(vectors: Floats, angle: Floats) -> Floats:
+    """Vectors (N, 2) turned by angles (N,)."""
+    c, s = np.cos(angle), np.sin(angle)
+    x, y = vectors.T
+    return np.column_stack([c * x - s * y, s * x + c * y])

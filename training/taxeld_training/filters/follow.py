@@ -10,14 +10,17 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.mixture import Mixture
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import SILENT_MM, add_m
 from taxeld_training.filters import gridded, methods, pusher
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.pusher import PushedTrial
+from taxeld_training.filters.told import told
 from taxeld_training.filters.trials import Moment, Trial
 
+TOLD = "told"
 OWN_SEEDS = 2**31  # added to a trial's seed: a filter must not draw what its trial drew
 
 
@@ -52,10 +55,13 @@ def _follow_grid(
 
 
 def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str, Any]:
-    """How far the object was pushed, and a filter's errors [mm] on the way and at the end."""
-    model = trial.model
-    config = methods.SHIPPED.config(OWN_SEEDS + trial.seed, motion)
+    """How far the object was pushed, and a filter's errors [mm] on the way and at the end; `motion`
+    is that of the filter, or TOLD: it knows the trial's ground."""
+    model, is_told = trial.model, motion == TOLD
+    config = methods.SHIPPED.config(OWN_SEEDS + trial.seed, "push" if is_told else motion)
     estimator = Estimator(model, proposal, config)
+    if is_told and isinstance(estimator.rule, Mixture):
+        estimator.rule.push = told(trial.ground)
     errors = []
     for moment in trial:
         estimate = estimator.on_scan(moment.activation, moment.sensor)

@@ -45,36 +45,44 @@ class Ground:
         return np.asarray(self.load @ self.points)
 
     def slide(self, contact: Floats, wanted: Floats, inwards: Floats) -> Floats:
-        """(3,) the object's motion in its own frame, (x, y) of its origin and turn, where the skin
-        touches it at `contact` (2,) and moves on by `wanted` (2,), of which at least the part along
-        the normal `inwards` (2,) must be followed. The contact sticks while the force that this
-        takes is inside the friction cone; else it slips along the cone's edge."""
-        hold = np.array([[1.0, 0.0, -contact[1]], [0.0, 1.0, contact[0]]])
+        """(N, 3) motions of the object in its own frame, (x, y) of its origin and turn, where the
+        skin touches it at `contact` (N, 2) and moves on by `wanted` (N, 2), of which at least the
+        part along the normal `inwards` (N, 2) must be followed. A contact sticks while the force
+        that this takes is inside the friction cone; else it slips along the cone's edge."""
+        n = len(contact)
+        hold = np.zeros((n, 2, 3))
+        hold[:, 0, 0] = hold[:, 1, 1] = 1.0
+        hold[:, 0, 2], hold[:, 1, 2] = -contact[:, 1], contact[:, 0]
         motion, force = self._least(hold, wanted)
-        normal = float(force @ inwards)
-        sideways = force - normal * inwards
-        size = float(np.linalg.norm(sideways))
-        if size <= self.friction * normal:
-            return motion
-        edge = inwards + self.friction * sideways / max(size, 1e-12)
-        motion, _ = self._least(edge[None] @ hold, np.ones(1))
-        return np.asarray(motion * (wanted @ inwards) / (inwards @ hold @ motion))
+        normal = np.sum(force * inwards, axis=1)
+        sideways = force - normal[:, None] * inwards
+        size = np.linalg.norm(sideways, axis=1)
+        slips = size > self.friction * normal
+        if slips.any():
+            edge = inwards + (self.friction / np.maximum(size, 1e-12))[:, None] * sideways
+            along = np.einsum("ni,nij->nj", edge[slips], hold[slips])
+            slipped, _ = self._least(along[:, None], np.ones((len(along), 1)))
+            followed = np.einsum("ni,nij,nj->n", inwards[slips], hold[slips], slipped)
+            needed = np.sum(wanted[slips] * inwards[slips], axis=1)
+            motion[slips] = slipped * (needed / followed)[:, None]
+        return motion
 
     def _least(self, hold: Floats, wanted: Floats) -> tuple[Floats, Floats]:
-        """The motion v (3,) of least dissipated power with `hold` (k, 3) v = `wanted` (k,), and the
-        force (k,) that it takes, by weighted least squares over and over."""
+        """The motions v (N, 3) of least dissipated power with `hold` (N, k, 3) v = `wanted`
+        (N, k), and the forces (N, k) that they take, by weighted least squares over and over."""
         x, y = self.points.T
-        k = len(wanted)
-        speed = np.full(len(x), np.linalg.norm(wanted))
-        system = np.zeros((3 + k, 3 + k))
-        system[3:, :3], system[:3, 3:] = hold, -hold.T
-        right = np.concatenate([np.zeros(3), wanted])
-        least = STILL * float(np.linalg.norm(wanted))
+        n, k = wanted.shape
+        size = np.linalg.norm(wanted, axis=1)[:, None]
+        speed = np.repeat(size, len(x), axis=1)
+        system = np.zeros((n, 3 + k, 3 + k))
+        system[:, 3:, :3], system[:, :3, 3:] = hold, -hold.transpose(0, 2, 1)
+        right = np.concatenate([np.zeros((n, 3)), wanted], axis=1)[:, :, None]
         for _ in range(STEPS):
-            w = self.load / np.maximum(speed, least)
-            sx, sy = float(w @ x), float(w @ y)
-            square = float(w @ (x * x + y * y))
-            system[:3, :3] = [[w.sum(), 0.0, -sy], [0.0, w.sum(), sx], [-sy, sx, square]]
-            found = np.linalg.solve(system, right)
-            speed = np.hypot(found[0] - found[2] * y, found[1] + found[2] * x)
-        return found[:3], found[3:]
+            w = self.load / np.maximum(speed, STILL * size)
+            system[:, 0, 0] = system[:, 1, 1] = w.sum(axis=1)
+            system[:, 0, 2] = system[:, 2, 0] = -(w @ y)
+            system[:, 1, 2] = system[:, 2, 1] = w @ x
+            system[:, 2, 2] = w @ (x * x + y * y)
+            found = np.linalg.solve(system, right)[:, :, 0]
+            speed = np.hypot(found[:, :1] - found[:, 2:3] * y, found[:, 1:2] + found[:, 2:3] * x)
+        return found[:, :3], found[:, 3:]

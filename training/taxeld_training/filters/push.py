@@ -1,4 +1,5 @@
-"""`taxeld-train evaluate push`: a located object is pushed, with and without a motion model."""
+"""`taxeld-train evaluate push`: a located object is pushed, with and without a motion model, and
+with one that knows what the object rests on, which is the limit."""
 
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -17,7 +18,7 @@ from taxeld_training.jobs.statistics import of_median, of_share, p_paired, round
 from taxeld_training.objects.setting import Setting
 
 OBJECTS = ("003_cracker_box", "025_mug")
-MOTIONS = ("push", "none")
+MOTIONS = ("push", "none", follow.TOLD)
 SEEDS, QUICK_SEEDS, BLOCK = 200, 2, 20
 
 Trials: TypeAlias = dict[int, dict[str, Any]]  # results by seed, as `follow_push` has them

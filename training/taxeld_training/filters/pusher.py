@@ -83,7 +83,8 @@ def gave_way(
         seen = np.array([c * moved[0] + s * moved[1], c * moved[1] - s * moved[0]])
         wanted = too_deep * inwards + seen - (seen @ inwards) * inwards
         contact = np.array([ax[0], ay[0]]) + clearance * inwards
-        pose = se2.compose(pose, ground.slide(contact, wanted, inwards))
+        slide = ground.slide(contact[None], wanted[None], inwards[None])
+        pose = se2.compose(pose, slide[0])
         moved = np.zeros(2)
     return pose
 
