@@ -1,7 +1,6 @@
 """A sampler as one ONNX file: opset, shapes, normalisation and training config inside it."""
 
 import copy
-import io
 import json
 import warnings
 from collections.abc import Mapping
@@ -52,17 +51,16 @@ def export(sampler: AnySampler, taxels: int, path: Path, metadata: Mapping[str, 
     live = torch.ones(1, taxels)
     noise = torch.randn(sampler.noise_steps, TRACED, 4, generator=generator)
     sampler = rounded(sampler)
-    written = io.BytesIO()
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # of the exporter's age
         torch.onnx.export(
-            sampler, (z, live, noise), written, dynamo=False, opset_version=OPSET,
+            sampler, (z, live, noise), path, dynamo=False, opset_version=OPSET,
             input_names=["z", "live", "noise"], output_names=["poses"],
             dynamic_axes={"noise": {1: "samples"}, "poses": {0: "samples"}},
         )  # fmt: skip
         noise = noise[:, :TRIED]
         expected = sampler(z, live, noise).numpy()
-    model = onnx.load_from_string(written.getvalue())
+    model = onnx.load(path)
     for node in model.graph.node:
         node.ClearField("doc_string")
         node.ClearField("name")
