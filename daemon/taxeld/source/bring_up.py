@@ -232,7 +232,7 @@ class BringUp:
         elif packet.ihb not in self._cold:
             self._cold[packet.ihb] = self._now_s
             self._news.append(
-                f"hub {packet.ihb} answers from its bootloader, as after power-on; it is led out"
+                f"hub {packet.ihb} is in its bootloader, as after power-on; it is started"
             )
 
     def _stuck(self) -> str:
