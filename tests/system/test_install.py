@@ -291,7 +291,8 @@ def test_uninstall_takes_exactly_what_install_put(machine: Machine, staged: bool
         "opt/bin/taxeld", "opt/lib/other", "opt/lib/taxeld/current",
         "opt/lib/systemd/network/60-can0.network", "opt/lib/sysusers.d/taxeld.conf",
         "opt/lib/udev/rules.d/60-taxeld.rules", "opt/share/doc/taxeld/can0.toml",
-        "opt/share/doc/taxeld/service.md", "opt/bin/taxeld-hil", "opt/bin/taxeld-train",
+        "opt/share/doc/taxeld/service.md", "opt/bin/taxeld-hil", "opt/bin/taxeld-ros2",
+        "opt/bin/taxeld-train",
         "opt/share/man/man1/taxeld.1",
         *(f"opt/lib/systemd/system/{p.name}" for p in (ROOT / "systemd").glob("*.service")),
     }  # fmt: skip
