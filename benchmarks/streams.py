@@ -28,7 +28,8 @@ from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
 from taxeld.stream.publisher import Publisher
-from taxeld_hil.scenario import scenario
+from taxeld_hil.scenario import scenario as scenarios
+from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world import robot
 from taxeld_hil.world.world import make_world
 from taxeld_protocol import cyskin
@@ -38,7 +39,7 @@ from taxeld_protocol.virtual_ihb import VirtualIhb
 ROUNDS = 3
 SENDS = 2000
 TICK_S, REST_S = 0.01, 0.001
-SCENARIO = replace(scenario.load("demo"), contacts=3)
+SCENARIO = replace(scenarios.load("demo"), contacts=3)
 
 READS = """
 import sys, zmq
@@ -181,10 +182,11 @@ def connected(client: tuple[str, ...], place: str) -> Iterator[None]:
         process.wait()
 
 
-def setting(place: str) -> tuple[Config, Layout, bundle.Bundle]:
+def configured(place: str) -> str:
+    """A configuration that replays the session in `place`."""
     skin = layouts.load(SCENARIO.layout)
     listed = [[module.sui, module.mask] for module in wired(skin.uid.tolist())]
-    settings = config_file.parse(
+    return (
         f'[source]\nkind = "replay"\npath = "{place}"\nmodules = {listed}\n'
         f'[scene]\nbundle = "{SCENARIO.bundle}"\n'
         f'[skin]\nlayout = "{SCENARIO.layout}"\nfull_scale_counts = {SCENARIO.full_scale_counts}\n'
@@ -192,15 +194,21 @@ def setting(place: str) -> tuple[Config, Layout, bundle.Bundle]:
         f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
         f'[control]\nendpoint = "ipc://{place}/control"\n'
     )
+
+
+def setting(place: str) -> tuple[Config, Layout, bundle.Bundle]:
+    """The same, read, and what it names."""
+    skin = layouts.load(SCENARIO.layout)
+    settings = config_file.parse(configured(place))
     return settings, skin, bundle.load(SCENARIO.bundle, skin, settings.skin.full_scale_depth_m)
 
 
-def record(place: Path) -> list[session.PoseRow]:
-    """The scenario as a session; → the sensor's poses."""
+def record(place: Path, scenario: Scenario = SCENARIO) -> list[session.PoseRow]:
+    """A scenario as a session; → the sensor's poses."""
     _, skin, loaded = setting(str(place))
     modules = wired(skin.uid.tolist())
-    world = make_world(SCENARIO, loaded.model, modules, 0)
-    path = robot.plan(SCENARIO, loaded.model, world.truth, 0)
+    world = make_world(scenario, loaded.model, modules, 0)
+    path = robot.plan(scenario, loaded.model, world.truth, 0)
     ihb = VirtualIhb(modules)
     with Recorder(place, moves=True) as recorder:
         for tick in range(int((path.duration_s + 2.0) / TICK_S)):

@@ -16,6 +16,7 @@ import numpy as np
 import zmq
 
 from taxeld.arrays import Floats
+from taxeld.service.notify import Notifier
 from taxeld.stream import messages
 from taxeld_ros2 import convert
 from taxeld_ros2 import ros_types as ros
@@ -89,8 +90,14 @@ class Bridge:
         Raises:
             VersionError: the daemon speaks another version of the stream.
         """
-        while not self.stopping:
-            self.step()
+        notifier = Notifier()
+        notifier.ready()
+        try:
+            while not self.stopping:
+                self.step()
+                notifier.tick(time.monotonic(), self._status_line)
+        finally:
+            notifier.stopping()
 
     def stop(self) -> None:
         self.stopping = True
@@ -167,6 +174,10 @@ class Bridge:
             name = f"{self._settings.prefix.strip('/')}: estimate"
             told = convert.diagnostics(self._estimate, self._health, time.time(), name)
             self._diagnostics.write(told)
+
+    def _status_line(self, _: float) -> str:
+        heard = "no daemon is heard" if self._is_silent else "a daemon is heard"
+        return f"{heard}, {self.forwarded} poses passed on"
 
     def _draw(self, now_s: float) -> None:
         """Markers, once something has changed and no more often than they can be seen."""

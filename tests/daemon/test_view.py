@@ -16,6 +16,8 @@ import zmq
 
 pytest.importorskip("rerun")
 
+from rerun.time import to_nanos_since_epoch
+
 from taxeld.cli import main
 from taxeld.config.file import load
 from taxeld.errors import SetupError
@@ -23,7 +25,9 @@ from taxeld.stream import messages
 from taxeld.view import viewer
 from taxeld.view.colour import DEAD, QUIET, of_taxels
 from taxeld.view.recorded import Recording
-from taxeld.view.stage import Stage, from_config, from_info, pose_of
+from taxeld.view.space import Space
+from taxeld.view.stage import Message, Stage, check_version, from_config, from_info, pose_of
+from taxeld.view.view import _together
 
 from .conftest import Sockets
 from .test_stream_document import documented
@@ -31,6 +35,7 @@ from .test_watch import maps
 
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
 WAIT_S = 60.0
+STAYS = {"/world/link/body", "/world/object/slices"}
 ALWAYS = {
     "/world/link", "/world/link/body", "/world/link/skin", "/world/link/pressed",
     "/world/object", "/world/object/slices", "/world/modes", "/world/particles",
@@ -64,11 +69,12 @@ def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(
     assert whole.keys() >= ALWAYS
     said = list(Recording(SESSION))
     felt = [(m["z"], m["live"]) for topic, m in said if topic == messages.TAXELS]
-    changes = 1 + sum(a != b for a, b in pairwise(felt))
+    always = 1  # a row for what stays as it is
+    changes = always + 1 + sum(a != b for a, b in pairwise(felt))
     assert whole["/world/link/skin"] == changes > 20
     topics = Counter(topic for topic, _ in said)
-    assert whole["/world/particles"] == topics[messages.PARTICLES] > 4
-    assert whole["/plot/spread/x_mm"] == sum(
+    assert whole["/world/particles"] == always + topics[messages.PARTICLES] > 4
+    assert whole["/plot/spread/x_mm"] == always + sum(
         m["valid"] for topic, m in said if topic == messages.ESTIMATE
     )
     assert 2 <= whole["/status/log"] < 50, "changes alone"
@@ -80,6 +86,74 @@ def test_the_first_seconds_of_a_session_are_fewer(tmp_path: Path, whole: Counter
     out = tmp_path / "begin.rrd"
     assert main(["view", str(SESSION), "--save", str(out), "--seconds", "2"]) == 0
     assert 0 < entities(out)["/world/link"] < whole["/world/link"] / 2
+
+
+class Drawn:
+    """In place of Rerun's stream: the rows of each entity, a time and the values of components."""
+
+    def __init__(self) -> None:
+        self.rows: dict[str, list[tuple[int, dict[str, Any]]]] = {}
+        self._t_ns = 0
+
+    def send_blueprint(self, _: object) -> None: ...
+
+    def set_time(self, _: str, timestamp: float) -> None:
+        self._t_ns = to_nanos_since_epoch(timestamp)
+
+    def log(self, entity: str, thing: Any, static: bool = False) -> None:
+        values = {
+            batch.component_descriptor().component: batch.as_arrow_array().to_pylist()
+            for batch in thing.as_component_batches()
+        }
+        if not static:
+            self.rows.setdefault(entity, []).append((self._t_ns, values))
+
+    def send_columns(self, entity: str, indexes: list[Any], columns: list[Any]) -> None:
+        (times,) = (index.as_arrow_array().cast("int64").to_pylist() for index in indexes)
+        named = {
+            column.component_descriptor().component: column.as_arrow_array().to_pylist()
+            for column in columns
+        }
+        for k, t_ns in enumerate(times):
+            values = {name: column[k] for name, column in named.items()}
+            self.rows.setdefault(entity, []).append((t_ns, values))
+
+
+def test_rows_that_waited_for_each_other_are_those_that_are_sent_at_once() -> None:
+    """Of a session they go together; of a daemon, each goes at once."""
+    recording = Recording(SESSION)
+    said = list(recording)
+    at_once, together = Drawn(), Drawn()
+    for stream, is_live in ((at_once, True), (together, False)):
+        space = Space(recording.stage, stream, is_live=is_live)  # type: ignore[arg-type]
+        for number, message in enumerate(said):
+            space.take(message)
+            if number % 100 == 0:
+                space.flush()
+        space.flush()
+    assert (
+        at_once.rows.keys()
+        == together.rows.keys()
+        >= {entity.removeprefix("/") for entity in ALWAYS - STAYS}
+    )
+    for entity, rows in at_once.rows.items():
+        assert together.rows[entity] == rows, entity
+
+
+def test_a_session_is_drawn_while_it_is_replayed(monkeypatch: pytest.MonkeyPatch) -> None:
+    now_s, replayed = [0.0], []
+
+    def replay() -> Iterator[Message]:
+        for seq in range(1000):
+            now_s[0] += 0.01
+            replayed.append(seq)
+            yield messages.ESTIMATE, {"seq": seq}
+
+    monkeypatch.setattr("taxeld.view.view.time.monotonic", lambda: now_s[0])
+    looks = _together(replay())
+    first = next(looks)
+    assert len(first) == len(replayed) < 100
+    assert [m["seq"] for look in (first, *looks) for _, m in look] == list(range(1000))
 
 
 @pytest.fixture
@@ -164,6 +238,13 @@ def test_an_info_that_lacks_something_is_refused(key: str) -> None:
     del info[key]
     with pytest.raises(SetupError, match="/taxeld/info: is not what a taxeld daemon sends"):
         from_info(info)
+
+
+@pytest.mark.parametrize("version", [None, "1", 1.0, True])
+def test_a_stream_without_a_version_is_another_programs(version: object) -> None:
+    """And not one of the version None."""
+    with pytest.raises(SetupError, match="is no stream of a taxeld daemon"):
+        check_version({"v": version})
 
 
 def test_taxels_have_the_colour_of_their_activation() -> None:

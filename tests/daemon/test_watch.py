@@ -135,7 +135,7 @@ def publisher(sockets: Sockets, tmp_path: Path) -> zmq.Socket[Any]:
     ("topic", "change", "said"),
     [
         (messages.INFO, {"v": 2}, "the stream is of version 2, where this taxeld reads 1"),
-        (messages.ESTIMATE, {"v": None}, "the stream is of version None"),
+        (messages.ESTIMATE, {"v": None}, "is no stream of a taxeld daemon"),
         (messages.ESTIMATE, {"map": ...}, "/taxeld/estimate: has no 'map'"),
     ],
 )

@@ -3,7 +3,9 @@
 import json
 import math
 import os
+import re
 import signal
+import socket
 import sys
 import time
 from collections.abc import Iterator
@@ -158,6 +160,29 @@ def test_a_daemon_of_another_version_ends_the_bridge_with_one_line(daemon: Daemo
             f"{daemon.endpoint}: speaks version 2 of the stream, and this bridge version 1; "
             "install taxeld of one release on both sides\n"
         )
+
+
+def test_the_service_manager_is_told_that_the_bridge_is_ready_alive_and_how_it_is(
+    daemon: Daemon, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
+        manager.bind(str(tmp_path / "notify"))
+        manager.settimeout(PATIENCE_S)
+        monkeypatch.setitem(ENVIRONMENT, "NOTIFY_SOCKET", str(tmp_path / "notify"))
+        monkeypatch.setitem(ENVIRONMENT, "WATCHDOG_USEC", "200000")
+        with bridge("--stream", daemon.endpoint) as running:
+            assert manager.recv(1000) == b"READY=1"
+            said: list[str] = []
+
+            def listen() -> None:
+                daemon.say()
+                said.append(manager.recv(1000).decode())
+
+            until(lambda: "WATCHDOG=1" in said, listen)
+            passed = re.compile(r"STATUS=a daemon is heard, [1-9]\d* poses passed on")
+            until(lambda: passed.fullmatch(said[-1]), listen)
+            running.terminate()
+            until(lambda: manager.recv(1000) == b"STOPPING=1")
 
 
 def test_what_is_no_stream_ends_the_bridge_with_one_line(tmp_path: Path) -> None:

@@ -12,11 +12,14 @@ import pytest
 from taxeld import cli, command_line
 from taxeld.config.tables import ControlConfig, PublishConfig
 from taxeld.service import descriptors
+from taxeld_ros2 import cli as bridge
 
 ROOT = Path(__file__).parents[2]
 SYSTEMD = ROOT / "systemd"
 UNIT = SYSTEMD / "taxeld@.service"
 RELAY = SYSTEMD / "taxeld-relay@.service"
+BRIDGE = SYSTEMD / "taxeld-ros2@.service"
+UNITS = [UNIT, RELAY, BRIDGE]
 EXPOSURE = 1.6
 
 needs_systemd = pytest.mark.skipif(
@@ -34,7 +37,7 @@ def settings(path: Path = UNIT) -> dict[str, list[str]]:
 
 
 @needs_systemd
-@pytest.mark.parametrize("unit", [UNIT, RELAY], ids=lambda unit: unit.stem)
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
 def test_the_unit_is_exposed_no_more_than_it_must_be(unit: Path) -> None:
     done = subprocess.run(
         ["systemd-analyze", "security", "--offline=true", "--no-pager",
@@ -49,7 +52,7 @@ def test_the_unit_is_exposed_no_more_than_it_must_be(unit: Path) -> None:
 
 
 @needs_systemd
-@pytest.mark.parametrize("unit", [UNIT, RELAY], ids=lambda unit: unit.stem)
+@pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
 def test_systemd_has_nothing_to_say_against_the_unit(tmp_path: Path, unit: Path) -> None:
     """With a command that exists: the installed one need not be on this machine."""
     text = unit.read_text(encoding="utf-8")
@@ -76,16 +79,41 @@ def test_the_unit_starts_what_the_command_line_takes(
     assert args.command is function
 
 
-def test_what_peers_may_take_of_the_machine_by_the_relay_is_bounded() -> None:
-    relay, daemon = settings(RELAY), settings(UNIT)
-    assert relay["Restart"] == ["always"]
+def test_the_unit_of_the_bridge_and_the_options_it_proposes_start_what_its_command_line_takes() -> (
+    None
+):
+    (start,) = settings(BRIDGE)["ExecStart"]
+    said = BRIDGE.read_text(encoding="utf-8")
+    assert "TAXELD_ROS2=" in settings(BRIDGE)["Environment"], "none, unless somebody says more"
+    (proposed,) = re.findall(r'Environment="TAXELD_ROS2=(.*?)"', said)
+    for more in ("", proposed):
+        started = start.replace("%i", "can0").replace("$TAXELD_ROS2", more)
+        command, *arguments = started.split()
+        assert command == "/usr/local/lib/taxeld/current/bin/taxeld-ros2"
+        args = bridge._parser().parse_args(arguments)
+        assert args.config == Path("/etc/taxeld/can0.toml")
+        assert args.command is bridge._run
+        assert args.sensor_tf == (["world", "skin_link"] if more else None)
+
+
+def test_the_page_on_the_bridge_installs_the_version_that_it_was_tried_with() -> None:
+    pinned = (ROOT / "constraints.txt").read_text(encoding="utf-8")
+    (line,) = re.findall(r"^cyclonedds==.*$", pinned, re.MULTILINE)
+    assert f"-m pip install {line}\n" in (ROOT / "docs" / "ros2.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize("unit", [RELAY, BRIDGE], ids=lambda unit: unit.stem)
+def test_what_peers_may_take_of_the_machine_beside_the_daemon_is_bounded(unit: Path) -> None:
+    beside, daemon = settings(unit), settings(UNIT)
+    assert beside["Restart"] == ["always"]
     for limit in ("LimitNOFILE", "MemoryMax", "TasksMax"):
-        (value,) = relay[limit]
+        (value,) = beside[limit]
         assert int(value.removesuffix("M")) > 0
-    (after,) = relay["After"]
+    (after,) = beside["After"]
     assert "taxeld@%i.service" in after
-    assert relay["Group"] == daemon["Group"], "who may open the daemon's sockets"
-    assert not {"Requires", "BindsTo", "PartOf"} & set(relay), "it outlives the daemon"
+    assert beside["Group"] == daemon["Group"], "who may open the daemon's sockets"
+    assert not {"Requires", "BindsTo", "PartOf"} & set(beside), "it outlives the daemon"
+    assert beside["RestartPreventExitStatus"] == [str(command_line.USAGE_ERROR)]
 
 
 def test_what_exits_as_a_configuration_fault_is_not_started_again() -> None:

@@ -9,6 +9,7 @@ _STOPS = np.array(
     [(13, 8, 135), (126, 3, 168), (204, 71, 120), (248, 149, 64), (240, 249, 33)], dtype=float
 )
 QUIET, DEAD = (120, 120, 120), (200, 30, 30)
+LEAST = 0.25  # of the colours: what is below is not seen on the viewer's black
 
 
 def plasma(z: Floats) -> NDArray[np.uint8]:
@@ -19,7 +20,9 @@ def plasma(z: Floats) -> NDArray[np.uint8]:
 
 
 def of_taxels(z: Floats, live: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """(n, 3): grey where nothing presses, red where a taxel is dead."""
-    colour = np.where((z > 0.0)[:, None], plasma(z), np.array(QUIET)).astype(np.uint8)
+    """(n, 3): from purple to yellow, grey where nothing presses, red where a taxel is dead."""
+    colour = np.where(
+        (z > 0.0)[:, None], plasma(LEAST + (1.0 - LEAST) * z), np.array(QUIET)
+    ).astype(np.uint8)
     colour[~live] = DEAD
     return colour

@@ -107,8 +107,12 @@ def of_scene(
 
 
 def check_version(message: dict[str, Any]) -> None:
-    """Raises SetupError where a message is of another version of the stream."""
+    """Raises SetupError where a message is of another version of the stream, or of none."""
     found = message.get("v")
+    if type(found) is not int:
+        raise SetupError(
+            "what comes is no stream of a taxeld daemon; is the endpoint another program's?"
+        )
     if found != messages.VERSION:
         raise SetupError(
             f"the stream is of version {found}, where this taxeld reads {messages.VERSION}; "

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, takewhile
 from pathlib import Path
 
 import rerun as rr
@@ -22,6 +22,7 @@ from taxeld.view.stage import Message, Stage, from_info
 
 ANSWER_S = 5.0  # in which a daemon that is there has said who it is
 LOOK_S = 0.2
+DRAWN_S = 0.25  # between two drawings of a session that is replayed: its rows go together
 
 
 @dataclass(frozen=True)
@@ -34,8 +35,8 @@ class Shown:
     stopping: Callable[[], bool] = lambda: False
     say: Callable[[str], None] = print
 
-    def show(self, stage: Stage, heard: Iterable[Message], *, is_live: bool) -> bool:
-        """Show all that is heard; → whether there was any of it.
+    def show(self, stage: Stage, looks: Iterable[list[Message]], *, is_live: bool) -> bool:
+        """Show all that is heard, look by look; → whether there was any of it.
 
         Raises:
             SetupError: nothing can be shown, or what is heard cannot be used.
@@ -51,12 +52,16 @@ class Shown:
                 stream.connect_grpc(window.address)
                 self.say(f"open in a browser: {window.page}" if self.web else "the viewer is open")
             space = Space(stage, stream, is_live=is_live)
-            for message in heard:
-                if self.stopping() or until.over(message) or (window and window.is_gone):
+            for look in looks:
+                for message in takewhile(until.holds, look):
+                    space.take(message)
+                space.flush()
+                if until.is_over or self.stopping() or (window and window.is_gone):
                     break
-                space.take(message)
             stream.flush()
             stream.disconnect()
+            if window is not None and not is_live:
+                self.say(f"{until.shown_s:.0f} s of the session are shown")
             while self.web and not self.stopping():  # the browser asks us
                 time.sleep(LOOK_S)
         if self.save is not None and until.begun is not None:
@@ -96,18 +101,19 @@ def live(endpoint: str, keys: Path | None, known: Stage | None, shown: Shown) ->
                 f"{endpoint}: its skin has {len(stage.position_m)} taxels, that of the "
                 f"configuration {len(known.position_m)}; name the daemon's own"
             )
-        shown.show(known or stage, chain(heard, _heard(streams, shown.stopping)), is_live=True)
+        shown.show(known or stage, chain([heard], _looks(streams, shown.stopping)), is_live=True)
     return True
 
 
 def recorded(directory: Path, shown: Shown) -> None:
-    """Show a session, as fast as it is replayed.
+    """Show a session from its first scan on, as fast as it is replayed.
 
     Raises:
         SetupError: nothing can be shown, or the session cannot be used, or holds nothing.
     """
     recording = Recording(directory)
-    if not shown.show(recording.stage, recording, is_live=False) and not shown.stopping():
+    shows = shown.show(recording.stage, _together(recording), is_live=False)
+    if not shows and not shown.stopping():
         raise SetupError(f"{directory}: holds no scan to show")
 
 
@@ -117,16 +123,31 @@ class _Until:
     def __init__(self, seconds: float) -> None:
         self._seconds = seconds
         self.begun: float | None = None
+        self.shown_s = 0.0
+        self.is_over = False
 
-    def over(self, message: Message) -> bool:
+    def holds(self, message: Message) -> bool:
+        """Whether the message comes before the end."""
         t = message[1].get("t", 0.0)
-        if message[0] != messages.ESTIMATE or not t:
-            return False
-        if self.begun is None:
-            self.begun = t
-        return bool(t - self.begun > self._seconds)
+        if message[0] == messages.ESTIMATE and t:
+            self.begun = t if self.begun is None else self.begun
+            self.is_over |= t - self.begun > self._seconds
+            self.shown_s = self.shown_s if self.is_over else t - self.begun
+        return not self.is_over
 
 
-def _heard(streams: Streams, stopping: Callable[[], bool]) -> Iterator[Message]:
+def _looks(streams: Streams, stopping: Callable[[], bool]) -> Iterator[list[Message]]:
     while not stopping():
-        yield from streams.wait(LOOK_S)
+        yield list(streams.wait(LOOK_S))
+
+
+def _together(replayed: Iterable[Message]) -> Iterator[list[Message]]:
+    """What is replayed within `DRAWN_S`."""
+    look: list[Message] = []
+    until_s = time.monotonic() + DRAWN_S
+    for message in replayed:
+        look.append(message)
+        if time.monotonic() >= until_s:
+            yield look
+            look, until_s = [], time.monotonic() + DRAWN_S
+    yield look

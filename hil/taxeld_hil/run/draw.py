@@ -29,6 +29,7 @@ from matplotlib.lines import Line2D
 COLUMNS = 4
 SPAN = 2.2  # half of what a panel shows, in sizes of the object
 MM = 1e3
+DPI, NUMBERS, WORDS = 110, 7, 8  # of the picture; sizes of its letters
 TRUTH: dict[str, Any] = {"color": "black", "lw": 1.2}
 FOUND: dict[str, Any] = {"color": "tab:red", "lw": 1.2, "ls": "--"}
 MAYBE: dict[str, Any] = {"color": "tab:blue", "lw": 0.8}
@@ -70,20 +71,21 @@ def draw(directory: Path, out: Path) -> None:
         count = panel(axis, contact, skin, scene, truth)
         axis.set_title(f"contact {number}: {count} taxels", fontsize=9)
     shown = legend(truth is not None)
-    figure.legend(handles=shown, loc="outside lower center", ncols=len(shown), fontsize=8)
+    figure.legend(handles=shown, loc="outside lower center", ncols=len(shown), fontsize=WORDS)
     activation_bar(figure, axes)
     save(figure, out)
 
 
 def activation_bar(figure: Figure, axes: NDArray[Any]) -> None:
     bar = figure.colorbar(ScalarMappable(Normalize(0.0, 1.0), TAXELS["cmap"]), ax=axes, aspect=40)
-    bar.set_label("activation of a taxel [full scale]", fontsize=8)
+    bar.set_label("activation of a taxel [full scale]", fontsize=WORDS)
+    bar.ax.tick_params(labelsize=NUMBERS)
 
 
 def save(figure: Figure, out: Path) -> None:
     """Raises SetupError where `out` cannot be written."""
     try:
-        figure.savefig(out, dpi=80)
+        figure.savefig(out, dpi=DPI)
     except (OSError, ValueError) as error:  # of a name that is no picture's
         raise SetupError(f"--out: cannot write {out} ({error})") from None
     finally:
@@ -123,9 +125,9 @@ def panel(
     reach = MM * span * scene.size
     axis.set_xlim(middle[0] - reach, middle[0] + reach)
     axis.set_ylim(middle[1] - reach, middle[1] + reach)
-    axis.tick_params(labelsize=6)
-    axis.set_xlabel("x [mm]", fontsize=7)
-    axis.set_ylabel("y [mm]", fontsize=7)
+    axis.tick_params(labelsize=NUMBERS)
+    axis.set_xlabel("x [mm]", fontsize=WORDS)
+    axis.set_ylabel("y [mm]", fontsize=WORDS)
     return int(pressed.sum())
 
 

@@ -19,7 +19,7 @@ from taxeld.layout.layout import Layout
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.source import session
 from taxeld.view.recorded import truth_of
-from taxeld_hil.run.draw import TAXELS, Moment, activation_bar, legend, panel, save
+from taxeld_hil.run.draw import NUMBERS, TAXELS, WORDS, Moment, activation_bar, legend, panel, save
 
 import matplotlib.pyplot as plt  # isort: skip  (draw has chosen what it draws with)
 
@@ -51,15 +51,19 @@ def picture(directory: Path, out: Path) -> None:
             f"{directory}: its object is not found by touch, so there is no such story"
         )
     figure, axes = plt.subplots(
-        2, 4, figsize=(11, 4.3), height_ratios=(3.6, 1.0), layout="constrained"
-    )
+        2, 4, figsize=(11, 4.6), height_ratios=(3.6, 1.0), layout="constrained",
+        sharex="row", sharey="row",
+    )  # fmt: skip
     for number, (title, shot) in enumerate(shots.items()):
         above, below = axes[:, number]
         panel(above, shot, skin, scene, truth, span=SPAN, estimated=number > 0)
         above.set_title(f"{title}\n{_said(shot.estimate)}", fontsize=9)
         _unrolled(below, skin, shot)
+        if number:  # the rows share their axes
+            above.set_ylabel("")
+            below.set_ylabel("")
     shown = legend(truth is not None)
-    figure.legend(handles=shown, loc="outside lower center", ncols=len(shown), fontsize=8)
+    figure.legend(handles=shown, loc="outside lower center", ncols=len(shown), fontsize=WORDS)
     activation_bar(figure, axes)
     save(figure, out)
 
@@ -103,7 +107,7 @@ def _said(e: Estimate) -> str:
     status = e.status.name.lower()
     if not e.contacts:
         return f"{status}: it may be anywhere"
-    return f"{status}; the likeliest place: {e.modes[0].weight:.0%}"
+    return f"{status}; its likeliest pose: {e.modes[0].weight:.0%}"
 
 
 def _unrolled(axis: Axes, skin: Layout, shot: Shot) -> None:
@@ -115,6 +119,6 @@ def _unrolled(axis: Axes, skin: Layout, shot: Shot) -> None:
     axis.set_xlim(-1.05 * half, 1.05 * half)
     axis.margins(y=0.15)
     axis.set_aspect("equal")
-    axis.tick_params(labelsize=6)
-    axis.set_xlabel("around the skin [mm]", fontsize=7)
-    axis.set_ylabel("z [mm]", fontsize=7)
+    axis.tick_params(labelsize=NUMBERS)
+    axis.set_xlabel("around the skin [mm]", fontsize=WORDS)
+    axis.set_ylabel("z [mm]", fontsize=WORDS)
