@@ -14,8 +14,11 @@ from pathlib import Path
 from taxeld import __version__
 
 PROGRAMS = {
-    "taxeld": "taxeld.cli", "taxeld-train": "taxeld_training.cli", "taxeld-hil": "taxeld_hil.cli",
-}  # fmt: skip
+    "taxeld": "taxeld.cli",
+    "taxeld-train": "taxeld_training.cli",
+    "taxeld-hil": "taxeld_hil.cli",
+    "taxeld-ros2": "taxeld_ros2.cli",
+}
 STATUS = "0: fine. 1: failed at work. 2: wrong arguments or configuration."
 Action = argparse.Action
 
@@ -27,7 +30,7 @@ def parser_of(program: str) -> argparse.ArgumentParser:
 
 
 def commands_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-    """The commands of a program, by name."""
+    """The commands of a program, by name; none where it is one command itself."""
     for action in parser._actions:
         if isinstance(action, argparse._SubParsersAction):
             return dict(action.choices)
@@ -41,18 +44,20 @@ def arguments_of(parser: argparse.ArgumentParser) -> list[Action]:
 def manual(program: str) -> str:
     """Its page for man(1), section 1."""
     parser = parser_of(program)
+    commands = commands_of(parser)
+    synopsis = [r".I COMMAND", ".RI [ ARGUMENTS ]"] if commands else [_roff(_usage(parser))]
     lines = [
         f'.TH {_roff(program.upper())} 1 "" "taxeld {__version__}" "taxeld"',
         ".SH NAME", _roff(f"{program} - {_sentence(parser)}"),
-        ".SH SYNOPSIS", rf".B {_roff(program)}", r".I COMMAND", ".RI [ ARGUMENTS ]",
+        ".SH SYNOPSIS", rf".B {_roff(program)}", *synopsis,
         ".SH DESCRIPTION", _roff(parser.description or ""),
-        *_examples(parser), ".SH COMMANDS",
+        *_examples(parser), ".SH COMMANDS" if commands else ".SH OPTIONS",
     ]  # fmt: skip
-    for name, command in commands_of(parser).items():
+    for name, command in commands.items():
         lines += [f".SS {_roff(f'{program} {name}')}", _roff(command.description or "")]
-        for action in arguments_of(command):
-            lines += [".TP", f".B {_roff(_head(command, action))}", _roff(_text(command, action))]
-        lines += _examples(command)
+        lines += [*_arguments(command), *_examples(command)]
+    if not commands:
+        lines += _arguments(parser)
     lines += [".SH EXIT STATUS", STATUS, ".SH SEE ALSO"]
     lines += [_roff(", ".join(f"{other}(1)" for other in PROGRAMS if other != program))]
     return "\n".join(lines) + "\n"
@@ -60,8 +65,16 @@ def manual(program: str) -> str:
 
 def bash(program: str) -> str:
     """Its completion for bash: commands, options and their choices; else files."""
-    commands = commands_of(parser_of(program))
+    parser = parser_of(program)
+    commands = commands_of(parser)
     function = "_" + program.replace("-", "_")
+    if not commands:
+        words = " ".join(_words(parser))
+        return (
+            f"{function}() {{\n    local word=${{COMP_WORDS[COMP_CWORD]}}\n"
+            f'    COMPREPLY=($(compgen -W "{words}" -- "$word"))\n}}\n'
+            f"complete -o default -F {function} {program}\n"
+        )
     lines = [
         f"{function}() {{",
         "    local word=${COMP_WORDS[COMP_CWORD]} last=${COMP_WORDS[COMP_CWORD-1]} words=",
@@ -86,18 +99,16 @@ def bash(program: str) -> str:
 
 def zsh(program: str) -> str:
     """The same for zsh, with what each command and option does."""
-    commands = commands_of(parser_of(program))
+    parser = parser_of(program)
+    commands = commands_of(parser)
+    if not commands:
+        return f"#compdef {program}\n_arguments {_specs(parser)} '*: :_files'\n"
     lines = [f"#compdef {program}", "local -a commands=("]
     lines += [f"    {_quoted(name + ':' + _sentence(each))}" for name, each in commands.items()]
     lines += [")", "if ((CURRENT == 2)); then", "    _describe command commands", "    return"]
     lines += ["fi", "local command=$words[2]", "shift words", "((CURRENT--))", "case $command in"]
     for name, command in commands.items():
-        specs = [
-            _quoted(f"{option}[{_zsh(_text(command, action))}]{_value(action)}")
-            for action in arguments_of(command)
-            for option in action.option_strings
-        ]
-        lines.append(f"{name}) _arguments {' '.join(specs)} '*: :_files' ;;")
+        lines.append(f"{name}) _arguments {_specs(command)} '*: :_files' ;;")
     return "\n".join([*lines, "esac"]) + "\n"
 
 
@@ -116,6 +127,25 @@ def write(prefix: Path) -> None:
 
 def _sentence(parser: argparse.ArgumentParser) -> str:
     return (parser.description or "").partition(". ")[0].partition("; ")[0].rstrip(".")
+
+
+def _usage(parser: argparse.ArgumentParser) -> str:
+    """The arguments of a program that is one command, in a line."""
+    return " ".join(parser.format_usage().split()[2:])
+
+
+def _arguments(parser: argparse.ArgumentParser) -> Iterator[str]:
+    for action in arguments_of(parser):
+        yield from (".TP", f".B {_roff(_head(parser, action))}", _roff(_text(parser, action)))
+
+
+def _specs(parser: argparse.ArgumentParser) -> str:
+    """Its options, as zsh's _arguments has them."""
+    return " ".join(
+        _quoted(f"{option}[{_zsh(_text(parser, action))}]{_value(action)}")
+        for action in arguments_of(parser)
+        for option in action.option_strings
+    )
 
 
 def _head(parser: argparse.ArgumentParser, action: Action) -> str:

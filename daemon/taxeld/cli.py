@@ -17,7 +17,7 @@ from taxeld.errors import SetupError
 from taxeld.view import cli as view_cli
 
 DONE = {
-    "tare": "the idle baseline is being learned anew; leave the skin untouched until it is",
+    "tare": "the idle baseline is being learned again; leave the skin untouched until it is",
     "reset": "all touches are forgotten",
 }
 
@@ -366,7 +366,7 @@ def _add_skin(commands: command_line.Commands) -> None:
 def _add_asking(commands: command_line.Commands) -> None:
     for name, text in (
         ("status", "Show what a running daemon believes and counts."),
-        ("tare", "Have a running daemon learn the idle baseline anew; do not touch the skin."),
+        ("tare", "Have a running daemon learn the idle baseline again; do not touch the skin."),
         ("reset", "Have a running daemon forget all touches."),
     ):
         ask = command(

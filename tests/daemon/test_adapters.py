@@ -149,7 +149,7 @@ def test_a_channel_that_another_process_closed_is_opened_again_and_said_once(
     assert (counters.silences, counters.lost, counters.refused) == (1, 0, 0)
     said = [(record.levelname, record.getMessage()) for record in caplog.records]
     assert [level for level, _ in said] == ["WARNING", "INFO"]
-    assert said[1][1] == f"is mended: {said[0][1]}"
+    assert said[1][1] == f"no longer: {said[0][1]}"
 
 
 @as_bus_and_as_line

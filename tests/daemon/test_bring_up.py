@@ -144,11 +144,11 @@ def test_a_hub_in_its_bootloader_is_told_of_once_and_waited_for_where_it_stays()
     stuck, good = Stuck(wired(UIDS), uid=7), VirtualIhb(wired(UIDS), uid=8)
     bus = Bus(stuck)
     bus.run(0.0, 5.0)
-    assert bus.news == ["hub 1 answers from its bootloader, as after power-on; it is led out"]
+    assert bus.news == ["hub 1 is in its bootloader, as after power-on; it is started"]
     assert bus.bring_up.waits_for == ""
     bus.run(5.0, 60.0)
     assert len(bus.news) == 1
-    assert bus.bring_up.waits_for.startswith("hub 1 stays in its bootloader: power it anew")
+    assert bus.bring_up.waits_for.startswith("hub 1 stays in its bootloader: switch it off and on")
     bus.hubs = [VirtualIhb(wired(UIDS), uid=7)]
     bus.run(60.0, 63.0)
     assert bus.bring_up.waits_for == ""

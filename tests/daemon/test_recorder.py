@@ -31,7 +31,7 @@ from tests.virtual_hub import VirtualHub
 MODULES = wired(layouts.load(SkinConfig().layout).uid.tolist())
 CHANNELS = sum(module.channels for module in MODULES)
 DEADLINE_S = 30.0
-STARTED = "hub 1 answers from its bootloader, as after power-on; it is led out"
+STARTED = "hub 1 is in its bootloader, as after power-on; it is started"
 SMALL_DISK = 30_000  # bytes a file may have, in place of a disk that is nearly full
 
 

@@ -130,9 +130,9 @@ def test_a_loop_that_does_not_pause_says_where_it_is_and_ends(daemon: Running, n
 def test_hup_takes_the_log_level_and_names_what_needs_a_restart(daemon: Running) -> None:
     daemon.write('[log]\nlevel = "debug"\n[filter]\nseed = 7\n')
     daemon.send(signal.SIGHUP)
-    line = daemon.wait_for("read anew")
+    line = daemon.wait_for("read again")
     assert line == (
-        f"{daemon.config}: read anew, log.level is debug; "
+        f"{daemon.config}: read again, log.level is debug; "
         "a restart is needed for what changed in filter"
     )
 

@@ -30,7 +30,7 @@ case "$*" in
     [ "$FAILS_AT" != wheel ] || exit 1
     echo "$BUILDS" >"$here/version"
     echo "$REFUSES" >"$here/refuses"
-    for name in taxeld taxeld-hil taxeld-train; do
+    for name in taxeld taxeld-hil taxeld-ros2 taxeld-train; do
         printf '#!%s/bin/python\n' "$here" >"$here/bin/$name"
     done ;;
 *" deploy/manuals.py "*)
@@ -291,7 +291,8 @@ def test_uninstall_takes_exactly_what_install_put(machine: Machine, staged: bool
         "opt/bin/taxeld", "opt/lib/other", "opt/lib/taxeld/current",
         "opt/lib/systemd/network/60-can0.network", "opt/lib/sysusers.d/taxeld.conf",
         "opt/lib/udev/rules.d/60-taxeld.rules", "opt/share/doc/taxeld/can0.toml",
-        "opt/share/doc/taxeld/service.md", "opt/bin/taxeld-hil", "opt/bin/taxeld-train",
+        "opt/share/doc/taxeld/service.md", "opt/bin/taxeld-hil", "opt/bin/taxeld-ros2",
+        "opt/bin/taxeld-train",
         "opt/share/man/man1/taxeld.1",
         *(f"opt/lib/systemd/system/{p.name}" for p in (ROOT / "systemd").glob("*.service")),
     }  # fmt: skip
@@ -369,7 +370,7 @@ def test_all_commands_and_their_manual_are_installed_and_go_with_an_uninstall(
     machine.make("install")
     page = machine.prefix / "share" / "man" / "man1" / "taxeld.1"
     assert page.read_text(encoding="utf-8") == "page\n"
-    names = ("taxeld", "taxeld-hil", "taxeld-train")
+    names = ("taxeld", "taxeld-hil", "taxeld-ros2", "taxeld-train")
     commands = [machine.prefix / "bin" / name for name in names]
     for command in commands:
         assert command.readlink() == machine.lib / "current" / "bin" / command.name

@@ -2,6 +2,7 @@
 
 import shutil
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -9,11 +10,14 @@ from deploy import manuals
 
 from taxeld import __version__
 
+ROOT = Path(__file__).parents[2]
 PROGRAMS = list(manuals.PROGRAMS)
 
 
 def options(program: str) -> set[str]:
-    commands = manuals.commands_of(manuals.parser_of(program)).values()
+    """Of its commands, or its own where it is one command itself."""
+    parser = manuals.parser_of(program)
+    commands = manuals.commands_of(parser).values() or [parser]
     found = [a.option_strings for each in commands for a in manuals.arguments_of(each)]
     return {option for strings in found for option in strings}
 
@@ -23,6 +27,7 @@ def test_a_page_has_each_command_and_each_option(program: str) -> None:
     page = manuals.manual(program).replace(r"\-", "-")
     for name in manuals.commands_of(manuals.parser_of(program)):
         assert f".SS {program} {name}\n" in page
+    assert options(program) > {"--help", "--version"}
     for option in options(program):
         assert option in page
     assert f'"taxeld {__version__}"' in page
@@ -54,13 +59,26 @@ def completed(program: str, *words: str) -> set[str]:
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.parametrize("program", [p for p in PROGRAMS if p != "taxeld-ros2"])
 def test_bash_completes_commands_and_options(program: str) -> None:
     commands = manuals.commands_of(manuals.parser_of(program))
     assert completed(program, "") == {*commands, "--help", "--version"}
     for name, command in commands.items():
         strings = {s for a in manuals.arguments_of(command) for s in a.option_strings}
         assert completed(program, name, "--") == {s for s in strings if s.startswith("--")}
+
+
+def test_bash_completes_the_options_of_a_program_without_commands() -> None:
+    long = {option for option in options("taxeld-ros2") if option.startswith("--")}
+    assert completed("taxeld-ros2", "--") == long
+    assert completed("taxeld-ros2", "can0.toml", "--sensor-t") == {"--sensor-tf", "--sensor-topic"}
+    assert completed("taxeld-ros2", "can0") == set()  # bash itself offers files
+
+
+def test_each_program_that_pip_installs_has_a_page() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    scripts = {name: place.split(":")[0] for name, place in project["scripts"].items()}
+    assert scripts == manuals.PROGRAMS
 
 
 def test_bash_completes_a_choice_after_its_option() -> None:

@@ -94,6 +94,17 @@ def test_each_stage_of_a_build_tells_its_share_and_ends_with_all() -> None:
         assert shares[-1] == 1.0
 
 
+def test_exact_posteriors_are_the_same_by_any_number_of_workers() -> None:
+    model = bundle.load("box", layouts.load(SkinConfig().layout), 0.005).model
+    one, two = (
+        quality.reference(model, Noise(), 3, np.random.default_rng(0), bank=20_000, workers=workers)
+        for workers in (1, 2)
+    )
+    assert one.ess == two.ess
+    for alone, shared in zip(one.exact, two.exact, strict=True):
+        assert np.array_equal(alone, shared)
+
+
 def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
     ours, theirs = pty.openpty()
     with os.fdopen(theirs, "w") as terminal:

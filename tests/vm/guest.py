@@ -67,7 +67,7 @@ def too_few_descriptors_are_said_in_one_line() -> None:
 def a_reload_and_a_dump_are_said_in_the_log() -> None:
     pid = VCAN0.pid
     sh(f"systemctl reload {VCAN0.name}")
-    until("the reload", lambda: "vcan0.toml: read anew, log.level is info" in VCAN0.said())
+    until("the reload", lambda: "vcan0.toml: read again, log.level is info" in VCAN0.said())
     os.kill(pid, signal.SIGUSR1)
     until("the dump", lambda: re.search(r"^health: \{", VCAN0.said(), re.MULTILINE) is not None)
     assert VCAN0.pid == pid

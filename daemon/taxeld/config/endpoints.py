@@ -79,7 +79,10 @@ def no_directory(endpoint: str) -> str | None:
     path = ipc_path(endpoint)
     if path is None or path.parent.is_dir() or path.parent == own_directory():
         return None
-    return f"{path.parent} does not exist; create it or name another endpoint"
+    return (
+        f"{path.parent} does not exist; the service makes it ('make install'). To try a daemon "
+        f"without the service, set XDG_RUNTIME_DIR, or name another endpoint"
+    )
 
 
 def _is_port(text: str) -> bool:

@@ -257,7 +257,7 @@ class LogConfig:
     level: str = key(
         "info",
         one_of(*LEVELS),
-        "what is logged on standard error; taken anew at SIGHUP",
+        "what is logged on standard error; read again at SIGHUP",
     )
 
 

@@ -86,7 +86,9 @@ class Scene:
         """
         gap = np.abs(layout.position_m[:, 2, None] - self.heights)
         if gap.min(axis=1).max() > HEIGHT_TOLERANCE_M:
-            raise SetupError(f"scene has no slice at a height of layout {layout.name}")
+            raise SetupError(
+                f"scene: has no slice at a height of the layout {layout.name}; build it again"
+            )
         return np.asarray(gap.argmin(axis=1))
 
     def clearance(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:

@@ -140,12 +140,13 @@ def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
     if theirs["digest"] != layout.digest:
         raise SetupError(
             f"scene.bundle: {path.name} is for the layout {theirs['name']} "
-            f"({theirs['digest']}), not for {layout.name} ({layout.digest})"
+            f"({theirs['digest']}), not for {layout.name} ({layout.digest}); build it again for "
+            "this one ('taxeld-train build --skin'), or name the other in skin.layout"
         )
     if abs(info["depth_max_m"] - depth_max_m) > 1e-6:
         raise SetupError(
             f"skin.full_scale_depth_m: is {depth_max_m:g}, but {path.name} was built for "
-            f"{info['depth_max_m']:g}"
+            f"{info['depth_max_m']:g}; set it to that"
         )
     files = seal.unbroken(path, info["files"])
     for entry in info["samplers"]:

@@ -180,7 +180,7 @@ def load(
             raise SetupError(
                 f"skin.calibration: {Path(config.calibration).name} is {age_days:.0f} days old, "
                 f"more than skin.calibration_max_age_days = {config.calibration_max_age_days:g}; "
-                "calibrate the skin anew (taxeld calibrate), or allow more days"
+                "calibrate the skin again (taxeld calibrate), or allow more days"
             )
         if age_days < -FUTURE_DAYS and not recorded:
             raise SetupError(

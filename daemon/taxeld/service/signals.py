@@ -92,7 +92,7 @@ def reload(path: Path, config: Config, level: str | None = None) -> None:
         if name != "log" and getattr(new, name) != getattr(config, name)
     ]
     rest = f"; a restart is needed for what changed in {', '.join(others)}" if others else ""
-    log.warning("%s: read anew, log.level is %s%s", path, level, rest)
+    log.warning("%s: read again, log.level is %s%s", path, level, rest)
 
 
 def dump(state: Mapping[str, object]) -> None:

@@ -79,7 +79,7 @@ class StateFile:
         except (OSError, ValueError) as error:
             self.counters.refused += 1
             reason = error.strerror if isinstance(error, OSError) else error
-            log.warning("%s: not used, %s; the skin is captured afresh", self._path, reason)
+            log.warning("%s: not used, %s; the idle baseline is learned again", self._path, reason)
             return
         self.counters.loaded += 1
         self._skin.restore(state)

@@ -66,7 +66,7 @@ class BringUp:
         self._now_s = -math.inf
 
     def restart(self) -> None:
-        """Begin again at once: the device was opened anew."""
+        """Begin again at once: the device was opened again."""
         self._scan_s.clear()
         self._begin()
 
@@ -232,7 +232,7 @@ class BringUp:
         elif packet.ihb not in self._cold:
             self._cold[packet.ihb] = self._now_s
             self._news.append(
-                f"hub {packet.ihb} answers from its bootloader, as after power-on; it is led out"
+                f"hub {packet.ihb} is in its bootloader, as after power-on; it is started"
             )
 
     def _stuck(self) -> str:
@@ -240,8 +240,8 @@ class BringUp:
         for ihb, since_s in self._cold.items():
             if self._now_s - since_s >= STUCK_S:
                 return (
-                    f"hub {ihb} stays in its bootloader: power it anew; if that does not help, its "
-                    "modules lack their firmware"
+                    f"hub {ihb} stays in its bootloader: switch it off and on; if that does not "
+                    "help, its modules lack their firmware"
                 )
         return ""
 

@@ -94,7 +94,7 @@ def read(directory: Path) -> Session:
             directory, held, len(poses),
         )  # fmt: skip
     elif not items:
-        raise SetupError(f"{directory}: holds no frames; the log is empty")
+        raise SetupError(f"{directory}: holds no frames, the log is empty; record it again")
     return Session(items, poses)
 
 

@@ -305,7 +305,7 @@ class LiveSource:
         if line:
             self._say(logging.WARNING, line, now_s)
         else:
-            self._say(logging.INFO, f"is mended: {before}", now_s)
+            self._say(logging.INFO, f"no longer: {before}", now_s)
 
     def _say(self, level: int, line: str, now_s: float) -> None:
         """Log a line, unless there were too many of late."""

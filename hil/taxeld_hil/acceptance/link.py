@@ -23,7 +23,7 @@ _WIRES = (
     f"lost between adapter and program show the same way: {_BUSY}"
 )
 _TABLE = (
-    "the hub's module table changed, or two hubs share a short id: power all hubs anew, and "
+    "the hub's module table changed, or two hubs share a short id: switch all hubs off and on, and "
     "connect one at a time"
 )
 

@@ -13,7 +13,9 @@ _POWER = (
     "120 Ω at both ends and runs at 1 Mbit/s; on a serial device, that the target's kind (slcan or "
     "serial) is the right one"
 )
-_SPI = "check the cable from the hub to this module and its neighbours, then power the hub anew"
+_SPI = (
+    "check the cable from the hub to this module and its neighbours, then switch the hub off and on"
+)
 _LAYOUT = "give the layout file of this skin, or correct the serial number in it"
 
 
@@ -36,8 +38,8 @@ def discovery(received: Received) -> CheckResult:
             Finding(
                 f"hub {hub}",
                 "answers, but sent no scan after auto sync was switched on",
-                "power the hub anew; if it stays silent, its module application does not run "
-                "(MODULE_PROGRAM_END) and the firmware has to be loaded again",
+                "switch the hub off and on; if it stays silent, its module application does not "
+                "run (MODULE_PROGRAM_END) and the firmware has to be loaded again",
             )
             for hub in tables
             if not any(scan.ihb == hub for scan in received.scans)
@@ -65,14 +67,14 @@ def _silence(received: Received) -> Finding:
         return Finding(
             "the hub",
             f"answers from its bootloader ({link.bootloader} ×), and does not leave it",
-            "power it anew; if it stays there, its modules lack their firmware, which the vendor's "
-            "tool loads",
+            "switch it off and on; if it stays there, its modules lack their firmware, which the "
+            "vendor's tool loads",
         )
     if link.packets:
         return Finding(
             "the bus",
             f"{link.packets} CySkin packets came, but no answer to DECLARE",
-            "stop whatever else drives this hub, power the hub anew and try again",
+            "stop whatever else drives this hub, switch the hub off and on and try again",
         )
     if link.frames or link.bytes:
         heard = f"{link.frames} frames" if link.frames else f"{link.bytes} bytes"
@@ -169,7 +171,7 @@ def _channels(where: str, expected: Module, answered: Module) -> list[Finding]:
                 where,
                 f"sends {answered.channels} channels, but its mask {answered.mask:#05x} names "
                 f"{answered.mask.bit_count()}: which taxel is which is not known",
-                "set its mask again (MODULE_SET_CUT_SENSORS) and power the hub anew",
+                "set its mask again (MODULE_SET_CUT_SENSORS) and switch the hub off and on",
             )
         )
     absent = _names(expected.mask & ~answered.mask & ~(1 << TEMPERATURE))

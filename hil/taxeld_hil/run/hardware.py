@@ -105,7 +105,10 @@ def _listen(scenario: Scenario, site: Site, listener: Listener, processes: Proce
             if event == "subscriber printed":
                 listener.judge.came_back("subscriber_dead", t)
         if start_s is None and now - began > START_S:
-            raise SetupError(f"{site.target}: no scan came within {START_S:g} s")
+            raise SetupError(
+                f"{site.target}: no scan came within {START_S:g} s; check the skin "
+                "with 'taxeld-hil accept'"
+            )
         last = listener.table.last
         done = bool(last) and last["contacts"] >= scenario.contacts and not last["contact"]
         if t > site.limit_s or (done and (t > last_s or listener.judge.has_recovered(t))):

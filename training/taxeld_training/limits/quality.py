@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import joblib
 import numpy as np
 from numpy.typing import NDArray
 
@@ -59,22 +60,26 @@ class Reference:
 
 def reference(
     model: ObservationModel, noise: Noise, readings: int, rng: np.random.Generator,
-    *, dead: float = 0.0, bank: int = BANK,
+    *, dead: float = 0.0, bank: int = BANK, workers: int = 1,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Reference:  # fmt: skip
     """Exact posteriors of `readings` simulated readings, a share `dead` of the taxels dead in
-    each. Where the bank is too thin for one, contacts are made around it. `progress` is told the
-    stage, and which share of it is done."""
+    each. Where the bank is too thin for one, contacts are made around it. Each reading has a random
+    generator of its own, so any number of `workers` (processes) makes the same. `progress` is told
+    the stage, and which share of it is done."""
     contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
     exact = Posterior(model, contacts, noise, rng)
     kept = Reference([], [], [], [], [], model.scene.size, 0, bank, 0.0)
     drawn = read(model, noise, readings, rng, dead)
+    jobs = (
+        joblib.delayed(_draws)(exact, seen, own)
+        for seen, own in zip(drawn, rng.spawn(readings), strict=True)
+    )
+    made = joblib.Parallel(workers, return_as="generator", mmap_mode="c")(jobs)
     spent_s = 0.0
-    for done, (pose, seen) in enumerate(zip(drawn.pose, drawn, strict=True)):
+    for done, (pose, seen, (draws, took_s)) in enumerate(zip(drawn.pose, drawn, made, strict=True)):
         progress(EXACT_STAGE, done / readings)
-        start = time.thread_time()
-        draws = exact.sample(seen, 2 * SAMPLES, rng)
-        spent_s += time.thread_time() - start
+        spent_s += took_s
         if draws.ess < LIMIT_ESS:
             continue
         kept.truth.append(pose)
@@ -87,6 +92,13 @@ def reference(
         kept.truth, kept.z, kept.live, kept.exact, kept.ess,
         kept.length_m, readings - len(kept.z), bank, spent_s / readings * 1e3,
     )  # fmt: skip
+
+
+def _draws(exact: "Posterior", seen: Observation, rng: np.random.Generator) -> tuple[Draws, float]:
+    """Draws for a reading, and the CPU time that they took [s]."""
+    start = time.thread_time()
+    draws = exact.sample(seen, 2 * SAMPLES, rng)
+    return draws, time.thread_time() - start
 
 
 class Posterior:

@@ -58,7 +58,10 @@ def simulate(
         kept, drawn, dropped = kept + int(keep.sum()), drawn + 20_000, dropped + contacts.dropped
         progress(min(kept / n, 1.0))
         if drawn >= 400_000 and kept < drawn // 100:
-            raise SetupError("fewer than 1 % of contacts are felt; the skin misses the object")
+            raise SetupError(
+                "fewer than 1 % of simulated contacts press a taxel: the skin hardly reaches the "
+                "object; look at 'taxeld-train scene OBJECT --png', and change --height-m"
+            )
     return Touches(np.concatenate(poses)[:n], np.concatenate(activations)[:n], dropped / drawn)
 
 
@@ -74,13 +77,14 @@ class Skin:
     def __init__(self, leak: Leak, noise: Noise, seed: int, device: torch.device) -> None:
         self.generator = torch.Generator(device).manual_seed(seed)
         self._leak, self._noise = leak, noise
+        self._sigma = torch.tensor(noise.sigma, device=device)
 
     def read(self, h: Tensor, live: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Activations h (n, M), live (n, M) as 0 or 1 → readings, floors and residues (n, M)."""
         floor = self._floor(h * live)
         own = torch.clamp(floor / SILENT, max=self._noise.sigma)
-        sd = torch.where(h > 0.0, self._noise.sigma, own)
-        z = (1.0 + self._noise.gain_cv * self._normal(h)) * h + sd * self._normal(h)
+        sd = torch.where(h > 0.0, torch.hypot(self._sigma, self._noise.gain_cv * h), own)
+        z = h + sd * self._normal(h)  # gain and noise in one
         leak = self._leak.of((z * live).clamp(0.0, 1.0).cpu().numpy())
         z = ((z + torch.from_numpy(leak).to(z) * self._normal(h)) * live).clamp(0.0, 1.0)
         floor = _felt(z, floor)

@@ -105,7 +105,7 @@ class ContactDensity(Model):
         """The mixture of whitened φ and δ at s (n,): log shares (n, C), centres (n, C, 2), log
         scales (n, C, 2), and the slope (n, C) of δ on φ; context (n or 1, 2 W)."""
         k = 2.0 * math.pi * s[:, None] * torch.arange(1, OCTAVES + 1, device=s.device)
-        a, b = context.chunk(2, dim=-1)
+        a, b = torch.split(context, self.config.width, dim=-1)
         hidden = functional.silu(self.first(torch.cat([torch.sin(k), torch.cos(k)], dim=1)) + a)
         hidden = hidden + functional.silu(self.second(hidden) + b)
         out = self.out(hidden).unflatten(1, (COMPONENTS, 6))

@@ -82,7 +82,7 @@ class PoseNetwork(Model):
         """x (B, 4), shift (B or 1, 3 W) → (B, 4)."""
         angle = torch.cat([x * (0.5 * math.pi * 2**k) for k in range(FOURIER_OCTAVES)], dim=-1)
         features = torch.cat([x, torch.sin(angle), torch.cos(angle)], dim=-1)
-        a, b, c = shift.chunk(3, dim=-1)
+        a, b, c = torch.split(shift, self.config.width, dim=-1)
         hidden = functional.silu(self.first(features) + a)
         hidden = hidden + functional.silu(self.second(hidden) + b)
         hidden = hidden + functional.silu(self.third(hidden) + c)

@@ -2,7 +2,6 @@
 
 import copy
 import json
-import logging
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +20,7 @@ AnySampler = DiffusionSampler | ContactDensity | Generator
 
 OPSET = 20
 HALVED_FROM = 256  # values of a tensor, from which on it is worth halving
-EXPORT_SAMPLES = 100  # the graph is traced and checked with so many, and takes any number
+TRACED, TRIED = 100, 64  # samples; the graph takes any number, so it is checked with another
 # Largest difference to torch of 99 % of the pose values, in their own units. A sample at a kink of
 # the contact curve may fall on its other side by rounding.
 TOLERANCE = 1e-3
@@ -41,31 +40,31 @@ def flops(sampler: AnySampler, samples: int) -> int:
 def export(sampler: AnySampler, taxels: int, path: Path, metadata: Mapping[str, object]) -> float:
     """Write `sampler` to `path`; → its difference to torch on fixed inputs (99 % quantile).
 
+    The graph is traced by TorchScript: torch's newer exporter takes 30 times as long for the
+    hundred steps of a DDPM, and the graph it makes is no faster.
+
     Raises:
         RuntimeError: the graph differs from torch.
     """
     generator = torch.Generator().manual_seed(0)
     z = (torch.rand(1, taxels, generator=generator) - 0.8).clamp(min=0.0) * 5.0  # a fifth pressed
     live = torch.ones(1, taxels)
-    noise = torch.randn(sampler.noise_steps, EXPORT_SAMPLES, 4, generator=generator)
+    noise = torch.randn(sampler.noise_steps, TRACED, 4, generator=generator)
     sampler = rounded(sampler)
     with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # of the exporter's own future plans
-        logging.getLogger("torch.onnx").setLevel(logging.ERROR)
-        program = torch.onnx.export(
-            sampler, (z, live, noise), dynamo=True, opset_version=OPSET, verbose=False,
+        warnings.simplefilter("ignore")  # of the exporter's age
+        torch.onnx.export(
+            sampler, (z, live, noise), path, dynamo=False, opset_version=OPSET,
             input_names=["z", "live", "noise"], output_names=["poses"],
-            dynamic_shapes=(None, None, {1: torch.export.Dim("samples", min=2, max=100_000)}),
+            dynamic_axes={"noise": {1: "samples"}, "poses": {0: "samples"}},
         )  # fmt: skip
+        noise = noise[:, :TRIED]
         expected = sampler(z, live, noise).numpy()
-    assert program is not None  # noqa: S101
-    model = program.model_proto
-    for node in model.graph.node:  # the tracer leaves a megabyte of stack traces
-        node.ClearField("metadata_props")
+    model = onnx.load(path)
+    for node in model.graph.node:
         node.ClearField("doc_string")
         node.ClearField("name")
     model.graph.ClearField("value_info")
-    model.graph.ClearField("metadata_props")
     for key, value in metadata.items():
         entry = model.metadata_props.add()
         entry.key, entry.value = key, json.dumps(value)

