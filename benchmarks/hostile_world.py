@@ -208,7 +208,7 @@ class World:
             assert time.monotonic() < deadline_s, "the daemon was never heard"
             assert self.daemon.is_alive, self.daemon.end()
             self._step()
-        self._robot.begin()
+        self._robot.come()
         self.serve(UNTOUCHED_S + TOUCHED_S)
         while not self._is_served():
             assert time.monotonic() < deadline_s, "the daemon found nothing"
@@ -266,7 +266,7 @@ class Robot(service.Robot):
     def truth(self) -> np.ndarray:
         return np.array(self._seen[:2])
 
-    def begin(self) -> None:
+    def come(self) -> None:
         self._touches_s = time.monotonic() + UNTOUCHED_S
 
     def _at(self, t: float) -> tuple[float, float]:

@@ -278,8 +278,7 @@ class Robot:
         index = {int(uid): i for i, uid in enumerate(self._model.layout.uid)}
         uids = [uid for module in hub.modules for uid in module.uids]
         self._taxel = np.array([index.get(uid, -1) for uid in uids])
-        self._next_pose_s = time.monotonic()
-        self.begin()
+        self._next_pose_s = self._began = time.monotonic()
 
     def begin(self) -> None:
         """The motion begins anew."""
