@@ -373,6 +373,22 @@ def test_one_touch_of_something_else_does_not_move_the_object(box_model: Observa
     assert estimate.status is not Status.INCONSISTENT
 
 
+def test_a_contact_that_nothing_explains_is_doubted_until_another_is_explained(
+    box_model: ObservationModel,
+) -> None:
+    """Not only while it is held: silence after it, where silence is expected, explains nothing."""
+    world, subject = settled(box_model)
+    world.truth = np.array([-0.1, 0.1, 2.0])
+    world.press(subject, 0.2)
+    away = box_side(box_model, 0.2, -0.02)
+    for _ in range(40):
+        assert world.feel(subject, away).status is Status.INCONSISTENT
+    world.truth = TRUTH
+    for angle in (3.6, 0.2, 5.0):
+        world.press(subject, angle)
+    assert world.feel(subject, box_side(box_model, 5.0, -0.02)).status is Status.CONVERGED
+
+
 def test_an_object_taken_away_is_missed(box_model: ObservationModel) -> None:
     """Silence where all that is known expects a touch."""
     world, subject = settled(box_model)

@@ -3,7 +3,8 @@
 A belief is *confirmed* by a firm contact that leaves it narrow and where it was, and that it
 explains.
 It is *searched* by samples that could have found a better place and did not. It is in *doubt* while
-no pose explains the newest scan, or all remembered contacts together. It was *refuted* once
+no pose explains the newest scan, or all remembered contacts together. A firm contact in doubt stays
+*unexplained*, whatever is not felt after it, until another is explained. It was *refuted* once
 contacts contradicted each other.
 """
 
@@ -32,6 +33,7 @@ class Confidence:
     enough: int  # samples that it takes
     doubt: bool = False
     doubted: int = 0  # contacts in a row that ended in doubt
+    unexplained: bool = False  # a firm contact was, and none has been explained since
     refuted: bool = False
     searched: int = 0  # samples in a row that left a narrow belief where it was
     confirmed: bool = False  # by the last contact, and by every search since
@@ -66,9 +68,10 @@ class Confidence:
         self.summary = summarise(belief, self.metric)
         self.confirmed, self.remembered = False, 0
 
-    def judged(self, *, doubt: bool) -> None:
+    def judged(self, *, doubt: bool, is_firm: bool = True) -> None:
         """A contact has ended in doubt, or without."""
         self.doubt = doubt
+        self.unexplained = doubt and (is_firm or self.unexplained)
         self.doubted = self.doubted + 1 if doubt else 0
 
     @property
@@ -93,7 +96,11 @@ class Confidence:
 
 def firm(observation: Observation, contact: int) -> int:
     """The number of a contact if a scan of it is firm; else 0."""
-    return contact if observation.z.max() >= FIRM else 0
+    return contact if is_firm(observation) else 0
+
+
+def is_firm(observation: Observation) -> bool:
+    return bool(observation.z.max() >= FIRM)
 
 
 def status(confidence: Confidence, contacts: int, *, blind: bool = False) -> Status:
@@ -104,7 +111,7 @@ def status(confidence: Confidence, contacts: int, *, blind: bool = False) -> Sta
         return Status.BLIND
     if not contacts:
         return Status.SEARCHING
-    if confidence.doubt:
+    if confidence.doubt or confidence.unexplained:
         return Status.INCONSISTENT
     if summary.is_narrow and confidence.confirmed and confidence.is_sure:
         return Status.CONVERGED

@@ -9,7 +9,7 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import consistency, injection
 from taxeld.estimator import particles as pf
-from taxeld.estimator.confidence import Confidence, firm
+from taxeld.estimator.confidence import Confidence, firm, is_firm
 from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.memory import Memory, Slack
 from taxeld.estimator.particles import Belief
@@ -290,7 +290,8 @@ class Mixture:
             prior = not consistency.refutes_prior(memory, self.belief)
             confidence.refuted |= not prior or bool((excess > 0.0).any())
             self._remember_only(excess <= 0.0, prior=prior)
-        confidence.judged(doubt=not explained or consistency.is_excessive(self.memory, self.belief))
+        doubt = not explained or consistency.is_excessive(self.memory, self.belief)
+        confidence.judged(doubt=doubt, is_firm=is_firm(self.memory.scan(len(self.memory) - 1)))
         if not confidence.doubt:
             return
         doubted, contacts = confidence.doubted, np.flatnonzero(self.memory.contact)
