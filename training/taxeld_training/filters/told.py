@@ -12,9 +12,9 @@ from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld_training.filters.ground import Ground
+from taxeld_training.filters.pusher import SETTLING
 
 SPREAD = 0.2  # sd of a push, as a share of it: what is left where all of the ground is known
-SETTLING = 4  # steps of projection that end the overlap
 CLOSE_M = 1e-9  # less is no overlap
 
 
