@@ -100,9 +100,10 @@ def test_exact_posteriors_are_the_same_by_any_number_of_workers() -> None:
         quality.reference(model, Noise(), 3, np.random.default_rng(0), bank=20_000, workers=workers)
         for workers in (1, 2)
     )
-    assert one.ess == two.ess
+    # A sum differs in its last digits by the threads that share it, and a worker has one
+    assert one.ess == pytest.approx(two.ess, rel=1e-9)
     for alone, shared in zip(one.exact, two.exact, strict=True):
-        assert np.array_equal(alone, shared)
+        np.testing.assert_allclose(alone, shared, rtol=1e-9, atol=1e-12)
 
 
 def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
