@@ -2,6 +2,7 @@
 
 import json
 import math
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.figures import shares
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.stability import LEVELS, Level
+from taxeld_training.jobs.options import Options
 from taxeld_training.objects.setting import Setting, ring
 
 KEYS = {
@@ -60,6 +62,60 @@ def test_rows_and_map_of_an_object(
     assert main([*arguments, "--minutes", "0"]) == 0
     assert json.loads(file.read_text(encoding="utf-8")) == rows
     assert before == {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
+
+
+def test_cells_are_run_alone_by_factor_or_level(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the map's order, and where they are symmetric objects as well."""
+    asked: list[str] = []
+
+    def remembered(
+        wanted: Iterable[tuple[cells.Cell, int]], options: Options
+    ) -> dict[cells.Cell, cells.Results]:
+        del options
+        asked[:] = [cell.name for cell, _ in wanted]
+        touch = TouchResult(1.0, 1.0, Status.CONVERGED, 100, 1.0)
+        return {cell: {0: [touch] * cells.TOUCHES} for cell, _ in wanted}
+
+    monkeypatch.setattr(cells, "run", remembered)
+    command = ["evaluate", "stability", "--groups", "table", "--out", str(tmp_path), "--cells"]
+    data = tmp_path / "stability.json"
+    assert main([*command, "moved=5,noise,wrong object=035_power_drill"]) == 0
+    levels = [("noise", 0.04), ("noise", 0.08), ("noise", 0.15), ("moved", 5.0)]
+    levels += [("wrong object", "035_power_drill")]
+    rows = json.loads(data.read_text(encoding="utf-8"))
+    assert [(row["factor"], row["level"]) for row in rows[::2]] == levels  # of box and mug
+    assert len(asked) == 2 * len(levels)
+    assert main([*command, "symmetric"]) == 0
+    rows = json.loads(data.read_text(encoding="utf-8"))
+    assert [row["object"] for row in rows] == list(stability.SYMMETRIC)
+    assert main([*command, "moved", "--quick"]) == 0
+    assert len(asked) == 2 * 4  # what is named is run, quick or not
+
+
+@pytest.mark.parametrize(
+    ("cells_named", "there"),
+    [
+        ("noise,sniff", "no 'sniff' here; there are as assumed, noise, gain spread, "),
+        ("moved=3", "no 'moved=3' here; there are moved=2, moved=5, moved=25, moved=kidnapped"),
+    ],
+)
+def test_a_cell_that_is_not_on_the_map_is_refused_in_one_line_with_those_that_are(
+    cells_named: str, there: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["evaluate", "stability", "--out", str(tmp_path), "--cells", cells_named]
+    assert main(command) == 2
+    error = capsys.readouterr().err
+    assert f"--cells: {there}" in error
+    assert error.count("\n") == 1
+
+
+def test_cells_of_another_experiment_are_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", "shipped", "--out", str(tmp_path), "--cells", "noise"]) == 2
+    assert "--cells: only stability has cells" in capsys.readouterr().err
 
 
 def test_a_wrong_object_is_never_a_success() -> None:

@@ -126,6 +126,8 @@ def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import damage, evaluate, gallery
 
+    if args.cells and args.experiment != "stability":
+        raise SetupError("--cells: only stability has cells to choose from")
     options = Options(
         out=args.out,
         memory=args.memory,
@@ -136,6 +138,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         workers=args.workers,
         dask=args.dask,
         groups=tuple(args.groups.split(",")) if args.groups else (),
+        cells=tuple(args.cells.split(",")) if args.cells else (),
         until=time.monotonic() + 60.0 * args.minutes,
         effort=args.effort,
         seeds=args.seeds,
@@ -253,6 +256,10 @@ def _add_options(one: argparse.ArgumentParser) -> None:
         metavar="A,B",
         help="of samplers (analytic, npe, …), proposals, or conditions",
     )
+    add(
+        "--cells", default="", metavar="A,B",
+        help="of stability: factors (noise, 'wrong object', …) or one level of one (moved=5)",
+    )  # fmt: skip
     add("--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training")
     add("--seeds", type=int, default=0, metavar="N", help="trials a cell of a filter experiment")
     add("--minutes", type=float, default=math.inf, help="begin nothing later; write what is done")

@@ -50,8 +50,8 @@ def label_of(row: Row) -> str:
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """A panel for each object, a line a level, a column a method; symmetric objects below."""
-    main = [row for row in rows if row["factor"] != SYMMETRIC]
-    other = [row for row in rows if row["factor"] == SYMMETRIC]
+    main = [row for row in rows if row["factor"] != SYMMETRIC] or rows
+    other = [row for row in rows if row["factor"] == SYMMETRIC and row not in main]
     objects = list(dict.fromkeys(row["object"] for row in main))
     methods = list(dict.fromkeys((row["proposal"], row["injection"]) for row in rows))
     lines = list(dict.fromkeys(label_of(row) for row in main))

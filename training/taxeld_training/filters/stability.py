@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from taxeld.errors import SetupError
 from taxeld_training.filters import cells
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, Cell, Results, setting_of
 from taxeld_training.filters.conditions import Conditions
@@ -41,6 +42,12 @@ class Level:
     touched: str = ""  # object of the trials; empty: the one that the filter assumes
     objects: tuple[str, ...] = ()  # the filter assumes, in place of the experiment's
     seeds: float = 1.0  # times a cell's trials
+
+    @property
+    def name(self) -> str:
+        """As `--cells` has it."""
+        level = self.level if isinstance(self.level, str) else f"{self.level:g}"
+        return f"{self.factor}={level}"
 
 
 def _levels(factor: str, key: str, values: Sequence[float], unit: float = 1.0) -> list[Level]:
@@ -103,7 +110,9 @@ def rows(options: Options) -> list[dict[str, Any]]:
     for name in objects:
         meshes.find(name)
     levels = [level for level in LEVELS if not level.objects or objects == OBJECTS]
-    if options.quick:  # the last level of each factor
+    if options.cells:
+        levels = chosen(levels, options.cells)
+    elif options.quick:  # the last level of each factor
         levels = list({level.factor: level for level in levels}.values())
     seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     wanted = [
@@ -123,6 +132,23 @@ def rows(options: Options) -> list[dict[str, Any]]:
         for level, cell in wanted
         if cell in found
     ]  # fmt: skip
+
+
+def chosen(levels: Sequence[Level], names: Sequence[str]) -> list[Level]:
+    """The levels that `names` name: all of a factor, or one as FACTOR=LEVEL.
+
+    Raises:
+        SetupError: there is no such factor or level.
+    """
+    of: dict[str, list[str]] = {}
+    for level in levels:
+        of.setdefault(level.factor, []).append(level.name)
+    for name in names:
+        factor, _, _ = name.partition("=")
+        there = of.get(factor, of)
+        if name not in there and name not in of:
+            raise SetupError(f"--cells: no '{name}' here; there are {', '.join(there)}")
+    return [level for level in levels if level.factor in names or level.name in names]
 
 
 def cell_of(level: Level, method: Method, setting: Setting) -> Cell:

@@ -25,6 +25,7 @@ class Options:
     workers: int = 2
     dask: str = ""
     groups: tuple[str, ...] = ()  # of samplers, or proposals
+    cells: tuple[str, ...] = ()  # of the stability map
     until: float = math.inf  # of the monotonic clock: what has not begun by then is left out
     effort: float = 1.0  # share of each model's own training
     seeds: int = 0  # trials a cell of the filter's experiments
