@@ -74,12 +74,48 @@ def test_a_belief_that_few_samples_have_searched_is_not_converged(confidence: Co
 
 
 def test_once_contacts_contradict_each_other_more_must_agree(confidence: Confidence) -> None:
-    confidence.refuted = True
+    confidence.contradicted(1)
     for contact in range(3, 7):
         remembered = contact - 2  # the refuted ones were dropped
         confidence.learned(belief(), 50, contact, remembered, in_doubt=False)
         enough = remembered >= AGREEING
         assert status(confidence, contact) is (Status.CONVERGED if enough else Status.AMBIGUOUS)
+
+
+def test_each_time_that_contacts_contradict_each_other_as_many_again_must_agree(
+    confidence: Confidence,
+) -> None:
+    """Of an object of another shape some contacts always agree, and others never do."""
+    for times in (1, 2):
+        confidence.contradicted(times)  # three in all
+    for contact, remembered in ((3, AGREEING), (4, 3 * AGREEING - 1), (5, 3 * AGREEING)):
+        confidence.learned(belief(), 50, contact, remembered, in_doubt=False)
+        enough = remembered >= 3 * AGREEING
+        assert status(confidence, contact) is (Status.CONVERGED if enough else Status.AMBIGUOUS)
+
+
+def test_scans_refuted_that_are_no_contact_count_once(confidence: Confidence) -> None:
+    """Silence that moved objects leave behind, and what was known before all contacts."""
+    for _ in range(3):
+        confidence.contradicted()
+    assert confidence.refuted == 1
+
+
+def test_contradictions_are_forgotten_when_enough_contacts_in_a_row_agree(
+    confidence: Confidence,
+) -> None:
+    """However few of them are remembered; one in doubt ends the row."""
+    confidence.contradicted(1)
+    confidence.learned(belief(), 50, 3, 1, in_doubt=False)
+    confidence.judged(doubt=True)
+    confidence.learned(belief(), 50, 4, 1, in_doubt=False)
+    confidence.judged(doubt=False)
+    for contact in range(5, 5 + 2 * AGREEING):
+        assert status(confidence, contact) is Status.AMBIGUOUS
+        confidence.learned(belief(), 50, contact, 1, in_doubt=True)
+        confidence.learned(belief(), 50, contact, 1, in_doubt=False)  # another scan of it
+    confidence.learned(belief(), 50, 5 + 2 * AGREEING, 1, in_doubt=False)
+    assert status(confidence, 5 + 2 * AGREEING) is Status.CONVERGED
 
 
 def test_doubts_are_counted_in_a_row(confidence: Confidence) -> None:

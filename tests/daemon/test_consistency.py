@@ -34,6 +34,27 @@ def test_a_prior_may_be_left_as_far_as_a_silent_scan(
     assert bool(consistency.excess(memory, belief)[0] > 0.0) is refuted
 
 
+@pytest.mark.parametrize(
+    ("refuted", "times"),
+    [([1], 1), ([1, 2, 3], 1), ([3], 1), ([3, 4], 2), ([1, 2, 4], 2), ([1, 3, 5], 3), ([], 0)],
+)
+def test_contacts_before_all_that_agree_are_refuted_once_and_others_each(
+    box_model: ObservationModel, refuted: list[int], times: int
+) -> None:
+    """An object that has moved leaves all before behind; one of another shape contradicts here and
+    there. A contact of which a scan agrees is not refuted, and silence is no contact."""
+    memory = Memory(box_model, Noise())
+    pressed = np.zeros(len(box_model.layout))
+    live = np.ones(len(pressed), dtype=np.bool_)
+    kept = []
+    for contact in range(1, 7):
+        for z, is_kept in ((0.5, contact not in refuted), (0.4, contact == 6), (0.0, False)):
+            pressed[3] = z
+            memory.add(Observation(AT[0], pressed.copy(), live), contact)
+            kept.append(is_kept)
+    assert consistency.contradictions(memory, np.array(kept)) == times
+
+
 def test_without_a_prior_there_is_none_to_refute(box_model: ObservationModel) -> None:
     memory = Memory(box_model, Noise())
     assert not consistency.refutes_prior(memory, pf.equal(AT, np.empty((1, 0))))

@@ -14,7 +14,7 @@ from taxeld_training.cli import main
 from taxeld_training.filters import cells, stability
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.figures import shares
-from taxeld_training.filters.methods import Method, TouchResult
+from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.stability import LEVELS, Level
 from taxeld_training.jobs.options import Options
 from taxeld_training.objects.setting import Setting, ring
@@ -130,6 +130,16 @@ def test_a_wrong_object_is_never_a_success() -> None:
     rates = shares({k: [each] for k, each in enumerate((wrong, wrong, flagged, wrong))}, 1)
     assert (rates["success_rate"], rates["flagged_rate"]) == (0.0, 0.25)
     assert rates["silent_failure_rate"] == rates["silent_so_far_rate"] == 0.75
+
+
+def test_cans_that_a_filter_takes_for_boxes_are_flagged_after_eight_contacts() -> None:
+    """Some of a can's contacts agree with a box; of these four trials three ended converged while
+    one contradiction asked for no more agreement than many."""
+    level = Level("wrong object", "002_master_chef_can", touched="002_master_chef_can")
+    box = Setting("003_cracker_box", ring(16), 16)
+    found = cells.play(stability.cell_of(level, SHIPPED, box), 1038, 4, "", "")
+    last = [Status(trial[-1][2]) for trial in found]
+    assert last.count(Status.CONVERGED) <= 1, last
 
 
 def test_every_factor_has_levels_of_its_own_that_differ() -> None:

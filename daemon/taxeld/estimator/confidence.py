@@ -4,8 +4,8 @@ A belief is *confirmed* by a firm contact that leaves it narrow and where it was
 explains.
 It is *searched* by samples that could have found a better place and did not. It is in *doubt* while
 no pose explains the newest scan, or all remembered contacts together. A firm contact in doubt stays
-*unexplained*, whatever is not felt after it, until another is explained. It was *refuted* once
-contacts contradicted each other.
+*unexplained*, whatever is not felt after it, until another is explained. It was *refuted* each time
+that contacts contradicted each other: of an object of another shape some agree, and others do not.
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
 
 CONFIRMED_M = 0.02  # a heaviest mode that moved less has stayed; less of a smaller object
-AGREEING = 4  # remembered contacts that must agree once any was refuted: a few may do so by chance
+AGREEING = 4  # remembered contacts, for each time that any was refuted: a few agree by chance
 FIRM = 0.05  # of full scale: a lighter contact may be noise, and begins a press that tells more
 SEARCHED = 100  # samples that must have left a narrow belief where it was
 
@@ -29,12 +29,13 @@ class Confidence:
 
     metric: PoseMetric
     summary: Summary  # of the belief as it stands
-    agreeing: int  # contacts that it takes where one was refuted
+    agreeing: int  # contacts that it takes each time that one was refuted
     enough: int  # samples that it takes
     doubt: bool = False
     doubted: int = 0  # contacts in a row that ended in doubt
     unexplained: bool = False  # a firm contact was, and none has been explained since
-    refuted: bool = False
+    refuted: int = 0  # times that contacts were, since enough agreed in a row
+    agreed: int = 0  # contacts in a row that were explained, and after which none was refuted
     searched: int = 0  # samples in a row that left a narrow belief where it was
     confirmed: bool = False  # by the last contact, and by every search since
     remembered: int = 0  # contacts that the belief explains
@@ -58,6 +59,9 @@ class Confidence:
         if contact and contact != self._contact:
             self._contact = contact
             self.confirmed = stayed and not in_doubt
+            self.agreed = 0 if self.doubt else self.agreed + 1
+            if self.agreed >= self.agreeing * (self.refuted + 1):  # another time would be borne
+                self.refuted = 0
 
     def revisited(self, belief: Belief, samples: int) -> None:
         """The belief has changed by samples of a remembered contact, and nothing new was read."""
@@ -74,6 +78,11 @@ class Confidence:
         self.unexplained = doubt and (is_firm or self.unexplained)
         self.doubted = self.doubted + 1 if doubt else 0
 
+    def contradicted(self, times: int = 0) -> None:
+        """A contact has refuted scans, and contacts among them so many times."""
+        self.refuted = max(self.refuted + times, 1)
+        self.agreed = 0
+
     @property
     def is_searched(self) -> bool:
         return self.searched >= self.enough
@@ -81,8 +90,7 @@ class Confidence:
     @property
     def is_sure(self) -> bool:
         """Whether enough samples and, where it matters, enough contacts agree."""
-        agree = not self.refuted or self.remembered >= self.agreeing
-        return agree and self.is_searched
+        return self.remembered >= self.agreeing * self.refuted and self.is_searched
 
     def _search(self, belief: Belief, samples: int) -> bool:
         """Whether a change by so many samples has left a narrow belief where it was."""

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Bools, Floats
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.particles import Belief
 
@@ -34,6 +34,15 @@ def refutes_prior(memory: Memory, belief: Belief) -> bool:
     if prior is None:
         return False
     return bool(prior.ceiling - belief.weight @ belief.remembered[:, 0] > MOST)
+
+
+def contradictions(memory: Memory, kept: Bools) -> int:
+    """How many times contacts are refuted that `kept` (K,) leaves no scan of. Each is one; but all
+    before those that agree are one together: an object that has moved leaves them behind."""
+    agreeing = memory.number[memory.contact & kept]
+    refuted = np.setdiff1d(memory.number[memory.contact], agreeing)
+    among = refuted > agreeing.min()
+    return int(np.count_nonzero(among)) + bool(not among.all())
 
 
 def is_excessive(memory: Memory, belief: Belief) -> bool:

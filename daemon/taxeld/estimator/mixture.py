@@ -288,8 +288,10 @@ class Mixture:
         explained = bool(excess[-1] <= 0.0)
         if explained:
             prior = not consistency.refutes_prior(memory, self.belief)
-            confidence.refuted |= not prior or bool((excess > 0.0).any())
-            self._remember_only(excess <= 0.0, prior=prior)
+            kept = excess <= 0.0
+            if not (prior and kept.all()):
+                confidence.contradicted(consistency.contradictions(memory, kept))
+            self._remember_only(kept, prior=prior)
         doubt = not explained or consistency.is_excessive(self.memory, self.belief)
         confidence.judged(doubt=doubt, is_firm=is_firm(self.memory.scan(len(self.memory) - 1)))
         if not confidence.doubt:
@@ -320,7 +322,7 @@ class Mixture:
         self.counters.forgotten += 1
         self.memory = recent
         yield from self._become(opinion, moves=MOVES)
-        self.confidence.refuted = True
+        self.confidence.contradicted(1)
         self.confidence.judged(doubt=False)
         return True
 
