@@ -74,7 +74,7 @@ def test_a_belief_that_few_samples_have_searched_is_not_converged(confidence: Co
 
 
 def test_once_contacts_contradict_each_other_more_must_agree(confidence: Confidence) -> None:
-    confidence.contradicted(1)
+    confidence.contradicted(3, 1)
     for contact in range(3, 7):
         remembered = contact - 2  # the refuted ones were dropped
         confidence.learned(belief(), 50, contact, remembered, in_doubt=False)
@@ -86,8 +86,8 @@ def test_each_time_that_contacts_contradict_each_other_as_many_again_must_agree(
     confidence: Confidence,
 ) -> None:
     """Of an object of another shape some contacts always agree, and others never do."""
-    for times in (1, 2):
-        confidence.contradicted(times)  # three in all
+    confidence.contradicted(2, 1)
+    confidence.contradicted(3, 2)  # three in all
     for contact, remembered in ((3, AGREEING), (4, 3 * AGREEING - 1), (5, 3 * AGREEING)):
         confidence.learned(belief(), 50, contact, remembered, in_doubt=False)
         enough = remembered >= 3 * AGREEING
@@ -96,26 +96,24 @@ def test_each_time_that_contacts_contradict_each_other_as_many_again_must_agree(
 
 def test_scans_refuted_that_are_no_contact_count_once(confidence: Confidence) -> None:
     """Silence that moved objects leave behind, and what was known before all contacts."""
-    for _ in range(3):
-        confidence.contradicted()
-    assert confidence.refuted == 1
+    for contact in (3, 4, 5):
+        confidence.contradicted(contact)
+    confidence.learned(belief(), 50, 5, AGREEING, 1, in_doubt=False)
+    assert status(confidence, 5) is Status.CONVERGED
 
 
-def test_contradictions_are_forgotten_when_enough_contacts_in_a_row_agree(
+def test_contradictions_before_all_that_is_remembered_no_longer_count(
     confidence: Confidence,
 ) -> None:
-    """However few of them are remembered; one in doubt ends the row."""
-    confidence.contradicted(1)
-    confidence.learned(belief(), 50, 3, 1, in_doubt=False)
-    confidence.judged(doubt=True)
-    confidence.learned(belief(), 50, 4, 1, in_doubt=False)
-    confidence.judged(doubt=False)
-    for contact in range(5, 5 + 2 * AGREEING):
-        assert status(confidence, contact) is Status.AMBIGUOUS
-        confidence.learned(belief(), 50, contact, 1, in_doubt=True)
-        confidence.learned(belief(), 50, contact, 1, in_doubt=False)  # another scan of it
-    confidence.learned(belief(), 50, 5 + 2 * AGREEING, 1, in_doubt=False)
-    assert status(confidence, 5 + 2 * AGREEING) is Status.CONVERGED
+    """An object that is moved again and again is found each time after as many contacts."""
+    for moved in (10, 20, 30):
+        confidence.contradicted(moved, 2)
+        confidence.contradicted(moved + 1, 1)  # which leaves the contacts from `moved` + 1 on
+        for contact in range(moved + 1, moved + 6):
+            agree = contact - moved
+            confidence.learned(belief(), 50, contact, agree, moved + 1, in_doubt=False)
+            expected = Status.CONVERGED if agree >= AGREEING else Status.AMBIGUOUS
+            assert status(confidence, contact) is expected
 
 
 def test_doubts_are_counted_in_a_row(confidence: Confidence) -> None:

@@ -6,9 +6,10 @@ It is *searched* by samples that could have found a better place and did not. It
 no pose explains the newest scan, or all remembered contacts together. A firm contact in doubt stays
 *unexplained*, whatever is not felt after it, until another is explained. It was *refuted* each time
 that contacts contradicted each other: of an object of another shape some agree, and others do not.
+What came before the oldest contact that is remembered is no longer counted.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Self
 
 from taxeld.estimator.estimate import SEARCHING_WEIGHT, Status, Summary, summarise
@@ -34,8 +35,7 @@ class Confidence:
     doubt: bool = False
     doubted: int = 0  # contacts in a row that ended in doubt
     unexplained: bool = False  # a firm contact was, and none has been explained since
-    refuted: int = 0  # times that contacts were, since enough agreed in a row
-    agreed: int = 0  # contacts in a row that were explained, and after which none was refuted
+    refuting: list[int] = field(default_factory=list)  # contacts, one for each time
     searched: int = 0  # samples in a row that left a narrow belief where it was
     confirmed: bool = False  # by the last contact, and by every search since
     remembered: int = 0  # contacts that the belief explains
@@ -50,18 +50,18 @@ class Confidence:
         return cls(metric, summarise(belief, metric), agreeing, enough)
 
     def learned(
-        self, belief: Belief, samples: int, contact: int, remembered: int, *, in_doubt: bool
-    ) -> None:
+        self, belief: Belief, samples: int, contact: int, remembered: int, oldest: int = 0, *,
+        in_doubt: bool,
+    ) -> None:  # fmt: skip
         """The belief has learned from a firm scan of the given contact, counted from 1, or from one
-        that is not firm, 0. `in_doubt`: as it was before."""
+        that is not firm, 0. So many contacts are `remembered`, the `oldest` of this number.
+        `in_doubt`: as it was before."""
         stayed = self._search(belief, samples)
         self.remembered = remembered
+        self.refuting = [number for number in self.refuting if number >= oldest]
         if contact and contact != self._contact:
             self._contact = contact
             self.confirmed = stayed and not in_doubt
-            self.agreed = 0 if self.doubt else self.agreed + 1
-            if self.agreed >= self.agreeing * (self.refuted + 1):  # another time would be borne
-                self.refuted = 0
 
     def revisited(self, belief: Belief, samples: int) -> None:
         """The belief has changed by samples of a remembered contact, and nothing new was read."""
@@ -78,10 +78,9 @@ class Confidence:
         self.unexplained = doubt and (is_firm or self.unexplained)
         self.doubted = self.doubted + 1 if doubt else 0
 
-    def contradicted(self, times: int = 0) -> None:
-        """A contact has refuted scans, and contacts among them so many times."""
-        self.refuted = max(self.refuted + times, 1)
-        self.agreed = 0
+    def contradicted(self, contact: int, times: int = 0) -> None:
+        """The contact of this number has refuted scans, and contacts among them so many times."""
+        self.refuting += [contact] * max(times, 0 if self.refuting else 1)
 
     @property
     def is_searched(self) -> bool:
@@ -90,7 +89,7 @@ class Confidence:
     @property
     def is_sure(self) -> bool:
         """Whether enough samples and, where it matters, enough contacts agree."""
-        return self.remembered >= self.agreeing * self.refuted and self.is_searched
+        return self.remembered >= self.agreeing * len(self.refuting) and self.is_searched
 
     def _search(self, belief: Belief, samples: int) -> bool:
         """Whether a change by so many samples has left a narrow belief where it was."""

@@ -102,6 +102,12 @@ class Memory:
         return len(np.unique(self.number[self.contact]))
 
     @property
+    def oldest(self) -> int:
+        """The number of the first of them; 0: there is none."""
+        numbers = self.number[self.contact]
+        return int(numbers[0]) if len(numbers) else 0
+
+    @property
     def share(self) -> Floats:
         """(terms,) by which each counts: a contact counts once, however many scans are of it."""
         share = np.ones(self.terms)

@@ -88,9 +88,9 @@ class Mixture:
         log_evidence = yield from self._update(observation, samples, contacts)
         if log_evidence is None:
             return 0, 0.0
-        contact = firm(observation, contacts)
+        contact, memory = firm(observation, contacts), self.memory
         self.confidence.learned(
-            self.belief, len(samples), contact, self.memory.contacts, in_doubt=in_doubt
+            self.belief, len(samples), contact, memory.contacts, memory.oldest, in_doubt=in_doubt
         )
         return len(samples), log_evidence
 
@@ -290,7 +290,7 @@ class Mixture:
             prior = not consistency.refutes_prior(memory, self.belief)
             kept = excess <= 0.0
             if not (prior and kept.all()):
-                confidence.contradicted(consistency.contradictions(memory, kept))
+                confidence.contradicted(memory.newest, consistency.contradictions(memory, kept))
             self._remember_only(kept, prior=prior)
         doubt = not explained or consistency.is_excessive(self.memory, self.belief)
         confidence.judged(doubt=doubt, is_firm=is_firm(self.memory.scan(len(self.memory) - 1)))
@@ -322,7 +322,7 @@ class Mixture:
         self.counters.forgotten += 1
         self.memory = recent
         yield from self._become(opinion, moves=MOVES)
-        self.confidence.contradicted(1)
+        self.confidence.contradicted(recent.newest, 1)
         self.confidence.judged(doubt=False)
         return True
 
