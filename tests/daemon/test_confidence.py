@@ -102,10 +102,11 @@ def test_scans_refuted_that_are_no_contact_count_once(confidence: Confidence) ->
     assert status(confidence, 5) is Status.CONVERGED
 
 
-def test_contradictions_before_all_that_is_remembered_no_longer_count(
+def test_contradictions_before_all_that_is_remembered_count_once_at_most(
     confidence: Confidence,
 ) -> None:
     """An object that is moved again and again is found each time after as many contacts."""
+    confidence.contradicted(3, 2)
     for moved in (10, 20, 30):
         confidence.contradicted(moved, 2)
         confidence.contradicted(moved + 1, 1)  # which leaves the contacts from `moved` + 1 on
@@ -114,6 +115,8 @@ def test_contradictions_before_all_that_is_remembered_no_longer_count(
             confidence.learned(belief(), 50, contact, agree, moved + 1, in_doubt=False)
             expected = Status.CONVERGED if agree >= AGREEING else Status.AMBIGUOUS
             assert status(confidence, contact) is expected
+    confidence.learned(belief(), 50, 40, AGREEING - 1, 38, in_doubt=False)
+    assert status(confidence, 40) is Status.AMBIGUOUS
 
 
 def test_doubts_are_counted_in_a_row(confidence: Confidence) -> None:

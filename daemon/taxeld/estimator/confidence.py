@@ -6,7 +6,7 @@ It is *searched* by samples that could have found a better place and did not. It
 no pose explains the newest scan, or all remembered contacts together. A firm contact in doubt stays
 *unexplained*, whatever is not felt after it, until another is explained. It was *refuted* each time
 that contacts contradicted each other: of an object of another shape some agree, and others do not.
-What came before the oldest contact that is remembered is no longer counted.
+What came before the oldest contact that is remembered counts once at most.
 """
 
 from dataclasses import dataclass, field
@@ -58,7 +58,8 @@ class Confidence:
         `in_doubt`: as it was before."""
         stayed = self._search(belief, samples)
         self.remembered = remembered
-        self.refuting = [number for number in self.refuting if number >= oldest]
+        since = [number for number in self.refuting if number >= oldest]
+        self.refuting = since or self.refuting[-1:]
         if contact and contact != self._contact:
             self._contact = contact
             self.confirmed = stayed and not in_doubt
