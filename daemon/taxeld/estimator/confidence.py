@@ -35,7 +35,7 @@ class Confidence:
     doubt: bool = False
     doubted: int = 0  # contacts in a row that ended in doubt
     unexplained: bool = False  # a firm contact was, and none has been explained since
-    refuting: list[int] = field(default_factory=list)  # contacts, one for each time
+    refuting: list[int] = field(default_factory=list)  # a contact's number for each time
     searched: int = 0  # samples in a row that left a narrow belief where it was
     confirmed: bool = False  # by the last contact, and by every search since
     remembered: int = 0  # contacts that the belief explains
