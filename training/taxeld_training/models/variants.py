@@ -124,6 +124,11 @@ def fit_beside(
     return [done[k] for k in range(len(given))]
 
 
+def untrained(variant: Variant, model: ObservationModel) -> Model:
+    """The model of a variant before its training, which knows its sizes."""
+    return _make(variant, model)
+
+
 def samplers(variant: Variant, trained: Model) -> dict[str, AnySampler]:
     """The samplers that run the trained model, by name."""
     if isinstance(trained, Denoiser):
