@@ -154,10 +154,10 @@ def test_the_density_integrates_to_one(ring_model: ObservationModel) -> None:
     z, live = torch.zeros(1, 32), torch.ones(1, 32)
     z[0, 5] = 0.7
     with torch.no_grad():
-        _, angle = net.view(z, live)
+        seen, angle = net.view(z, live)
         grid = torch.stack([s, 0.1 * phi + angle, 0.001 * depth], dim=-1).reshape(-1, 3)
         n = len(grid)
-        log_each = net.log_density(z.expand(n, -1), live.expand(n, -1), grid)
+        log_each = net.log_density(seen.expand(n, -1), angle.expand(n), grid)
     cell = (2 * half / (side - 1)) ** 2
     # the Gaussians' constant, which training does not need
     assert float(log_each.exp().sum()) * cell / (2 * np.pi) == pytest.approx(1.0, abs=0.02)

@@ -30,7 +30,6 @@ class TrainConfig:
 
 
 AnyModel = TypeVar("AnyModel", bound=Model)
-Batch = tuple[Tensor, Tensor, Tensor]  # z, live and coordinates, as `Batches` draws them
 
 
 def train(
@@ -46,8 +45,8 @@ def train_beside(
     given: Sequence[tuple[Callable[[], AnyModel], TrainConfig, Callable[[float], None]]],
     touches: Touches, leak: Leak, noise: Noise,
 ) -> list[AnyModel]:  # fmt: skip
-    """Models as `train` makes each, of one frame and `shared` configurations: the readings of a
-    batch are drawn once for all of them."""
+    """Models as `train` makes each, of one view, one frame and `shared` configurations: a batch is
+    drawn and looked at once for all of them."""
     runs = [_Run(*one) for one in given]
     config = given[0][1]
     coordinates = runs[0].model.frame.encode(touches.pose)
@@ -56,10 +55,11 @@ def train_beside(
     for run in runs:
         run.begin(first)
     for update in range(1, max(run.config.updates for run in runs) + 1):
-        batch = batches.draw(config.batch)
+        z, live, coordinates = batches.draw(config.batch)
+        seen, angle = runs[0].model.view(z, live)
         for run in runs:
             if update <= run.config.updates:
-                run.update(batch, update)
+                run.update(seen, angle, coordinates, update)
     return [run.averaged.cpu().eval() for run in runs]
 
 
@@ -80,14 +80,15 @@ class _Run(Generic[AnyModel]):
         self.model = make().to(self.device)
         self._drawn = torch.get_rng_state()
 
-    def begin(self, batch: Batch) -> None:
+    def begin(self, batch: tuple[Tensor, Tensor, Tensor]) -> None:
         """Whiten by a large batch."""
         with torch.no_grad():
             self.model.fit_scale(*batch)
         self.averaged = copy.deepcopy(self.model)
-        self._weights = list(self.model.parameters()), list(self.averaged.parameters())
+        self._weights: list[Tensor] = list(self.model.parameters())
+        self._averages: list[Tensor] = list(self.averaged.parameters())
         self._optimizer = torch.optim.AdamW(
-            self._weights[0], lr=self.config.learning_rate, weight_decay=1e-4, fused=True
+            self._weights, lr=self.config.learning_rate, weight_decay=1e-4, fused=True
         )
         updates = self.config.updates
         warm_up = max(1, updates // 50)
@@ -102,19 +103,18 @@ class _Run(Generic[AnyModel]):
             [warm_up],
         )
 
-    def update(self, batch: Batch, number: int) -> None:
+    def update(self, seen: Tensor, angle: Tensor, coordinates: Tensor, number: int) -> None:
         """The update of a number, from 1."""
         torch.set_rng_state(self._drawn)
-        loss = self.model.loss(*batch)
+        loss = self.model.loss(seen, angle, coordinates)
         self._drawn = torch.get_rng_state()
         self._optimizer.zero_grad(set_to_none=True)
         loss.backward()  # type: ignore[no-untyped-call]
-        weights, averaged = self._weights
-        nn.utils.clip_grad_norm_(weights, 1.0)
+        nn.utils.clip_grad_norm_(self._weights, 1.0)
         self._optimizer.step()
         self._schedule.step()
         decay = min(self.config.average, number / (number + 10.0))
         if number % TELL_UPDATES == 0:
             self._progress(number / self.config.updates)
         with torch.no_grad():
-            torch._foreach_lerp_(averaged, weights, 1.0 - decay)
+            torch._foreach_lerp_(self._averages, self._weights, 1.0 - decay)

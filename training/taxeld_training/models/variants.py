@@ -108,13 +108,14 @@ def fit_beside(
     given: Sequence[tuple[Variant, Callable[[float], None]]], model: ObservationModel, noise: Noise,
     touches: Touches,
 ) -> list[Model]:  # fmt: skip
-    """Models as `fit` makes each. Those that draw the same batches are trained side by side: it
-    takes a good part of the time to draw them."""
+    """Models as `fit` makes each. Those that see the same batches are trained side by side: to draw
+    them takes a good part of the time."""
     done: dict[int, Model] = {}
     alike: dict[tuple[Any, ...], list[int]] = {}
     for k, (variant, _) in enumerate(given):
-        alike.setdefault((variant.frame, *shared(variant.training)), []).append(k)
-    for (_, count, *_), places in alike.items():
+        kind = variant.view, variant.frame, *shared(variant.training)
+        alike.setdefault(kind, []).append(k)
+    for (_, _, count, *_), places in alike.items():
         mine = Touches(touches.pose[:count], touches.activation[:count], touches.dropped_share)
         runs = [
             (partial(_make, variant, model), variant.training, progress)
