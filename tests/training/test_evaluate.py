@@ -81,10 +81,14 @@ def test_a_filter_follows_with_the_model_whose_distance_was_measured(
 ) -> None:
     assert main(command("proposals", block, tmp_path, "--groups", "density-64")) == 0
     kept = list((tmp_path / "memory").glob("density-*.onnx"))
-    quick = Setting(str(block), ring(8), 8, updates=0.02)
-    late = Options(tmp_path / "out", tmp_path / "memory", until=0.0)  # no time to train another
-    assert trainings.files([(quick, "density")], late) == {(quick, "density"): str(*kept)}
-    other = replace(quick, seed=1)
+    late = Options(
+        tmp_path / "out", tmp_path / "memory", (str(block),), quick=True, until=0.0
+    )  # no time to train another
+    (cell,) = runs.settings(late, experiment.COLUMNS)
+    same = cell.place
+    assert type(same) is Setting
+    assert trainings.files([(same, "density")], late) == {(same, "density"): str(*kept)}
+    other = replace(same, seed=1)
     assert trainings.files([(other, "density")], late) == {}
     assert trainings.files([(other, "table")], late) == {(other, "table"): ""}
 
