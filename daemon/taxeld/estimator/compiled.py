@@ -20,9 +20,9 @@ from taxeld.model.observation import (
 
 class _Model(ctypes.Structure):
     _fields_ = [
-        *((name, c_void_p) for name in ("slices", "pressed", "about", "reach", "place")),
-        *((name, c_void_p) for name in ("taxel", "offset")),
-        *((name, c_int64) for name in ("nx", "ny", "places", "most", "taxels")),
+        *((name, c_void_p) for name in ("distance", "pressed", "about", "reach", "place")),
+        *((name, c_void_p) for name in ("taxel", "height")),
+        *((name, c_int64) for name in ("nx", "ny", "heights", "places", "most", "taxels")),
         *((name, c_double) for name in ("x", "y", "cell", "depth_max", "band", "hidden", "robust")),
         *((name, c_double) for name in ("least_variance", "iterations")),
         *((name, c_double) for name in ("sigma", "gain_cv", "outliers", "least", "farthest")),
@@ -33,7 +33,7 @@ class _Model(ctypes.Structure):
 class _Scans(ctypes.Structure):
     _fields_ = [
         *((name, c_void_p) for name in ("kept", "sensor", "variance", "silent")),
-        *((name, c_int64) for name in ("scans", "about")),
+        *((name, c_int64) for name in ("scans", "all", "about")),
     ]
 
 
@@ -42,14 +42,20 @@ class Compiled:
 
     def __init__(self, library: ctypes.CDLL, model: ObservationModel, noise: Noise) -> None:
         self._explain = library.taxeld_explain
-        scene = model.scene
-        held = {name: np.ascontiguousarray(table) for name, table in model.grid._asdict().items()}
+        scene, grid = model.scene, model.grid
+        tables = {
+            "distance": np.moveaxis(scene.slices, 0, -1),  # of a column's taxels side by side
+            "height": grid.offset // scene.silhouette.size,
+            **{name: getattr(grid, name) for name in ("pressed", "about", "reach")},
+            **{name: getattr(grid, name) for name in ("place", "taxel")},
+        }
+        held = {name: np.ascontiguousarray(table) for name, table in tables.items()}
         self._held = held  # what the pointers below point to
-        ny, nx = scene.silhouette.shape
-        places, most = held["taxel"].shape
+        heights, ny, nx = scene.slices.shape
+        places, most = grid.taxel.shape
         self._model = _Model(
             **{name: table.ctypes.data for name, table in held.items()},
-            nx=nx, ny=ny, places=places, most=most, taxels=len(model.layout),
+            nx=nx, ny=ny, heights=heights, places=places, most=most, taxels=len(model.layout),
             x=scene.origin[0], y=scene.origin[1], cell=scene.cell, depth_max=model.depth_max_m,
             band=BAND_M, hidden=offsets.HIDDEN, robust=offsets.ROBUST,
             least_variance=offsets.LEAST_M2, iterations=offsets.ITERATIONS,
@@ -60,12 +66,15 @@ class Compiled:
     def explain(
         self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools, poses: Poses
     ) -> Floats:
-        """Readings (FIELDS, K, M) and poses (N, 3) → (N, K), as memory.py has them."""
+        """Readings (FIELDS, all, M), of which the last K are of the sensor's poses (K, 3), and
+        poses (N, 3) → (N, K), as memory.py has them."""
         poses = np.ascontiguousarray(poses)
-        out = np.empty((len(poses), len(sensor)))
+        k, (_, scans_kept, taxels) = len(sensor), kept.shape
+        out = np.empty((len(poses), k))
+        first = kept.itemsize * taxels * (scans_kept - k)
         scans = _Scans(
-            kept.ctypes.data, sensor.ctypes.data, variance.ctypes.data, silent.ctypes.data,
-            len(sensor), bool(variance.any()),
+            kept.ctypes.data + first, sensor.ctypes.data, variance.ctypes.data, silent.ctypes.data,
+            k, scans_kept, bool(variance.any()),
         )  # fmt: skip
         failed = self._explain(
             ctypes.byref(self._model),

@@ -147,7 +147,7 @@ class Memory:
         """The scans that `kept` (K,) names, with the prior or without."""
         made = copy.copy(self)
         made.prior = self.prior if prior else None
-        made._kept = self._kept[:, kept]
+        made._kept = self._kept.compress(kept, axis=1)  # in order of memory, as C asks for it
         for name in ("_sensor", "number", "pressed", "ceiling"):
             setattr(made, name, getattr(self, name)[kept])
         return made
@@ -178,8 +178,7 @@ class Memory:
         variance = self.slack.variance(self.newest - self.number[since:])
         kept, sensor, silent = self._kept[:, since:], self._sensor[since:], self.silent[since:]
         if self._compiled is not None:
-            kept = np.ascontiguousarray(kept)
-            met = self._compiled.explain(kept, sensor, variance, silent, poses)
+            met = self._compiled.explain(self._kept, sensor, variance, silent, poses)
         else:
             met = self._met(kept, sensor, variance, silent, poses)
         met += kept[Kept.SILENT].sum(axis=1, dtype=np.float64)
