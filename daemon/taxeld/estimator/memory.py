@@ -8,6 +8,7 @@ scans are remembered beside contacts: where the skin met nothing, the object is 
 import copy
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,24 @@ class Kept(IntEnum):
     ROOT = 5  # 1 / standard deviation about what is read, 0 where not live
     SILENT = 6  # log p(z | h = 0)
     LIVE = 7
+
+
+class Told(NamedTuple):
+    """What a scan tells, whatever the pose."""
+
+    kept: Grid  # (FIELDS, M)
+    untouched: float  # log p(scan | nothing is pressed)
+    pressed: int  # taxels
+    ceiling: float  # log p(scan | each taxel is pressed just as it reads)
+
+
+class Silence(NamedTuple):
+    """What silent scans of the same taxels and floors tell is the same."""
+
+    live: Bools
+    floor: Floats
+    residue: Floats
+    told: Told
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +89,10 @@ class Memory:
         self.number = np.empty(0, dtype=np.intp)  # (K,) of the contact; the last, where silent
         self.newest = 0  # number of the contact that began last
         self.pressed = np.empty(0, dtype=np.intp)  # (K,) taxels that were pressed
-        self.ceiling = np.empty(0)  # (K,) log p(z | h) were each taxel pressed just as it reads
+        self.ceiling = np.empty(0)  # (K,) as `Told` has them
+        self._untouched = np.empty(0)
+        self._share: Floats | None = None  # as last asked for
+        self._silence: Silence | None = None  # of the last silent scan
 
     def __len__(self) -> int:
         return len(self._sensor)
@@ -99,23 +121,46 @@ class Memory:
     @property
     def contacts(self) -> int:
         """How many the scans are of."""
-        return len(np.unique(self.number[self.contact]))
+        return round(float(self.of_scans(self.share)[self.contact].sum()))
 
     @property
     def share(self) -> Floats:
         """(terms,) by which each counts: a contact counts once, however many scans are of it."""
-        share = np.ones(self.terms)
-        of_scans = self.of_scans(share)
-        touched = self.contact
-        _, which, count = np.unique(self.number[touched], return_inverse=True, return_counts=True)
-        of_scans[touched] = 1.0 / count[which]
-        return share
+        if self._share is None:
+            self._share = np.ones(self.terms)
+            touched = self.contact
+            _, which, count = np.unique(
+                self.number[touched], return_inverse=True, return_counts=True
+            )
+            self.of_scans(self._share)[touched] = 1.0 / count[which]
+        return self._share
 
     def add(self, observation: Observation, number: int = 0) -> None:
         """A scan of the contact of that number, or a silent one after it."""
-        z, live = observation.z, observation.live
+        told = self._told(observation)
+        self._kept = np.concatenate([self._kept, told.kept[:, None]], axis=1)
+        self._sensor = np.vstack([self._sensor, observation.sensor])
+        self.number = np.append(self.number, number)
+        self.newest = max(self.newest, number)
+        self.pressed = np.append(self.pressed, told.pressed)
+        self.ceiling = np.append(self.ceiling, told.ceiling)
+        self._untouched = np.append(self._untouched, told.untouched)
+        is_alone = self._share is not None and not told.pressed  # it changes no other's share
+        self._share = np.append(self._share, 1.0) if is_alone else None
+
+    def _told(self, observation: Observation) -> Told:
+        z, live, before = observation.z, observation.live, self._silence
         floor = np.broadcast_to(observation.floor, len(z))
         residue = np.broadcast_to(observation.residue, len(z))
+        if observation.is_contact:
+            return self._read(z, live, floor, residue)
+        now = live, floor, residue
+        if before is None or not all(map(np.array_equal, now, before[:3])):
+            before = self._silence = Silence(*now, self._read(z, *now))
+        return before.told
+
+    def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats) -> Told:
+        """(M,) each."""
         explained = z[:, None] * (LIKELY if z.any() else LIKELY[:1])  # silence is so by nothing
         density = self._noise.log_density(z[:, None], explained, floor[:, None], residue[:, None])
         density = density * live[:, None]
@@ -129,13 +174,9 @@ class Memory:
             Kept.SILENT: density[:, 0],
             Kept.LIVE: live,
         }
-        newest = np.array([kept[field] for field in Kept], np.float32)
-        self._kept = np.concatenate([self._kept, newest[:, None]], axis=1)
-        self._sensor = np.vstack([self._sensor, observation.sensor])
-        self.number = np.append(self.number, number)
-        self.newest = max(self.newest, number)
-        self.pressed = np.append(self.pressed, np.count_nonzero(z))
-        self.ceiling = np.append(self.ceiling, density.max(axis=1).sum())
+        fields = np.array([kept[field] for field in Kept], np.float32)
+        untouched = float(fields[Kept.SILENT].sum(dtype=np.float64))
+        return Told(fields, untouched, np.count_nonzero(z), float(density.max(axis=1).sum()))
 
     def scan(self, k: int) -> Observation:
         """The k-th scan."""
@@ -146,9 +187,13 @@ class Memory:
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """The scans that `kept` (K,) names, with the prior or without."""
         made = copy.copy(self)
+        made._share = None
+        if self._share is not None and self.prior is made.prior and kept[self.contact].all():
+            before = self.terms - len(self)  # the others' shares stay as they are
+            made._share = np.append(self._share[:before], self._share[before:][kept])
         made.prior = self.prior if prior else None
         made._kept = self._kept.compress(kept, axis=1)  # in order of memory, as C asks for it
-        for name in ("_sensor", "number", "pressed", "ceiling"):
+        for name in ("_sensor", "number", "pressed", "ceiling", "_untouched"):
             setattr(made, name, getattr(self, name)[kept])
         return made
 
@@ -181,7 +226,7 @@ class Memory:
             met = self._compiled.explain(self._kept, sensor, variance, silent, poses)
         else:
             met = self._met(kept, sensor, variance, silent, poses)
-        met += kept[Kept.SILENT].sum(axis=1, dtype=np.float64)
+        met += self._untouched[since:]
         return met
 
     def _met(
