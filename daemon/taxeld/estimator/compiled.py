@@ -3,11 +3,12 @@ arrays, where it was compiled (`taxeld.native`). Both are equal but for rounding
 
 import ctypes
 from ctypes import c_double, c_int64, c_void_p
+from typing import NamedTuple
 
 import numpy as np
 
 from taxeld import native
-from taxeld.arrays import Bools, Floats, Grid, Poses
+from taxeld.arrays import Bools, Floats, Grid, Index, Poses
 from taxeld.estimator import offsets
 from taxeld.model.observation import (
     BAND_M,
@@ -16,6 +17,8 @@ from taxeld.model.observation import (
     Noise,
     ObservationModel,
 )
+
+GIVEN_UP = -1e9  # in place of what every scan says of a pose
 
 
 class _Model(ctypes.Structure):
@@ -35,6 +38,26 @@ class _Scans(ctypes.Structure):
         *((name, c_void_p) for name in ("kept", "sensor", "variance", "silent")),
         *((name, c_int64) for name in ("scans", "all", "about")),
     ]
+
+
+class _Bounds(ctypes.Structure):
+    _fields_ = [(name, c_void_p) for name in ("order", "share", "left", "least")]
+
+
+class Scans(NamedTuple):
+    """Scans as the C code has them."""
+
+    told: _Scans
+    held: tuple[object, ...]  # what its pointers point to
+
+
+class Bounds(NamedTuple):
+    """From which on a pose is of no use."""
+
+    order: Index  # (K,) in which scans are looked at
+    share: Floats  # (K,) of each
+    left: Floats  # (K,) the most that those of this order may add together, from each on
+    least: Floats  # (N,) that all must add together for each pose
 
 
 class Compiled:
@@ -63,24 +86,32 @@ class Compiled:
             farthest=FARTHEST_SD, bowling1=BOWLING[0], bowling3=BOWLING[1],
         )  # fmt: skip
 
-    def explain(
-        self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools, poses: Poses
-    ) -> Floats:
-        """Readings (FIELDS, all, M), of which the last K are of the sensor's poses (K, 3), and
-        poses (N, 3) → (N, K), as memory.py has them."""
-        poses = np.ascontiguousarray(poses)
-        k, (_, scans_kept, taxels) = len(sensor), kept.shape
-        out = np.empty((len(poses), k))
-        first = kept.itemsize * taxels * (scans_kept - k)
-        scans = _Scans(
+    @staticmethod
+    def scans(kept: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Scans:
+        """Readings (FIELDS, all, M), of which the last K are of the sensor's poses (K, 3)."""
+        k, (_, every, taxels) = len(sensor), kept.shape
+        first = kept.itemsize * taxels * (every - k)
+        told = _Scans(
             kept.ctypes.data + first, sensor.ctypes.data, variance.ctypes.data, silent.ctypes.data,
-            k, scans_kept, bool(variance.any()),
+            k, every, bool(variance.any()),
         )  # fmt: skip
+        return Scans(told, (kept, sensor, variance, silent))
+
+    def explain(self, scans: Scans, poses: Poses, bounds: Bounds | None = None) -> Floats:
+        """K scans and poses (N, 3) → (N, K), as memory.py has them; GIVEN_UP of poses that cannot
+        come up to bounds."""
+        poses = np.ascontiguousarray(poses)
+        out = np.empty((len(poses), scans.told.scans))
+        asked = None
+        if bounds is not None:
+            asked = ctypes.byref(_Bounds(*(each.ctypes.data for each in bounds)))
         failed = self._explain(
             ctypes.byref(self._model),
-            ctypes.byref(scans),
+            ctypes.byref(scans.told),
+            asked,
             c_void_p(poses.ctypes.data),
             c_int64(len(poses)),
+            c_double(GIVEN_UP),
             c_void_p(out.ctypes.data),
         )
         if failed:

@@ -40,6 +40,13 @@ typedef struct {
     int64_t scans, all, about;  /* about: whether contacts have an offset */
 } Scans;
 
+typedef struct {
+    const int64_t *order;  /* (scans,) in which they are looked at */
+    const double *share;  /* (scans,) of each in what is needed */
+    const double *left;  /* (scans,) that they may add at most, from each of the order on */
+    const double *least;  /* (n,) that must be added for a pose to be of any use */
+} Bounds;
+
 typedef struct {  /* room for one pose and scan */
     float *u, *v;  /* (places,) where columns are in their cells */
     uint32_t *cell;  /* (places,) */
@@ -190,10 +197,36 @@ static void *room_for(const Model *m, Near *near)
     return room;
 }
 
+/* By how much a scan is likelier than of a skin which is not pressed, of a pose (3,) whose turn has
+   this cosine and sine. */
+INLINE double explained(
+    const Model *m, const Scans *s, Near *near, int64_t k, const double *pose, double c, double sn)
+{
+    const double *sensor = s->sensor + 3 * k;
+    double dx = sensor[0] - pose[0], dy = sensor[1] - pose[1], turn = sensor[2] - pose[2];
+    double x = (c * dx + sn * dy - m->x) / m->cell, y = (c * dy - sn * dx - m->y) / m->cell;
+    uint32_t column = (int32_t)within(x, 0.0f, m->nx - 1.001);
+    uint32_t row = (int32_t)within(y, 0.0f, m->ny - 1.001);
+    if (column >= m->nx - 1 || row >= m->ny - 1 || !m->reach[row * m->nx + column])
+        return 0.0;
+    int about = s->about && !s->silent[k];
+    double variance = s->variance[k];
+    look_up(m, near, s->kept + k * m->taxels, s->all * m->taxels, x, y, cos(turn) / m->cell,
+            sin(turn) / m->cell, about);
+    if (!near->n)
+        return 0.0;
+    if (!about)
+        return gain(m, near, m->hidden / m->depth_max * sqrt(variance));
+    double added = offset(m, near, variance);
+    return added + gain(m, near, 0.0f);
+}
+
 /* log p(scan | pose) beyond that of a skin which is not pressed, of poses (n, 3): out (n, scans).
+   With bounds, a pose that cannot come up to them is given up before all scans were looked at.
    0, or -1 where there is no memory left. */
 FASTEST int taxeld_explain(
-    const Model *m, const Scans *s, const double *poses, int64_t n, double *out)
+    const Model *m, const Scans *s, const Bounds *bounds, const double *poses, int64_t n,
+    double given_up, double *out)
 {
     Near near;
     void *room = room_for(m, &near);
@@ -201,25 +234,17 @@ FASTEST int taxeld_explain(
         return -1;
     for (int64_t i = 0; i < n; i++) {
         const double *pose = poses + 3 * i;
-        double c = cos(pose[2]), sn = sin(pose[2]);
-        for (int64_t k = 0; k < s->scans; k++) {
-            const double *sensor = s->sensor + 3 * k;
-            double dx = sensor[0] - pose[0], dy = sensor[1] - pose[1], met = 0.0;
-            double x = (c * dx + sn * dy - m->x) / m->cell, y = (c * dy - sn * dx - m->y) / m->cell;
-            uint32_t column = (int32_t)within(x, 0.0f, m->nx - 1.001);
-            uint32_t row = (int32_t)within(y, 0.0f, m->ny - 1.001);
-            if (column < m->nx - 1 && row < m->ny - 1 && m->reach[row * m->nx + column]) {
-                int about = s->about && !s->silent[k];
-                const float *kept = s->kept + k * m->taxels;
-                double turn = sensor[2] - pose[2];
-                look_up(m, &near, kept, s->all * m->taxels, x, y, cos(turn) / m->cell,
-                        sin(turn) / m->cell, about);
-                if (about)
-                    met = offset(m, &near, s->variance[k]);
-                met += gain(m, &near, about ? 0.0 : m->hidden / m->depth_max * sqrt(s->variance[k]));
-            }
-            out[i * s->scans + k] = met;
+        double c = cos(pose[2]), sn = sin(pose[2]), sum = 0.0, *met = out + i * s->scans;
+        int64_t j = 0;
+        for (; j < s->scans; j++) {
+            int64_t k = bounds ? bounds->order[j] : j;
+            if (bounds && sum + bounds->left[j] < bounds->least[i])
+                break;
+            met[k] = explained(m, s, &near, k, pose, c, sn);
+            sum += bounds ? bounds->share[k] * met[k] : 0.0;
         }
+        for (int64_t k = 0; j < s->scans && k < s->scans; k++)
+            met[k] = given_up;
     }
     free(room);
     return 0;

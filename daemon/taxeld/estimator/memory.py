@@ -14,11 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Grid, Poses
-from taxeld.estimator.compiled import compiled
+from taxeld.estimator.compiled import Bounds, Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
+from taxeld.estimator.particles import Needed
 from taxeld.estimator.prior import Prior
 from taxeld.model.observation import Noise, Observation, ObservationModel
 
+SPARE_NATS = 0.05  # by which a pose may explain a scan better than its ceiling, which is rounded
 FAR = 1e30  # standard deviations: without a bound
 LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # of a reading: the activations that may explain it best
 
@@ -92,6 +94,7 @@ class Memory:
         self.ceiling = np.empty(0)  # (K,) as `Told` has them
         self._untouched = np.empty(0)
         self._share: Floats | None = None  # as last asked for
+        self._for_c: tuple[tuple[int, int, Slack], Scans] | None = None
         self._silence: Silence | None = None  # of the last silent scan
 
     def __len__(self) -> int:
@@ -145,8 +148,9 @@ class Memory:
         self.pressed = np.append(self.pressed, told.pressed)
         self.ceiling = np.append(self.ceiling, told.ceiling)
         self._untouched = np.append(self._untouched, told.untouched)
-        is_alone = self._share is not None and not told.pressed  # it changes no other's share
-        self._share = np.append(self._share, 1.0) if is_alone else None
+        self._for_c = None
+        if self._share is not None:  # a silent scan changes no other's
+            self._share = None if told.pressed else np.append(self._share, 1.0)
 
     def _told(self, observation: Observation) -> Told:
         z, live, before = observation.z, observation.live, self._silence
@@ -176,7 +180,7 @@ class Memory:
         }
         fields = np.array([kept[field] for field in Kept], np.float32)
         untouched = float(fields[Kept.SILENT].sum(dtype=np.float64))
-        return Told(fields, untouched, np.count_nonzero(z), float(density.max(axis=1).sum()))
+        return Told(fields, untouched, int(np.count_nonzero(z)), float(density.max(axis=1).sum()))
 
     def scan(self, k: int) -> Observation:
         """The k-th scan."""
@@ -187,7 +191,7 @@ class Memory:
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """The scans that `kept` (K,) names, with the prior or without."""
         made = copy.copy(self)
-        made._share = None
+        made._share = made._for_c = None
         if self._share is not None and self.prior is made.prior and kept[self.contact].all():
             before = self.terms - len(self)  # the others' shares stay as they are
             made._share = np.append(self._share[:before], self._share[before:][kept])
@@ -205,29 +209,52 @@ class Memory:
         """(…, terms) as `explain` has them → (…, K) without the prior's."""
         return explained[..., self.terms - len(self) :]
 
-    def explain(self, poses: Poses) -> Floats:
+    def explain(self, poses: Poses, needed: Needed | None = None) -> Floats:
         """Log-density of the prior, if there is one, and log p(scan | pose) over live taxels of
-        each scan: (N, 3) → (N, terms)."""
-        explained = self._explain(poses, 0)
+        each scan: (N, 3) → (N, terms); as `particles.Explain` has it."""
         if self.prior is None:
-            return explained
-        return np.hstack([self.prior.log_density(poses)[:, None], explained])
+            return self._explain(poses, 0, needed)
+        prior = self.prior.log_density(poses)
+        if needed is not None:
+            share = needed.share
+            needed = Needed(share[1:], needed.least - share[0] * prior)
+        return np.hstack([prior[:, None], self._explain(poses, 0, needed)])
 
     def explain_newest(self, poses: Poses) -> Floats:
         """log p(scan | pose) of the scan that was added last: (N, 3) → (N,)."""
         return self._explain(poses, len(self) - 1)[:, 0]
 
-    def _explain(self, poses: Poses, since: int) -> Floats:
+    def _explain(self, poses: Poses, since: int, needed: Needed | None = None) -> Floats:
         """Of scans from `since` on: (N, 3) → (N, K − since). Contacts have an offset each; a silent
         scan tells of what presses deeper than its offset may have hidden."""
-        variance = self.slack.variance(self.newest - self.number[since:])
-        kept, sensor, silent = self._kept[:, since:], self._sensor[since:], self.silent[since:]
         if self._compiled is not None:
-            met = self._compiled.explain(self._kept, sensor, variance, silent, poses)
+            scans = self._scans(self._compiled, since)
+            bounds = None if needed is None else self._bounds(needed)
+            met = self._compiled.explain(scans, poses, bounds)
         else:
+            variance = self.slack.variance(self.newest - self.number[since:])
+            kept, sensor, silent = self._kept[:, since:], self._sensor[since:], self.silent[since:]
             met = self._met(kept, sensor, variance, silent, poses)
         met += self._untouched[since:]
         return met
+
+    def _scans(self, compiled: Compiled, since: int) -> Scans:
+        """As C has them, the same until something changes."""
+        of = since, self.newest, self.slack
+        if self._for_c is None or self._for_c[0] != of:
+            variance = self.slack.variance(self.newest - self.number[since:])
+            scans = compiled.scans(self._kept, self._sensor[since:], variance, self.silent[since:])
+            self._for_c = of, scans
+        return self._for_c[1]
+
+    def _bounds(self, needed: Needed) -> Bounds:
+        """What all scans must add to that of a skin which is not pressed."""
+        share = needed.share
+        most = share * (self.ceiling + SPARE_NATS - self._untouched)
+        order = np.argsort(-most)  # those first that may refute a pose by most
+        most = most[order]
+        left = most.sum() + most - np.cumsum(most)  # for these and all after them
+        return Bounds(order, share, left, needed.least - share @ self._untouched)
 
     def _met(
         self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools, poses: Poses

@@ -82,4 +82,4 @@ def moved_m(a: Poses, b: Poses, radius_m: float) -> float:
     """How far a point of the skin went between two sensor poses (3,), at most."""
     (ax, ay, turned_a), (bx, by, turned_b) = a.tolist(), b.tolist()
     turn = (turned_b - turned_a + math.pi) % (2.0 * math.pi) - math.pi
-    return math.hypot(bx - ax, by - ay) + radius_m * abs(turn)
+    return float(math.hypot(bx - ax, by - ay) + radius_m * abs(turn))
