@@ -176,7 +176,8 @@ def occupied(poses: Poses, cell: Floats = CELL) -> int:
     at = np.floor(poses / cell).astype(np.int64)
     at -= at.min(axis=0)
     size = at.max(axis=0) + 1
-    return len(np.unique((at[:, 0] * size[1] + at[:, 1]) * size[2] + at[:, 2]))
+    cells = np.sort((at[:, 0] * size[1] + at[:, 1]) * size[2] + at[:, 2])
+    return 1 + int(np.count_nonzero(np.diff(cells)))
 
 
 def enough(cells: int, error: float, confidence: float) -> int:
