@@ -66,9 +66,10 @@ class Compiled:
     def __init__(self, library: ctypes.CDLL, model: ObservationModel, noise: Noise) -> None:
         self._explain = library.taxeld_explain
         scene, grid = model.scene, model.grid
+        distance, height = model.columns
         tables = {
-            "distance": np.moveaxis(scene.slices, 0, -1),  # of a column's taxels side by side
-            "height": grid.offset // scene.silhouette.size,
+            "distance": distance,
+            "height": height,
             **{name: getattr(grid, name) for name in ("pressed", "about", "reach")},
             **{name: getattr(grid, name) for name in ("place", "taxel")},
         }
