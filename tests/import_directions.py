@@ -63,7 +63,7 @@ ROOMS = {  # what a room may import of its package, beside itself and what stand
         "limits": "models jobs",
         "charts": "jobs",
         "samplers": "objects models limits jobs charts",
-        "filters": "objects models limits jobs charts",
+        "filters": "objects models limits jobs charts samplers",
         "bundles": "",
         "build": "objects samplers bundles",
         "cli": "objects models limits jobs samplers filters bundles build",

@@ -1,5 +1,6 @@
 """The injector does its faults and no more; the ledger and the judge find what is wrong."""
 
+import json
 import subprocess
 import sys
 from collections import Counter
@@ -204,6 +205,11 @@ def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     assert (whole.laps, whole.unexplained, whole.daemons) == (2, 0, 2)
     assert (whole.object, whole.physics) == ("box", "scene")
     path.with_name("other").write_text("x")
+    older = json.loads(path.read_text())
+    del older["full_right"]
+    path.with_name("older").write_text(json.dumps(older))
+    with pytest.raises(scenario.SetupError, match="is of an older kind"):
+        soak.resumed(path.with_name("older"), DEMO, 5, "fake", 1.0)
     with pytest.raises(scenario.SetupError, match="is no report of a soak"):
         soak.resumed(path.with_name("other"), DEMO, 5, "fake", 1.0)
     for another in (DEMO.on("poor"), DEMO.touching("mug")):
@@ -249,6 +255,7 @@ def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
     )):  # fmt: skip
         seen.add(number, of_a_lap([], [], status, contacts), 60.0)
     assert (seen.found, seen.full, seen.full_found, seen.lost_laps) == (3, 3, 2, [1])
+    assert seen.full_right == 3, "also the one that is not sure of it"
 
 
 def test_reports_of_soaks_are_shown_side_by_side(
@@ -267,6 +274,7 @@ def test_reports_of_soaks_are_shown_side_by_side(
     assert shown["silent failures without a misleading fault in the lap, and after one"] == "1, 1"
     assert shown["object found at the lap's end"] == "2"
     assert shown["of laps in which all 8 contacts were felt"] == "2 of 3 (66.7%)"
+    assert shown["of these, right at the end, converged or not"] == "3 of 3 (100.0%)"
     assert shown["passed"] == "no"
     command = f"{sys.executable} -m taxeld_hil.cli soak --table {tmp_path / 'soak_drill.json'}"
     unread = subprocess.run(

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,11 +11,12 @@ import trimesh
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Projection
 from taxeld_training.cli import main
+from taxeld_training.jobs.options import Options
 from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.limits.rivals import LARGE_EPOCHS
 from taxeld_training.models.variants import MODELS
-from taxeld_training.objects.setting import ring
-from taxeld_training.samplers import evaluate, experiment, runs
+from taxeld_training.objects.setting import Setting, ring
+from taxeld_training.samplers import evaluate, experiment, runs, trainings
 from taxeld_training.samplers.experiment import Measurement
 
 FRONTIER = {
@@ -74,11 +76,24 @@ def test_proposals_writes_a_row_a_sampler_and_remembers_its_jobs(
     assert before == sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
 
 
+def test_a_filter_follows_with_the_model_whose_distance_was_measured(
+    block: Path, tmp_path: Path
+) -> None:
+    assert main(command("proposals", block, tmp_path, "--groups", "density-64")) == 0
+    kept = list((tmp_path / "memory").glob("density-*.onnx"))
+    quick = Setting(str(block), ring(8), 8, updates=0.02)
+    late = Options(tmp_path / "out", tmp_path / "memory", until=0.0)  # no time to train another
+    assert trainings.files([(quick, "density")], late) == {(quick, "density"): str(*kept)}
+    other = replace(quick, seed=1)
+    assert trainings.files([(other, "density")], late) == {}
+    assert trainings.files([(other, "table")], late) == {(other, "table"): ""}
+
+
 def test_frontier_writes_cost_and_distance_of_each_sampler(
     block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the two samplers of 100 steps, whose graphs are slow to export."""
-    monkeypatch.setitem(runs.GROUPS, "frontier", ("analytic", "density-16"))
+    monkeypatch.setitem(experiment.GROUPS, "frontier", ("analytic", "density-16"))
     monkeypatch.setattr(runs.costs, "EAGER", "density")
     monkeypatch.setattr(runs, "EAGER_SIZE", (1, 16))
     monkeypatch.setattr(runs, "EAGER_GROUP", "density-16")
@@ -139,7 +154,7 @@ def test_measurements_with_other_counts_are_other_jobs() -> None:
 def test_every_sampler_of_the_results_has_a_command(block: Path, tmp_path: Path) -> None:
     """Also those not run before: the generator, and rivals with the density's contacts."""
     wanted = {"generator-128", "diffusion-128", "paper", "table-1e5", "npe-3e5", "fmpe-3e5", "npse"}
-    assert wanted <= set(runs.GROUPS["frontier"])
+    assert wanted <= set(experiment.GROUPS["frontier"])
     assert experiment.COLUMNS == (8, 16, 32, 64)
     out = command("proposals", block, tmp_path, "--groups", "analytic", "--skin", ring(4))
     assert main(out) == 0

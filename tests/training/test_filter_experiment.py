@@ -18,7 +18,7 @@ from taxeld.estimator.rule import noise_of
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.proposals.analytic import Table
 from taxeld_training.cli import main
-from taxeld_training.filters import cells, follow, gridded, methods, trained
+from taxeld_training.filters import cells, follow, gridded, methods
 from taxeld_training.filters import filter as filter_experiment
 from taxeld_training.filters.cells import Cell
 from taxeld_training.filters.conditions import SILENT, Conditions
@@ -29,6 +29,7 @@ from taxeld_training.jobs.options import Options
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.models.diffusion import Solver
 from taxeld_training.objects.setting import Setting, ring
+from taxeld_training.samplers import trained, trainings
 
 KEYS = {
     "object", "proposal", "injection", "particles", "contact", "map_mm", "mean_mm", "success_rate",
@@ -107,7 +108,7 @@ def test_a_shipped_density_is_not_trained() -> None:
 
 def test_a_density_is_trained_once_and_read_from_its_file(block: Path, tmp_path: Path) -> None:
     setting = Setting(str(block), ring(8), 8, updates=0.001)
-    job = trained.trainings([(setting, "density")], tmp_path)[setting, "density"]
+    job = trainings.trainings([(setting, "density")], tmp_path)[setting, "density"]
     job.work(*job.arguments, *job.beside)
     (file,) = job.beside
     assert Path(file).parent == tmp_path
@@ -125,7 +126,7 @@ def test_the_papers_own_diffusion_is_run_by_the_papers_own_rule(
     few = replace(variant, samplers=((Solver.DDIM, 2),))  # a hundred steps are slow to export
     setting = Setting(str(block), ring(8), 8, updates=0.001)
     file = tmp_path / "paper.onnx"
-    trained.train(setting, few, str(file))
+    trainings.train(setting, few, str(file))
     cell = Cell(setting, Method("paper", "paper", 20))
     ((first, *_),) = cells.play(cell, 0, 1, "", str(file))
     assert first[0] is not None

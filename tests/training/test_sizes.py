@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from taxeld_training.cli import main
-from taxeld_training.filters import trained
 from taxeld_training.filters.sizes import CASES
+from taxeld_training.samplers import trained
 
 BOX = "003_cracker_box"
 

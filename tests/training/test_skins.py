@@ -9,8 +9,8 @@ from taxeld_training.cli import main
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.skins import FLOOR, SKINS
 from taxeld_training.filters.touches import firmest
-from taxeld_training.filters.trained import model_of
 from taxeld_training.objects.setting import Setting, ring
+from taxeld_training.samplers.trained import model_of
 
 
 def test_the_shipped_mugs_samplers_are_near_the_posterior_of_what_the_filter_sees(

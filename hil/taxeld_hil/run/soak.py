@@ -25,6 +25,7 @@ REPORT_EVERY = 20  # laps
 FAILURES_KEPT = 50
 SETTLED_LAPS = 30  # memory is compared from here on: caches have filled
 GROWTH_MAX_MB = 8.0
+RIGHT_MM = 10.0
 RATE_HZ = 40.0  # ticks on the fake clock, where none is late
 Say = Callable[[str], None]
 
@@ -48,6 +49,7 @@ class Soak:
     found: int = 0  # laps that ended converged and right
     full: int = 0  # laps in which the daemon felt as many contacts as there were,
     full_found: int = 0  # and found the object
+    full_right: int = 0  # of these laps, those that ended right, converged or not
     lost_laps: list[int] = field(default_factory=list)  # and did not
     silent_episodes: int = 0
     silent_worst_mm: float = 0.0
@@ -96,11 +98,13 @@ class Soak:
             begun = [row["kind"] for row in figures["faults"] if row["at_s"] <= at_s]
             self.silent_after[_explains(begun)] += 1
         error = figures["error_mm"]
-        found = figures["status"] == "converged" and error is not None and error < 10.0
+        right = error is not None and error < RIGHT_MM
+        found = figures["status"] == "converged" and right
         self.found += found
         if figures["contacts"] >= laps.CONTACTS:
             self.full += 1
             self.full_found += found
+            self.full_right += right
             if not found:
                 self.lost_laps.append(number)
         gaps = (abs(law["expected"] - law["counted"]) - law["slack"] for law in figures["laws"])
@@ -164,6 +168,8 @@ def resumed(path: Path, base: Scenario, seed: int, clock: str, hours: float) -> 
         except (ValueError, KeyError, TypeError, AttributeError):
             raise SetupError(f"{path}: is no report of a soak; name another file") from None
         if same and not done:
+            if "full_right" not in data:
+                raise SetupError(f"{path}: is of an older kind; name another file")
             del data["growth_mb"], data["passed"], data["hours"]
             data["unexplained_before"] = data["unexplained"]
             for name in COUNTERS:

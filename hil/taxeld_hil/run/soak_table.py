@@ -62,8 +62,16 @@ def _memory(report: Report) -> str:
 
 
 def _full(report: Report) -> str:
-    full, found = report["full"], report["full_found"]
-    return f"{found} of {full} ({found / full:.1%})" if full else "none"
+    return _of_full(report, "full_found")
+
+
+def _right(report: Report) -> str:
+    return _of_full(report, "full_right")
+
+
+def _of_full(report: Report, key: str) -> str:
+    full, some = report["full"], report[key]
+    return f"{some} of {full} ({some / full:.1%})" if full else "none"
 
 
 ROWS: tuple[tuple[str, Callable[[Report], str]], ...] = (
@@ -77,6 +85,7 @@ ROWS: tuple[tuple[str, Callable[[Report], str]], ...] = (
     ("silent failures without a misleading fault in the lap, and after one", _silent),
     ("object found at the lap's end", lambda r: f"{r['found']}"),
     (f"of laps in which all {laps.CONTACTS} contacts were felt", _full),
+    ("of these, right at the end, converged or not", _right),
     ("worst recovery", _recovery),
     ("not recovered in time", lambda r: f"{sum(r['not_recovered'].values())}"),
     ("still in doubt 3 s after", lambda r: f"{sum(r['doubted'].values())}"),

@@ -11,7 +11,7 @@ from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
-from taxeld_training.filters import follow, methods, trained
+from taxeld_training.filters import follow, methods
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.trials import Trial
@@ -19,6 +19,7 @@ from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.objects.setting import Setting, ring
+from taxeld_training.samplers import trained, trainings
 
 COLUMNS = 16
 TOUCHES = 8
@@ -92,15 +93,10 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
     second one; the grid filter, which takes longest, comes last.
     """
     counts = dict(wanted)
-    learned = {
-        cell: (cell.setting, cell.method.proposal)
-        for cell in counts
-        if trained.is_learned(cell.method.proposal, cell.setting)
-    }
-    files = _train(set(learned.values()), options)
+    files = trainings.files(((cell.setting, cell.method.proposal) for cell in counts), options)
     todo: list[tuple[int, Cell, Job]] = []
     for cell, count in counts.items():
-        file = files.get(learned[cell]) if cell in learned else ""
+        file = files.get((cell.setting, cell.method.proposal))
         if file is None:
             continue
         block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
@@ -144,14 +140,6 @@ def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[
         ]
         for seed in range(first, first + count)
     ]
-
-
-def _train(wanted: Iterable[trained.Wanted], options: Options) -> dict[trained.Wanted, str]:
-    """The file of each; one is left out where time ran out before its training."""
-    ordered = sorted(wanted, key=lambda each: (each[0].name, each[1]))
-    todo = trained.trainings(ordered, options.memory.resolve())
-    done = run_jobs(list(todo.values()), options) if todo else {}
-    return {each: job.beside[0] for each, job in todo.items() if done[job.name]}
 
 
 def _seed(options: Options, first: int) -> int:

@@ -11,11 +11,11 @@ from taxeld_training.filters import cells
 from taxeld_training.filters.cells import COLUMNS, Cell, Results, setting_of
 from taxeld_training.filters.figures import errors, p_success, shares
 from taxeld_training.filters.methods import SHIPPED, Method
-from taxeld_training.filters.trained import DENSITY, PAPER
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import OBJECTS
+from taxeld_training.samplers.trained import DENSITY, PAPER
 
 SEEDS, QUICK_SEEDS = 200, 6
 METHODS = (

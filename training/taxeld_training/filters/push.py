@@ -7,15 +7,16 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld_training.filters import follow, methods, trained
+from taxeld_training.filters import follow, methods
 from taxeld_training.filters.cells import COLUMNS, setting_of
 from taxeld_training.filters.figures import quantiles
 from taxeld_training.filters.pusher import PushedTrial
-from taxeld_training.filters.trained import DENSITY
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs, write
 from taxeld_training.jobs.statistics import of_median, of_share, p_paired, rounded
 from taxeld_training.objects.setting import Setting
+from taxeld_training.samplers import trained
+from taxeld_training.samplers.trained import DENSITY
 
 OBJECTS = ("003_cracker_box", "025_mug")
 MOTIONS = ("push", "none", follow.TOLD)

@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from taxeld_training.filters import cells, trained
+from taxeld_training.filters import cells
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, Cell, Results
 from taxeld_training.filters.figures import share
 from taxeld_training.filters.methods import SHIPPED
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import DEPTH_MAX_M, Setting, Sized, ring
+from taxeld_training.samplers import trained
 
 OBJECTS = ("003_cracker_box", "025_mug")
 SEEDS, QUICK_SEEDS = 12, 2

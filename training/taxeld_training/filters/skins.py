@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from taxeld_training.filters import cells, methods, touches, trained
+from taxeld_training.filters import cells, methods, touches
 from taxeld_training.filters.conditions import Conditions
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs, write
@@ -20,6 +20,7 @@ from taxeld_training.limits.posterior import energy_distance
 from taxeld_training.limits.quality import BANK, LIMIT_ESS, SAMPLES, Posterior
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.objects.setting import Setting
+from taxeld_training.samplers import trained
 
 OBJECTS = ("003_cracker_box", "025_mug")  # of the shipped bundles
 SKINS = {"model": "", "typical": "typical", "poor": "poor"}

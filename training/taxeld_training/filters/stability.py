@@ -13,10 +13,10 @@ from taxeld_training.filters.conditions import Conditions
 from taxeld_training.filters.figures import p_success, shares
 from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.filters.soft_skin import SKINS
-from taxeld_training.filters.trained import DENSITY
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import Setting
+from taxeld_training.samplers.trained import DENSITY
 
 OBJECTS = ("003_cracker_box", "025_mug")
 SYMMETRIC = ("002_master_chef_can", "024_bowl", "061_foam_brick")

@@ -107,6 +107,11 @@ def fit(
     return train(make, variant.training, mine, model.leak, noise, progress)
 
 
+def untrained(variant: Variant, model: ObservationModel) -> Model:
+    """The model of a variant before its training, which knows its sizes."""
+    return _make(variant, model)
+
+
 def samplers(variant: Variant, trained: Model) -> dict[str, AnySampler]:
     """The samplers that run the trained model, by name."""
     if isinstance(trained, Denoiser):

@@ -21,16 +21,23 @@ from taxeld_training.limits.rivals import (
     LARGE,
     LARGE_CONTACTS,
     LARGE_EPOCHS,
+    RIVALS,
     train_rival,
 )
 from taxeld_training.models import variants
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.export import AnySampler, flops
-from taxeld_training.models.variants import Variant
+from taxeld_training.models.variants import MODELS, Variant
 from taxeld_training.objects.setting import Setting
+from taxeld_training.samplers import trained
 
 COLUMNS = (8, 16, 32, 64)  # of the paper's skins, 5 rows each
 LARGE_TABLE = "table-1e5"  # what a table of ten times the contacts buys
+GROUPS = {
+    "proposals": ("analytic", "density-64", "paper"),
+    "frontier": ("analytic", LARGE_TABLE, *MODELS, *RIVALS, *LARGE),
+}
+LEARNED = {"density-64": trained.DENSITY, "paper": trained.PAPER}  # once for all experiments
 
 
 @dataclass(frozen=True)
@@ -42,6 +49,11 @@ class Measurement(Setting):
     slow_contacts: int = 200  # the same, of samplers that take long
     bank: int = quality.BANK
     epochs: int | None = None  # of a rival; None: its own
+
+    @property
+    def place(self) -> Setting:
+        """Without how thoroughly."""
+        return Setting(self.object, self.skin, self.columns, self.updates, self.seed)
 
 
 class Tried(NamedTuple):
@@ -77,27 +89,29 @@ class Eager:
 
 
 def samplers_of(
-    setting: Measurement, group: str, variant: Variant | None, model: ObservationModel
-) -> Iterator[Tried]:
-    """The samplers of a group, trained for `setting.updates`."""
+    setting: Measurement, group: str, variant: Variant | None, model: ObservationModel,
+    file: str | None = None,
+) -> Iterator[Tried]:  # fmt: skip
+    """The samplers of a group, trained for `setting.updates`, or one from a `file` ("" for one that
+    ships)."""
     if group == "analytic":
         for name, make in ANALYTIC.items():
             yield Tried(name, None, None, None, make(model))
     elif group == LARGE_TABLE:
         yield Tried(group, None, None, None, Table(model, 100_000))
+    elif variant is not None and file is not None:
+        untrained = variants.untrained(variant, model)
+        (known,) = variants.samplers(variant, untrained).values()
+        yield _learned(
+            group, variant, known, trained.proposal_of(LEARNED[group], setting.place, file)
+        )
     elif variant is not None:
         variant = variants.trained_with(variant, setting.updates)
         rng = np.random.default_rng(setting.seed)
         touches = simulate(model, variant.training.contacts, rng)
         network = variants.fit(variant, model, IN_USE, touches)
         for sampler in variants.samplers(variant, network).values():
-            yield Tried(
-                "paper" if group == "paper" else sampler.family,
-                sampler.steps,
-                variant.network.width,
-                flops(sampler, quality.SAMPLES),
-                Eager(sampler),
-            )
+            yield _learned(group, variant, sampler, Eager(sampler))
     else:
         kind = LARGE.get(group, group)
         size = (
@@ -107,3 +121,10 @@ def samplers_of(
             size = {"max_epochs": setting.epochs}
         rival = train_rival(kind, model, IN_USE, seed=setting.seed, **size)
         yield Tried(group, None, None, None, rival)
+
+
+def _learned(group: str, variant: Variant, known: AnySampler, sampler: Proposal) -> Tried:
+    """`sampler`, of whose steps and sizes `known` tells."""
+    name = "paper" if group == "paper" else known.family
+    work = flops(known, quality.SAMPLES)
+    return Tried(name, known.steps, variant.network.width, work, sampler)

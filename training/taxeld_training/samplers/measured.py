@@ -24,7 +24,7 @@ ROOMS = "taxeld.model", "taxeld.proposals", "taxeld_training.models", "taxeld_tr
 
 def code() -> str:
     """Of what decides a sampler's rows, so that other code is another job."""
-    return fingerprint.of(*ROOMS)
+    return fingerprint.of(*ROOMS) + fingerprint.of_bundles()
 
 
 def make_reference(setting: Measurement, code: str, path: str) -> dict[str, float]:
@@ -38,10 +38,11 @@ def make_reference(setting: Measurement, code: str, path: str) -> dict[str, floa
 
 
 def measure(
-    setting: Measurement, group: str, variant: Variant | None, code: str, reference: str
-) -> list[dict[str, Any]]:
-    """Rows of all samplers of a group: `analytic`, a rival of sbi, or a model by its variant.
-    `code` is part of the job's key alone."""
+    setting: Measurement, group: str, variant: Variant | None, code: str, reference: str,
+    file: str | None = None,
+) -> list[dict[str, Any]]:  # fmt: skip
+    """Rows of all samplers of a group: `analytic`, a rival of sbi, or a model by its variant, new
+    or from a `file` ("" for one that ships). `code` is part of the job's key alone."""
     del code
     model = setting.model()
     to = quality.load(Path(reference))
@@ -62,7 +63,7 @@ def measure(
         }
 
     rows = []
-    for tried in samplers_of(setting, group, variant, model):
+    for tried in samplers_of(setting, group, variant, model, file):
         slow = tried.sampler.name in ("npse", "fmpe") or (tried.steps or 0) > 50
         count = setting.slow_contacts if slow else setting.contacts
         some = zip(seen.z[:count], seen.live[:count], strict=True)

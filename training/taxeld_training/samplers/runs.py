@@ -11,18 +11,13 @@ from taxeld_training.jobs import jobs, tables
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs
 from taxeld_training.jobs.rows import DISTANCES, EXACT
-from taxeld_training.limits.rivals import LARGE, RIVALS
 from taxeld_training.models.variants import MODELS
 from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import OBJECTS, ring
-from taxeld_training.samplers import costs, experiment, measured
-from taxeld_training.samplers.experiment import Measurement
+from taxeld_training.samplers import costs, experiment, measured, trainings
+from taxeld_training.samplers.experiment import LEARNED, Measurement
 
 FRONTIER_COLUMNS = (16, 32)
-GROUPS = {
-    "proposals": ("analytic", "density-64", "paper"),
-    "frontier": ("analytic", experiment.LARGE_TABLE, *MODELS, *RIVALS, *LARGE),
-}
 EAGER_GROUP, EAGER_SIZE = "paper", (100, 256)  # steps × width, to which speed-ups are relative
 DISTANCE_KEYS = (
     "energy_distance",
@@ -59,10 +54,10 @@ def settings(options: Options, columns: Sequence[int]) -> list[Measurement]:
 def rows(name: str, options: Options) -> list[dict[str, Any]]:
     """All rows of an experiment's samplers; those of the frontier have costs."""
     for group in options.groups:
-        if group not in GROUPS["frontier"]:
-            raise SetupError(f"--groups: no '{group}'; there are {', '.join(GROUPS['frontier'])}")
-    for wanted in options.objects or OBJECTS:
-        meshes.find(wanted)
+        if group not in (known := experiment.GROUPS["frontier"]):
+            raise SetupError(f"--groups: no '{group}'; there are {', '.join(known)}")
+    for mesh in options.objects or OBJECTS:
+        meshes.find(mesh)
     cells = settings(options, FRONTIER_COLUMNS if name == "frontier" else experiment.COLUMNS)
     memory = options.memory.resolve()
     first = [
@@ -76,16 +71,20 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
         if not Path(job.beside[0]).is_file():
             jobs.forget(job, memory)
     references = run_jobs(first, options)
+    groups = options.groups or experiment.GROUPS[name]
+    wanted = {(s.place, LEARNED[g]) for s in cells for g in groups if g in LEARNED}
+    files = trainings.files(wanted, options)
     second = [
         Job(
             f"{s.name}-{group}",
             measured.measure,
             (s, group, MODELS.get(group), measured.code()),
-            (reference_file(s, memory),),
+            (reference_file(s, memory), files.get((s.place, LEARNED.get(group, "")))),
         )
         for s in cells
         if references[f"reference-{s.name}"] is not None
-        for group in options.groups or GROUPS[name]
+        for group in groups
+        if group not in LEARNED or (s.place, LEARNED[group]) in files
     ]
     done = run_jobs(second, options)
     found = tables.compared([row for job in second for row in done[job.name] or []])
@@ -93,9 +92,8 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
         return found
     timed: list[dict[str, Any]] = []
     for cell in {c.columns: c for c in reversed(cells)}.values():
-        wanted_groups = dict.fromkeys((*(options.groups or GROUPS[name]), EAGER_GROUP))
-        groups = tuple((group, MODELS.get(group)) for group in wanted_groups)
-        job = Job(f"cost-{cell.columns}", costs.time_calls, (cell, groups))
+        timed_groups = tuple((g, MODELS.get(g)) for g in dict.fromkeys((*groups, EAGER_GROUP)))
+        job = Job(f"cost-{cell.columns}", costs.time_calls, (cell, timed_groups))
         alone = run_jobs([job], replace(options, workers=1, until=math.inf))  # beside no other
         timed += [row | {"columns": cell.columns} for row in alone[job.name]]
     exact = {(s.object, s.columns): references[f"reference-{s.name}"]["ms"] for s in cells}

@@ -1,18 +1,10 @@
-"""Proposals for the filter experiments: analytic ones, a density, shipped or trained once, and the
-paper's own diffusion.
-
-What is trained is kept as a file beside the experiments' results.
+"""Proposals of the experiments: analytic ones, a density, shipped or trained once, and the paper's
+own diffusion.
 """
 
-import time
-from collections.abc import Iterable
-from dataclasses import replace
 from functools import lru_cache
 from importlib import resources
 from pathlib import Path
-from typing import TypeAlias
-
-import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
@@ -21,17 +13,11 @@ from taxeld.model.proposal import Proposal
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld.proposals.sampler import Sampler
-from taxeld_training.jobs import jobs
-from taxeld_training.jobs.jobs import Job
-from taxeld_training.models import export, variants
-from taxeld_training.models.dataset import IN_USE, simulate
-from taxeld_training.models.variants import MODELS, Variant
+from taxeld_training.models.variants import MODELS
 from taxeld_training.objects.setting import DEPTH_MAX_M, Setting
 
 DENSITY, PAPER = "density", "paper"
 LEARNED = {DENSITY: MODELS["density-64"], PAPER: MODELS["paper"]}
-
-Wanted: TypeAlias = tuple[Setting, str]  # a proposal of LEARNED, for an object on a skin
 
 
 @lru_cache(maxsize=8)
@@ -82,29 +68,3 @@ def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
     if is_learned(name, setting):
         return Sampler.read(Path(file), model.layout, LEARNED[name].kind)
     return shipped_with(setting).proposal(name)
-
-
-def trainings(wanted: Iterable[Wanted], memory: Path) -> dict[Wanted, Job]:
-    """A job for each learned proposal; `beside` its arguments is the file it makes."""
-    found = {}
-    for setting, name in wanted:
-        job = Job(f"{name}-{setting.name}", train, (setting, LEARNED[name]))
-        file = memory / f"{job.key}.onnx"
-        found[setting, name] = replace(job, beside=(str(file),))
-        if not file.is_file():
-            jobs.forget(job, memory)
-    return found
-
-
-def train(setting: Setting, given: Variant, file: str) -> dict[str, float]:
-    """Train a model for the setting and keep its sampler in `file`."""
-    start = time.monotonic()
-    model = model_of(setting)
-    variant = variants.trained_with(given, setting.updates, seed=setting.seed)
-    touches = simulate(model, variant.training.contacts, np.random.default_rng(setting.seed))
-    network = variants.fit(variant, model, IN_USE, touches)
-    (sampler,) = variants.samplers(variant, network).values()
-    part = Path(file).with_suffix(".part")
-    gap = export.export(sampler, len(model.layout), part, variant.describe())
-    part.replace(file)
-    return {"seconds": time.monotonic() - start, "differs": gap}
