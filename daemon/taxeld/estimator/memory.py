@@ -158,9 +158,10 @@ class Memory:
         residue = np.broadcast_to(observation.residue, len(z))
         if observation.is_contact:
             return self._read(z, live, floor, residue)
-        now = live, floor, residue
+        now: tuple[Bools, Floats, Floats] = (live, floor, residue)
         if before is None or not all(map(np.array_equal, now, before[:3])):
-            before = self._silence = Silence(*now, self._read(z, *now))
+            told = self._read(z, *now)
+            before = self._silence = Silence(*(each.copy() for each in now), told)
         return before.told
 
     def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats) -> Told:
@@ -191,11 +192,11 @@ class Memory:
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """The scans that `kept` (K,) names, with the prior or without."""
         made = copy.copy(self)
-        made._share = made._for_c = None
-        if self._share is not None and self.prior is made.prior and kept[self.contact].all():
-            before = self.terms - len(self)  # the others' shares stay as they are
-            made._share = np.append(self._share[:before], self._share[before:][kept])
         made.prior = self.prior if prior else None
+        made._share = made._for_c = None
+        if self._share is not None and kept[self.contact].all():  # the others' stay as they are
+            own = self.terms - len(self) if prior else 0
+            made._share = np.append(self._share[:own], self.of_scans(self._share)[kept])
         made._kept = self._kept.compress(kept, axis=1)  # in order of memory, as C asks for it
         for name in ("_sensor", "number", "pressed", "ceiling", "_untouched"):
             setattr(made, name, getattr(self, name)[kept])
