@@ -158,10 +158,10 @@ class Memory:
         residue = np.broadcast_to(observation.residue, len(z))
         if observation.is_contact:
             return self._read(z, live, floor, residue)
-        now: tuple[Bools, Floats, Floats] = (live, floor, residue)
+        now = live, floor, residue
         if before is None or not all(map(np.array_equal, now, before[:3])):
-            told = self._read(z, *now)
-            before = self._silence = Silence(*(each.copy() for each in now), told)
+            told = self._read(z, live, floor, residue)
+            before = self._silence = Silence(live.copy(), floor.copy(), residue.copy(), told)
         return before.told
 
     def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats) -> Told:
