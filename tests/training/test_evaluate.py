@@ -36,7 +36,7 @@ def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def command(name: str, block: Path, place: Path, *more: str) -> list[str]:
     return [
         "evaluate", name, "--quick", "--objects", str(block), "--out", str(place / "out"),
-        "--memory", str(place / "memory"), *more,
+        "--memory", str(place / "memory"), "--workers", "1", *more,
     ]  # fmt: skip
 
 
@@ -116,7 +116,7 @@ def test_the_gallery_is_drawn(block: Path, tmp_path: Path) -> None:
 
 
 def test_damage_is_measured_on_the_shipped_bundles(tmp_path: Path) -> None:
-    place = ["--out", str(tmp_path), "--memory", str(tmp_path / "memory")]
+    place = ["--out", str(tmp_path), "--memory", str(tmp_path / "memory"), "--workers", "1"]
     assert main(["evaluate", "damage", "--quick", *place]) == 0
     rows = json.loads((tmp_path / "damage.json").read_text(encoding="utf-8"))
     assert {row["dead_share"] for row in rows} == {0.0, 0.1}
