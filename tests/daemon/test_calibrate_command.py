@@ -1,5 +1,7 @@
 """`taxeld calibrate`: a session to a file that a daemon uses; and a skin that is pressed now."""
 
+import contextlib
+import io
 import json
 import sys
 import threading
@@ -55,13 +57,21 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[PressedSkin, Pat
     return skin, place
 
 
+@pytest.fixture(scope="module")
+def calibrated(recorded: tuple[PressedSkin, Path]) -> tuple[Path, str]:
+    """The file that the session becomes, and what the command printed."""
+    out = recorded[1].parent / "made" / "skin.toml"
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert main(["calibrate", str(recorded[1]), "--out", str(out), "--object", *OBJECT]) == 0
+    return out, said.getvalue()
+
+
 def test_a_session_becomes_a_file_a_text_and_a_picture(
-    recorded: tuple[PressedSkin, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: tuple[PressedSkin, Path], calibrated: tuple[Path, str]
 ) -> None:
-    skin, session = recorded
-    out = tmp_path / "made" / "skin.toml"
-    assert main(["calibrate", str(session), "--out", str(out), "--object", *OBJECT]) == 0
-    printed = capsys.readouterr().out
+    skin, _ = recorded
+    out, printed = calibrated
     found = read(out)
     assert_right(found, skin)
     assert found.presses == 20
@@ -88,12 +98,11 @@ def test_a_missing_extra_costs_the_picture_alone_and_is_named(
 
 
 def test_a_session_replays_better_with_its_calibration(
-    recorded: tuple[PressedSkin, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    recorded: tuple[PressedSkin, Path], calibrated: tuple[Path, str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
     _, session = recorded
-    out = tmp_path / "skin.toml"
-    assert main(["calibrate", str(session), "--out", str(out), "--object", *OBJECT]) == 0
-    config = tmp_path / "with.toml"
+    config = calibrated[0].with_name("with.toml")
     text = (session / "config.toml").read_text(encoding="utf-8")
     config.write_text(f'{text}[skin]\ncalibration = "skin.toml"\n', encoding="utf-8")
 

@@ -13,8 +13,11 @@ from hypothesis import strategies as st
 
 from taxeld import native
 from taxeld.estimator.memory import Memory, Slack
+from taxeld.estimator.particles import Needed
+from taxeld.estimator.prior import Prior
 from taxeld.model import contacts
 from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.symmetry import PoseMetric
 
 SESSION = Path(__file__).parent / "session"
 EXPLAIN = "estimator/explain"
@@ -61,6 +64,41 @@ def test_c_and_numpy_explain_alike(
     by_numpy = memory.explain(poses), memory.explain_newest(poses)
     for c, numpy in zip(by_c, by_numpy, strict=True):
         assert np.allclose(c, numpy, rtol=1e-4, atol=0.01)
+
+
+@needed
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**16), st.floats(0.0, 1.0), st.booleans())
+def test_what_is_given_up_early_could_not_have_been_taken(
+    box_model: ObservationModel, seed: int, least_share: float, has_prior: bool
+) -> None:
+    """And of all others every scan is told as without that."""
+    memory, rng = (
+        touched(box_model, Noise(), Slack(0.001, 0.001), seed),
+        np.random.default_rng(seed),
+    )
+    poses = rng.normal(size=(60, 3)) * [0.05, 0.05, 1.0]
+    if has_prior:
+        metric, weight = PoseMetric(box_model.scene), np.full(60, 1.0 / 60)
+        modes = metric.modes(poses, weight, 0.02, 5, 64)
+        memory.prior = Prior(metric, poses, weight, modes)
+    share = rng.uniform(least_share, 1.0, memory.terms)
+    whole = memory.explain(poses)
+    reached = whole @ share
+    least = reached + rng.normal(size=60) * 20.0
+    told = memory.explain(poses, Needed(share, least))
+    taken = reached >= least
+    assert np.array_equal(told[taken], whole[taken])
+    assert (told[~taken] @ share < least[~taken]).all()
+
+
+@needed
+def test_most_that_could_not_be_taken_is_given_up_early(box_model: ObservationModel) -> None:
+    memory = touched(box_model, Noise(), Slack(0.001, 0.001), 0)
+    poses = np.random.default_rng(0).normal(size=(200, 3)) * [0.05, 0.05, 1.0]
+    whole = memory.explain(poses)
+    told = memory.explain(poses, Needed(memory.share, np.full(200, memory.ceiling.sum() - 10.0)))
+    assert np.mean((told != whole).any(axis=1)) > 0.9
 
 
 @needed

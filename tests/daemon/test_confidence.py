@@ -7,7 +7,7 @@ import pytest
 
 from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import AGREEING, SEARCHED, Confidence, status
-from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimate import Status, summarise
 from taxeld.estimator.particles import Belief
 from taxeld.model.observation import ObservationModel
 
@@ -54,6 +54,28 @@ def test_what_takes_a_converged_belief_back(
 ) -> None:
     change(confidence)
     assert status(confidence, 3) is expected
+
+
+def test_the_summary_follows_whatever_changes_the_belief(box_model: ObservationModel) -> None:
+    subject = belief()
+    made = Confidence.of(subject, box_model.scene)
+    made.learned(subject, 0, 1, 1, in_doubt=False)
+
+    def moves() -> None:
+        subject.pose[:, 0] += 0.01
+
+    def weighs() -> None:
+        subject.log_weight = np.log(np.arange(1.0, 101.0) / 5050.0)
+
+    def grows() -> None:
+        subject.pose, subject.log_weight = np.zeros((200, 3)), np.full(200, -np.log(200))
+
+    for change in (moves, weighs, grows):
+        change()
+        made.learned(subject, 0, 1, 1, in_doubt=False)
+        whole = summarise(subject, made.metric)
+        assert np.array_equal(made.summary.mean, whole.mean)
+        assert (made.summary.ess, made.summary.particles) == (whole.ess, whole.particles)
 
 
 def test_one_contact_confirms_once(confidence: Confidence) -> None:

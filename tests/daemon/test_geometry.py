@@ -7,11 +7,13 @@ from hypothesis import strategies as st
 
 from taxeld.errors import SetupError
 from taxeld.estimator.memory import Memory
+from taxeld.estimator.prior import Prior
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.symmetry import PoseMetric
 from taxeld.proposals import scene_file
 
 from .conftest import DEPTH_MAX_M
@@ -121,6 +123,54 @@ def test_no_pose_explains_a_scan_better_than_its_ceiling(box_model: ObservationM
         z = Noise().draw(box_model.activation(pose[None])[0], rng)
         memory.add(Observation(np.zeros(3), z, rng.random(len(z)) < 0.9))
     assert (memory.explain(poses).max(axis=0) <= memory.ceiling + 0.01).all()
+
+
+def test_silences_of_other_taxels_or_floors_tell_other_things(box_model: ObservationModel) -> None:
+    """Whatever silence came before."""
+    rng = np.random.default_rng(0)
+    poses = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 100, rng).pose
+    taxels, everything = len(box_model.layout), Memory(box_model, Noise())
+    all_live, half = np.ones(taxels, dtype=bool), np.arange(taxels) % 2 == 0
+    for live, floor, residue in (
+        (all_live, 0.02, 0.0), (half, 0.02, 0.0), (half, 0.1, 0.0), (half, 0.1, 0.05),
+        (all_live, np.where(half, 0.1, 0.02), 0.0), (all_live, 0.02, 0.0),
+    ):  # fmt: skip
+        alone = Memory(box_model, Noise())
+        for memory in (everything, alone):
+            memory.add(Observation(np.zeros(3), np.zeros(taxels), live, floor, residue))
+        assert np.array_equal(everything.explain_newest(poses), alone.explain_newest(poses))
+        assert everything.ceiling[-1] == alone.ceiling[0]
+
+
+def test_shares_are_those_of_what_is_remembered_now(box_model: ObservationModel) -> None:
+    """However often they were asked for on the way there."""
+    rng = np.random.default_rng(0)
+    taxels, often, seldom = len(box_model.layout), *(Memory(box_model, Noise()) for _ in range(2))
+    for number in range(40):
+        z = np.full(taxels, 0.5 * (rng.random() < 0.5))
+        for memory in (often, seldom):
+            memory.add(Observation(np.zeros(3), z, np.ones(taxels, dtype=bool)), number // 3)
+        kept = rng.random(len(often)) < 0.9
+        assert len(often.share) == len(often)
+        often, seldom = often.only(kept), seldom.only(kept)
+        often.share.sum()
+    assert np.array_equal(often.share, seldom.share)
+    assert often.contacts == len(np.unique(often.number[often.contact])) > 2
+
+
+def test_a_prior_that_is_forgotten_has_no_share(box_model: ObservationModel) -> None:
+    taxels, poses, weight = len(box_model.layout), np.zeros((4, 3)), np.full(4, 0.25)
+    metric = PoseMetric(box_model.scene)
+    prior = Prior(metric, poses, weight, metric.modes(poses, weight, 0.02, 5, 64))
+    memory = Memory(box_model, Noise(), prior)
+    memory.add(Observation(np.zeros(3), np.full(taxels, 0.5), np.ones(taxels, dtype=bool)), 1)
+    for asked in (False, True):
+        if asked:
+            assert len(memory.share) == 2
+        for has_prior in (True, False):
+            kept = memory.only(np.array([True]), prior=has_prior)
+            assert len(kept.share) == kept.terms == 1 + has_prior
+            assert kept.explain(poses).shape == (4, kept.terms)
 
 
 def test_nothing_to_explain_has_no_columns(box_model: ObservationModel) -> None:

@@ -1,6 +1,8 @@
 """Histograms of latency: exact counts, percentiles from above, cyclictest's form."""
 
 import json
+import time
+from email.utils import format_datetime, parsedate_to_datetime
 
 import numpy as np
 import pytest
@@ -21,6 +23,15 @@ def test_every_duration_is_counted_once() -> None:
     assert histogram.overflow == 2
     assert histogram.cycles == sum(histogram.counts().values()) + histogram.overflow
     assert (histogram.min_us, histogram.max_us) == (0.0, 1e9)
+
+
+def test_a_histogram_tells_its_dates_as_cyclictest_does() -> None:
+    before = time.time()
+    told = Latencies(("filter",)).as_cyclictest()
+    for name in ("start_time", "end_time"):
+        date = parsedate_to_datetime(told[name])
+        assert format_datetime(date) == told[name], "RFC 2822"
+        assert before - 1.0 <= date.timestamp() <= time.time()
 
 
 def test_nothing_measured_is_zeros() -> None:

@@ -16,6 +16,16 @@ from taxeld.service import realtime
 from taxeld.source.sources import open_source
 
 
+def test_a_daemon_loads_no_library_that_it_has_no_use_for() -> None:
+    """Each takes start-up time and memory."""
+    code = (
+        "import sys, taxeld.service.loop\n"
+        "print(*({'asyncio', 'ssl', 'email', 'can', 'torch', 'matplotlib'} & {*sys.modules}))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout.split() == []
+
+
 def test_everything_is_as_before_once_the_loop_has_ended() -> None:
     scheduler, switch_s = os.sched_getscheduler(0), sys.getswitchinterval()
     with pytest.raises(ZeroDivisionError), realtime.thread(20):  # noqa: PT012

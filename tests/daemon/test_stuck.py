@@ -24,6 +24,14 @@ def test_a_held_touch_is_not_stuck() -> None:
     assert not any(run([[0.8, 0.4]] * 10_000, 0.0))
 
 
+def test_a_press_after_silence_begins_its_way_anew() -> None:
+    subject, z = Stuck(1), np.array([0.5])
+    for _ in range(3):
+        assert not subject.on_scan(z, 0.03).any()
+    subject.released()
+    assert [bool(subject.on_scan(z, 0.03)[0]) for _ in range(6)] == [False] * 4 + [True] * 2
+
+
 def test_silence_is_not_stuck() -> None:
     assert not any(run([[0.0, 0.0]] * 20, 0.1))
 

@@ -43,7 +43,7 @@ def test_two_workers_of_a_cluster_give_the_rows_of_one_machine(
 ) -> None:
     monkeypatch.setattr(cells, "BLOCK", 1)  # several jobs
     found = []
-    for place, more in (("cluster", ("--dask", address)), ("alone", ())):
+    for place, more in (("cluster", ("--dask", address)), ("alone", ("--workers", "1"))):
         out = tmp_path / place
         arguments = ["evaluate", name, "--quick", "--objects", str(block), *EXPERIMENTS[name]]
         places = ["--out", str(out), "--memory", str(out / "memory")]

@@ -31,7 +31,7 @@ def test_contacts_made_around_a_reading_have_the_banks_posterior(
         if exact.ess < 2 * DRAWS:
             continue
         told += 1
-        made = dense.sample(one, DRAWS, rng, bank)
+        made = dense.sample(one, DRAWS, rng, bank, bank.weighed(one))
         half, other = exact.pose[:DRAWS], exact.pose[DRAWS:]
         floor = energy_distance(half, other, model.scene.size)
         assert energy_distance(made.pose, half, model.scene.size) < floor + 0.01
@@ -48,7 +48,7 @@ def test_a_bank_that_is_too_thin_is_enough_to_begin_with(
     full = ExactPosterior(simulate(model, 200_000, rng), model.layout, NOISE)
     dense = Dense(model, NOISE, rng)
     for one in seen:
-        made = dense.sample(one, DRAWS, rng, thin)
+        made = dense.sample(one, DRAWS, rng, thin, thin.weighed(one))
         assert made.ess > quality.LIMIT_ESS
         assert made.ess > thin.sample(one, 1, rng).ess
         exact = full.sample(one, DRAWS, rng).pose

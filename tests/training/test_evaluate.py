@@ -36,7 +36,7 @@ def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def command(name: str, block: Path, place: Path, *more: str) -> list[str]:
     return [
         "evaluate", name, "--quick", "--objects", str(block), "--out", str(place / "out"),
-        "--memory", str(place / "memory"), *more,
+        "--memory", str(place / "memory"), "--workers", "1", *more,
     ]  # fmt: skip
 
 
@@ -81,10 +81,14 @@ def test_a_filter_follows_with_the_model_whose_distance_was_measured(
 ) -> None:
     assert main(command("proposals", block, tmp_path, "--groups", "density-64")) == 0
     kept = list((tmp_path / "memory").glob("density-*.onnx"))
-    quick = Setting(str(block), ring(8), 8, updates=0.02)
-    late = Options(tmp_path / "out", tmp_path / "memory", until=0.0)  # no time to train another
-    assert trainings.files([(quick, "density")], late) == {(quick, "density"): str(*kept)}
-    other = replace(quick, seed=1)
+    late = Options(
+        tmp_path / "out", tmp_path / "memory", (str(block),), quick=True, until=0.0
+    )  # no time to train another
+    (cell,) = runs.settings(late, experiment.COLUMNS)
+    same = cell.place
+    assert type(same) is Setting
+    assert trainings.files([(same, "density")], late) == {(same, "density"): str(*kept)}
+    other = replace(same, seed=1)
     assert trainings.files([(other, "density")], late) == {}
     assert trainings.files([(other, "table")], late) == {(other, "table"): ""}
 
@@ -116,7 +120,7 @@ def test_the_gallery_is_drawn(block: Path, tmp_path: Path) -> None:
 
 
 def test_damage_is_measured_on_the_shipped_bundles(tmp_path: Path) -> None:
-    place = ["--out", str(tmp_path), "--memory", str(tmp_path / "memory")]
+    place = ["--out", str(tmp_path), "--memory", str(tmp_path / "memory"), "--workers", "1"]
     assert main(["evaluate", "damage", "--quick", *place]) == 0
     rows = json.loads((tmp_path / "damage.json").read_text(encoding="utf-8"))
     assert {row["dead_share"] for row in rows} == {0.0, 0.1}

@@ -52,7 +52,7 @@ def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def command(block: Path, place: Path, *more: str) -> list[str]:
     return [
         "evaluate", "filter", "--quick", "--objects", str(block), "--out", str(place / "out"),
-        "--memory", str(place / "memory"), "--seeds", "3", *more,
+        "--memory", str(place / "memory"), "--seeds", "3", "--workers", "1", *more,
     ]  # fmt: skip
 
 

@@ -15,12 +15,13 @@ from taxeld.proposals.sampler import Sampler
 from taxeld_training.limits import quality
 from taxeld_training.models import variants
 from taxeld_training.models.base import NetworkConfig
-from taxeld_training.models.dataset import Touches, simulate
+from taxeld_training.models.dataset import Batches, Touches, simulate
 from taxeld_training.models.density import BINS, ContactDensity
 from taxeld_training.models.diffusion import Solver
 from taxeld_training.models.export import export, flops, rounded
 from taxeld_training.models.frames import ContactFrame
 from taxeld_training.models.generator import Generator
+from taxeld_training.models.train import SCALE_BATCH
 from taxeld_training.models.variants import Variant
 from taxeld_training.models.views import Plain, best
 
@@ -85,6 +86,42 @@ def test_a_trained_model_is_near_the_posterior(
     assert learned < of_projection * uninformed
 
 
+def test_a_model_trained_beside_others_is_the_one_that_is_trained_alone(
+    ring_model: ObservationModel, touches: Touches
+) -> None:
+    """Those of other batches, and of fewer updates, among them."""
+    few = {"density": 4, "ddpm": 6, "paper": 5, "generator": 4}
+    given = [
+        variants.trained_with(SMALL[name], updates / TRAINING.updates, 5_000, 0)
+        for name, updates in few.items()
+    ]
+    beside = variants.fit_beside(
+        [(variant, lambda _: None) for variant in given], ring_model, Noise(), touches
+    )
+    for variant, one in zip(given, beside, strict=True):
+        alone = variants.fit(variant, ring_model, Noise(), touches)
+        for name, weight in alone.state_dict().items():
+            assert torch.equal(weight, one.state_dict()[name]), (variant.family, name)
+
+
+def test_models_that_are_trained_side_by_side_draw_their_batches_once(
+    ring_model: ObservationModel, touches: Touches, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[int] = []
+    draw = Batches.draw
+
+    def counted(self: Batches, n: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        drawn.append(n)
+        return draw(self, n)
+
+    monkeypatch.setattr(Batches, "draw", counted)
+    few = variants.trained_with(SMALL["density"], 3 / TRAINING.updates, 5_000, 0)
+    more = variants.trained_with(SMALL["ddpm"], 5 / TRAINING.updates, 5_000, 0)
+    given = [(variant, lambda _: None) for variant in (few, more)]
+    variants.fit_beside(given, ring_model, Noise(), touches)
+    assert drawn == [SCALE_BATCH] + [TRAINING.batch] * 5
+
+
 def density(model: ObservationModel) -> ContactDensity:
     torch.manual_seed(0)
     return ContactDensity(NetworkConfig(8, 16), best(model.layout), ContactFrame(model)).eval()
@@ -117,10 +154,10 @@ def test_the_density_integrates_to_one(ring_model: ObservationModel) -> None:
     z, live = torch.zeros(1, 32), torch.ones(1, 32)
     z[0, 5] = 0.7
     with torch.no_grad():
-        _, angle = net.view(z, live)
+        seen, angle = net.view(z, live)
         grid = torch.stack([s, 0.1 * phi + angle, 0.001 * depth], dim=-1).reshape(-1, 3)
         n = len(grid)
-        log_each = net.log_density(z.expand(n, -1), live.expand(n, -1), grid)
+        log_each = net.log_density(seen.expand(n, -1), angle.expand(n), grid)
     cell = (2 * half / (side - 1)) ** 2
     # the Gaussians' constant, which training does not need
     assert float(log_each.exp().sum()) * cell / (2 * np.pi) == pytest.approx(1.0, abs=0.02)

@@ -26,6 +26,7 @@ def test_a_row_an_object_condition_and_contact_and_a_table_of_them(
     arguments = [
         "evaluate", "shipped", "--seeds", "1", "--objects", "003_cracker_box", "--groups",
         "exact,nudged 1 mm", "--out", str(tmp_path), "--memory", str(tmp_path / "memory"),
+        "--workers", "1",
     ]  # fmt: skip
     assert main(arguments) == 0
     assert "shipped.md" in capsys.readouterr().out

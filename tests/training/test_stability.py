@@ -44,6 +44,7 @@ def test_rows_and_map_of_an_object(
     arguments = [
         "evaluate", "stability", "--quick", "--objects", str(block), "--seeds", "2", "--groups",
         "table,projection", "--out", str(tmp_path / "out"), "--memory", str(tmp_path / "memory"),
+        "--workers", "1",
     ]  # fmt: skip
     assert main(arguments) == 0
     file = tmp_path / "out" / "stability.json"

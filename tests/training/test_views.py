@@ -5,7 +5,7 @@ import torch
 
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
-from taxeld_training.models.dataset import Touches
+from taxeld_training.models.dataset import Touches, simulate
 from taxeld_training.models.views import Centred, Plain, Turned, best
 
 
@@ -75,3 +75,17 @@ def test_a_dead_taxels_reading_is_not_seen(
         other[0, 7] = 1.0
         assert torch.equal(view(z, live)[0], view(other, live)[0])
         assert torch.equal(view(z, live)[1], view(other, live)[1])
+
+
+def test_a_batch_of_touches_looks_as_each_of_them_alone(half_model: ObservationModel) -> None:
+    """A batch goes by the few taxels that are pressed or dead, a touch by all of them."""
+    view = Centred(half_model.layout)
+    rng = np.random.default_rng(0)
+    h = half_model.activation(simulate(half_model, 50, rng).pose)
+    z, live = tensors(h)[0], torch.from_numpy(rng.random(h.shape) > 0.2).float()
+    live[:10] = 1.0
+    together, angles = view(z, live)
+    for k in range(50):
+        alone, angle = view(z[k : k + 1], live[k : k + 1])
+        assert torch.equal(angle, angles[k : k + 1])
+        assert torch.allclose(alone[0], together[k], atol=1e-3)  # of a root, for rounding's sake

@@ -10,6 +10,7 @@ Two modules that have changed places show in readings that are likelier in each 
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -69,6 +70,46 @@ class CalibrationDoubt:
     mount_yaw_rad: float = 0.0
 
 
+class Read(NamedTuple):
+    """What K touches have read, as arrays."""
+
+    sensor: Poses  # (K, 3)
+    z: Floats  # (K, M)
+    live: Bools
+    floor: Floats
+    residue: Floats  # what may be of other presses
+
+    @classmethod
+    def none(cls, taxels: int) -> Self:
+        nothing = np.empty((0, taxels))
+        return cls(np.empty((0, 3)), nothing, nothing > 0.0, nothing, nothing)
+
+    def at(self, rows: slice) -> Self:
+        """Some of them."""
+        return self._replace(
+            sensor=self.sensor[rows], z=self.z[rows], live=self.live[rows],
+            floor=self.floor[rows], residue=self.residue[rows],
+        )  # fmt: skip
+
+    def after(self, touch: Observation) -> Self:
+        """And another one."""
+        nothing = np.zeros_like(touch.z)
+        return self._replace(
+            sensor=np.vstack([self.sensor, touch.sensor]),
+            z=np.vstack([self.z, touch.z]),
+            live=np.vstack([self.live, touch.live]),
+            floor=np.vstack([self.floor, nothing + touch.floor]),
+            residue=np.vstack([self.residue, nothing + touch.residue]),
+        )
+
+    def is_told(self, expected: Floats) -> Bools:
+        """(…, K, M) where a taxel that lives may read other than is expected: not both beyond full
+        scale, nor both too light to be felt."""
+        saturated = (self.z >= 1.0) & (expected >= 1.0)
+        unfelt = (self.z == 0.0) & (expected <= self.floor)
+        return np.asarray(self.live & ~saturated & ~unfelt)
+
+
 class CalibrationCheck:
     """Follows the touches of one belief."""
 
@@ -83,6 +124,7 @@ class CalibrationCheck:
         self._modules = _Modules(model, noise)
         self._most = max(min(TOUCHES, ROOM // len(model.layout)), LEAST_TOUCHES + 1)
         self._touches: list[Observation] = []
+        self._read = Read.none(len(model.layout))
         self._x = np.zeros(7)  # log scale, mount, and the object's pose from `_object`
         self._right = np.zeros(7)  # the same, of a right calibration: the object's pose alone
         self._object: Poses = np.zeros(3)  # where it was believed first
@@ -123,9 +165,11 @@ class CalibrationCheck:
             if strength < self._strength:  # of a contact its strongest scan counts
                 return
             self._touches.pop()
+            self._read = self._read.at(slice(-1))
         self._strength = strength
         self._contact = contacts
         self._touches = [*self._touches, used][-self._most :]
+        self._read = self._read.after(used).at(slice(-self._most, None))
         if len(self._touches) >= LEAST_TOUCHES:
             self._begin(believed)
             self._due = 2 * ITERATIONS
@@ -170,34 +214,24 @@ class CalibrationCheck:
         been."""
         n, k = len(x), len(self._touches)
         h = self._model.activation(self._seen(x).reshape(-1, 3)).reshape(n, k, -1)
-        return self._nats(h, np.exp(x[:, 0])[:, None, None], *self._read())
+        return self._nats(h, np.exp(x[:, 0])[:, None, None])
 
-    def _nats(
-        self, h: Floats, factor: Floats, z: Floats, live: Bools, floor: Floats, residue: Floats
-    ) -> Floats:
-        """(…, K) of readings (K, M) of true activations (…, K, M), all of them a factor greater."""
-        expected = factor * h
-        e = (z - expected) / self._sd(expected, factor, residue)
-        e = np.where(_is_told(z, expected, floor) & live, e, 0.0)
+    def _nats(self, h: Floats, factor: Floats) -> Floats:
+        """(…, K) of what was read of true activations (…, K, M), all of them a factor greater."""
+        expected, read = factor * h, self._read
+        e = (read.z - expected) / self._sd(expected, factor)
+        e = np.where(read.is_told(expected), e, 0.0)
         cost = 0.5 * (FREEDOM + 1.0) * np.log1p(e * e / FREEDOM).sum(axis=-1)
         return np.asarray(
             np.minimum(cost, TOUCH_MOST) + BEYOND * np.maximum(cost - TOUCH_MOST, 0.0)
         )
 
-    def _read(self) -> tuple[Floats, Bools, Floats, Floats]:
-        """(K, M) activations, which live, floors, and what may be of other presses."""
-        z = np.array([touch.z for touch in self._touches])
-        live = np.array([touch.live for touch in self._touches])
-        floor = np.array([np.broadcast_to(touch.floor, z.shape[1]) for touch in self._touches])
-        residue = np.array([np.broadcast_to(touch.residue, z.shape[1]) for touch in self._touches])
-        return z, live, floor, residue
-
-    def _sd(self, expected: Floats, factor: Floats | float, residue: Floats) -> Floats:
+    def _sd(self, expected: Floats, factor: Floats | float) -> Floats:
         """Of a reading, its taxel's own response included, and what it may have of other presses:
         of saturated ones more than they read."""
         within = np.minimum(expected, 1.0)
         own = ONSET_SD * deviation(within)
-        other = residue * np.maximum(factor, 1.0)
+        other = self._read.residue * np.maximum(factor, 1.0)
         return np.sqrt(self._noise.variance(within) + own * own + other * other)
 
     def _linear(self, x: Floats) -> tuple[Floats, Floats, Floats, float]:
@@ -209,12 +243,11 @@ class CalibrationCheck:
         near = np.concatenate([q, *(q + step for step in np.diag(STEP))])
         h, *ahead = model.activation(near).reshape(4, len(q), -1)
         by_pose = factor * (np.stack(ahead) - h) / STEP[:, None, None]
-        z, live, floor, residue = self._read()
         expected = factor * h
-        cost = float(self._nats(h, factor, z, live, floor, residue).sum() + _prior(x[None])[0])
-        told = live & (h > 0.0) & _is_told(z, expected, floor)
-        sd = self._sd(expected, factor, residue)
-        e = ((z - expected) / sd)[told]
+        cost = float(self._nats(h, factor).sum() + _prior(x[None])[0])
+        told = (h > 0.0) & self._read.is_told(expected)
+        sd = self._sd(expected, factor)
+        e = ((self._read.z - expected) / sd)[told]
         moves = np.eye(7)[1:] * 1e-6
         gap = self._seen(x + moves) - q
         gap[..., 2] = se2.wrap(gap[..., 2])
@@ -224,8 +257,7 @@ class CalibrationCheck:
 
     def _seen(self, x: Floats) -> Poses:
         """(N, K, 3) the object in the sensor's frame, by candidates (N, 7)."""
-        sensor = np.array([touch.sensor for touch in self._touches])
-        mounted = se2.compose(sensor[None], x[:, None, 1:4])
+        mounted = se2.compose(self._read.sensor[None], x[:, None, 1:4])
         return se2.compose(se2.inverse(mounted), (self._object + x[:, 4:7])[:, None])
 
     def _judge(self) -> None:
@@ -256,13 +288,6 @@ class CalibrationCheck:
 def _prior(x: Floats) -> Floats:
     """(N,) nats of candidates (N, 7)."""
     return np.asarray(0.5 * np.square(x / PRIOR_SD).sum(axis=1))
-
-
-def _is_told(z: Floats, expected: Floats, floor: Floats) -> Bools:
-    """Where a reading and what is expected can differ: not both beyond full scale, nor both too
-    light to be felt."""
-    saturated = (z >= 1.0) & (expected >= 1.0)
-    return np.asarray(~saturated & ~((z == 0.0) & (expected <= floor)))
 
 
 class _Modules:

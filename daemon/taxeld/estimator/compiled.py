@@ -3,11 +3,12 @@ arrays, where it was compiled (`taxeld.native`). Both are equal but for rounding
 
 import ctypes
 from ctypes import c_double, c_int64, c_void_p
+from typing import NamedTuple
 
 import numpy as np
 
 from taxeld import native
-from taxeld.arrays import Bools, Floats, Grid, Poses
+from taxeld.arrays import Bools, Floats, Grid, Index, Poses
 from taxeld.estimator import offsets
 from taxeld.model.observation import (
     BAND_M,
@@ -17,12 +18,14 @@ from taxeld.model.observation import (
     ObservationModel,
 )
 
+GIVEN_UP = -1e9  # in place of what every scan says of a pose
+
 
 class _Model(ctypes.Structure):
     _fields_ = [
-        *((name, c_void_p) for name in ("slices", "pressed", "about", "reach", "place")),
-        *((name, c_void_p) for name in ("taxel", "offset")),
-        *((name, c_int64) for name in ("nx", "ny", "places", "most", "taxels")),
+        *((name, c_void_p) for name in ("distance", "pressed", "about", "reach", "place")),
+        *((name, c_void_p) for name in ("taxel", "height")),
+        *((name, c_int64) for name in ("nx", "ny", "heights", "places", "most", "taxels")),
         *((name, c_double) for name in ("x", "y", "cell", "depth_max", "band", "hidden", "robust")),
         *((name, c_double) for name in ("least_variance", "iterations")),
         *((name, c_double) for name in ("sigma", "gain_cv", "outliers", "least", "farthest")),
@@ -33,8 +36,28 @@ class _Model(ctypes.Structure):
 class _Scans(ctypes.Structure):
     _fields_ = [
         *((name, c_void_p) for name in ("kept", "sensor", "variance", "silent")),
-        *((name, c_int64) for name in ("scans", "about")),
+        *((name, c_int64) for name in ("scans", "all", "about")),
     ]
+
+
+class _Bounds(ctypes.Structure):
+    _fields_ = [(name, c_void_p) for name in ("order", "share", "left", "least")]
+
+
+class Scans(NamedTuple):
+    """Scans as the C code has them."""
+
+    told: _Scans
+    held: tuple[object, ...]  # what its pointers point to
+
+
+class Bounds(NamedTuple):
+    """From which on a pose is of no use."""
+
+    order: Index  # (K,) in which scans are looked at
+    share: Floats  # (K,) of each
+    left: Floats  # (K,) the most that those of this order may add together, from each on
+    least: Floats  # (N,) that all must add together for each pose
 
 
 class Compiled:
@@ -42,14 +65,21 @@ class Compiled:
 
     def __init__(self, library: ctypes.CDLL, model: ObservationModel, noise: Noise) -> None:
         self._explain = library.taxeld_explain
-        scene = model.scene
-        held = {name: np.ascontiguousarray(table) for name, table in model.grid._asdict().items()}
+        scene, grid = model.scene, model.grid
+        distance, height = model.columns
+        tables = {
+            "distance": distance,
+            "height": height,
+            **{name: getattr(grid, name) for name in ("pressed", "about", "reach")},
+            **{name: getattr(grid, name) for name in ("place", "taxel")},
+        }
+        held = {name: np.ascontiguousarray(table) for name, table in tables.items()}
         self._held = held  # what the pointers below point to
-        ny, nx = scene.silhouette.shape
-        places, most = held["taxel"].shape
+        heights, ny, nx = scene.slices.shape
+        places, most = grid.taxel.shape
         self._model = _Model(
             **{name: table.ctypes.data for name, table in held.items()},
-            nx=nx, ny=ny, places=places, most=most, taxels=len(model.layout),
+            nx=nx, ny=ny, heights=heights, places=places, most=most, taxels=len(model.layout),
             x=scene.origin[0], y=scene.origin[1], cell=scene.cell, depth_max=model.depth_max_m,
             band=BAND_M, hidden=offsets.HIDDEN, robust=offsets.ROBUST,
             least_variance=offsets.LEAST_M2, iterations=offsets.ITERATIONS,
@@ -57,21 +87,32 @@ class Compiled:
             farthest=FARTHEST_SD, bowling1=BOWLING[0], bowling3=BOWLING[1],
         )  # fmt: skip
 
-    def explain(
-        self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools, poses: Poses
-    ) -> Floats:
-        """Readings (FIELDS, K, M) and poses (N, 3) → (N, K), as memory.py has them."""
-        poses = np.ascontiguousarray(poses)
-        out = np.empty((len(poses), len(sensor)))
-        scans = _Scans(
-            kept.ctypes.data, sensor.ctypes.data, variance.ctypes.data, silent.ctypes.data,
-            len(sensor), bool(variance.any()),
+    @staticmethod
+    def scans(kept: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Scans:
+        """Readings (FIELDS, all, M), of which the last K are of the sensor's poses (K, 3)."""
+        k, (_, every, taxels) = len(sensor), kept.shape
+        first = kept.itemsize * taxels * (every - k)
+        told = _Scans(
+            kept.ctypes.data + first, sensor.ctypes.data, variance.ctypes.data, silent.ctypes.data,
+            k, every, bool(variance.any()),
         )  # fmt: skip
+        return Scans(told, (kept, sensor, variance, silent))
+
+    def explain(self, scans: Scans, poses: Poses, bounds: Bounds | None = None) -> Floats:
+        """K scans and poses (N, 3) → (N, K), as memory.py has them; GIVEN_UP of poses that cannot
+        come up to bounds."""
+        poses = np.ascontiguousarray(poses)
+        out = np.empty((len(poses), scans.told.scans))
+        asked = None
+        if bounds is not None:
+            asked = ctypes.byref(_Bounds(*(each.ctypes.data for each in bounds)))
         failed = self._explain(
             ctypes.byref(self._model),
-            ctypes.byref(scans),
+            ctypes.byref(scans.told),
+            asked,
             c_void_p(poses.ctypes.data),
             c_int64(len(poses)),
+            c_double(GIVEN_UP),
             c_void_p(out.ctypes.data),
         )
         if failed:

@@ -12,6 +12,9 @@ What came before the oldest contact that is remembered counts once at most.
 from dataclasses import dataclass, field
 from typing import Self
 
+import numpy as np
+
+from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import SEARCHING_WEIGHT, Status, Summary, summarise
 from taxeld.estimator.particles import Belief
 from taxeld.model.observation import Observation
@@ -21,6 +24,7 @@ from taxeld.model.symmetry import PoseMetric
 CONFIRMED_M = 0.02  # a heaviest mode that moved less has stayed; less of a smaller object
 AGREEING = 4  # remembered contacts, for each time that any was refuted: a few agree by chance
 FIRM = 0.05  # of full scale: a lighter contact may be noise, and begins a press that tells more
+ROUNDING = 1e-15  # weights that differ by less are the same
 SEARCHED = 100  # samples that must have left a narrow belief where it was
 
 
@@ -40,6 +44,7 @@ class Confidence:
     confirmed: bool = False  # by the last contact, and by every search since
     remembered: int = 0  # contacts that the belief explains
     _contact: int = 0  # that was judged last: one contact confirms once
+    _summed: tuple[Poses, Floats] | None = None  # poses and weights that the summary is of
 
     @classmethod
     def of(
@@ -70,7 +75,7 @@ class Confidence:
 
     def moved(self, belief: Belief) -> None:
         """The object was pushed, and the belief with it."""
-        self.summary = summarise(belief, self.metric)
+        self._summarise(belief)
         self.confirmed, self.remembered = False, 0
 
     def judged(self, *, doubt: bool, is_firm: bool = True) -> None:
@@ -94,12 +99,25 @@ class Confidence:
 
     def _search(self, belief: Belief, samples: int) -> bool:
         """Whether a change by so many samples has left a narrow belief where it was."""
-        before, self.summary = self.summary, summarise(belief, self.metric)
-        apart = self.metric.distance(before.modes[0].pose, self.summary.modes[0].pose)
-        near_m = CONFIRMED_M * min(self.metric.scale, 1.0)
-        stayed = before.is_narrow and self.summary.is_narrow and bool(apart < near_m)
+        before = self.summary
+        self._summarise(belief)
+        stayed = before.is_narrow and self.summary.is_narrow
+        if stayed:
+            apart = self.metric.distance(before.modes[0].pose, self.summary.modes[0].pose)
+            stayed = bool(apart < CONFIRMED_M * min(self.metric.scale, 1.0))
         self.searched = self.searched + samples if stayed else 0
         return stayed
+
+    def _summarise(self, belief: Belief) -> None:
+        """Unless nothing has changed: most silence tells of particles alone that weigh nothing."""
+        pose, weight = belief.pose, belief.weight
+        if self._summed is not None:
+            at, weighed = self._summed
+            same = len(weight) == len(weighed) and np.abs(weight - weighed).max() <= ROUNDING
+            if same and np.array_equal(pose, at):
+                return
+        self.summary = summarise(belief, self.metric)
+        self._summed = pose.copy(), weight
 
 
 def firm(observation: Observation, contact: int) -> int:

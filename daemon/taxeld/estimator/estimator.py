@@ -78,9 +78,8 @@ class Estimator:
         self._follow(observation)
         news, t = self._news, self._intake.t
         used = news.on_scan(t, observation) if observation.live.any() else None
-        believed = np.array([mode.pose for mode in self.rule.confidence.summary.modes])
         if used is not None:
-            yield from self._check.on_scan(used, believed, news.contacts)
+            yield from self._check.on_scan(used, self._believed, news.contacts)
             self.counters.updates += 1
             injected, log_evidence = yield from self.rule.learn(used, news.contacts, self._draw)
             self._conclude(observation, injected, log_evidence)
@@ -88,7 +87,7 @@ class Estimator:
             self._conclude(observation)
             if self._check.is_due:
                 yield
-                yield from self._check.on_scan(used, believed, news.contacts)
+                yield from self._check.on_scan(None, self._believed, news.contacts)
             if samples := (yield from self.rule.revisit(self._draw)):
                 self.counters.thoughts += 1
                 self._conclude(observation, samples)
@@ -98,6 +97,11 @@ class Estimator:
     def figures(self) -> dict[str, float]:
         """What contacts tell of their own exactness."""
         return {"slack": self.rule.slack}
+
+    @property
+    def _believed(self) -> Poses:
+        """(N, 3) of the modes, the best first."""
+        return np.array([mode.pose for mode in self.rule.confidence.summary.modes])
 
     def _follow(self, observation: Observation) -> None:
         """Between two scans of one contact the object may have been pushed."""

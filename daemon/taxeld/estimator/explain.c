@@ -1,6 +1,7 @@
 /* How well poses explain remembered scans: `Memory.explain` of memory.py, pose by pose, without the
    arrays that numpy makes on the way. Any change here is a change there; tests hold both equal.
-   Built with -ffast-math: nothing in here is infinite or not a number. */
+   Built with -ffast-math: nothing in here is infinite or not a number. Loops over the taxels near a
+   press run over whole vectors, the last one filled up with taxels that tell nothing. */
 
 #include <math.h>
 #include <stdint.h>
@@ -9,14 +10,22 @@
 /* SHA-256 of this file, as it was built */
 const char taxeld_source[] = SOURCE;
 
-enum { Z, LEVEL, RESIDUE, LOW, HIGH, ROOT, SILENT, LIVE, FIELDS };
+#if defined(__x86_64__) && defined(__GLIBC__) && !defined(__clang__)
+#define FASTEST __attribute__((target_clones("avx2", "default")))  /* by the processor */
+#else
+#define FASTEST
+#endif
+#define INLINE static inline __attribute__((always_inline))  /* into each of the clones */
+
+enum { Z, LEVEL, RESIDUE, LOW, HIGH, ROOT, SILENT, LIVE };  /* of what is kept */
+enum { LANES = 8 };  /* of a vector, at most */
 
 typedef struct {
-    const float *slices;  /* (heights, ny, nx) signed distances [m] */
+    const float *distance;  /* (ny, nx, heights) signed distances [m] */
     const uint8_t *pressed, *about, *reach;  /* (ny, nx) cells that count, of a taxel or an axis */
     const float *place;  /* (3, places) x, y [m], 1: taxels stand in columns */
-    const int64_t *taxel, *offset;  /* (places, most) which they are, or -1; where their slice is */
-    int64_t nx, ny, places, most, taxels;
+    const int64_t *taxel, *height;  /* (places, most) which they are, or -1; which slice is theirs */
+    int64_t nx, ny, heights, places, most, taxels;
     double x, y, cell, depth_max;  /* of the grid's origin, of its cells, of full scale [m] */
     double band, hidden, robust;  /* BAND_M, HIDDEN and ROBUST */
     double least_variance, iterations;
@@ -24,93 +33,115 @@ typedef struct {
 } Model;
 
 typedef struct {
-    const float *kept;  /* (FIELDS, scans, taxels) */
+    const float *kept;  /* (8, all, taxels), of which `scans` are asked for */
     const double *sensor;  /* (scans, 3) */
     const double *variance;  /* (scans,) of each one's offset [m^2] */
     const uint8_t *silent;  /* (scans,) */
-    int64_t scans, about;  /* about: whether contacts have an offset */
+    int64_t scans, all, about;  /* about: whether contacts have an offset */
 } Scans;
 
-typedef struct {  /* the taxels near a press, one after the other */
-    float *depth, *gx, *gy, *away, *ax, *ay, *low, *high;
-    int64_t *taxel;
+typedef struct {
+    const int64_t *order;  /* (scans,) in which they are looked at */
+    const double *share;  /* (scans,) of each in what is needed */
+    const double *left;  /* (scans,) that they may add at most, from each of the order on */
+    const double *least;  /* (n,) that must be added for a pose to be of any use */
+} Bounds;
+
+typedef struct {  /* room for one pose and scan */
+    float *u, *v;  /* (places,) where columns are in their cells */
+    uint32_t *cell;  /* (places,) */
+    float *depth, *gx, *gy, *away, *ax, *ay;  /* of taxels near a press, one after the other, */
+    float *z, *level, *residue, *root, *silent;  /* and what is kept of them */
     int64_t n;
 } Near;
 
-static float within(float value, float low, float high)
+INLINE float within(float value, float low, float high)
 {
     value = value > low ? value : low;
     return value < high ? value : high;
 }
 
-/* Of whatever a pose that is not a number becomes, too. */
-static int is_inside(const Model *m, int64_t column, int64_t row)
-{
-    return (uint64_t)column < (uint64_t)m->nx - 1 && (uint64_t)row < (uint64_t)m->ny - 1;
-}
-
-/* The taxels that a pose presses, or nearly, the sensor at (x, y) in cells and turned by `turn`. */
-static void look_up(const Model *m, Near *near, double x, double y, double turn, int about)
+/* The taxels that a pose presses, or nearly, the sensor at (x, y) in cells and turned. */
+INLINE void look_up(
+    const Model *m, Near *near, const float *kept, int64_t field, float x, float y, float cosine,
+    float sine, int about)
 {
     const float *px = m->place, *py = px + m->places;
-    float c = cos(turn) / m->cell, s = sin(turn) / m->cell, x0 = x, y0 = y;
+    float *restrict us = near->u, *restrict vs = near->v;
+    uint32_t *restrict cells = near->cell, nx = m->nx, last = (m->ny - 1) * m->nx - 2;
     float right = m->nx - 1.001, top = m->ny - 1.001, band = about ? m->band : 0.0;
     float by_depth = -1.0 / m->depth_max, by_cell = by_depth / m->cell;
+    float *restrict depth = near->depth, *restrict gx = near->gx, *restrict gy = near->gy;
+    float *restrict z = near->z, *restrict level = near->level, *restrict residue = near->residue;
+    float *restrict root = near->root, *restrict silent = near->silent;
     const uint8_t *mask = about ? m->about : m->pressed;
-    near->n = 0;
+    int64_t n = 0, up = m->nx * m->heights, across = m->heights;
     for (int64_t i = 0; i < m->places; i++) {
-        float u = within(c * px[i] - s * py[i] + x0, 0.0f, right);
-        float v = within(s * px[i] + c * py[i] + y0, 0.0f, top);
-        int64_t column = (int64_t)u, row = (int64_t)v, cell = row * m->nx + column;
-        if (!is_inside(m, column, row) || !mask[cell])
+        float u = within(cosine * px[i] - sine * py[i] + x, 0.0f, right);
+        float v = within(sine * px[i] + cosine * py[i] + y, 0.0f, top);
+        int32_t column = (int32_t)u, row = (int32_t)v;
+        us[i] = u - column;
+        vs[i] = v - row;
+        cells[i] = (uint32_t)row * nx + (uint32_t)column;
+    }
+    for (int64_t i = 0; i < m->places; i++) {
+        if (cells[i] > last || !mask[cells[i]])  /* beyond: of a pose that is not a number */
             continue;
-        u -= column;
-        v -= row;
+        const float *corner = m->distance + cells[i] * m->heights;
+        float u = us[i], v = vs[i];
         for (int64_t j = i * m->most; j < (i + 1) * m->most && m->taxel[j] >= 0; j++) {
-            const float *at = m->slices + m->offset[j] + cell;
-            float below = at[1] - at[0], above = at[m->nx + 1] - at[m->nx];
-            float low = at[0] + below * u, high = at[m->nx] + above * u;
+            const float *at = corner + m->height[j];
+            float below = at[across] - at[0], above = at[up + across] - at[up];
+            float low = at[0] + below * u, high = at[up] + above * u;
             float distance = low + (high - low) * v;
             if (!(distance < band))
                 continue;
-            near->taxel[near->n] = m->taxel[j];
-            near->depth[near->n] = distance * by_depth;
-            near->gx[near->n] = (below + (above - below) * v) * by_cell;
-            near->gy[near->n++] = (high - low) * by_cell;
+            const float *read = kept + m->taxel[j];
+            depth[n] = distance * by_depth;
+            gx[n] = (below + (above - below) * v) * by_cell;
+            gy[n] = (high - low) * by_cell;
+            z[n] = read[Z * field];
+            level[n] = read[LEVEL * field];
+            residue[n] = read[RESIDUE * field];
+            root[n] = read[ROOT * field];
+            silent[n++] = read[SILENT * field];
         }
     }
+    for (; n % LANES; n++)  /* not believed */
+        depth[n] = gx[n] = gy[n] = z[n] = level[n] = residue[n] = root[n] = silent[n] = 0.0f;
+    near->n = n;
 }
 
 /* `Readings.offset` of offsets.py: moves the depths to where the offset explains the readings best;
    what the integral over it adds. */
-static double offset(const Model *m, Near *near, const float *kept, int64_t field, double variance)
+INLINE double offset(const Model *m, Near *near, double variance)
 {
     double precision = 1.0 / (variance > m->least_variance ? variance : m->least_variance);
     double x = 0.0, y = 0.0, det = precision * precision;
     float robust = m->robust;
-    if (!near->n)
-        return 0.0;
-    for (int64_t i = 0; i < near->n; i++) {
-        const float *at = kept + near->taxel[i];
-        float root = at[ROOT * field];
-        near->away[i] = (at[LEVEL * field] - near->depth[i]) * root;
-        near->ax[i] = near->gx[i] * root;
-        near->ay[i] = near->gy[i] * root;
-        near->low[i] = at[LOW * field];
-        near->high[i] = at[HIGH * field];
+    float *restrict away = near->away, *restrict ax = near->ax, *restrict ay = near->ay;
+    float *restrict depth = near->depth;
+    const float *restrict gx = near->gx, *restrict gy = near->gy;
+    const float *restrict level = near->level, *restrict root = near->root, *restrict z = near->z;
+    int64_t n = near->n;
+    for (int64_t i = 0; i < n; i++) {
+        away[i] = (level[i] - depth[i]) * root[i];
+        ax[i] = gx[i] * root[i];
+        ay[i] = gy[i] * root[i];
     }
     for (int iteration = 0; iteration < (int)m->iterations; iteration++) {
         float xx = 0, xy = 0, yy = 0, bx = 0, by = 0, ex = x, ey = y;
-        for (int64_t i = 0; i < near->n; i++) {
-            float ax = near->ax[i], ay = near->ay[i];
-            float off = within(near->away[i] - ax * ex - ay * ey, near->low[i], near->high[i]);
-            float size = fabsf(off), weight = size > robust ? robust / size : 1.0f;
-            weight = off == 0.0f ? 0.0f : weight;
-            xx += weight * ax * ax;
-            xy += weight * ax * ay;
-            yy += weight * ay * ay;
-            bx += weight * ax * off;
-            by += weight * ay * off;
+        for (int64_t i = 0; i < n; i++) {
+            float off = away[i] - ax[i] * ex - ay[i] * ey;
+            off = z[i] < 1.0f || off > 0.0f ? off : 0.0f;  /* LOW and HIGH */
+            off = z[i] > 0.0f || off < 0.0f ? off : 0.0f;
+            float size = fabsf(off);
+            float weight = off == 0.0f ? 0.0f : robust / (size > robust ? size : robust);
+            xx += weight * ax[i] * ax[i];
+            xy += weight * ax[i] * ay[i];
+            yy += weight * ay[i] * ay[i];
+            bx += weight * ax[i] * off;
+            by += weight * ay[i] * off;
         }
         double hxx = xx + precision, hyy = yy + precision, hxy = xy;
         double rx = bx - precision * x, ry = by - precision * y;
@@ -119,72 +150,101 @@ static double offset(const Model *m, Near *near, const float *kept, int64_t fiel
         y += (hxx * ry - hxy * rx) / det;
     }
     float ex = x, ey = y;
-    for (int64_t i = 0; i < near->n; i++)
-        near->depth[i] += near->gx[i] * ex + near->gy[i] * ey;
+    for (int64_t i = 0; i < n; i++)
+        depth[i] += gx[i] * ex + gy[i] * ey;
     return -0.5 * ((x * x + y * y) * precision + log(det / (precision * precision)));
 }
 
-/* By how much readings are likelier at these depths than of taxels that are not pressed:
-   `Noise.log_density`. */
-static double gain(const Model *m, const Near *near, const float *kept, int64_t field)
+/* By how much readings are likelier at these depths, less `hidden`, than of taxels that are not
+   pressed: `Noise.log_density`. */
+INLINE double gain(const Model *m, const Near *near, float hidden)
 {
     float sigma2 = m->sigma * m->sigma, cv2 = m->gain_cv * m->gain_cv, farthest = m->farthest;
     float b1 = m->bowling1, b3 = m->bowling3, keep = 1.0 - m->outliers, least = m->least;
     float sum = 0.0f;
+    const float *restrict depth = near->depth, *restrict residue = near->residue;
+    const float *restrict z = near->z, *restrict level = near->level;
+    const float *restrict silent = near->silent, *restrict root = near->root;
     for (int64_t i = 0; i < near->n; i++) {
-        const float *at = kept + near->taxel[i];
-        float z = at[Z * field], residue = at[RESIDUE * field];
-        float h = within(near->depth[i], 0.0f, 1.0f);
-        float variance = sigma2 + cv2 * h * h + residue * residue;
-        float off = within((at[LEVEL * field] - h) / sqrtf(variance), -farthest, farthest);
-        float square = off * off, likely;
-        if (z > 0.0f && z < 1.0f)
-            likely = expf(-0.5f * square) / sqrtf(6.2831853f * variance);
-        else
-            likely = 1.0f / (1.0f + expf((z > 0.0f ? off : -off) * (b1 + b3 * square)));
-        sum += (logf(keep * likely + least) - at[SILENT * field]) * at[LIVE * field];
+        float h = within(depth[i] - hidden, 0.0f, 1.0f);
+        float variance = sigma2 + cv2 * h * h + residue[i] * residue[i];
+        float off = within((level[i] - h) / sqrtf(variance), -farthest, farthest);
+        float square = off * off, beyond = (z[i] > 0.0f ? off : -off) * (b1 + b3 * square);
+        int is_told = (z[i] > 0.0f) & (z[i] < 1.0f);
+        float power = expf(is_told ? -0.5f * square : beyond);
+        float likely = is_told ? power / sqrtf(6.2831853f * variance) : 1.0f / (1.0f + power);
+        float gained = logf(keep * likely + least) - silent[i];
+        sum += root[i] > 0.0f ? gained : 0.0f;
     }
     return sum;
 }
 
-/* log p(scan | pose) beyond that of a skin which is not pressed, of poses (n, 3): out (n, scans).
-   0, or -1 where there is no memory left. */
-int taxeld_explain(const Model *m, const Scans *s, const double *poses, int64_t n, double *out)
+/* Room for `near`; NULL where there is no memory left. */
+static void *room_for(const Model *m, Near *near)
 {
-    int64_t field = s->scans * m->taxels;
-    float *room = malloc(m->taxels * (8 * sizeof(float) + sizeof(int64_t)));
+    float **each[] = {&near->depth, &near->gx, &near->gy, &near->away, &near->ax, &near->ay,
+                      &near->z, &near->level, &near->residue, &near->root, &near->silent};
+    int64_t fields = sizeof(each) / sizeof(*each), columns = m->places, taxels = m->taxels + LANES;
+    float *at = malloc((3 * columns + fields * taxels) * sizeof(float));
+    void *room = at;
+    if (!room)
+        return NULL;
+    near->u = at;
+    near->v = at + columns;
+    near->cell = (uint32_t *)(at + 2 * columns);
+    for (int k = 0; k < fields; k++)
+        *each[k] = at + 3 * columns + k * taxels;
+    return room;
+}
+
+/* By how much a scan is likelier than of a skin which is not pressed, of a pose (3,) whose turn has
+   this cosine and sine. */
+INLINE double explained(
+    const Model *m, const Scans *s, Near *near, int64_t k, const double *pose, double c, double sn)
+{
+    const double *sensor = s->sensor + 3 * k;
+    double dx = sensor[0] - pose[0], dy = sensor[1] - pose[1], turn = sensor[2] - pose[2];
+    double x = (c * dx + sn * dy - m->x) / m->cell, y = (c * dy - sn * dx - m->y) / m->cell;
+    uint32_t column = (int32_t)within(x, 0.0f, m->nx - 1.001);
+    uint32_t row = (int32_t)within(y, 0.0f, m->ny - 1.001);
+    if (column >= m->nx - 1 || row >= m->ny - 1 || !m->reach[row * m->nx + column])
+        return 0.0;
+    int about = s->about && !s->silent[k];
+    double variance = s->variance[k];
+    look_up(m, near, s->kept + k * m->taxels, s->all * m->taxels, x, y, cos(turn) / m->cell,
+            sin(turn) / m->cell, about);
+    if (!near->n)
+        return 0.0;
+    if (!about)
+        return gain(m, near, m->hidden / m->depth_max * sqrt(variance));
+    double added = offset(m, near, variance);
+    return added + gain(m, near, 0.0f);
+}
+
+/* log p(scan | pose) beyond that of a skin which is not pressed, of poses (n, 3): out (n, scans).
+   With bounds, a pose that cannot come up to them is given up before all scans were looked at.
+   0, or -1 where there is no memory left. */
+FASTEST int taxeld_explain(
+    const Model *m, const Scans *s, const Bounds *bounds, const double *poses, int64_t n,
+    double given_up, double *out)
+{
+    Near near;
+    void *room = room_for(m, &near);
     if (!room)
         return -1;
-    float *each[8];
-    Near near = {.taxel = (int64_t *)room};
-    for (int i = 0; i < 8; i++)
-        each[i] = (float *)(near.taxel + m->taxels) + i * m->taxels;
-    near.depth = each[0], near.gx = each[1], near.gy = each[2], near.away = each[3];
-    near.ax = each[4], near.ay = each[5], near.low = each[6], near.high = each[7];
     for (int64_t i = 0; i < n; i++) {
         const double *pose = poses + 3 * i;
-        double c = cos(pose[2]), sn = sin(pose[2]);
-        for (int64_t k = 0; k < s->scans; k++) {
-            const double *sensor = s->sensor + 3 * k;
-            double dx = sensor[0] - pose[0], dy = sensor[1] - pose[1], met = 0.0;
-            double x = (c * dx + sn * dy - m->x) / m->cell, y = (c * dy - sn * dx - m->y) / m->cell;
-            int64_t column = (int64_t)within(x, 0.0f, m->nx - 1.001);
-            int64_t row = (int64_t)within(y, 0.0f, m->ny - 1.001);
-            if (is_inside(m, column, row) && m->reach[row * m->nx + column]) {
-                int about = s->about && !s->silent[k];
-                const float *kept = s->kept + k * m->taxels;
-                look_up(m, &near, x, y, sensor[2] - pose[2], about);
-                if (about) {
-                    met = offset(m, &near, kept, field, s->variance[k]);
-                } else {
-                    float hidden = m->hidden / m->depth_max * sqrt(s->variance[k]);
-                    for (int64_t j = 0; j < near.n; j++)
-                        near.depth[j] -= hidden;
-                }
-                met += gain(m, &near, kept, field);
-            }
-            out[i * s->scans + k] = met;
+        double c = cos(pose[2]), sn = sin(pose[2]), sum = 0.0, *met = out + i * s->scans;
+        int64_t j = 0;
+        for (; j < s->scans; j++) {
+            int64_t k = bounds ? bounds->order[j] : j;
+            if (bounds && sum + bounds->left[j] < bounds->least[i])
+                break;
+            met[k] = explained(m, s, &near, k, pose, c, sn);
+            sum += bounds ? bounds->share[k] * met[k] : 0.0;
         }
+        for (int64_t k = 0; j < s->scans && k < s->scans; k++)
+            met[k] = given_up;
     }
     free(room);
     return 0;

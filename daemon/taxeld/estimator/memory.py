@@ -8,16 +8,19 @@ scans are remembered beside contacts: where the skin met nothing, the object is 
 import copy
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Grid, Poses
-from taxeld.estimator.compiled import compiled
+from taxeld.estimator.compiled import Bounds, Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
+from taxeld.estimator.particles import Needed
 from taxeld.estimator.prior import Prior
 from taxeld.model.observation import Noise, Observation, ObservationModel
 
+SPARE_NATS = 0.05  # by which a pose may explain a scan better than its ceiling, which is rounded
 FAR = 1e30  # standard deviations: without a bound
 LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # of a reading: the activations that may explain it best
 
@@ -33,6 +36,24 @@ class Kept(IntEnum):
     ROOT = 5  # 1 / standard deviation about what is read, 0 where not live
     SILENT = 6  # log p(z | h = 0)
     LIVE = 7
+
+
+class Told(NamedTuple):
+    """What a scan tells, whatever the pose."""
+
+    kept: Grid  # (FIELDS, M)
+    untouched: float  # log p(scan | nothing is pressed)
+    pressed: int  # taxels
+    ceiling: float  # log p(scan | each taxel is pressed just as it reads)
+
+
+class Silence(NamedTuple):
+    """What silent scans of the same taxels and floors tell is the same."""
+
+    live: Bools
+    floor: Floats
+    residue: Floats
+    told: Told
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +91,11 @@ class Memory:
         self.number = np.empty(0, dtype=np.intp)  # (K,) of the contact; the last, where silent
         self.newest = 0  # number of the contact that began last
         self.pressed = np.empty(0, dtype=np.intp)  # (K,) taxels that were pressed
-        self.ceiling = np.empty(0)  # (K,) log p(z | h) were each taxel pressed just as it reads
+        self.ceiling = np.empty(0)  # (K,) as `Told` has them
+        self._untouched = np.empty(0)
+        self._share: Floats | None = None  # as last asked for
+        self._for_c: tuple[tuple[int, int, Slack], Scans] | None = None
+        self._silence: Silence | None = None  # of the last silent scan
 
     def __len__(self) -> int:
         return len(self._sensor)
@@ -99,7 +124,7 @@ class Memory:
     @property
     def contacts(self) -> int:
         """How many the scans are of."""
-        return len(np.unique(self.number[self.contact]))
+        return round(float(self.of_scans(self.share)[self.contact].sum()))
 
     @property
     def oldest(self) -> int:
@@ -110,18 +135,43 @@ class Memory:
     @property
     def share(self) -> Floats:
         """(terms,) by which each counts: a contact counts once, however many scans are of it."""
-        share = np.ones(self.terms)
-        of_scans = self.of_scans(share)
-        touched = self.contact
-        _, which, count = np.unique(self.number[touched], return_inverse=True, return_counts=True)
-        of_scans[touched] = 1.0 / count[which]
-        return share
+        if self._share is None:
+            self._share = np.ones(self.terms)
+            touched = self.contact
+            _, which, count = np.unique(
+                self.number[touched], return_inverse=True, return_counts=True
+            )
+            self.of_scans(self._share)[touched] = 1.0 / count[which]
+        return self._share
 
     def add(self, observation: Observation, number: int = 0) -> None:
         """A scan of the contact of that number, or a silent one after it."""
-        z, live = observation.z, observation.live
+        told = self._told(observation)
+        self._kept = np.concatenate([self._kept, told.kept[:, None]], axis=1)
+        self._sensor = np.vstack([self._sensor, observation.sensor])
+        self.number = np.append(self.number, number)
+        self.newest = max(self.newest, number)
+        self.pressed = np.append(self.pressed, told.pressed)
+        self.ceiling = np.append(self.ceiling, told.ceiling)
+        self._untouched = np.append(self._untouched, told.untouched)
+        self._for_c = None
+        if self._share is not None:  # a silent scan changes no other's
+            self._share = None if told.pressed else np.append(self._share, 1.0)
+
+    def _told(self, observation: Observation) -> Told:
+        z, live, before = observation.z, observation.live, self._silence
         floor = np.broadcast_to(observation.floor, len(z))
         residue = np.broadcast_to(observation.residue, len(z))
+        if observation.is_contact:
+            return self._read(z, live, floor, residue)
+        now = live, floor, residue
+        if before is None or not all(map(np.array_equal, now, before[:3])):
+            told = self._read(z, live, floor, residue)
+            before = self._silence = Silence(live.copy(), floor.copy(), residue.copy(), told)
+        return before.told
+
+    def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats) -> Told:
+        """(M,) each."""
         explained = z[:, None] * (LIKELY if z.any() else LIKELY[:1])  # silence is so by nothing
         density = self._noise.log_density(z[:, None], explained, floor[:, None], residue[:, None])
         density = density * live[:, None]
@@ -135,13 +185,9 @@ class Memory:
             Kept.SILENT: density[:, 0],
             Kept.LIVE: live,
         }
-        newest = np.array([kept[field] for field in Kept], np.float32)
-        self._kept = np.concatenate([self._kept, newest[:, None]], axis=1)
-        self._sensor = np.vstack([self._sensor, observation.sensor])
-        self.number = np.append(self.number, number)
-        self.newest = max(self.newest, number)
-        self.pressed = np.append(self.pressed, np.count_nonzero(z))
-        self.ceiling = np.append(self.ceiling, density.max(axis=1).sum())
+        fields = np.array([kept[field] for field in Kept], np.float32)
+        untouched = float(fields[Kept.SILENT].sum(dtype=np.float64))
+        return Told(fields, untouched, int(np.count_nonzero(z)), float(density.max(axis=1).sum()))
 
     def scan(self, k: int) -> Observation:
         """The k-th scan."""
@@ -153,8 +199,12 @@ class Memory:
         """The scans that `kept` (K,) names, with the prior or without."""
         made = copy.copy(self)
         made.prior = self.prior if prior else None
-        made._kept = self._kept[:, kept]
-        for name in ("_sensor", "number", "pressed", "ceiling"):
+        made._share = made._for_c = None
+        if self._share is not None and kept[self.contact].all():  # the others' stay as they are
+            own = self.terms - len(self) if prior else 0
+            made._share = np.append(self._share[:own], self.of_scans(self._share)[kept])
+        made._kept = self._kept.compress(kept, axis=1)  # in order of memory, as C asks for it
+        for name in ("_sensor", "number", "pressed", "ceiling", "_untouched"):
             setattr(made, name, getattr(self, name)[kept])
         return made
 
@@ -166,30 +216,52 @@ class Memory:
         """(…, terms) as `explain` has them → (…, K) without the prior's."""
         return explained[..., self.terms - len(self) :]
 
-    def explain(self, poses: Poses) -> Floats:
+    def explain(self, poses: Poses, needed: Needed | None = None) -> Floats:
         """Log-density of the prior, if there is one, and log p(scan | pose) over live taxels of
-        each scan: (N, 3) → (N, terms)."""
-        explained = self._explain(poses, 0)
+        each scan: (N, 3) → (N, terms); as `particles.Explain` has it."""
         if self.prior is None:
-            return explained
-        return np.hstack([self.prior.log_density(poses)[:, None], explained])
+            return self._explain(poses, 0, needed)
+        prior = self.prior.log_density(poses)
+        if needed is not None:
+            share = needed.share
+            needed = Needed(share[1:], needed.least - share[0] * prior)
+        return np.hstack([prior[:, None], self._explain(poses, 0, needed)])
 
     def explain_newest(self, poses: Poses) -> Floats:
         """log p(scan | pose) of the scan that was added last: (N, 3) → (N,)."""
         return self._explain(poses, len(self) - 1)[:, 0]
 
-    def _explain(self, poses: Poses, since: int) -> Floats:
+    def _explain(self, poses: Poses, since: int, needed: Needed | None = None) -> Floats:
         """Of scans from `since` on: (N, 3) → (N, K − since). Contacts have an offset each; a silent
         scan tells of what presses deeper than its offset may have hidden."""
-        variance = self.slack.variance(self.newest - self.number[since:])
-        kept, sensor, silent = self._kept[:, since:], self._sensor[since:], self.silent[since:]
         if self._compiled is not None:
-            kept = np.ascontiguousarray(kept)
-            met = self._compiled.explain(kept, sensor, variance, silent, poses)
+            scans = self._scans(self._compiled, since)
+            bounds = None if needed is None else self._bounds(needed)
+            met = self._compiled.explain(scans, poses, bounds)
         else:
+            variance = self.slack.variance(self.newest - self.number[since:])
+            kept, sensor, silent = self._kept[:, since:], self._sensor[since:], self.silent[since:]
             met = self._met(kept, sensor, variance, silent, poses)
-        met += kept[Kept.SILENT].sum(axis=1, dtype=np.float64)
+        met += self._untouched[since:]
         return met
+
+    def _scans(self, compiled: Compiled, since: int) -> Scans:
+        """As C has them, the same until something changes."""
+        of = since, self.newest, self.slack
+        if self._for_c is None or self._for_c[0] != of:
+            variance = self.slack.variance(self.newest - self.number[since:])
+            scans = compiled.scans(self._kept, self._sensor[since:], variance, self.silent[since:])
+            self._for_c = of, scans
+        return self._for_c[1]
+
+    def _bounds(self, needed: Needed) -> Bounds:
+        """What all scans must add to that of a skin which is not pressed."""
+        share = needed.share
+        most = share * (self.ceiling + SPARE_NATS - self._untouched)
+        order = np.argsort(-most)  # those first that may refute a pose by most
+        most = most[order]
+        left = most.sum() + most - np.cumsum(most)  # for these and all after them
+        return Bounds(order, share, left, needed.least - share @ self._untouched)
 
     def _met(
         self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools, poses: Poses

@@ -139,9 +139,11 @@ class Mixture:
     def revisit(self, draw: Draw) -> Parts[int]:
         """Samples of a remembered contact, brought to explain all, as a second opinion."""
         memory, confidence = self.memory, self.confidence
-        contacts = np.flatnonzero(memory.contact)
         enough = confidence.is_searched and not confidence.doubt
-        if len(contacts) < 2 or self._revisits >= REVISITS or enough:
+        if self._revisits >= REVISITS or enough:
+            return 0
+        contacts = np.flatnonzero(memory.contact)
+        if len(contacts) < 2:
             return 0
         yield
         scan = int(self._rng.choice(contacts))
@@ -327,8 +329,10 @@ class Mixture:
         return True
 
     def _keep_to_size(self) -> None:
-        kept = np.ones(len(self.memory), dtype=np.bool_)
-        memory = self.memory
+        memory, contacts = self.memory, int(np.count_nonzero(self.memory.pressed))
+        if contacts <= self._config.memory and len(memory) - contacts <= SILENT_MAX:
+            return
+        kept = np.ones(len(memory), dtype=np.bool_)
         for kind, most in ((memory.contact, self._config.memory), (memory.silent, SILENT_MAX)):
             mine = np.flatnonzero(kind)
             kept[mine[: max(len(mine) - most, 0)]] = False

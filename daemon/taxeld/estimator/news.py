@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from taxeld.arrays import Poses
-from taxeld.model import se2
 from taxeld.model.observation import Observation
 
 MOTION_M = 0.005  # a sensor that moved this far meets another place
@@ -39,7 +38,7 @@ class News:
         strongest = float(observation.z.max())
         rising = strongest > self._strongest + RISING
         self._strongest = strongest
-        if observation.is_contact:
+        if strongest > 0.0:
             used = self._pressed(t, observation, rising=rising)
         else:
             used = self._silent(t, observation)
@@ -82,5 +81,5 @@ class News:
 def moved_m(a: Poses, b: Poses, radius_m: float) -> float:
     """How far a point of the skin went between two sensor poses (3,), at most."""
     (ax, ay, turned_a), (bx, by, turned_b) = a.tolist(), b.tolist()
-    turn = se2.wrap(np.float64(turned_b - turned_a))
-    return math.hypot(bx - ax, by - ay) + radius_m * abs(float(turn))
+    turn = (turned_b - turned_a + math.pi) % (2.0 * math.pi) - math.pi
+    return float(math.hypot(bx - ax, by - ay) + radius_m * abs(turn))

@@ -4,17 +4,31 @@ Particles are a structure of arrays with log-weights; each step is a function of
 samples of a contact enter the belief is in `injection`.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model import se2
 
-Explain = Callable[[Poses], Floats]  # poses (N, 3) → (N, terms) as in `Belief.remembered`
+
+class Needed(NamedTuple):
+    """What Σ share · explained must be for a pose to be of any use."""
+
+    share: Floats  # (terms,)
+    least: Floats  # (N,) of each pose
+
+
+class Explain(Protocol):
+    """How well poses explain what is remembered."""
+
+    def __call__(self, poses: Poses, needed: Needed | None = None, /) -> Floats:
+        """Poses (N, 3) → (N, terms) as in `Belief.remembered`; of one that cannot reach what is
+        needed, any that do not reach it either."""
+        ...
+
 
 RESAMPLE_BELOW = 0.5  # of N: effective sample size at which particles are drawn anew
 MOVE = np.array([0.002, 0.002, 0.02])  # sd of a random step [m, m, rad], times 2^u
@@ -141,9 +155,9 @@ def rejuvenate(
     apart *= DIFFERENCES.take(rng.integers(len(DIFFERENCES), size=(n, 1)))
     poses = belief.pose + np.where(rng.random((n, 1)) < 0.5, step, apart + 0.1 * step)
     poses[:, 2] = se2.wrap(poses[:, 2])
-    remembered = explain(poses)
-    gain = (remembered - belief.remembered) @ share
-    taken = np.log(rng.random(n)) < gain
+    before, least = belief.remembered, np.log(rng.random(n))
+    remembered = explain(poses, Needed(share, before @ share + least))
+    taken = least < (remembered - before) @ share
     if room is not None:
         taken &= room.lets(belief.pose, poses)
     belief.pose[taken] = poses[taken]
@@ -162,7 +176,8 @@ def occupied(poses: Poses, cell: Floats = CELL) -> int:
     at = np.floor(poses / cell).astype(np.int64)
     at -= at.min(axis=0)
     size = at.max(axis=0) + 1
-    return len(np.unique((at[:, 0] * size[1] + at[:, 1]) * size[2] + at[:, 2]))
+    cells = np.sort((at[:, 0] * size[1] + at[:, 1]) * size[2] + at[:, 2])
+    return 1 + int(np.count_nonzero(np.diff(cells)))
 
 
 def enough(cells: int, error: float, confidence: float) -> int:

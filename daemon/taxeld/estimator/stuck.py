@@ -15,6 +15,10 @@ class Stuck:
         self._z = np.zeros(taxels)
         self._way_m = np.zeros(taxels)
 
+    def released(self) -> None:
+        """A scan in which nothing is read."""
+        self._z[:] = self._way_m[:] = 0.0
+
     def on_scan(self, z: Floats, moved_m: float) -> Bools:
         """Activations z (M,), and how far the skin went since the scan before → (M,) which are
         stuck; one that reads anything else is so no more."""

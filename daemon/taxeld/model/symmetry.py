@@ -92,7 +92,8 @@ class PoseMetric:
         """
         n = len(poses)
         comb = (np.arange(candidates) + 0.5) / candidates * weight.sum()
-        top = np.unique(np.minimum(np.searchsorted(np.cumsum(weight), comb), n - 1))
+        top = np.minimum(np.searchsorted(np.cumsum(weight), comb), n - 1)
+        top = top[np.diff(top, prepend=-1) > 0]  # each once: they ascend
         at, turned = self.centres(poses), poses[:, 2]
         turn = self.turn(turned[top][:, None], turned[None])
         gap = self._apart(at[top][:, None], at[None], turn)

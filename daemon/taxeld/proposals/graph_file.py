@@ -112,6 +112,8 @@ def _fields(content: memoryview) -> Iterator[tuple[int, int | memoryview]]:
 
 def _varint(content: memoryview, at: int) -> tuple[int, int]:
     """→ the number, and where it ends."""
+    if at < len(content) and content[at] < 128:  # as mostly
+        return content[at], at + 1
     number = shift = 0
     for end in range(at, min(at + 10, len(content))):
         number |= (content[end] & 127) << shift

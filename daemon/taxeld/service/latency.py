@@ -5,7 +5,6 @@ import platform
 import sys
 import time
 from array import array
-from email.utils import formatdate
 from math import ceil
 from typing import Any
 
@@ -118,8 +117,8 @@ class Latencies:
             "file_version": 1,
             "cmdline": " ".join(sys.argv),
             "taxeld_version": __version__,
-            "start_time": formatdate(self._start, localtime=True),
-            "end_time": formatdate(localtime=True),
+            "start_time": _date(self._start),
+            "end_time": _date(time.time()),
             "return_code": 0,
             "sysinfo": _sysinfo(),
             "num_threads": len(self._stages),
@@ -144,6 +143,10 @@ class Latencies:
         for stage, histogram in self._stages.items():
             for us in added:
                 histogram.add(us[stage])
+
+
+def _date(t: float) -> str:
+    return time.strftime("%a, %d %b %Y %H:%M:%S %z", time.localtime(t))
 
 
 def _sysinfo() -> dict[str, str | int]:

@@ -164,6 +164,7 @@ class Daemon:
         """
         notifier = Notifier()
         try:
+            realtime.trim()
             warm_up(self.pipeline.estimator.model, self.pipeline.ladder, self.config.filter)
             self.pipeline.freshness.came(time.monotonic())  # as if a scan had come at the start
             with realtime.thread(self.config.loop.priority) as self.realtime:

@@ -49,6 +49,12 @@ class Collector:
         return True
 
 
+def trim() -> None:
+    """Give the system back what loading has left free; to be done before memory is warmed up."""
+    with contextlib.suppress(AttributeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
+
+
 @contextlib.contextmanager
 def thread(priority: int) -> Iterator[RealTime]:
     """Make the calling thread, warmed up, a real-time one; → what was granted.

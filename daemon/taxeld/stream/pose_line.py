@@ -4,11 +4,11 @@ Only while no pose comes, a socket of its own listens for a moment to all that t
 """
 
 import itertools
+import struct
 from collections.abc import Callable
 from typing import Any
 
 import zmq
-from zmq.utils.monitor import recv_monitor_message
 
 from taxeld.stream import messages, sockets
 
@@ -24,6 +24,9 @@ FAILED = (
     | zmq.EVENT_HANDSHAKE_FAILED_AUTH
 )
 GONE = zmq.EVENT_DISCONNECTED | zmq.EVENT_CLOSED
+EVENT = struct.Struct(
+    "=HI"
+)  # of a monitor, and its value; pyzmq's own reader brings all of asyncio
 NUMBERS = itertools.count()  # each monitor has a name of its own
 WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | GONE | FAILED
 
@@ -65,7 +68,7 @@ class PoseLine:
         for _ in range(EVENTS_PER_LOOK):
             if not sockets.is_waiting(self._monitor):
                 break
-            self._take(recv_monitor_message(self._monitor)["event"])
+            self._take(EVENT.unpack(self._monitor.recv_multipart()[0])[0])
         if self._half_open:
             self._half_open += 1
             self.is_refused |= self._half_open > LISTEN_LOOKS

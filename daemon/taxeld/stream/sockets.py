@@ -16,9 +16,7 @@ HANDSHAKE_MS = 5000  # a peer that has not said who it is by then is let go
 KEEPALIVE_S = 10  # the kernel asks a silent peer beyond this machine, and lets a dead one go
 KEEPALIVE_TRIES = 3
 # as plain numbers: pyzmq takes long over its enumerations
-EVENTS, MORE, WAITING, AT_ONCE = (
-    int(x) for x in (zmq.EVENTS, zmq.RCVMORE, zmq.POLLIN, zmq.NOBLOCK)
-)
+EVENTS, WAITING, AT_ONCE = (int(x) for x in (zmq.EVENTS, zmq.POLLIN, zmq.NOBLOCK))
 
 
 def open_socket(
@@ -79,15 +77,20 @@ def messages(socket: zmq.Socket[Any], most: int) -> Iterator[list[bytes] | None]
     The last is None where one has too many frames: reading on would take a tick or many, so the
     socket must be closed, which frees them at once.
     """
+    if not is_waiting(socket):
+        return
     for _ in range(most):
-        if not is_waiting(socket):
+        try:
+            frame = socket.recv(AT_ONCE, copy=False)  # which knows whether more follow
+        except zmq.Again:
             return
-        parts = [socket.recv(AT_ONCE)]
-        while socket.get(MORE):
+        parts = [frame.bytes]
+        while frame.more:
             if len(parts) == FRAMES_MAX:
                 yield None
                 return
-            parts.append(socket.recv(AT_ONCE))
+            frame = socket.recv(AT_ONCE, copy=False)
+            parts.append(frame.bytes)
         yield parts
 
 

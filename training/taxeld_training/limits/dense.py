@@ -15,7 +15,14 @@ from scipy.spatial import cKDTree
 from taxeld.arrays import Floats, Poses
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
-from taxeld_training.limits.posterior import Draws, ExactPosterior, effective, flattened, gains
+from taxeld_training.limits.posterior import (
+    Draws,
+    ExactPosterior,
+    Weighed,
+    effective,
+    flattened,
+    gains,
+)
 from taxeld_training.models.dataset import MIN_ACTIVATION
 
 LINES = 200_000  # of the prior, from which contacts are made
@@ -43,10 +50,12 @@ class Dense:
         self._first = np.cumsum(self._count) - self._count
 
     def sample(
-        self, seen: Observation, n: int, rng: np.random.Generator, bank: ExactPosterior
-    ) -> Draws:
-        """`n` draws with replacement for a reading, sought from those of a bank."""
-        coarse = bank.sample(seen, FIRST, rng, FITTED)
+        self, seen: Observation, n: int, rng: np.random.Generator, bank: ExactPosterior,
+        weighed: Weighed,
+    ) -> Draws:  # fmt: skip
+        """`n` draws with replacement for a reading, sought from those of a bank, `weighed` by the
+        reading."""
+        coarse = bank.drawn(weighed, FIRST, rng, FITTED)
         cells, weight = self._cells(coarse.pose), np.full(FIRST, 1.0 / FIRST)
         for done in range(ROUNDS + MORE):
             if done < ROUNDS:

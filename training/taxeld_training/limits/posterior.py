@@ -10,11 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Floats, Poses, Reals
+from taxeld.arrays import Floats, Grid, Poses, Reals
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import Noise, Observation
 from taxeld_training.models.dataset import Touches
+
+BLOCK = 16_384  # presses weighed at once: they stay in the cache
 
 
 @dataclass(frozen=True)
@@ -23,6 +25,14 @@ class Draws:
 
     pose: Poses
     ess: float
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """Stored contacts in all turns that are tried, (n,) each: log-weights, and which turn."""
+
+    log_weight: Floats
+    turn: NDArray[np.int64]
 
 
 class ExactPosterior:
@@ -38,7 +48,7 @@ class ExactPosterior:
         self._pose = bank.pose
         self._sector = layout.sector[bank.activation.argmax(axis=1)]
         self._row, self._taxel = np.nonzero(bank.activation)
-        self._h = bank.activation[self._row, self._taxel].astype(np.float64)
+        self._h = bank.activation[self._row, self._taxel]
         order = len(layout.turns)
         self._back = layout.turns[-np.arange(order) % order]
 
@@ -47,6 +57,10 @@ class ExactPosterior:
     ) -> Draws:
         """`n` draws with replacement, by importance weight, for a reading. The weights are
         flattened until they have an effective number of `least`."""
+        return self.drawn(self.weighed(seen), n, rng, least)
+
+    def weighed(self, seen: Observation) -> Weighed:
+        """The stored contacts with their log-likelihoods of a reading."""
         order = len(self.layout.turns)
         target = self.layout.sector[np.where(seen.live, seen.z, -1.0).argmax()]
         # noise moves the strongest taxel, but hardly ever farther than to a neighbour
@@ -56,9 +70,15 @@ class ExactPosterior:
             by = (self._sector - target - offset) % order
             log_w.append(self._log_weights(seen, by))
             turn.append(by)
-        weights = flattened(np.concatenate(log_w), least)
+        return Weighed(np.concatenate(log_w), np.concatenate(turn))
+
+    def drawn(
+        self, weighed: Weighed, n: int, rng: np.random.Generator, least: float = 0.0
+    ) -> Draws:
+        """The draws of `sample`, of contacts that are weighed."""
+        weights = flattened(weighed.log_weight, least)
         pick = rng.choice(len(weights), n, p=weights)
-        angle = -2.0 * np.pi * np.concatenate(turn)[pick] / order
+        angle = -2.0 * np.pi * weighed.turn[pick] / len(self.layout.turns)
         zero = np.zeros(n)
         turned = np.stack([zero, zero, angle], axis=1)
         pose = se2.compose(turned, self._pose[pick % len(self._pose)])
@@ -68,20 +88,27 @@ class ExactPosterior:
         """Log-likelihood (B,) of a reading for every stored contact, turned by −2π·by/order, by
         (B,)."""
         # turning a stored contact by −k is the same as turning the reading by +k
-        at = self._back[by[self._row], self._taxel]
+        at = self._taxel
+        if len(self._back) > 1:
+            at = self._back[by[self._row], at]
         silent, gain = gains(self.noise, seen, at, self._h)
         return np.asarray(silent + np.bincount(self._row, gain, len(by)))
 
 
-def gains(noise: Noise, seen: Observation, at: NDArray[np.intp], h: Reals) -> tuple[float, Floats]:
+def gains(noise: Noise, seen: Observation, at: NDArray[np.intp], h: Reals) -> tuple[float, Grid]:
     """The log-likelihood of a reading where nothing is pressed, and what it gains (P,) by presses
-    of taxels `at` (P,) as deep as h (P,)."""
+    of taxels `at` (P,) as deep as h (P,), in single precision."""
     floor = np.broadcast_to(seen.floor, len(seen.z))
     residue = np.broadcast_to(seen.residue, len(seen.z))
     unpressed = noise.log_density(seen.z, np.zeros(1), floor, residue)
     silent = np.where(seen.live, unpressed, 0.0)
-    pressed = noise.log_density(seen.z[at], h, floor[at], residue[at])
-    return float(silent.sum()), np.asarray((pressed - silent[at]) * seen.live[at])
+    told = np.stack([seen.z, floor, residue, silent, seen.live]).astype(np.float32)
+    gain = np.empty(len(at), np.float32)
+    for first in range(0, len(at), BLOCK):
+        block = slice(first, first + BLOCK)
+        z, low, left, zero, live = told.take(at[block], axis=1)
+        np.multiply(noise.log_density(z, h[block], low, left) - zero, live, out=gain[block])
+    return float(silent.sum()), gain
 
 
 def flattened(log_weight: Floats, least: float = 0.0) -> Floats:

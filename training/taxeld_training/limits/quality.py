@@ -112,10 +112,11 @@ class Posterior:
 
     def sample(self, seen: Observation, n: int, rng: np.random.Generator) -> Draws:
         """`n` draws for a reading."""
-        draws = self._bank.sample(seen, n, rng)
+        weighed = self._bank.weighed(seen)
+        draws = self._bank.drawn(weighed, n, rng)
         if draws.ess >= THIN_ESS:
             return draws
-        return self._dense.sample(seen, n, rng, self._bank)
+        return self._dense.sample(seen, n, rng, self._bank, weighed)
 
 
 def save(to: Reference, path: Path) -> None:

@@ -51,8 +51,9 @@ class Model(nn.Module, ABC):
         """Set mean and scale for whitening from a large batch."""
 
     @abstractmethod
-    def loss(self, z: Tensor, live: Tensor, coordinates: Tensor) -> Tensor:
-        """The training loss for z, live (B, M) and coordinates (B, 3) of the true poses."""
+    def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
+        """The training loss for touches as the view shows them, features (B, F) and angle (B,), and
+        coordinates (B, 3) of the true poses."""
 
 
 class Residual(nn.Module):

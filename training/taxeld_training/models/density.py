@@ -61,12 +61,12 @@ class ContactDensity(Model):
         self.mean.copy_(mean)
         self.scale.copy_(scale)
 
-    def loss(self, z: Tensor, live: Tensor, coordinates: Tensor) -> Tensor:
-        return -self.log_density(z, live, coordinates).mean()
+    def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
+        return -self.log_density(seen, angle, coordinates).mean()
 
-    def log_density(self, z: Tensor, live: Tensor, coordinates: Tensor) -> Tensor:
+    def log_density(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
         """log p(contact | touch) (B,), up to constants: over bins of s and whitened φ and δ."""
-        code, angle = self.encode(z, live)
+        code = self.encoder(seen)
         turned = self.frame.turned(coordinates, angle)
         s = turned[:, 0]
         log_bins = functional.log_softmax(self.logits(code), dim=1)

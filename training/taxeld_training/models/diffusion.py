@@ -101,8 +101,8 @@ class Denoiser(PoseNetwork):
         self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
         nn.init.normal_(self.time.weight, std=0.1)
 
-    def loss(self, z: Tensor, live: Tensor, coordinates: Tensor) -> Tensor:
-        code, angle = self.encode(z, live)
+    def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
+        code = self.encoder(seen)
         clean = self.whitened(coordinates, angle).repeat(REPEATS, 1)
         context = self.context(code).repeat(REPEATS, 1)
         n = len(clean)

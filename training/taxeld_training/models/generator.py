@@ -20,9 +20,9 @@ class Generator(PoseNetwork):
     steps = 1
     length_m = 0.1  # of the object: a radian counts as far as this
 
-    def loss(self, z: Tensor, live: Tensor, coordinates: Tensor) -> Tensor:
-        code, angle = self.encode(z, live)
-        noise = torch.randn(len(z), SET, 4, device=z.device)
+    def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
+        code = self.encoder(seen)
+        noise = torch.randn(len(seen), SET, 4, device=seen.device)
         shift = self.context(code)[:, None].expand(-1, SET, -1)
         made = self._embed(self.run(noise, shift))
         true = self._embed(self.whitened(coordinates, angle))

@@ -1,12 +1,12 @@
 """Training of any model: AdamW, cosine decay, an exponential average of the weights."""
 
 import copy
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from taxeld.model.leak import Leak
 from taxeld.model.observation import Noise
@@ -38,37 +38,83 @@ def train(
 ) -> AnyModel:  # fmt: skip
     """The averaged model after `config.updates` updates, on readings as a filter sees them.
     `progress` is told which share is done, now and then."""
-    torch.manual_seed(config.seed)
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    model = make()
-    coordinates = model.frame.encode(touches.pose)
-    batches = Batches(touches, coordinates, leak, noise, config.seed, device)
-    model.to(device)
-    with torch.no_grad():
-        model.fit_scale(*batches.draw(SCALE_BATCH))
-    averaged = copy.deepcopy(model)
-    optimizer = torch.optim.AdamW(
-        model.parameters(), lr=config.learning_rate, weight_decay=1e-4, fused=True
-    )
-    warm_up = max(1, config.updates // 50)
-    schedule = torch.optim.lr_scheduler.SequentialLR(
-        optimizer,
-        [
-            torch.optim.lr_scheduler.LinearLR(optimizer, 0.05, 1.0, warm_up),
-            torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, config.updates - warm_up, 1e-5),
-        ],
-        [warm_up],
-    )
-    for update in range(1, config.updates + 1):
-        loss = model.loss(*batches.draw(config.batch))
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()  # type: ignore[no-untyped-call]
-        nn.utils.clip_grad_norm_(model.parameters(), 1.0)
-        optimizer.step()
-        schedule.step()
-        decay = min(config.average, update / (update + 10.0))
-        if update % TELL_UPDATES == 0:
-            progress(update / config.updates)
+    return train_beside([(make, config, progress)], touches, leak, noise)[0]
+
+
+def train_beside(
+    given: Sequence[tuple[Callable[[], AnyModel], TrainConfig, Callable[[float], None]]],
+    touches: Touches, leak: Leak, noise: Noise,
+) -> list[AnyModel]:  # fmt: skip
+    """Models as `train` makes each, of one view, one frame and `shared` configurations: a batch is
+    drawn and looked at once for all of them."""
+    runs = [_Run(*one) for one in given]
+    config = given[0][1]
+    coordinates = runs[0].model.frame.encode(touches.pose)
+    batches = Batches(touches, coordinates, leak, noise, config.seed, runs[0].device)
+    first = batches.draw(SCALE_BATCH)
+    for run in runs:
+        run.begin(first)
+    for update in range(1, max(run.config.updates for run in runs) + 1):
+        z, live, coordinates = batches.draw(config.batch)
+        seen, angle = runs[0].model.view(z, live)
+        for run in runs:
+            if update <= run.config.updates:
+                run.update(seen, angle, coordinates, update)
+    return [run.averaged.cpu().eval() for run in runs]
+
+
+def shared(config: TrainConfig) -> tuple[int, int, int]:
+    """What two configurations have in common that draw the same batches."""
+    return config.contacts, config.batch, config.seed
+
+
+class _Run(Generic[AnyModel]):
+    """A model on its way. It draws from torch's generator as if it were the only one."""
+
+    def __init__(
+        self, make: Callable[[], AnyModel], config: TrainConfig, progress: Callable[[float], None]
+    ) -> None:
+        torch.manual_seed(config.seed)
+        self.config, self._progress = config, progress
+        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.model = make().to(self.device)
+        self._drawn = torch.get_rng_state()
+
+    def begin(self, batch: tuple[Tensor, Tensor, Tensor]) -> None:
+        """Whiten by a large batch."""
         with torch.no_grad():
-            torch._foreach_lerp_(list(averaged.parameters()), list(model.parameters()), 1.0 - decay)
-    return averaged.cpu().eval()
+            self.model.fit_scale(*batch)
+        self.averaged = copy.deepcopy(self.model)
+        self._weights: list[Tensor] = list(self.model.parameters())
+        self._averages: list[Tensor] = list(self.averaged.parameters())
+        self._optimizer = torch.optim.AdamW(
+            self._weights, lr=self.config.learning_rate, weight_decay=1e-4, fused=True
+        )
+        updates = self.config.updates
+        warm_up = max(1, updates // 50)
+        self._schedule = torch.optim.lr_scheduler.SequentialLR(
+            self._optimizer,
+            [
+                torch.optim.lr_scheduler.LinearLR(self._optimizer, 0.05, 1.0, warm_up),
+                torch.optim.lr_scheduler.CosineAnnealingLR(
+                    self._optimizer, updates - warm_up, 1e-5
+                ),
+            ],
+            [warm_up],
+        )
+
+    def update(self, seen: Tensor, angle: Tensor, coordinates: Tensor, number: int) -> None:
+        """The update of a number, from 1."""
+        torch.set_rng_state(self._drawn)
+        loss = self.model.loss(seen, angle, coordinates)
+        self._drawn = torch.get_rng_state()
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()  # type: ignore[no-untyped-call]
+        nn.utils.clip_grad_norm_(self._weights, 1.0)
+        self._optimizer.step()
+        self._schedule.step()
+        decay = min(self.config.average, number / (number + 10.0))
+        if number % TELL_UPDATES == 0:
+            self._progress(number / self.config.updates)
+        with torch.no_grad():
+            torch._foreach_lerp_(self._averages, self._weights, 1.0 - decay)

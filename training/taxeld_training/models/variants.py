@@ -1,6 +1,6 @@
 """Variants of the models, by their parts, for `build` and the experiments."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -14,7 +14,7 @@ from taxeld_training.models.diffusion import Denoiser, DiffusionSampler, Solver
 from taxeld_training.models.export import AnySampler
 from taxeld_training.models.frames import ContactFrame, PoseFrame
 from taxeld_training.models.generator import Generator
-from taxeld_training.models.train import TrainConfig, train
+from taxeld_training.models.train import TrainConfig, shared, train_beside
 
 
 @dataclass(frozen=True)
@@ -101,10 +101,28 @@ def fit(
     progress: Callable[[float], None] = lambda _: None,
 ) -> Model:  # fmt: skip
     """The trained model of a variant, on its share of `touches`."""
-    count = variant.training.contacts
-    mine = Touches(touches.pose[:count], touches.activation[:count], touches.dropped_share)
-    make = partial(_make, variant, model)
-    return train(make, variant.training, mine, model.leak, noise, progress)
+    return fit_beside([(variant, progress)], model, noise, touches)[0]
+
+
+def fit_beside(
+    given: Sequence[tuple[Variant, Callable[[float], None]]], model: ObservationModel, noise: Noise,
+    touches: Touches,
+) -> list[Model]:  # fmt: skip
+    """Models as `fit` makes each. Those that see the same batches are trained side by side: to draw
+    them takes a good part of the time."""
+    done: dict[int, Model] = {}
+    alike: dict[tuple[Any, ...], list[int]] = {}
+    for k, (variant, _) in enumerate(given):
+        kind = variant.view, variant.frame, *shared(variant.training)
+        alike.setdefault(kind, []).append(k)
+    for (_, _, count, *_), places in alike.items():
+        mine = Touches(touches.pose[:count], touches.activation[:count], touches.dropped_share)
+        runs = [
+            (partial(_make, variant, model), variant.training, progress)
+            for variant, progress in (given[k] for k in places)
+        ]
+        done |= dict(zip(places, train_beside(runs, mine, model.leak, noise), strict=True))
+    return [done[k] for k in range(len(given))]
 
 
 def untrained(variant: Variant, model: ObservationModel) -> Model:

@@ -31,7 +31,8 @@ from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, Touches, simulate
 from taxeld_training.models.variants import Variant
 
 TOLERANCE = 1.15  # a proposal is as good as the nearest up to this factor of its distance
-VARIANTS = (variants.density(64), variants.diffusion(), variants.density(16, 48, 2))
+# Two workers take as long with the first and third as with the second: see `_train`
+VARIANTS = (variants.diffusion(), variants.density(64), variants.density(16, 48, 2))
 
 CONTACTS, TRAINING, MEASURING = "contacts", "training", "measuring"
 STAGES = (CONTACTS, TRAINING, quality.BANK_STAGE, quality.EXACT_STAGE, MEASURING)  # in this order
@@ -127,15 +128,21 @@ def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str,
 def _train(
     given: Candidates, model: ObservationModel, touches: Touches, folder: Path, progress: Progress
 ) -> list[tuple[Variant, Model]]:
-    """Train all variants in parallel, one thread each, in their own order."""
+    """Train all variants, in their own order: a worker those of every so many places, by one
+    thread, side by side."""
+    workers = min(given.workers, len(given.variants))
+    places = [range(first, len(given.variants), workers) for first in range(workers)]
     with _board(folder, len(given.variants), partial(progress, TRAINING)) as board:
         jobs = (
-            joblib.delayed(_fit)(variant, model, given.noise, touches, board, place)
-            for place, variant in enumerate(given.variants)
+            joblib.delayed(_fit)(
+                [(k, given.variants[k]) for k in mine], model, given.noise, touches, board
+            )
+            for mine in places
         )
-        workers = min(given.workers, len(given.variants))
-        done: list[Model] = joblib.Parallel(workers, mmap_mode="c")(jobs)
-    return list(zip(given.variants, done, strict=True))
+        made: list[list[Model]] = joblib.Parallel(workers, mmap_mode="c")(jobs)
+    done = {k: one for mine, models in zip(places, made, strict=True)
+            for k, one in zip(mine, models, strict=True)}  # fmt: skip
+    return [(variant, done[k]) for k, variant in enumerate(given.variants)]
 
 
 @contextlib.contextmanager
@@ -164,18 +171,20 @@ def _board(folder: Path, places: int, tell: Callable[[float], None]) -> Iterator
 
 
 def _fit(
-    variant: Variant, model: ObservationModel, noise: Noise, touches: Touches, board: Path,
-    place: int,
-) -> Model:  # fmt: skip
+    variants_: Sequence[tuple[int, Variant]], model: ObservationModel, noise: Noise,
+    touches: Touches, board: Path,
+) -> list[Model]:  # fmt: skip
+    """Train variants, each with its place on the board."""
     torch.set_num_threads(1)
     with board.open("r+b") as shares:
 
-        def progress(share: float) -> None:
+        def progress(place: int, share: float) -> None:
             shares.seek(place * 8)
             shares.write(np.float64(share).tobytes())
             shares.flush()
 
-        return variants.fit(variant, model, noise, touches, progress)
+        given = [(variant, partial(progress, place)) for place, variant in variants_]
+        return variants.fit_beside(given, model, noise, touches)
 
 
 def _samplers(

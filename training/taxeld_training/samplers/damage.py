@@ -29,7 +29,7 @@ def run(options: Options) -> list[Path]:
     """Rows and picture."""
     from taxeld_training.charts import sampler_charts  # noqa: PLC0415  # matplotlib is not needed to train
 
-    readings, bank = (8, 50_000) if options.quick else (64, quality.BANK)
+    readings, bank = (8, 20_000) if options.quick else (64, quality.BANK)
     code = f"{measured.code()}-{fingerprint.of_bundles()}"
     todo = [
         Job(f"damage-{name}-{share:g}", measure, (name, share, readings, bank, options.seed, code))

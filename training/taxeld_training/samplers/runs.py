@@ -44,7 +44,7 @@ def settings(options: Options, columns: Sequence[int]) -> list[Measurement]:
     ]
     if options.quick:
         made = [
-            replace(s, readings=8, contacts=40, slow_contacts=10, bank=50_000, updates=0.02,
+            replace(s, readings=8, contacts=40, slow_contacts=10, bank=20_000, updates=0.005,
                     epochs=2)
             for s in made
         ]  # fmt: skip
