@@ -24,9 +24,8 @@ FAILED = (
     | zmq.EVENT_HANDSHAKE_FAILED_AUTH
 )
 GONE = zmq.EVENT_DISCONNECTED | zmq.EVENT_CLOSED
-EVENT = struct.Struct(
-    "=HI"
-)  # of a monitor, and its value; pyzmq's own reader brings all of asyncio
+# Of a monitor, an event and its value: pyzmq's own reader brings all of asyncio
+EVENT = struct.Struct("=HI")
 NUMBERS = itertools.count()  # each monitor has a name of its own
 WATCHED = zmq.EVENT_CONNECTED | zmq.EVENT_HANDSHAKE_SUCCEEDED | GONE | FAILED
 
