@@ -15,6 +15,7 @@ from taxeld.cli import main
 from taxeld.config.file import parse
 from taxeld.config.tables import Config
 from taxeld.proposals import bundle
+from tests.terminals import read_all
 
 FLAGS = ["--source", "slcan:{device}", "--bundle", "box", "--poses", "tcp://127.0.0.1:9874"]
 
@@ -117,8 +118,7 @@ def test_a_terminal_is_asked_what_the_options_leave_open(tmp_path: Path) -> None
         os.write(ours, b"serial:/dev/ttyACM7\nmug\n\n")
         said, _ = asking.communicate(timeout=60)
     os.close(theirs)
-    asked = os.read(ours, 65536).decode()
-    os.close(ours)
+    asked = read_all(ours)
     assert asking.returncode == 0, asked
     assert said.startswith(b"written: ")
     assert asked.count("the skin's connection, can:can0") == 1

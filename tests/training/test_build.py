@@ -26,6 +26,7 @@ from taxeld_training.cli import main
 from taxeld_training.jobs import stages
 from taxeld_training.limits import quality
 from taxeld_training.samplers.candidates import choose
+from tests.terminals import read_all
 
 SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
 
@@ -108,13 +109,13 @@ def test_exact_posteriors_are_the_same_by_any_number_of_workers() -> None:
 
 def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
     ours, theirs = pty.openpty()
-    with os.fdopen(theirs, "w") as terminal:
-        with stages.shown(("scene", "training"), terminal) as tell:
-            tell("scene", 1.0)
-            tell("training", 0.5)
-        os.set_blocking(ours, False)
-        drawn = os.read(ours, 65536).decode()
-    os.close(ours)
+    with (
+        os.fdopen(theirs, "w") as terminal,
+        stages.shown(("scene", "training"), terminal) as tell,
+    ):
+        tell("scene", 1.0)
+        tell("training", 0.5)
+    drawn = read_all(ours)
     assert "1/2 scene" in drawn
     assert "2/2 training" in drawn
     assert "50%" in drawn
