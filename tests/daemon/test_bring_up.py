@@ -273,6 +273,24 @@ def test_a_hub_that_is_gone_for_good_is_called_now_and_then_and_the_other_is_hea
     assert bus.scans - before >= 30 * 45
 
 
+def test_hubs_that_all_fall_silent_are_asked_at_once_though_one_was_waited_for() -> None:
+    gone, heard = VirtualIhb(wired(UIDS[:10]), uid=1), VirtualIhb(wired(UIDS[10:20]), uid=2)
+    bus = Bus(gone, heard)
+    bus.run(0.0, 3.0)
+    bus.hubs.remove(gone)
+    bus.run(3.0, 10.0)
+    asked = len(bus.sent)
+    at = 10.0
+    while len(bus.sent) == asked:  # now the one that is gone is called, in vain
+        bus.run(at, at + 0.1)
+        at += 0.1
+    bus.run(at, at + 1.0)
+    heard.reboot()
+    scans = bus.scans
+    bus.run(at + 1.0, at + 4.0)
+    assert bus.scans > scans
+
+
 def test_a_hub_that_rebooted_is_started_again() -> None:
     hub = VirtualIhb(wired(UIDS))
     bus = Bus(hub)

@@ -99,6 +99,8 @@ class BringUp:
             if speaking and speaking >= {*self._scan_s, *self._found, *self._unsure}:
                 self._step = Step.REST
                 return []
+            if not speaking and not self._anew:  # those that spoke have fallen silent too
+                self._begin()
         if now_s < self._until_s and not self._is_done():
             return []
         self._enter(self._next())
