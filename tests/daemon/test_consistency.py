@@ -55,6 +55,25 @@ def test_contacts_before_all_that_agree_are_refuted_once_and_others_each(
     assert consistency.contradictions(memory, np.array(kept)) == times
 
 
+@pytest.mark.parametrize(("deviance", "excessive"), [(14.0, False), (30.0, True)])
+@pytest.mark.parametrize("scans", [1, 13])
+def test_a_contact_of_many_scans_deviates_as_much_as_one_of_a_single_scan(
+    box_model: ObservationModel, scans: int, deviance: float, excessive: bool
+) -> None:
+    """So a false press that lasted, of which each scan is bad but possible, is one bad contact
+    among others, and not many."""
+    memory = Memory(box_model, Noise())
+    pressed = np.zeros(len(box_model.layout))
+    pressed[:8] = 0.5
+    live = np.ones(len(pressed), dtype=np.bool_)
+    numbers = [1] * scans + [2, 3]
+    for number in numbers:
+        memory.add(Observation(AT[0], pressed, live), number)
+    deviant = np.array([deviance if number == 1 else 5.0 for number in numbers])
+    belief = pf.equal(AT, (memory.ceiling - deviant)[None])
+    assert consistency.is_excessive(memory, belief) is excessive
+
+
 def test_without_a_prior_there_is_none_to_refute(box_model: ObservationModel) -> None:
     memory = Memory(box_model, Noise())
     assert not consistency.refutes_prior(memory, pf.equal(AT, np.empty((1, 0))))

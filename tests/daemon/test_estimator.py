@@ -264,6 +264,22 @@ def test_the_memory_is_bounded(box_model: ObservationModel) -> None:
     assert np.allclose(rule.memory.explain(rule.belief.pose), rule.belief.remembered)
 
 
+def test_a_long_press_makes_room_for_itself_and_no_other_contact_is_forgotten(
+    box_model: ObservationModel,
+) -> None:
+    subject = estimator(box_model, memory=4, injected=0)
+    for contact in range(1, 4):
+        approach(subject, box_model, t=10.0 * contact)
+    numbers = []
+    for k in range(20):  # along the face, in steps that tell something new
+        at = se2.compose(press(-0.004), np.array([0.0, 0.004 * k, 0.0]))
+        subject.on_scan(feel(box_model, at, 40.0 + 0.05 * k), at)
+        rule = subject.rule
+        assert isinstance(rule, Mixture)
+        numbers = rule.memory.number[rule.memory.contact].tolist()
+    assert numbers == [1, 2, 3, 3]
+
+
 class Knowing:
     """A proposal that knows the truth to a few millimetres: what is tested is what follows."""
 

@@ -274,7 +274,7 @@ def test_reports_of_soaks_are_shown_side_by_side(
     assert shown["silent failures without a misleading fault in the lap, and after one"] == "1, 1"
     assert shown["object found at the lap's end"] == "2"
     assert shown["of laps in which all 8 contacts were felt"] == "2 of 3 (66.7%)"
-    assert shown["of these, right at the end, converged or not"] == "3 of 3 (100.0%)"
+    assert shown["of these, a valid estimate within 10 mm at the end"] == "3 of 3 (100.0%)"
     assert shown["passed"] == "no"
     command = f"{sys.executable} -m taxeld_hil.cli soak --table {tmp_path / 'soak_drill.json'}"
     unread = subprocess.run(

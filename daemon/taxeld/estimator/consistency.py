@@ -47,12 +47,14 @@ def contradictions(memory: Memory, kept: Bools) -> int:
 
 def is_excessive(memory: Memory, belief: Belief) -> bool:
     """Whether the remembered contacts together deviate more than is allowed, though each alone may
-    pass: a wrong object of about the right shape."""
+    pass: a wrong object of about the right shape. A contact counts once, however many scans are of
+    it."""
     contact = memory.contact
-    contacts, taxels = int(np.count_nonzero(contact)), float(memory.pressed[contact].sum())
-    deviant = float(deviance(memory, belief)[contact].sum())
-    usual = USUAL * contacts + USUAL_TAXEL * taxels
-    return contacts > 1 and deviant > usual + USUAL_SPREAD * math.sqrt(taxels)
+    share = memory.of_scans(memory.share)[contact]
+    deviant = float(share @ deviance(memory, belief)[contact])
+    taxels = float(share @ memory.pressed[contact])
+    usual = USUAL * memory.contacts + USUAL_TAXEL * taxels
+    return memory.contacts > 1 and deviant > usual + USUAL_SPREAD * math.sqrt(taxels)
 
 
 def deviance(memory: Memory, belief: Belief) -> Floats:

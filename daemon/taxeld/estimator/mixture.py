@@ -328,13 +328,18 @@ class Mixture:
         return True
 
     def _keep_to_size(self) -> None:
-        memory, contacts = self.memory, int(np.count_nonzero(self.memory.pressed))
-        if contacts <= self._config.memory and len(memory) - contacts <= SILENT_MAX:
-            return
+        """Forget what is too much: of the contact that has the most scans the oldest, as a press of
+        many scans tells no more than others; and the oldest silence."""
+        memory = self.memory
         kept = np.ones(len(memory), dtype=np.bool_)
-        for kind, most in ((memory.contact, self._config.memory), (memory.silent, SILENT_MAX)):
-            mine = np.flatnonzero(kind)
-            kept[mine[: max(len(mine) - most, 0)]] = False
+        touched, silent = np.flatnonzero(memory.contact), np.flatnonzero(memory.silent)
+        kept[silent[: max(len(silent) - SILENT_MAX, 0)]] = False
+        for _ in range(len(touched) - self._config.memory):
+            touched = touched[kept[touched]]
+            _, which, count = np.unique(
+                memory.number[touched], return_inverse=True, return_counts=True
+            )
+            kept[touched[count[which].argmax()]] = False
         self._remember_only(kept)
 
     def _remember_only(self, kept: Bools, *, prior: bool = True) -> None:

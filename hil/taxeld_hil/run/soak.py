@@ -49,7 +49,7 @@ class Soak:
     found: int = 0  # laps that ended converged and right
     full: int = 0  # laps in which the daemon felt as many contacts as there were,
     full_found: int = 0  # and found the object
-    full_right: int = 0  # of these laps, those that ended right, converged or not
+    full_right: int = 0  # of these laps, those whose last estimate was valid and right
     lost_laps: list[int] = field(default_factory=list)  # and did not
     silent_episodes: int = 0
     silent_worst_mm: float = 0.0

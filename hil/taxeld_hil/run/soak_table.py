@@ -85,7 +85,7 @@ ROWS: tuple[tuple[str, Callable[[Report], str]], ...] = (
     ("silent failures without a misleading fault in the lap, and after one", _silent),
     ("object found at the lap's end", lambda r: f"{r['found']}"),
     (f"of laps in which all {laps.CONTACTS} contacts were felt", _full),
-    ("of these, right at the end, converged or not", _right),
+    ("of these, a valid estimate within 10 mm at the end", _right),
     ("worst recovery", _recovery),
     ("not recovered in time", lambda r: f"{sum(r['not_recovered'].values())}"),
     ("still in doubt 3 s after", lambda r: f"{sum(r['doubted'].values())}"),
