@@ -57,9 +57,9 @@ class Scans(NamedTuple):
 class Bounds(NamedTuple):
     """From which on a pose is of no use."""
 
-    order: Index  # (K,) in which scans are looked at
+    order: Index  # (K,) in which scans are looked at, the last first
     share: Floats  # (K,) of each
-    left: Floats  # (K,) the most that those of this order may add together, from each on
+    left: Floats  # (K,) the most that those of this order may add together, up to each
     least: Floats  # (N,) that all must add together for each pose
 
 

@@ -50,9 +50,9 @@ typedef struct {
 } Scans;
 
 typedef struct {
-    const int64_t *order;  /* (scans,) in which they are looked at */
+    const int64_t *order;  /* (scans,) in which they are looked at, the last first */
     const double *share;  /* (scans,) of each in what is needed */
-    const double *left;  /* (scans,) that they may add at most, from each of the order on */
+    const double *left;  /* (scans,) that they may add at most, up to each of the order */
     const double *least;  /* (n,) that must be added for a pose to be of any use */
 } Bounds;
 
@@ -258,15 +258,15 @@ FASTEST int taxeld_explain(
         }
         const double *pose = poses + 3 * i;
         double c = cosine[i % TURNS], sn = sine[i % TURNS], sum = 0.0, *met = out + i * s->scans;
-        int64_t j = 0;
-        for (; j < s->scans; j++) {
+        int64_t j = s->scans - 1;
+        for (; j >= 0; j--) {
             int64_t k = bounds ? bounds->order[j] : j;
             if (bounds && sum + bounds->left[j] < bounds->least[i])
                 break;
             met[k] = explained(m, s, &near, k, pose, c, sn);
             sum += bounds ? bounds->share[k] * met[k] : 0.0;
         }
-        for (int64_t k = 0; j < s->scans && k < s->scans; k++)
+        for (int64_t k = 0; j >= 0 && k < s->scans; k++)
             met[k] = given_up;
     }
     free(room);

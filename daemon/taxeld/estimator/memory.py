@@ -270,9 +270,8 @@ class Memory:
         """What all scans must add to that of a skin which is not pressed."""
         share = needed.share
         most = share * (self.ceiling + SPARE_NATS - self._untouched)
-        order = np.argsort(-most)  # those first that may refute a pose by most
-        most = most[order]
-        left = most.sum() + most - np.cumsum(most)  # for these and all after them
+        order = most.argsort()  # looked at from the end: those first that may refute a pose by most
+        left = most.take(order).cumsum()
         return Bounds(order, share, left, needed.least - share @ self._untouched)
 
     def _met(
