@@ -11,8 +11,9 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c const
 demo: .venv/.runtime
 	$(BIN)/taxeld-hil run demo --seed $(SEED)
 
+# A file's tests run one after another, two files side by side
 test: .venv/.all
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 # What the client in JavaScript needs, for its test
 node: .venv/.node

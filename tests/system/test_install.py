@@ -80,8 +80,10 @@ class Machine:
             "PREFIX": str(self.prefix), "CONFIGS": str(self.configs), "DESTDIR": "",
             "PYTHON": str(self.at / "bin" / "python"), "STAMP": str(self.installed), **variables,
         }  # fmt: skip
+        # a shell's background job ignores SIGINT, and all that it starts does
+        plain = ["env", "--default-signal=INT"]
         return subprocess.Popen(
-            ["make", "--silent", target, *(f"{k}={v}" for k, v in variables.items())],
+            [*plain, "make", "--silent", target, *(f"{k}={v}" for k, v in variables.items())],
             cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
             start_new_session=True,
             env={**alone, "PATH": path, "BUILDS": builds, "REFUSES": refuses, "FAILS_AT": fails_at},
