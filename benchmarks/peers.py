@@ -47,6 +47,7 @@ class Scans:
     def __init__(self, model: ObservationModel, count: int) -> None:
         rng = np.random.default_rng(0)
         self.model, self.noise = model, Noise()
+        self.nothing = Memory(model, self.noise)
         made = contacts.synthesise(model.scene, 0.04, 0.005, 4 * count, rng).pose
         made = made[model.activation(made).max(axis=1) > 0.1][:count]
         live = np.ones(len(model.layout), dtype=np.bool_)
@@ -57,7 +58,7 @@ class Scans:
 
     def log_likelihood(self, k: int, poses: np.ndarray) -> np.ndarray:
         """Of a scan that has just come in, as ours has to take it."""
-        memory = Memory(self.model, self.noise)
+        memory = self.nothing.anew()
         memory.add(self.observations[k % len(self.observations)])
         return memory.explain(poses)[:, 0]
 

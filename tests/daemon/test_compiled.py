@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,17 @@ from taxeld import native
 from taxeld.estimator.memory import Memory, Slack
 from taxeld.estimator.particles import Needed
 from taxeld.estimator.prior import Prior
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
 from taxeld.model import contacts
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
 
+from .conftest import box, scene_of
+
 SESSION = Path(__file__).parent / "session"
 EXPLAIN = "estimator/explain"
+RING = "cylinder:columns=16,radius_m=0.04,pitch_m=0.01"
 needed = pytest.mark.skipif(
     native.library(EXPLAIN) is None, reason="taxeld was installed without a C compiler"
 )
@@ -63,6 +69,38 @@ def test_c_and_numpy_explain_alike(
     memory._compiled = None
     by_numpy = memory.explain(poses), memory.explain_newest(poses)
     for c, numpy in zip(by_c, by_numpy, strict=True):
+        assert np.allclose(c, numpy, rtol=1e-4, atol=0.01)
+
+
+def with_holes(skin: Layout) -> Layout:
+    """Without every third taxel: columns have gaps, each elsewhere."""
+    left = np.arange(len(skin)) % 3 > 0
+    of_taxels = {name: getattr(skin, name)[left] for name in ("uid", "position_m", "normal")}
+    return replace(skin, **of_taxels)
+
+
+@needed
+@pytest.mark.parametrize(
+    "skin",
+    [
+        pytest.param(layouts.load(f"{RING},rows=1"), id="one ring"),
+        pytest.param(layouts.load(f"{RING},rows=11"), id="columns higher than a vector"),
+        pytest.param(with_holes(layouts.load(f"{RING},rows=11")), id="columns with gaps"),
+        pytest.param(layouts.load("wrap:modules=12,radius_m=0.04,rows=2"), id="triangles"),
+    ],
+)
+def test_c_and_numpy_explain_alike_however_taxels_stand(skin: Layout) -> None:
+    """The object is another one at each height: who looks up the wrong taxel is found out."""
+    scene = scene_of(box(0.03, 0.06), skin, symmetry=2)
+    less_m = 0.001 * (np.arange(len(scene.heights), dtype=np.float32) % 4)
+    scene = replace(scene, slices=scene.slices + less_m[:, None, None])
+    memory = touched(ObservationModel(scene, skin, 0.005), Noise(), Slack(0.001, 0.001), 1)
+    poses = np.random.default_rng(1).normal(size=(100, 3)) * [0.05, 0.05, 3.0]
+    by_c = memory.explain(poses), memory.explain_newest(poses)
+    memory._compiled = None
+    by_numpy = memory.explain(poses), memory.explain_newest(poses)
+    for c, numpy in zip(by_c, by_numpy, strict=True):
+        assert np.ptp(numpy) > 1.0
         assert np.allclose(c, numpy, rtol=1e-4, atol=0.01)
 
 

@@ -29,6 +29,19 @@ def test_a_pose_composed_with_its_inverse_is_the_identity(a: np.ndarray, b: np.n
     assert np.allclose(together, se2.apply(a, se2.apply(b, points)))
 
 
+def test_many_angles_are_wrapped_as_each_alone_is() -> None:
+    """To the last bit, of a turn or two and of many, and of what is no angle."""
+    rng = np.random.default_rng(0)
+    ends = np.pi * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+    beside = [-3.0 * np.pi, *np.nextafter(ends, -9.0), *ends, *np.nextafter(ends, 9.0)]
+    for least, most in ((-9.4, 9.4), (-30.0, 0.0), (0.0, 30.0), (-1e9, 1e9)):
+        angles = np.concatenate([beside, rng.uniform(least, most, 2 * se2.MANY)])
+        alone = np.array([se2.wrap(each) for each in angles])
+        assert np.array_equal(se2.wrap(angles), alone)
+        assert (np.abs(alone) <= np.pi).all()
+    assert np.isnan(se2.wrap(np.full(2 * se2.MANY, np.nan))).all()
+
+
 @given(pose, st.floats(-3, 3))
 def test_rotation_about_a_point_leaves_it(a: np.ndarray, angle: float) -> None:
     centre = a[:2]

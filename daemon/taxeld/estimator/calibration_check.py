@@ -219,19 +219,24 @@ class CalibrationCheck:
     def _nats(self, h: Floats, factor: Floats) -> Floats:
         """(…, K) of what was read of true activations (…, K, M), all of them a factor greater."""
         expected, read = factor * h, self._read
-        e = (read.z - expected) / self._sd(expected, factor)
-        e = np.where(read.is_told(expected), e, 0.0)
-        cost = 0.5 * (FREEDOM + 1.0) * np.log1p(e * e / FREEDOM).sum(axis=-1)
+        off = np.where(read.is_told(expected), read.z - expected, 0.0)
+        at = np.flatnonzero(off)  # few: most taxels are silent, as is expected
+        of_touch, of_all = at % read.z.size, at // read.z.size
+        residue = read.residue.take(of_touch)
+        e = off.take(at) / self._sd(expected.take(at), np.ravel(factor).take(of_all), residue)
+        nats = np.zeros(off.shape)
+        nats.ravel()[at] = np.log1p(e * e / FREEDOM)
+        cost = 0.5 * (FREEDOM + 1.0) * nats.sum(axis=-1)
         return np.asarray(
             np.minimum(cost, TOUCH_MOST) + BEYOND * np.maximum(cost - TOUCH_MOST, 0.0)
         )
 
-    def _sd(self, expected: Floats, factor: Floats | float) -> Floats:
-        """Of a reading, its taxel's own response included, and what it may have of other presses:
-        of saturated ones more than they read."""
+    def _sd(self, expected: Floats, factor: Floats | float, residue: Floats) -> Floats:
+        """Of a reading, its taxel's own response included, and what it may have of other presses
+        (`residue`): of saturated ones more than they read."""
         within = np.minimum(expected, 1.0)
         own = ONSET_SD * deviation(within)
-        other = self._read.residue * np.maximum(factor, 1.0)
+        other = residue * np.maximum(factor, 1.0)
         return np.sqrt(self._noise.variance(within) + own * own + other * other)
 
     def _linear(self, x: Floats) -> tuple[Floats, Floats, Floats, float]:
@@ -246,7 +251,7 @@ class CalibrationCheck:
         expected = factor * h
         cost = float(self._nats(h, factor).sum() + _prior(x[None])[0])
         told = (h > 0.0) & self._read.is_told(expected)
-        sd = self._sd(expected, factor)
+        sd = self._sd(expected, factor, self._read.residue)
         e = ((self._read.z - expected) / sd)[told]
         moves = np.eye(7)[1:] * 1e-6
         gap = self._seen(x + moves) - q

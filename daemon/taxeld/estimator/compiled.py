@@ -2,6 +2,7 @@
 arrays, where it was compiled (`taxeld.native`). Both are equal but for rounding."""
 
 import ctypes
+import math
 from ctypes import c_double, c_int64, c_void_p
 from typing import NamedTuple
 
@@ -19,13 +20,15 @@ from taxeld.model.observation import (
 )
 
 GIVEN_UP = -1e9  # in place of what every scan says of a pose
+FIELDS = 5  # of `memory.Kept` that C looks at
+LANES = 8  # of its vectors
 
 
 class _Model(ctypes.Structure):
     _fields_ = [
         *((name, c_void_p) for name in ("distance", "pressed", "about", "reach", "place")),
-        *((name, c_void_p) for name in ("taxel", "height")),
-        *((name, c_int64) for name in ("nx", "ny", "heights", "places", "most", "taxels")),
+        *((name, c_void_p) for name in ("first", "height", "size")),
+        *((name, c_int64) for name in ("nx", "ny", "heights", "runs", "taxels")),
         *((name, c_double) for name in ("x", "y", "cell", "depth_max", "band", "hidden", "robust")),
         *((name, c_double) for name in ("least_variance", "iterations")),
         *((name, c_double) for name in ("sigma", "gain_cv", "outliers", "least", "farthest")),
@@ -36,7 +39,7 @@ class _Model(ctypes.Structure):
 class _Scans(ctypes.Structure):
     _fields_ = [
         *((name, c_void_p) for name in ("kept", "sensor", "variance", "silent")),
-        *((name, c_int64) for name in ("scans", "all", "about")),
+        *((name, c_int64) for name in ("scans", "about")),
     ]
 
 
@@ -54,10 +57,36 @@ class Scans(NamedTuple):
 class Bounds(NamedTuple):
     """From which on a pose is of no use."""
 
-    order: Index  # (K,) in which scans are looked at
+    order: Index  # (K,) in which scans are looked at, the last first
     share: Floats  # (K,) of each
-    left: Floats  # (K,) the most that those of this order may add together, from each on
+    left: Floats  # (K,) the most that those of this order may add together, up to each
     least: Floats  # (N,) that all must add together for each pose
+
+
+class _Runs(NamedTuple):
+    """Taxels of one place, in slices that follow each other: C looks a run up by one vector."""
+
+    order: Index  # (M,) taxels, run by run
+    first: Index  # (R,) where in the order each begins,
+    size: Index  # how many it has, `LANES` at most,
+    place: Index  # in which column it stands
+    height: Index  # and which slice is its first taxel's
+
+
+def _runs(model: ObservationModel) -> _Runs:
+    taxel = model.grid.taxel
+    here = np.flatnonzero(taxel >= 0)
+    order, place = taxel.ravel()[here], here // taxel.shape[1]
+    height = (model.grid.offset // model.scene.silhouette.size).ravel()[here]
+    sort = np.lexsort((height, place))
+    order, place, height = order[sort], place[sort], height[sort]
+    follows = (np.diff(place) == 0) & (np.diff(height) == 1)
+    first = [0]
+    for at, in_run in enumerate(follows.tolist(), 1):
+        if not in_run or at - first[-1] == LANES:
+            first.append(at)
+    begins = np.array(first)
+    return _Runs(order, begins, np.diff(begins, append=len(order)), place[begins], height[begins])
 
 
 class Compiled:
@@ -66,20 +95,20 @@ class Compiled:
     def __init__(self, library: ctypes.CDLL, model: ObservationModel, noise: Noise) -> None:
         self._explain = library.taxeld_explain
         scene, grid = model.scene, model.grid
-        distance, height = model.columns
+        runs, distance = _runs(model), np.moveaxis(scene.slices, 0, -1)
         tables = {
-            "distance": distance,
-            "height": height,
+            "distance": np.append(distance, np.zeros(LANES, np.float32)),
+            "place": grid.place[:2, runs.place],
             **{name: getattr(grid, name) for name in ("pressed", "about", "reach")},
-            **{name: getattr(grid, name) for name in ("place", "taxel")},
+            **{name: getattr(runs, name) for name in ("first", "height", "size")},
         }
         held = {name: np.ascontiguousarray(table) for name, table in tables.items()}
         self._held = held  # what the pointers below point to
         heights, ny, nx = scene.slices.shape
-        places, most = grid.taxel.shape
+        self._order = runs.order
         self._model = _Model(
             **{name: table.ctypes.data for name, table in held.items()},
-            nx=nx, ny=ny, heights=heights, places=places, most=most, taxels=len(model.layout),
+            nx=nx, ny=ny, heights=heights, runs=len(runs.first), taxels=len(model.layout),
             x=scene.origin[0], y=scene.origin[1], cell=scene.cell, depth_max=model.depth_max_m,
             band=BAND_M, hidden=offsets.HIDDEN, robust=offsets.ROBUST,
             least_variance=offsets.LEAST_M2, iterations=offsets.ITERATIONS,
@@ -87,16 +116,17 @@ class Compiled:
             farthest=FARTHEST_SD, bowling1=BOWLING[0], bowling3=BOWLING[1],
         )  # fmt: skip
 
-    @staticmethod
-    def scans(kept: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Scans:
-        """Readings (FIELDS, all, M), of which the last K are of the sensor's poses (K, 3)."""
-        k, (_, every, taxels) = len(sensor), kept.shape
-        first = kept.itemsize * taxels * (every - k)
+    def scans(self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Scans:
+        """Readings (FIELDS or more, K, M) of the sensor's poses (K, 3)."""
+        shape = FIELDS, *kept.shape[1:]
+        laid = np.zeros(math.prod(shape) + LANES, np.float32)
+        out = laid[:-LANES].reshape(shape)
+        np.take(kept[:FIELDS], self._order, axis=2, out=out, mode="clip")  # no copy on the way
         told = _Scans(
-            kept.ctypes.data + first, sensor.ctypes.data, variance.ctypes.data, silent.ctypes.data,
-            k, every, bool(variance.any()),
+            laid.ctypes.data, sensor.ctypes.data, variance.ctypes.data, silent.ctypes.data,
+            len(sensor), bool(variance.any()),
         )  # fmt: skip
-        return Scans(told, (kept, sensor, variance, silent))
+        return Scans(told, (laid, sensor, variance, silent))
 
     def explain(self, scans: Scans, poses: Poses, bounds: Bounds | None = None) -> Floats:
         """K scans and poses (N, 3) → (N, K), as memory.py has them; GIVEN_UP of poses that cannot

@@ -1,7 +1,10 @@
 /* How well poses explain remembered scans: `Memory.explain` of memory.py, pose by pose, without the
    arrays that numpy makes on the way. Any change here is a change there; tests hold both equal.
    Built with -ffast-math: nothing in here is infinite or not a number. Loops over the taxels near a
-   press run over whole vectors, the last one filled up with taxels that tell nothing. */
+   press run over whole vectors, the last one filled up with taxels that tell nothing.
+
+   Taxels come in runs: those of one place whose slices follow each other, so that one vector looks
+   all of them up. compiled.py makes the runs, and lays readings out in their order. */
 
 #include <math.h>
 #include <stdint.h>
@@ -17,15 +20,21 @@ const char taxeld_source[] = SOURCE;
 #endif
 #define INLINE static inline __attribute__((always_inline))  /* into each of the clones */
 
-enum { Z, LEVEL, RESIDUE, LOW, HIGH, ROOT, SILENT, LIVE };  /* of what is kept */
-enum { LANES = 8 };  /* of a vector, at most */
+enum { Z, LEVEL, RESIDUE, ROOT, SILENT };  /* of what is kept */
+enum { LANES = 8 };  /* of a vector; a run is no longer */
+enum { TURNS = 64 };  /* of poses, whose cosines and sines are found together */
+
+typedef float Vector __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
+typedef int32_t Mask __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
+#define VECTOR(at) (*(Vector *)(at))
+#define READ(at) (*(const Vector *)(at))
 
 typedef struct {
-    const float *distance;  /* (ny, nx, heights) signed distances [m] */
+    const float *distance;  /* (ny, nx, heights) signed distances [m]; LANES may be read beyond */
     const uint8_t *pressed, *about, *reach;  /* (ny, nx) cells that count, of a taxel or an axis */
-    const float *place;  /* (3, places) x, y [m], 1: taxels stand in columns */
-    const int64_t *taxel, *height;  /* (places, most) which they are, or -1; which slice is theirs */
-    int64_t nx, ny, heights, places, most, taxels;
+    const float *place;  /* (2, runs) x, y [m] */
+    const int64_t *first, *height, *size;  /* (runs,) the run's first taxel, its slice, how many */
+    int64_t nx, ny, heights, runs, taxels;
     double x, y, cell, depth_max;  /* of the grid's origin, of its cells, of full scale [m] */
     double band, hidden, robust;  /* BAND_M, HIDDEN and ROBUST */
     double least_variance, iterations;
@@ -33,23 +42,24 @@ typedef struct {
 } Model;
 
 typedef struct {
-    const float *kept;  /* (8, all, taxels), of which `scans` are asked for */
+    const float *kept;  /* (fields, scans, taxels) in order of the runs; LANES may be read beyond */
     const double *sensor;  /* (scans, 3) */
     const double *variance;  /* (scans,) of each one's offset [m^2] */
     const uint8_t *silent;  /* (scans,) */
-    int64_t scans, all, about;  /* about: whether contacts have an offset */
+    int64_t scans, about;  /* about: whether contacts have an offset */
 } Scans;
 
 typedef struct {
-    const int64_t *order;  /* (scans,) in which they are looked at */
+    const int64_t *order;  /* (scans,) in which they are looked at, the last first */
     const double *share;  /* (scans,) of each in what is needed */
-    const double *left;  /* (scans,) that they may add at most, from each of the order on */
+    const double *left;  /* (scans,) that they may add at most, up to each of the order */
     const double *least;  /* (n,) that must be added for a pose to be of any use */
 } Bounds;
 
-typedef struct {  /* room for one pose and scan */
-    float *u, *v;  /* (places,) where columns are in their cells */
-    uint32_t *cell;  /* (places,) */
+typedef struct {  /* room, for one pose and scan but where it says more */
+    double *turned;  /* (scans, 2) cosine and sine of the sensor's turn */
+    float *u, *v;  /* (runs,) where runs are in their cells */
+    uint32_t *cell;  /* (runs,) */
     float *depth, *gx, *gy, *away, *ax, *ay;  /* of taxels near a press, one after the other, */
     float *z, *level, *residue, *root, *silent;  /* and what is kept of them */
     int64_t n;
@@ -66,7 +76,7 @@ INLINE void look_up(
     const Model *m, Near *near, const float *kept, int64_t field, float x, float y, float cosine,
     float sine, int about)
 {
-    const float *px = m->place, *py = px + m->places;
+    const float *px = m->place, *py = px + m->runs;
     float *restrict us = near->u, *restrict vs = near->v;
     uint32_t *restrict cells = near->cell, nx = m->nx, last = (m->ny - 1) * m->nx - 2;
     float right = m->nx - 1.001, top = m->ny - 1.001, band = about ? m->band : 0.0;
@@ -76,7 +86,7 @@ INLINE void look_up(
     float *restrict root = near->root, *restrict silent = near->silent;
     const uint8_t *mask = about ? m->about : m->pressed;
     int64_t n = 0, up = m->nx * m->heights, across = m->heights;
-    for (int64_t i = 0; i < m->places; i++) {
+    for (int64_t i = 0; i < m->runs; i++) {
         float u = within(cosine * px[i] - sine * py[i] + x, 0.0f, right);
         float v = within(sine * px[i] + cosine * py[i] + y, 0.0f, top);
         int32_t column = (int32_t)u, row = (int32_t)v;
@@ -84,32 +94,29 @@ INLINE void look_up(
         vs[i] = v - row;
         cells[i] = (uint32_t)row * nx + (uint32_t)column;
     }
-    for (int64_t i = 0; i < m->places; i++) {
+    for (int64_t i = 0; i < m->runs; i++) {
         if (cells[i] > last || !mask[cells[i]])  /* beyond: of a pose that is not a number */
             continue;
-        const float *corner = m->distance + cells[i] * m->heights;
+        const float *at = m->distance + cells[i] * m->heights + m->height[i];
+        const float *read = kept + m->first[i];
         float u = us[i], v = vs[i];
-        for (int64_t j = i * m->most; j < (i + 1) * m->most && m->taxel[j] >= 0; j++) {
-            const float *at = corner + m->height[j];
-            float below = at[across] - at[0], above = at[up + across] - at[up];
-            float low = at[0] + below * u, high = at[up] + above * u;
-            float distance = low + (high - low) * v;
-            if (!(distance < band))
-                continue;
-            const float *read = kept + m->taxel[j];
-            depth[n] = distance * by_depth;
-            gx[n] = (below + (above - below) * v) * by_cell;
-            gy[n] = (high - low) * by_cell;
-            z[n] = read[Z * field];
-            level[n] = read[LEVEL * field];
-            residue[n] = read[RESIDUE * field];
-            root[n] = read[ROOT * field];
-            silent[n++] = read[SILENT * field];
-        }
+        Vector front = READ(at), back = READ(at + up);
+        Vector below = READ(at + across) - front, above = READ(at + up + across) - back;
+        Vector low = front + below * u, rise = back + above * u - low;
+        Vector distance = low + rise * v;
+        /* lanes beyond the run's end are written over by the next one */
+        VECTOR(depth + n) = distance * by_depth;
+        VECTOR(gx + n) = (below + (above - below) * v) * by_cell;
+        VECTOR(gy + n) = rise * by_cell;
+        VECTOR(root + n) = (Vector)((Mask)READ(read + ROOT * field) & (Mask)(distance < band));
+        VECTOR(z + n) = READ(read + Z * field);
+        VECTOR(level + n) = READ(read + LEVEL * field);
+        VECTOR(residue + n) = READ(read + RESIDUE * field);
+        VECTOR(silent + n) = READ(read + SILENT * field);
+        n += m->size[i];
     }
-    for (; n % LANES; n++)  /* not believed */
-        depth[n] = gx[n] = gy[n] = z[n] = level[n] = residue[n] = root[n] = silent[n] = 0.0f;
-    near->n = n;
+    VECTOR(root + n) = (Vector){0};  /* what fills up the last vector is not believed */
+    near->n = (n + LANES - 1) / LANES * LANES;
 }
 
 /* `Readings.offset` of offsets.py: moves the depths to where the offset explains the readings best;
@@ -179,21 +186,23 @@ INLINE double gain(const Model *m, const Near *near, float hidden)
     return sum;
 }
 
-/* Room for `near`; NULL where there is no memory left. */
-static void *room_for(const Model *m, Near *near)
+/* Room for `near`, of zeros; NULL where there is no memory left. */
+static void *room_for(const Model *m, const Scans *s, Near *near)
 {
     float **each[] = {&near->depth, &near->gx, &near->gy, &near->away, &near->ax, &near->ay,
                       &near->z, &near->level, &near->residue, &near->root, &near->silent};
-    int64_t fields = sizeof(each) / sizeof(*each), columns = m->places, taxels = m->taxels + LANES;
-    float *at = malloc((3 * columns + fields * taxels) * sizeof(float));
-    void *room = at;
+    int64_t fields = sizeof(each) / sizeof(*each), runs = m->runs, taxels = m->taxels + LANES;
+    int64_t turned = 2 * s->scans * sizeof(double);
+    double *room = calloc(1, turned + (3 * runs + fields * taxels) * sizeof(float));
     if (!room)
         return NULL;
+    float *at = (float *)(room + 2 * s->scans);
+    near->turned = room;
     near->u = at;
-    near->v = at + columns;
-    near->cell = (uint32_t *)(at + 2 * columns);
+    near->v = at + runs;
+    near->cell = (uint32_t *)(at + 2 * runs);
     for (int k = 0; k < fields; k++)
-        *each[k] = at + 3 * columns + k * taxels;
+        *each[k] = at + 3 * runs + k * taxels;
     return room;
 }
 
@@ -202,8 +211,9 @@ static void *room_for(const Model *m, Near *near)
 INLINE double explained(
     const Model *m, const Scans *s, Near *near, int64_t k, const double *pose, double c, double sn)
 {
-    const double *sensor = s->sensor + 3 * k;
-    double dx = sensor[0] - pose[0], dy = sensor[1] - pose[1], turn = sensor[2] - pose[2];
+    const double *sensor = s->sensor + 3 * k, *turned = near->turned + 2 * k;
+    double dx = sensor[0] - pose[0], dy = sensor[1] - pose[1];
+    double cosine = turned[0] * c + turned[1] * sn, sine = turned[1] * c - turned[0] * sn;
     double x = (c * dx + sn * dy - m->x) / m->cell, y = (c * dy - sn * dx - m->y) / m->cell;
     uint32_t column = (int32_t)within(x, 0.0f, m->nx - 1.001);
     uint32_t row = (int32_t)within(y, 0.0f, m->ny - 1.001);
@@ -211,8 +221,8 @@ INLINE double explained(
         return 0.0;
     int about = s->about && !s->silent[k];
     double variance = s->variance[k];
-    look_up(m, near, s->kept + k * m->taxels, s->all * m->taxels, x, y, cos(turn) / m->cell,
-            sin(turn) / m->cell, about);
+    look_up(m, near, s->kept + k * m->taxels, s->scans * m->taxels, x, y, cosine / m->cell,
+            sine / m->cell, about);
     if (!near->n)
         return 0.0;
     if (!about)
@@ -229,21 +239,34 @@ FASTEST int taxeld_explain(
     double given_up, double *out)
 {
     Near near;
-    void *room = room_for(m, &near);
+    void *room = room_for(m, s, &near);
     if (!room)
         return -1;
+    for (int64_t k = 0; k < s->scans; k++) {
+        near.turned[2 * k] = cos(s->sensor[3 * k + 2]);
+        near.turned[2 * k + 1] = sin(s->sensor[3 * k + 2]);
+    }
+    double turn[TURNS] = {0}, cosine[TURNS], sine[TURNS];
     for (int64_t i = 0; i < n; i++) {
+        if (i % TURNS == 0) {
+            for (int64_t j = 0; j < TURNS && i + j < n; j++)
+                turn[j] = poses[3 * (i + j) + 2];
+            for (int64_t j = 0; j < TURNS; j++)  /* two loops: one would be no vector's */
+                cosine[j] = cos(turn[j]);
+            for (int64_t j = 0; j < TURNS; j++)
+                sine[j] = sin(turn[j]);
+        }
         const double *pose = poses + 3 * i;
-        double c = cos(pose[2]), sn = sin(pose[2]), sum = 0.0, *met = out + i * s->scans;
-        int64_t j = 0;
-        for (; j < s->scans; j++) {
+        double c = cosine[i % TURNS], sn = sine[i % TURNS], sum = 0.0, *met = out + i * s->scans;
+        int64_t j = s->scans - 1;
+        for (; j >= 0; j--) {
             int64_t k = bounds ? bounds->order[j] : j;
             if (bounds && sum + bounds->left[j] < bounds->least[i])
                 break;
             met[k] = explained(m, s, &near, k, pose, c, sn);
             sum += bounds ? bounds->share[k] * met[k] : 0.0;
         }
-        for (int64_t k = 0; j < s->scans && k < s->scans; k++)
+        for (int64_t k = 0; j >= 0 && k < s->scans; k++)
             met[k] = given_up;
     }
     free(room);

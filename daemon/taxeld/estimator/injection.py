@@ -90,17 +90,20 @@ def project(model: ObservationModel, poses: Poses) -> Poses:
     the contact's normal; the others keep the depth, and thus the spread, that they have."""
     ax, ay = contacts.axis_in_object(poses)
     radius_m = model.layout.radius_m
-    depth = radius_m - model.scene.clearance(ax, ay)[0]
-    return contacts.project(model.scene, radius_m, poses, np.clip(depth, 0.0, model.depth_max_m))[0]
+    distance, gx, gy = model.scene.clearance(ax, ay)
+    step = -(distance - radius_m + np.clip(radius_m - distance, 0.0, model.depth_max_m))
+    return contacts.pose_of_axis(ax + step * gx, ay + step * gy, poses[:, 2])
 
 
 def _step(gain: Floats, most: float, kept: float) -> float:
     """The largest power of exp(gain), up to `most`, that leaves `kept` effective samples."""
     gain = gain - gain.max()
+    add = np.add.reduce  # as `sum`, with less about it: this is asked often
 
     def left(power: float) -> float:
         weight = np.exp(power * gain)
-        return float(weight.sum() ** 2 / (weight @ weight))
+        total = float(add(weight))
+        return total * total / float(weight @ weight)
 
     if left(most) >= kept:
         return most

@@ -8,7 +8,7 @@ scans are remembered beside contacts: where the skin met nothing, the object is 
 import copy
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.particles import Needed
 from taxeld.estimator.prior import Prior
 from taxeld.model.observation import Noise, Observation, ObservationModel
+
+Number = TypeVar("Number", np.intp, np.float64)
 
 SPARE_NATS = 0.05  # by which a pose may explain a scan better than its ceiling, which is rounded
 FAR = 1e30  # standard deviations: without a bound
@@ -31,10 +33,10 @@ class Kept(IntEnum):
     Z = 0
     LEVEL = 1  # what is read, or the floor where that is 0
     RESIDUE = 2
-    LOW = 3  # by how much it may be said to be above what is expected: at least,
-    HIGH = 4  # and at most [standard deviations]
-    ROOT = 5  # 1 / standard deviation about what is read, 0 where not live
-    SILENT = 6  # log p(z | h = 0)
+    ROOT = 3  # 1 / standard deviation about what is read, 0 where not live
+    SILENT = 4  # log p(z | h = 0)
+    LOW = 5  # by how much it may be said to be above what is expected: at least,
+    HIGH = 6  # and at most [standard deviations]
     LIVE = 7
 
 
@@ -80,14 +82,17 @@ class Memory:
         prior: Prior | None = None,
         slack: Slack | None = None,
     ) -> None:
-        taxels = len(model.layout)
         self._model = model
         self._noise = noise
         self.slack = slack or Slack()
-        self.prior = prior
         self._compiled = compiled(model, noise)
+        self._silence: Silence | None = None  # of the last silent scan
+        self._forget(prior)
+
+    def _forget(self, prior: Prior | None) -> None:
+        self.prior = prior
         self._sensor = np.empty((0, 3))
-        self._kept: Grid = np.empty((len(Kept), 0, taxels), np.float32)
+        self._kept: Grid = np.empty((len(Kept), 0, len(self._model.layout)), np.float32)
         self.number = np.empty(0, dtype=np.intp)  # (K,) of the contact; the last, where silent
         self.newest = 0  # number of the contact that began last
         self.pressed = np.empty(0, dtype=np.intp)  # (K,) taxels that were pressed
@@ -95,7 +100,6 @@ class Memory:
         self._untouched = np.empty(0)
         self._share: Floats | None = None  # as last asked for
         self._for_c: tuple[tuple[int, int, Slack], Scans] | None = None
-        self._silence: Silence | None = None  # of the last silent scan
 
     def __len__(self) -> int:
         return len(self._sensor)
@@ -148,12 +152,12 @@ class Memory:
         """A scan of the contact of that number, or a silent one after it."""
         told = self._told(observation)
         self._kept = np.concatenate([self._kept, told.kept[:, None]], axis=1)
-        self._sensor = np.vstack([self._sensor, observation.sensor])
-        self.number = np.append(self.number, number)
+        self._sensor = np.concatenate([self._sensor, observation.sensor[None]])
+        self.number = _and(self.number, number)
         self.newest = max(self.newest, number)
-        self.pressed = np.append(self.pressed, told.pressed)
-        self.ceiling = np.append(self.ceiling, told.ceiling)
-        self._untouched = np.append(self._untouched, told.untouched)
+        self.pressed = _and(self.pressed, told.pressed)
+        self.ceiling = _and(self.ceiling, told.ceiling)
+        self._untouched = _and(self._untouched, told.untouched)
         self._for_c = None
         if self._share is not None:  # a silent scan changes no other's
             self._share = None if told.pressed else np.append(self._share, 1.0)
@@ -172,22 +176,22 @@ class Memory:
 
     def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats) -> Told:
         """(M,) each."""
-        explained = z[:, None] * (LIKELY if z.any() else LIKELY[:1])  # silence is so by nothing
-        density = self._noise.log_density(z[:, None], explained, floor[:, None], residue[:, None])
-        density = density * live[:, None]
-        kept = {
-            Kept.Z: z,
-            Kept.LEVEL: np.where(z > 0.0, z, floor),
-            Kept.RESIDUE: residue,
-            Kept.LOW: np.where(z < 1.0, -FAR, 0.0),
-            Kept.HIGH: np.where(z > 0.0, FAR, 0.0),
-            Kept.ROOT: live / np.sqrt(self._noise.variance(z) + residue**2),
-            Kept.SILENT: density[:, 0],
-            Kept.LIVE: live,
-        }
-        fields = np.array([kept[field] for field in Kept], np.float32)
+        pressed = z > 0.0
+        count = int(np.count_nonzero(z))
+        explained = (LIKELY if count else LIKELY[:1])[:, None] * z  # silence is so by nothing
+        density = self._noise.log_density(z, explained, floor, residue)
+        density *= live
+        fields = np.empty((len(Kept), len(z)), np.float32)
+        fields[Kept.Z] = z
+        fields[Kept.LEVEL] = np.where(pressed, z, floor)
+        fields[Kept.RESIDUE] = residue
+        fields[Kept.ROOT] = live / np.sqrt(self._noise.variance(z) + residue**2)
+        fields[Kept.SILENT] = density[0]
+        fields[Kept.LOW] = np.where(z < 1.0, -FAR, 0.0)
+        fields[Kept.HIGH] = np.where(pressed, FAR, 0.0)
+        fields[Kept.LIVE] = live
         untouched = float(fields[Kept.SILENT].sum(dtype=np.float64))
-        return Told(fields, untouched, int(np.count_nonzero(z)), float(density.max(axis=1).sum()))
+        return Told(fields, untouched, count, float(density.max(axis=0).sum()))
 
     def scan(self, k: int) -> Observation:
         """The k-th scan."""
@@ -206,6 +210,12 @@ class Memory:
         made._kept = self._kept.compress(kept, axis=1)  # in order of memory, as C asks for it
         for name in ("_sensor", "number", "pressed", "ceiling", "_untouched"):
             setattr(made, name, getattr(self, name)[kept])
+        return made
+
+    def anew(self, prior: Prior | None = None) -> "Memory":
+        """Of the same model and slack, without a scan."""
+        made = copy.copy(self)
+        made._forget(prior)
         return made
 
     def slack_m(self, k: int) -> float:
@@ -250,7 +260,9 @@ class Memory:
         of = since, self.newest, self.slack
         if self._for_c is None or self._for_c[0] != of:
             variance = self.slack.variance(self.newest - self.number[since:])
-            scans = compiled.scans(self._kept, self._sensor[since:], variance, self.silent[since:])
+            scans = compiled.scans(
+                self._kept[:, since:], self._sensor[since:], variance, self.silent[since:]
+            )
             self._for_c = of, scans
         return self._for_c[1]
 
@@ -258,9 +270,8 @@ class Memory:
         """What all scans must add to that of a skin which is not pressed."""
         share = needed.share
         most = share * (self.ceiling + SPARE_NATS - self._untouched)
-        order = np.argsort(-most)  # those first that may refute a pose by most
-        most = most[order]
-        left = most.sum() + most - np.cumsum(most)  # for these and all after them
+        order = most.argsort()  # looked at from the end: those first that may refute a pose by most
+        left = most.take(order).cumsum()
         return Bounds(order, share, left, needed.least - share @ self._untouched)
 
     def _met(
@@ -273,7 +284,7 @@ class Memory:
         near = self._model.pressed_from(sensor[order], poses, about)
         scan = order.take(near.row // max(n, 1))
         fields = kept.reshape(len(Kept), -1).take(scan * taxels + near.taxel, axis=1)
-        z, level, residue, low, high, root, untouched, live = fields
+        z, level, residue, root, untouched, low, high, live = fields
         depth, added, pairs = near.depth, np.zeros(k * n), len(near.gx)
         if pairs:
             readings = Readings(
@@ -289,3 +300,11 @@ class Memory:
         met = np.empty((n, k))
         met[:, order] = (np.bincount(near.row, gain, k * n) + added).reshape(k, n).T
         return met
+
+
+def _and(values: NDArray[Number], last: float) -> NDArray[Number]:
+    """Values (K,) and one more: `np.append` without what makes it slow."""
+    made = np.empty(len(values) + 1, values.dtype)
+    made[:-1] = values
+    made[-1] = last
+    return made

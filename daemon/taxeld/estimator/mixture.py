@@ -40,10 +40,9 @@ class Mixture:
         rng: np.random.Generator,
     ) -> None:
         self._model, self._config, self._rng = model, config, rng
-        self._noise = noise_of(config)
         # of a pushed object the prior has room for what a push leaves unknown
         slack = Slack(robot_m, config.nudge_m) if config.motion == "none" else Slack()
-        self.memory = Memory(model, self._noise, slack=slack)
+        self.memory = Memory(model, noise_of(config), slack=slack)
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene)
         self._scale = self.confidence.metric.scale
@@ -73,7 +72,7 @@ class Mixture:
         belief.ground = changed(belief.ground, strides, self._rng)
         self.confidence.moved(belief)
         prior = Prior(metric, pose, belief.weight, self.confidence.summary.modes)
-        self.memory = Memory(self._model, self._noise, prior, self.memory.slack)
+        self.memory = self.memory.anew(prior)
         belief.remembered = self.memory.explain(pose)
 
     def learn(
@@ -213,7 +212,7 @@ class Mixture:
 
     def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> Parts[None]:
         """From the samples of a contact, or from nothing."""
-        self.memory = Memory(self._model, self._noise, slack=self.memory.slack)
+        self.memory = self.memory.anew()
         self.belief = anew(self._config, self._rng)
         if len(samples):
             self.memory.add(observation, number)

@@ -26,7 +26,7 @@ class Paper:
         rng: np.random.Generator,
     ) -> None:
         self._model, self._config, self._rng = model, config, rng
-        self._noise = noise_of(config)
+        self._nothing = Memory(model, noise_of(config))
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0)
         self.counters = RuleCounters()
@@ -61,7 +61,7 @@ class Paper:
     def update(self, observation: Observation, samples: Poses) -> float:
         """Learn from a scan and samples of it, without judging the result; → log evidence."""
         injection.paper(self.belief, samples)
-        memory = Memory(self._model, self._noise)
+        memory = self._nothing.anew()
         memory.add(observation)
         self.belief.remembered = memory.explain(self.belief.pose)
         evidence = pf.reweight(self.belief, self.belief.remembered[:, 0])

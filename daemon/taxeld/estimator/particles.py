@@ -47,10 +47,13 @@ class Room(NamedTuple):
 
     def lets(self, before: Poses, after: Poses) -> Bools:
         """(N,) whether steps to `after` (N, 3) stay within, or at least lead back."""
-        gap = np.linalg.norm(after[:, :2] - self.centre, axis=1)
-        return np.asarray(
-            (gap <= self.radius_m) | (gap < np.linalg.norm(before[:, :2] - self.centre, axis=1))
-        )
+        gap = self._gap(after)
+        within = gap <= self.radius_m
+        return within if within.all() else within | (gap < self._gap(before))
+
+    def _gap(self, poses: Poses) -> Floats:
+        x, y = poses[:, 0] - self.centre[0], poses[:, 1] - self.centre[1]
+        return np.asarray(np.sqrt(x * x + y * y))
 
 
 @dataclass(slots=True)
@@ -150,10 +153,13 @@ def rejuvenate(
     n = len(belief)
     step = _random_steps(n, rng, scale)
     one, other = rng.integers(n, size=(2, n))
-    apart = belief.pose[one] - belief.pose[other]
+    apart = belief.pose.take(one, axis=0)
+    apart -= belief.pose.take(other, axis=0)
     apart[:, 2] = se2.wrap(apart[:, 2])
     apart *= DIFFERENCES.take(rng.integers(len(DIFFERENCES), size=(n, 1)))
-    poses = belief.pose + np.where(rng.random((n, 1)) < 0.5, step, apart + 0.1 * step)
+    along = rng.random((n, 1)) >= 0.5
+    apart += 0.1 * step
+    poses = belief.pose + np.where(along, apart, step)
     poses[:, 2] = se2.wrap(poses[:, 2])
     before, least = belief.remembered, np.log(rng.random(n))
     remembered = explain(poses, Needed(share, before @ share + least))
@@ -168,7 +174,10 @@ def _random_steps(n: int, rng: np.random.Generator, scale: float) -> Poses:
     low, high = MOVE_OCTAVES
     size = np.exp2(low + (high - low) * rng.random((n, 1)))
     move = MOVE * [min(scale, 1.0), min(scale, 1.0), 1.0 / max(scale, 1.0)]
-    return np.asarray(rng.standard_normal((n, 3)) * move * size)
+    steps = rng.standard_normal((n, 3))
+    steps *= move
+    steps *= size
+    return steps
 
 
 def occupied(poses: Poses, cell: Floats = CELL) -> int:

@@ -6,7 +6,6 @@ noise. Under the taxel's floor it is reported as 0, and over full scale as 1.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -149,13 +148,6 @@ class ObservationModel:
             taxel=column,
             offset=scene.slice_of(layout)[column] * scene.silhouette.size,
         )
-
-    @cached_property
-    def columns(self) -> tuple[Grid, Index]:
-        """For the look-up in C: (ny, nx, heights) the distances, those of a column's taxels side by
-        side; (P, most) which of them is a taxel's."""
-        distance = np.ascontiguousarray(np.moveaxis(self.scene.slices, 0, -1))
-        return distance, self.grid.offset // self.scene.silhouette.size
 
     def pressed(self, poses: Floats) -> tuple[Index, Grid]:
         """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into

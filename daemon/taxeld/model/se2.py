@@ -10,12 +10,20 @@ from taxeld.arrays import Poses
 Angles = TypeVar("Angles", np.float64, NDArray[np.float64])
 
 IDENTITY: Poses = np.zeros(3)
+TURN = 2.0 * np.pi
+MANY = 500  # angles
 JUMP_M = 1.0  # a sensor that moved farther between two poses, or two scans, did not
 
 
 def wrap(angle: Angles) -> Angles:
     """Angles brought into [−π, π)."""
-    return (angle + np.pi) % (2.0 * np.pi) - np.pi
+    from_back = angle + np.pi
+    if from_back.size >= MANY and from_back.min() >= -TURN and from_back.max() < 2.0 * TURN:
+        # the same to the last bit, without a division's rest, which takes long to find
+        from_back = from_back - TURN * (from_back >= TURN) + TURN * (from_back < 0.0)
+    else:
+        from_back = from_back % TURN
+    return from_back - np.pi
 
 
 def compose(a: Poses, b: Poses) -> Poses:

@@ -71,8 +71,8 @@ class PoseMetric:
 
     def _apart(self, a: Floats, b: Floats, turn: Floats) -> Floats:
         """`distance` of poses with these centres (…, 2) and turns between them; broadcasts."""
-        gap, arc = a - b, self.arm_m * turn
-        return np.asarray(np.sqrt(gap[..., 0] ** 2 + gap[..., 1] ** 2 + arc**2))
+        x, y = a[..., 0] - b[..., 0], a[..., 1] - b[..., 1]
+        return np.asarray(np.sqrt(x**2 + y**2 + (self.arm_m * turn) ** 2))
 
     def _middle(
         self, at: Floats, turned: Floats, weight: Floats, near: Floats
