@@ -16,6 +16,10 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from taxeld.command_line import one_thread
+
+one_thread()  # as the daemon has
+
 import numpy as np
 
 import adapter

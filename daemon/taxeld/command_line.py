@@ -16,6 +16,7 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 
 FAILED, USAGE_ERROR = 1, 2
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 EXTRAS = {  # modules that an extra of pyproject.toml brings, and nothing else
     "view": ("matplotlib", "rich", "rerun"),
     "export": ("mcap_ros2",),
@@ -32,6 +33,13 @@ AS_WRITTEN = argparse.RawDescriptionHelpFormatter  # examples keep their lines
 
 Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 Run: TypeAlias = Callable[[argparse.Namespace], int]
+
+
+def one_thread() -> None:
+    """Before numpy is imported: its libraries' threads would spin while they wait, and fight for
+    the core of the loop. What the environment says holds."""
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")
 
 
 def parser(prog: str, text: str, *examples: str) -> argparse.ArgumentParser:

@@ -26,6 +26,7 @@ WATCH_SILENT_S = 10.0  # without a message for so long, a line says so: daemons 
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
+    command_line.one_thread()
     return command_line.main(_parser(), argv)
 
 

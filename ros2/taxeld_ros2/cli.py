@@ -22,6 +22,7 @@ FRAMES = ("world", "sensor")  # of poses, with a sensor pose configured and with
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
+    command_line.one_thread()
     return command_line.main(_parser(), argv)
 
 

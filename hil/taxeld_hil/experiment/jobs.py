@@ -14,11 +14,10 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import IO, Any, Self, TypeVar
 
+from taxeld.command_line import ONE_THREAD
 from taxeld.errors import SetupError
 from taxeld.proposals import bundle, manifest, seal
 from taxeld_hil.scenario.scenario import Scenario
-
-ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 Job = TypeVar("Job")
 Row = TypeVar("Row")

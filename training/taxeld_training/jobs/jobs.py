@@ -19,10 +19,10 @@ import joblib
 import torch
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from taxeld.command_line import ONE_THREAD
 from taxeld.errors import SetupError
 
 PATIENCE = "10s"  # with a scheduler
-ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 @dataclass(frozen=True)
