@@ -53,8 +53,9 @@ def is_excessive(memory: Memory, belief: Belief) -> bool:
     share = memory.of_scans(memory.share)[contact]
     deviant = float(share @ deviance(memory, belief)[contact])
     taxels = float(share @ memory.pressed[contact])
-    usual = USUAL * memory.contacts + USUAL_TAXEL * taxels
-    return memory.contacts > 1 and deviant > usual + USUAL_SPREAD * math.sqrt(taxels)
+    contacts = memory.contacts
+    usual = USUAL * contacts + USUAL_TAXEL * taxels
+    return contacts > 1 and deviant > usual + USUAL_SPREAD * math.sqrt(taxels)
 
 
 def deviance(memory: Memory, belief: Belief) -> Floats:
