@@ -74,6 +74,24 @@ def test_a_contact_of_many_scans_deviates_as_much_as_one_of_a_single_scan(
     assert consistency.is_excessive(memory, belief) is excessive
 
 
+@pytest.mark.parametrize(("a_taxel", "excessive"), [(1.0, False), (2.5, True)])
+def test_many_contacts_that_deviate_alike_are_no_more_in_doubt_than_a_few(
+    box_model: ObservationModel, a_taxel: float, excessive: bool
+) -> None:
+    """A soft skin that nobody has calibrated reads each taxel a little wrong, and more contacts do
+    not average that out; an object of another shape deviates by more, at each number of them."""
+    memory = Memory(box_model, Noise())
+    pressed = np.zeros(len(box_model.layout))
+    pressed[:6] = 0.5
+    live = np.ones(len(pressed), dtype=np.bool_)
+    for number in range(1, 17):
+        memory.add(Observation(AT[0], pressed, live), number)
+        if number in (4, 16):
+            deviant = np.full(number, consistency.USUAL + 6 * a_taxel)
+            belief = pf.equal(AT, (memory.ceiling - deviant)[None])
+            assert consistency.is_excessive(memory, belief) is excessive
+
+
 def test_without_a_prior_there_is_none_to_refute(box_model: ObservationModel) -> None:
     memory = Memory(box_model, Noise())
     assert not consistency.refutes_prior(memory, pf.equal(AT, np.empty((1, 0))))

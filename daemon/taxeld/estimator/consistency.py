@@ -3,7 +3,8 @@
 The deviance of a pose is by how much its likelihood falls short of that of taxels pressed just as
 they read. A single scan may deviate as much as the true pose does in one of 1000 contacts. All
 contacts together may deviate little more than they usually do: a wrong object of about the right
-shape does not pass that.
+shape does not pass that. What chance adds averages out over many taxels. What a soft skin adds that
+nobody has calibrated does not: each taxel may deviate by so much more, however many there are.
 """
 
 import math
@@ -19,6 +20,7 @@ USUAL, USUAL_TAXEL = 2.0, 0.55  # nats that a contact, and each of its taxels, u
 USUAL_SPREAD = (
     3.5  # of the sum over contacts, times the root of its taxels: 3.1 at most in 120 seen
 )
+USUAL_BIAS = 0.5  # nats more that all taxels of a soft skin may deviate by alike
 
 
 def excess(memory: Memory, belief: Belief) -> Floats:
@@ -55,7 +57,8 @@ def is_excessive(memory: Memory, belief: Belief) -> bool:
     taxels = float(share @ memory.pressed[contact])
     contacts = memory.contacts
     usual = USUAL * contacts + USUAL_TAXEL * taxels
-    return contacts > 1 and deviant > usual + USUAL_SPREAD * math.sqrt(taxels)
+    allowed = math.hypot(USUAL_SPREAD * math.sqrt(taxels), USUAL_BIAS * taxels)
+    return contacts > 1 and deviant > usual + allowed
 
 
 def deviance(memory: Memory, belief: Belief) -> Floats:
