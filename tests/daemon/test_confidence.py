@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from taxeld.estimator import particles as pf
-from taxeld.estimator.confidence import AGREEING, SEARCHED, Confidence, status
+from taxeld.estimator.confidence import AGREEING, LEAST, SEARCHED, Confidence, status
 from taxeld.estimator.estimate import Status, summarise
 from taxeld.estimator.particles import Belief
 from taxeld.model.observation import ObservationModel
@@ -21,10 +21,11 @@ def belief(x: float = 0.0, sd: float = 0.001) -> Belief:
 
 @pytest.fixture
 def confidence(box_model: ObservationModel) -> Confidence:
-    """Of a narrow belief that two contacts and enough samples have left where it was."""
+    """Of a narrow belief that two contacts and enough samples have left where it was, and that
+    explains no more contacts than it must."""
     made = Confidence.of(belief(), box_model.scene)
     for contact in (1, 2):
-        made.learned(belief(), SEARCHED // 2, contact, contact, in_doubt=False)
+        made.learned(belief(), SEARCHED // 2, contact, LEAST, in_doubt=False)
     return made
 
 
@@ -41,7 +42,7 @@ def test_a_narrow_belief_that_stays_is_converged(confidence: Confidence) -> None
         (lambda c: c.revisited(belief(0.1), 50), Status.AMBIGUOUS),
         (lambda c: c.moved(belief()), Status.AMBIGUOUS),
         (lambda c: c.judged(doubt=True), Status.INCONSISTENT),
-        (lambda c: c.learned(belief(), 0, 0, 2, in_doubt=False), Status.CONVERGED),
+        (lambda c: c.learned(belief(), 0, 0, LEAST, in_doubt=False), Status.CONVERGED),
         (lambda c: c.revisited(belief(), 50), Status.CONVERGED),
     ],
     ids=[
@@ -54,6 +55,18 @@ def test_what_takes_a_converged_belief_back(
 ) -> None:
     change(confidence)
     assert status(confidence, 3) is expected
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_two_contacts_are_not_enough_where_nothing_was_known_before(
+    box_model: ObservationModel, known: bool
+) -> None:
+    """Most objects explain any two contacts somewhere; the third can contradict them."""
+    made = Confidence.of(belief(), box_model.scene)
+    for contact in (1, 2, 3):
+        made.learned(belief(), SEARCHED, contact, contact, in_doubt=False, known=known)
+        enough = known or contact >= LEAST
+        assert status(made, contact) is (Status.CONVERGED if enough else Status.AMBIGUOUS)
 
 
 def test_the_summary_follows_whatever_changes_the_belief(box_model: ObservationModel) -> None:

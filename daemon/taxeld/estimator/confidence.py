@@ -22,6 +22,7 @@ from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
 
 CONFIRMED_M = 0.02  # a heaviest mode that moved less has stayed; less of a smaller object
+LEAST = 3  # contacts, unless the place was known: any two are explained by most objects somewhere
 AGREEING = 4  # remembered contacts, for each time that any was refuted: a few agree by chance
 FIRM = 0.05  # of full scale: a lighter contact may be noise, and begins a press that tells more
 ROUNDING = 1e-15  # weights that differ by less are the same
@@ -36,6 +37,7 @@ class Confidence:
     summary: Summary  # of the belief as it stands
     agreeing: int  # contacts that it takes each time that one was refuted
     enough: int  # samples that it takes
+    least: int  # contacts that it takes where nothing was known before
     doubt: bool = False
     doubted: int = 0  # contacts in a row that ended in doubt
     unexplained: bool = False  # a firm contact was, and none has been explained since
@@ -43,26 +45,28 @@ class Confidence:
     searched: int = 0  # samples in a row that left a narrow belief where it was
     confirmed: bool = False  # by the last contact, and by every search since
     remembered: int = 0  # contacts that the belief explains
+    known: bool = False  # that it explains what was known before them too
     _contact: int = 0  # that was judged last: one contact confirms once
     _summed: tuple[Poses, Floats] | None = None  # poses and weights that the summary is of
 
     @classmethod
     def of(
-        cls, belief: Belief, scene: Scene, agreeing: int = AGREEING, enough: int = SEARCHED
-    ) -> Self:
+        cls, belief: Belief, scene: Scene, agreeing: int = AGREEING, enough: int = SEARCHED,
+        least: int = LEAST,
+    ) -> Self:  # fmt: skip
         """Of a new belief about the object of a scene."""
         metric = PoseMetric(scene)
-        return cls(metric, summarise(belief, metric), agreeing, enough)
+        return cls(metric, summarise(belief, metric), agreeing, enough, least)
 
     def learned(
         self, belief: Belief, samples: int, contact: int, remembered: int, oldest: int = 0, *,
-        in_doubt: bool,
+        in_doubt: bool, known: bool = False,
     ) -> None:  # fmt: skip
         """The belief has learned from a firm scan of the given contact, counted from 1, or from one
         that is not firm, 0. So many contacts are `remembered`, the `oldest` of this number.
-        `in_doubt`: as it was before."""
+        `in_doubt`: as it was before; `known`: a prior is remembered."""
         stayed = self._search(belief, samples)
-        self.remembered = remembered
+        self.remembered, self.known = remembered, known
         since = [number for number in self.refuting if number >= oldest]
         self.refuting = since or self.refuting[-1:]
         if contact and contact != self._contact:
@@ -95,7 +99,9 @@ class Confidence:
     @property
     def is_sure(self) -> bool:
         """Whether enough samples and, where it matters, enough contacts agree."""
-        return self.remembered >= self.agreeing * len(self.refuting) and self.is_searched
+        least = 0 if self.known else self.least
+        agree = self.remembered >= max(least, self.agreeing * len(self.refuting))
+        return agree and self.is_searched
 
     def _search(self, belief: Belief, samples: int) -> bool:
         """Whether a change by so many samples has left a narrow belief where it was."""

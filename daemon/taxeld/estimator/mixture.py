@@ -89,8 +89,9 @@ class Mixture:
             return 0, 0.0
         contact, memory = firm(observation, contacts), self.memory
         self.confidence.learned(
-            self.belief, len(samples), contact, memory.contacts, memory.oldest, in_doubt=in_doubt
-        )
+            self.belief, len(samples), contact, memory.contacts, memory.oldest,
+            in_doubt=in_doubt, known=memory.prior is not None,
+        )  # fmt: skip
         return len(samples), log_evidence
 
     def _update(self, observation: Observation, samples: Poses, number: int) -> Parts[float | None]:

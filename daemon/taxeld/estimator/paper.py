@@ -28,7 +28,7 @@ class Paper:
         self._model, self._config, self._rng = model, config, rng
         self._nothing = Memory(model, noise_of(config))
         self.belief = anew(config, rng)
-        self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0)
+        self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0, least=0)
         self.counters = RuleCounters()
 
     @property
