@@ -1,8 +1,36 @@
 """The sensor's poses over time: which are taken, and what is told of a moment between them."""
 
+import numpy as np
 import pytest
 
 from taxeld.pipeline.poses import BACK_MAX, PoseTrack
+
+
+def test_poses_are_interpolated_through_the_turn() -> None:
+    track = PoseTrack(max_age_s=0.2)
+    track.add(1.0, 0.0, 0.0, 3.1)
+    track.add(1.1, 0.1, -0.2, -3.1)
+    pose = track.at(1.05)
+    assert pose is not None
+    assert np.allclose(pose[:2], [0.05, -0.1])
+    assert np.isclose(abs(pose[2]), np.pi)
+
+
+@pytest.mark.parametrize(("t", "known"), [(0.9, False), (1.0, True), (1.3, True), (1.31, False)])
+def test_a_pose_too_old_or_too_young_is_none(t: float, known: bool) -> None:
+    track = PoseTrack(max_age_s=0.2)
+    track.add(1.0, 0.0, 0.0, 0.0)
+    track.add(1.1, 0.0, 0.0, 0.0)
+    assert (track.at(t) is not None) == known
+
+
+def test_poses_back_in_time_or_not_finite_are_rejected() -> None:
+    track = PoseTrack(max_age_s=0.2)
+    track.add(1.0, 0.0, 0.0, 0.0)
+    for row in ((1.0, 1, 1, 1), (0.5, 1, 1, 1), (2.0, np.nan, 0, 0), (np.nan, 0, 0, 0)):
+        track.add(*row)
+    assert track.rejected == 4
+    assert track.latest_t == 1.0
 
 
 def test_a_pose_that_jumped_is_not_mixed_with_its_neighbours() -> None:
