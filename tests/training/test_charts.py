@@ -16,8 +16,9 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Projection
-from taxeld_training.charts import picture, sampler_charts
+from taxeld_training.charts import filter_charts, picture, sampler_charts
 from taxeld_training.charts.gallery import gallery
+from taxeld_training.jobs.rows import GRID
 from taxeld_training.models.dataset import simulate
 from taxeld_training.objects import scenes
 
@@ -134,6 +135,17 @@ def test_a_samplers_style_does_not_depend_on_the_others() -> None:
     )
     many = [f"rival {i}" for i in range(30)]
     assert len(set(picture.styles(many).values())) == len(many)
+
+
+def test_lines_of_the_filters_differ_without_markers() -> None:
+    proposals = ("density", "table", "manifold", "projection", "paper", GRID)
+    rows = [
+        {"proposal": proposal, "injection": injection, "particles": 100, "particles_max": 100}
+        for proposal in proposals
+        for injection in ("mixture", "paper")
+    ]
+    found = filter_charts.line_styles(rows)
+    assert len(set(map(str, found.values()))) == len(found) == len(rows)
 
 
 def test_labels_of_a_crowded_front_do_not_overlap() -> None:

@@ -20,6 +20,8 @@ AT_SUCCESS, AT_ERROR = (6, 8), 3  # contacts, after which the table has success 
 
 
 LineStyle = tuple[str, Any, float]  # colour, dashes, width
+# lines have no markers, so these take the colours of samplers that no filter is compared with
+OWN = {GRID: picture.COLOURS[1], "paper": picture.COLOURS[2]}
 
 
 def name_of(row: Row) -> str:
@@ -33,7 +35,7 @@ def name_of(row: Row) -> str:
 def draw(rows: Sequence[Row], path: Path) -> None:
     """An object a column: the error of the estimate above, the share of good ones below."""
     objects = list(dict.fromkeys(row["object"] for row in rows))
-    styles = _styles(rows)
+    styles = line_styles(rows)
     down, across = -(-len(objects) // ACROSS), min(ACROSS, len(objects))
     figure = Figure(figsize=(max(2.2 * across, 5.0), 3.9 * down + 0.6), layout="constrained")
     panels = figure.subplots(2 * down, across, sharex=True, squeeze=False)
@@ -104,13 +106,13 @@ def _cell(row: Row, kind: str) -> str:
     return f"{row['success_rate']:.1%} ({100 * low:.0f} – {100 * high:.0f}{p})"
 
 
-def _styles(rows: Iterable[Row]) -> dict[str, LineStyle]:
+def line_styles(rows: Iterable[Row]) -> dict[str, LineStyle]:
     """Colour by proposal, dashes by injection; the adaptive one is thick."""
     rows = list(rows)
     colours = picture.styles(str(row["proposal"]) for row in rows)
     found: dict[str, LineStyle] = {}
     for row in rows:
-        colour = picture.COLOURS[1] if row["proposal"] == GRID else colours[row["proposal"]][0]
+        colour = OWN.get(row["proposal"], colours[row["proposal"]][0])
         width = 2.6 if row["particles_max"] > row["particles"] else 1.2
         found[name_of(row)] = (colour, DASHES[row["injection"]], width)
     return found
