@@ -6,12 +6,13 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
+from taxeld.estimator.confidence import LEAST, status
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
-from taxeld.estimator.mixture import REVISITS
+from taxeld.estimator.mixture import REVISITS, Mixture
 from taxeld.model import se2
 from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
+from taxeld.model.observation import Observation, ObservationModel
 from tests.daemon.pressed_box import (
     TRUTH,
     Knowing,
@@ -173,3 +174,21 @@ def test_a_sensor_that_jumps_is_not_believed_until_it_stays(box_model: Observati
     subject.on_scan(replace(silent, t=1.05), far)
     assert subject.counters.jumps == 1
     assert subject.counters.updates == updates + 1
+
+
+def test_a_pushed_object_of_which_the_place_was_known_is_confirmed_by_fewer_contacts(
+    box_model: ObservationModel,
+) -> None:
+    """What the contacts before the push told is still known, as a prior."""
+    world, subject = settled(box_model)
+    rule = subject.rule
+    assert isinstance(rule, Mixture)
+    rule.push = lambda _, __, pose, *___: (pose, np.full(len(pose), 0.01))
+    nothing = Observation(np.zeros(3), np.zeros(32), np.ones(32, dtype=np.bool_))
+    rule.follow(nothing, nothing)
+    assert status(rule.confidence, 5) is Status.AMBIGUOUS
+    assert rule.memory.contacts == 0
+    for angle in (0.2, 2.9):
+        estimate = world.press(subject, angle)
+    assert rule.memory.contacts < LEAST
+    assert estimate.status is Status.CONVERGED
