@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from taxeld.arrays import Poses
+from taxeld.arrays import Floats, Poses
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.conditions import Conditions, TrialSkin
@@ -25,6 +25,7 @@ OFF_CENTRE = 0.3  # of that radius: distance of the push from the centre, at mos
 STANDOFF_M = 0.06
 BETWEEN_S = 1.0  # the last touch and the push
 SETTLING = 4  # steps of projection that end the overlap
+CLOSE_M = 1e-9  # less is no overlap
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ class PushedTrial:
             at = at + STEP_M * ahead
             way_m += STEP_M
             sensor = np.array([*at, yaw])
-            truth = gave_way(model, truth, before, sensor, ground)
+            truth = gave_way(model, ground, truth[None], before, sensor)[0][0]
             h = model.activation(se2.compose(se2.inverse(sensor), truth)[None])[0]
             path_m += STEP_M if h.any() else 0.0
             activation = skin.read(h, t, 0.0, rng)
@@ -68,25 +69,37 @@ class PushedTrial:
 
 
 def gave_way(
-    model: ObservationModel, pose: Poses, before: Poses, after: Poses, ground: Ground
-) -> Poses:
-    """The object's pose (3,) once the sensor has moved from one pose (3,) to another."""
-    moved = after[:2] - before[:2]
+    model: ObservationModel, ground: Ground, poses: Poses, before: Poses, after: Poses,
+    depth_m: float = DEPTH_M, *, farthest: bool = False,
+) -> tuple[Poses, Floats]:  # fmt: skip
+    """The object's poses (N, 3) once the sensor has moved from one pose (3,) to another and presses
+    `depth_m` deep, and how far each was pushed (N,): with `farthest` no farther than the sensor
+    went, so that a pose that overlaps the skin from the start is not thrown out of it."""
+    pushed, limit = np.zeros(len(poses)), np.full(len(poses), np.inf)
+    moved = np.tile(after[:2] - before[:2], (len(poses), 1))
     for _ in range(SETTLING):
-        ax, ay = contacts.axis_in_object(se2.compose(se2.inverse(after), pose)[None])
-        clearance, gx, gy = (float(value[0]) for value in model.scene.clearance(ax, ay))
-        too_deep = model.layout.radius_m - clearance - DEPTH_M
-        if too_deep <= 0.0:
+        ax, ay = contacts.axis_in_object(se2.compose(se2.inverse(after), poses))
+        clearance, gx, gy = model.scene.clearance(ax, ay)
+        inwards = -np.column_stack([gx, gy])
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        seen = np.column_stack(
+            [c * moved[:, 0] + s * moved[:, 1], c * moved[:, 1] - s * moved[:, 0]]
+        )
+        along = np.sum(seen * inwards, axis=1)
+        if farthest and moved.any():
+            limit = np.maximum(along, 0.0)
+        gives = np.clip(model.layout.radius_m - clearance - depth_m, 0.0, limit - pushed)
+        some = gives > CLOSE_M
+        if not some.any():
             break
-        inwards = -np.array([gx, gy])
-        c, s = np.cos(pose[2]), np.sin(pose[2])
-        seen = np.array([c * moved[0] + s * moved[1], c * moved[1] - s * moved[0]])
-        wanted = too_deep * inwards + seen - (seen @ inwards) * inwards
-        contact = np.array([ax[0], ay[0]]) + clearance * inwards
-        slide = ground.slide(contact[None], wanted[None], inwards[None])
-        pose = se2.compose(pose, slide[0])
-        moved = np.zeros(2)
-    return pose
+        pushed += gives
+        wanted = gives[:, None] * inwards + seen - along[:, None] * inwards
+        contact = np.column_stack([ax, ay]) + clearance[:, None] * inwards
+        slide = np.zeros((len(poses), 3))
+        slide[some] = ground.slide(contact[some], wanted[some], inwards[some])
+        poses = se2.compose(poses, slide)
+        moved = np.zeros_like(moved)
+    return poses, pushed
 
 
 def travel(start: Poses, end: Poses) -> tuple[float, float]:
