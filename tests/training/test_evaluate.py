@@ -54,7 +54,8 @@ def test_proposals_writes_a_row_a_sampler_and_remembers_its_jobs(
         "projection", "manifold", "table", "exact", "density",
     }  # fmt: skip
     for row in rows:
-        assert set(evaluate.PROPOSALS_KEYS) - {DISTANCES} == row.keys()
+        assert {*evaluate.PROPOSALS_KEYS, "p_nearest"} == row.keys()
+        assert len(row[DISTANCES]) == 8
         low, high = row["energy_distance_ci"]
         assert low <= row["energy_distance"] <= high
         assert row["left_out"] == 0
@@ -74,6 +75,35 @@ def test_proposals_writes_a_row_a_sampler_and_remembers_its_jobs(
     before = sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
     assert main(arguments) == 0
     assert before == sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
+
+
+def test_samplers_of_a_later_run_are_added_to_the_rows_of_an_earlier_one(
+    block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    once, twice = tmp_path / "once", tmp_path / "twice"
+    assert main(command("proposals", block, once, "--groups", "analytic,density-64")) == 0
+    assert main(command("proposals", block, twice, "--groups", "analytic")) == 0
+    assert main(command("proposals", block, twice, "--groups", "density-64", "--add")) == 0
+    text = [
+        (place / "out" / "proposals.json").read_text(encoding="utf-8") for place in (once, twice)
+    ]
+    assert text[0] == text[1]
+    assert main(command("proposals", block, twice, "--groups", "density-64", "--add")) == 0
+    assert (twice / "out" / "proposals.json").read_text(encoding="utf-8") == text[0]  # replaced
+
+    rows = json.loads(text[0])
+    kept = twice / "out" / "proposals.json"
+    capsys.readouterr()
+    kept.write_text(json.dumps([row | {"energy_floor": 1.0} for row in rows]), encoding="utf-8")
+    assert main(command("proposals", block, twice, "--groups", "density-64", "--add")) == 2
+    assert "are of other readings" in capsys.readouterr().err
+    for row in rows:
+        del row[DISTANCES]
+    kept.write_text(json.dumps(rows), encoding="utf-8")
+    assert main(command("proposals", block, twice, "--groups", "density-64", "--add")) == 2
+    assert f"--add: {kept} has rows without distances" in capsys.readouterr().err
+    assert main(command("stability", block, twice, "--add")) == 2
+    assert "only rows of proposals and frontier" in capsys.readouterr().err
 
 
 def test_a_filter_follows_with_the_model_whose_distance_was_measured(
@@ -102,14 +132,14 @@ def test_frontier_writes_cost_and_distance_of_each_sampler(
     monkeypatch.setattr(runs, "EAGER_SIZE", (1, 16))
     monkeypatch.setattr(runs, "EAGER_GROUP", "density-16")
     assert main(command("frontier", block, tmp_path)) == 0
-    rows = json.loads((tmp_path / "out" / "frontier.json").read_text(encoding="utf-8"))
+    rows = json.loads((tmp_path / "out" / "frontier_16.json").read_text(encoding="utf-8"))
     assert len(rows) == 5
     for row in rows:
         assert row.keys() >= FRONTIER
         assert row["speedup"] == pytest.approx(row["ms_eager_ddpm100"] / row["ms"])
         assert row["speedup_warm"] == pytest.approx(row["ms_eager_ddpm100_warm"] / row["ms_warm"])
         assert row["proposal"] != "exact" or row["ms_warm"] == row["ms"]
-    table = (tmp_path / "out" / "frontier.md").read_text(encoding="utf-8").splitlines()
+    table = (tmp_path / "out" / "frontier_16.md").read_text(encoding="utf-8").splitlines()
     assert table[2].endswith("| ms | ms warm | speed-up | speed-up warm | p |")
     assert (tmp_path / "out" / "frontier_16.png").is_file()
 

@@ -128,6 +128,8 @@ def _evaluate(args: argparse.Namespace) -> int:
 
     if args.cells and args.experiment != "stability":
         raise SetupError("--cells: only stability has cells to choose from")
+    if args.add and args.experiment not in ("proposals", "frontier"):
+        raise SetupError("--add: only rows of proposals and frontier can be added to others")
     options = Options(
         out=args.out,
         memory=args.memory,
@@ -143,6 +145,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         effort=args.effort,
         seeds=args.seeds,
         seed=args.seed,
+        add=args.add,
     )
     experiments = {
         "proposals": evaluate.proposals,
@@ -259,6 +262,10 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add(
         "--cells", default="", metavar="A,B",
         help="of stability: factors (noise, 'wrong object', …) or one level of one (moved=5)",
+    )  # fmt: skip
+    add(
+        "--add", action="store_true",
+        help="of proposals and frontier: to the rows that OUT has; table and picture are of all",
     )  # fmt: skip
     add("--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training")
     add("--seeds", type=int, default=0, metavar="N", help="trials a cell of a filter experiment")

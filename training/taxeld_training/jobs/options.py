@@ -9,7 +9,7 @@ from typing import Any
 
 from taxeld_training.jobs import jobs
 from taxeld_training.jobs.jobs import Job
-from taxeld_training.jobs.rows import DISTANCES, Row
+from taxeld_training.jobs.rows import Row
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,7 @@ class Options:
     effort: float = 1.0  # share of each model's own training
     seeds: int = 0  # trials a cell of the filter's experiments
     seed: int = 0
+    add: bool = False  # to the rows that the experiment's file holds
 
 
 def run_jobs(todo: Sequence[Job], options: Options) -> dict[str, Any]:
@@ -43,7 +44,6 @@ def write(options: Options, name: str, rows: Sequence[Row]) -> Path:
     """Rows as the experiment's JSON file, a row a line: a diff can be read."""
     options.out.mkdir(parents=True, exist_ok=True)
     path = options.out / f"{name}.json"
-    kept = ({key: value for key, value in row.items() if key != DISTANCES} for row in rows)
-    lines = ",\n".join(json.dumps(row) for row in kept)
+    lines = ",\n".join(json.dumps(row) for row in rows)
     path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
     return path

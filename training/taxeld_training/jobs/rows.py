@@ -10,12 +10,22 @@ import numpy as np
 
 GRID = "grid"  # `proposal` of the grid filter's rows
 EXACT = "exact"  # `proposal` of the exact posterior's rows
-DISTANCES = "distances"  # of each reading; they stay out of the files of rows
+DISTANCES = "distances"  # of each reading: what intervals and paired tests are made from
+SAMPLER = ("object", "columns", "proposal", "steps", "width")  # what tells its rows apart
 SUCCESS_MM = 10.0  # symmetric ADD of the heaviest mode under which a trial has succeeded
 
 Row = Mapping[str, Any]
 Point = tuple[float, float]  # time of a call [ms], distance to the exact posterior [of the floor]
 Spread = tuple[float, float, float]  # median, best, worst
+
+
+def joined(
+    earlier: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Those of `earlier` that no row replaces, and the rows."""
+    made = {tuple(row.get(key) for key in SAMPLER) for row in rows}
+    kept = [row for row in earlier if tuple(row.get(key) for key in SAMPLER) not in made]
+    return [*kept, *rows]
 
 
 def number(value: Any) -> float:

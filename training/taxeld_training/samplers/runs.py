@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from taxeld.errors import SetupError
-from taxeld_training.jobs import jobs, tables
+from taxeld_training.jobs import jobs
 from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs
 from taxeld_training.jobs.rows import DISTANCES, EXACT
@@ -23,7 +23,6 @@ DISTANCE_KEYS = (
     "energy_distance",
     "energy_distance_ci",
     "energy_floor",
-    "p_nearest",
     "left_out",
     DISTANCES,
 )
@@ -87,7 +86,7 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
         if group not in LEARNED or (s.place, LEARNED[group]) in files
     ]
     done = run_jobs(second, options)
-    found = tables.compared([row for job in second for row in done[job.name] or []])
+    found = [row for job in second for row in done[job.name] or []]
     if name != "frontier":
         return found
     timed: list[dict[str, Any]] = []
