@@ -21,6 +21,7 @@ from taxeld_training.charts.gallery import gallery
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.models.dataset import simulate
 from taxeld_training.objects import scenes
+from taxeld_training.samplers import evaluate
 
 OBJECTS = (
     "003_cracker_box", "004_sugar_box", "005_tomato_soup_can", "006_mustard_bottle",
@@ -135,6 +136,11 @@ def test_a_samplers_style_does_not_depend_on_the_others() -> None:
     )
     many = [f"rival {i}" for i in range(30)]
     assert len(set(picture.styles(many).values())) == len(many)
+
+
+def test_samplers_of_one_picture_differ_in_colour_and_not_only_in_their_markers() -> None:
+    found = picture.styles(evaluate.PROPOSALS)
+    assert len({colour for colour, _ in found.values()}) == len(found) == 6
 
 
 def test_lines_of_the_filters_differ_without_markers() -> None:

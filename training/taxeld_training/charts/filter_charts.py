@@ -20,8 +20,8 @@ AT_SUCCESS, AT_ERROR = (6, 8), 3  # contacts, after which the table has success 
 
 
 LineStyle = tuple[str, Any, float]  # colour, dashes, width
-# lines have no markers, so these take the colours of samplers that no filter is compared with
-OWN = {GRID: picture.COLOURS[1], "paper": picture.COLOURS[2]}
+# lines have no markers, so the grid takes the colour of a sampler that no filter is compared with
+OWN = {GRID: picture.COLOURS[1]}
 
 
 def name_of(row: Row) -> str:

@@ -23,7 +23,7 @@ COLOURS = (
 )  # fmt: skip
 MARKERS = ("o", "s", "^", "D", "v", "P", ">")  # with eight colours: 56 pairs before one repeats
 FIRST = (  # the same style in every picture
-    "density", "ddpm", "ddim", "dpm", "table", "manifold", "projection", "exact", "paper",
+    "density", "ddpm", "paper", "dpm", "table", "manifold", "projection", "exact", "ddim",
 )  # fmt: skip
 LEGEND = 0.8  # entries an inch
 DPI = 120
