@@ -70,10 +70,10 @@ class PushedTrial:
 
 def gave_way(
     model: ObservationModel, ground: Ground, poses: Poses, before: Poses, after: Poses,
-    depth_m: float = DEPTH_M, *, farthest: bool = False,
+    depth_m: float = DEPTH_M, *, limited: bool = False,
 ) -> tuple[Poses, Floats]:  # fmt: skip
     """The object's poses (N, 3) once the sensor has moved from one pose (3,) to another and presses
-    `depth_m` deep, and how far each was pushed (N,): with `farthest` no farther than the sensor
+    `depth_m` deep, and how far each was pushed (N,): with `limited` no farther than the sensor
     went, so that a pose that overlaps the skin from the start is not thrown out of it."""
     pushed, limit = np.zeros(len(poses)), np.full(len(poses), np.inf)
     moved = np.tile(after[:2] - before[:2], (len(poses), 1))
@@ -86,7 +86,7 @@ def gave_way(
             [c * moved[:, 0] + s * moved[:, 1], c * moved[:, 1] - s * moved[:, 0]]
         )
         along = np.sum(seen * inwards, axis=1)
-        if farthest and moved.any():
+        if limited and moved.any():
             limit = np.maximum(along, 0.0)
         gives = np.clip(model.layout.radius_m - clearance - depth_m, 0.0, limit - pushed)
         some = gives > CLOSE_M

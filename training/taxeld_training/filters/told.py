@@ -24,7 +24,7 @@ def told(ground: Ground) -> Push:
         after: Poses, depth_m: float, rng: np.random.Generator,
     ) -> tuple[Poses, Floats]:  # fmt: skip
         del assumed
-        poses, pushed = gave_way(model, ground, poses, before, after, depth_m, farthest=True)
+        poses, pushed = gave_way(model, ground, poses, before, after, depth_m, limited=True)
         noise = SPREAD * pushed[:, None] * rng.standard_normal((len(poses), 3))
         centre = metric.centres(poses) + noise[:, :2]
         return metric.placed(centre, poses[:, 2] + noise[:, 2] / model.scene.mean_radius), pushed
