@@ -71,9 +71,9 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         _panel(panels[1, 0], other, below, methods, named=True, headed=False)
         panels[1, 0].set_title("symmetric objects", fontsize=9, pad=3, loc="left")
     figure.supxlabel(
-        "cells: % of trials under 10 mm after 8 touches (colour), and after a stroke % converged "
-        f"while over 20 mm off,\nframed above {SILENT_MAX:.0%}; for a wrong object there is no "
-        "success: coloured by the trials that were flagged",
+        "cells: % of trials under 10 mm after 8 touches (colour), and after a stroke\n"
+        f"% converged while over 20 mm off, framed above {SILENT_MAX:.0%}; for a wrong object\n"
+        "there is no success: coloured by the trials that were flagged",
         fontsize=7, x=0.01, ha="left",
     )  # fmt: skip
     picture.save(figure, path, palette=True)
