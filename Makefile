@@ -5,7 +5,7 @@ SEED ?= 0
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet -c constraints.txt
 
-.PHONY: demo test node lint docs bench bench-one-core bench-aarch64 bench-peers picture screenshot
+.PHONY: demo test node lint docs bench bench-one-core bench-peers picture screenshot
 .PHONY: install rollback uninstall deb dist-test lock sbom vm-test clean
 
 demo: .venv/.runtime
@@ -22,7 +22,8 @@ lint: .venv/.all
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
-	$(BIN)/python tests/import_directions.py
+	$(BIN)/lint-imports --no-logo
+	$(BIN)/python tests/lines.py
 
 # The documentation as a site in .venv/site; a link that leads nowhere ends it
 docs: .venv/.docs
@@ -30,15 +31,10 @@ docs: .venv/.docs
 
 bench: .venv/.all
 	$(BIN)/python benchmarks/run.py
-	$(BIN)/python benchmarks/hostile.py
 
 # The same on one core of this machine, which all its processes share
 bench-one-core: .venv/.all
 	taskset --cpu-list 0 $(BIN)/python benchmarks/run.py --no-demo
-
-# Whether it installs and works on an aarch64 processor, which QEMU emulates: needs Debian packages
-bench-aarch64: .venv/.all
-	$(BIN)/python benchmarks/aarch64.py
 
 # One update beside other filters, in an environment of their own: `particles` needs an older numpy
 bench-peers: .venv/.peers
@@ -131,5 +127,5 @@ clean:
 	touch $@
 
 .venv/.all: .venv/.runtime
-	$(PIP) -e '.[train,view,export,ros2,dev,rivals,dask]'
+	$(PIP) -e '.[train,calibrate,view,export,ros2,dev,rivals,dask]'
 	touch $@

@@ -1,12 +1,17 @@
-"""The part of the estimator that is written in C, where a compiler is at hand; taxeld works without
-it, and more slowly (daemon/taxeld/estimator/compiled.py)."""
+"""What a build adds to the Python code: the part of the estimator that is written in C, and manual
+pages with shell completions.
+
+Without a C compiler taxeld works, and more slowly (daemon/taxeld/estimator/compiled.py).
+"""
 
 import hashlib
 import os
 import shlex
 import shutil
 import subprocess
+import sys
 import sysconfig
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +22,30 @@ FAST = ["-std=c11", "-O3", "-ffast-math", "-fPIC", "-Wall", "-Wextra"]
 
 
 class CompiledHook(BuildHookInterface[Any]):
-    """Of wheels and of editable installs."""
+    """Compiles for wheels and editable installs; a wheel holds pages and completions as well."""
 
-    def initialize(self, version: str, build_data: dict[str, Any]) -> None:  # noqa: ARG002
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        self._pages = tempfile.TemporaryDirectory()
+        if version != "editable":
+            self._write_pages(build_data)
+        self._compile(build_data)
+
+    def finalize(self, *_: object) -> None:
+        self._pages.cleanup()
+
+    def _write_pages(self, build_data: dict[str, Any]) -> None:
+        sys.path[:0] = [
+            self.root,
+            *(str(Path(self.root, one)) for one in self.build_config.dev_mode_dirs),
+        ]
+        from deploy import manuals  # noqa: PLC0415  (of this tree)
+
+        for number, (name, text) in enumerate(manuals.files().items()):
+            path = Path(self._pages.name, str(number))
+            path.write_text(text, encoding="utf-8")
+            build_data["shared_data"][str(path)] = name
+
+    def _compile(self, build_data: dict[str, Any]) -> None:
         source = Path(self.root, SOURCE)
         library = source.with_suffix(".so")
         compiler = shlex.split(os.environ.get("CC", "cc"))

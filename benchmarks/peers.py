@@ -1,9 +1,9 @@
 """One update of the filter beside two published ones: the same likelihood, scans and sizes.
 
-`make bench-peers` gives it an environment of its own, as `particles` needs an older numpy. A step
-is what each does with one scan of 80 taxels and no samples: likelihood, resampling, and a random
-step of each particle. The mixture's step does more: all that is remembered judges it (Metropolis).
-CPU time, medians over interleaved rounds.
+`make bench-peers` gives it an environment of its own, as `particles` needs an older numpy. Each
+filter takes one scan of 80 taxels without samples: likelihood, resampling, and a random step of
+each particle. The mixture does more: it accepts a step by the likelihood of all remembered touches
+(Metropolis). CPU time, medians over interleaved rounds.
 """
 
 import argparse

@@ -1,4 +1,4 @@
-"""What the protocol costs and withstands: throughput beside two baselines, a saturated bus, damage.
+"""The protocol: throughput beside two baselines, a saturated bus, and damaged frames.
 
 Run by `make bench`. Throughput is CPU time, the three decoders interleaved; the damaged streams are
 checked as they go, so a figure printed here is also a claim that held.
@@ -92,7 +92,7 @@ def throughput() -> list[tuple[str, float, float | None]]:
 
 
 def plain_decoder(frames: list[Frame]) -> list[list[int]]:
-    """What one would write first: bytes concatenated, the CRC bit by bit, a walk a value."""
+    """The simplest way to write it: bytes joined, the CRC bit by bit, a step for each value."""
     scans: list[list[int]] = []
     scan: list[int] = []
     data = b""

@@ -1,8 +1,7 @@
-"""`make bench`: what the wire, a tick, a touch and a running daemon cost, beside their budgets.
+"""`make bench`: cost of the wire, of a touch and of a running daemon, beside their budgets.
 
-CPU time and counts, medians over interleaved rounds; wall-clock figures are printed, not judged.
-What is CPU time is told in loops of this machine's as well (`yardstick`): that column can be
-compared between machines.
+CPU time and counts, medians over rounds; wall-clock figures are printed, not judged. CPU time is
+also given in loops of yardstick.py, a column that can be compared between machines.
 """
 
 import argparse
@@ -12,8 +11,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from taxeld.command_line import one_thread
@@ -22,28 +19,20 @@ one_thread()  # as the daemon has
 
 import numpy as np
 
-import adapter
-import decoding
-import escapes
-import fuzzing
-import installed
 import protocol
 import service
 import streams
 import yardstick
 from taxeld import native
-from taxeld.config import file as config_file
 from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.proposals import bundle
-from taxeld.service.loop import Daemon
 
 ROUNDS = 7
 TOUCHES = 20
-IDLE_TICKS = 2000
 Row = tuple[str, float, float | None]  # a figure, measured, and its budget
 
 
@@ -54,17 +43,14 @@ def main() -> int:
     args = parser.parse_args()
     loop = yardstick.Loop()
     lines: list[dict[str, str | float | None]] = []
-    for group in (
-        installed.rows, protocol.rows, escapes.rows, adapter.rows, decoding.rows, fuzzing.rows,
-        touches, idle_tick, streams.rows, service.rows, *(() if args.no_demo else (demo,)),
-    ):  # fmt: skip
+    groups = [protocol.rows, touches, streams.rows, service.rows, demo]
+    for group in groups[:-1] if args.no_demo else groups:
         with loop.around():
             found = [*group()]
-        lines += [
-            {"figure": figure, "measured": measured, "loops": loop.ratio(figure, measured),
-             "budget": budget}
-            for figure, measured, budget in found
-        ]  # fmt: skip
+        for figure, measured, budget in found:
+            loops = loop.ratio(figure, measured)
+            row = {"figure": figure, "measured": measured, "loops": loops, "budget": budget}
+            lines.append(row)
     print(f"{'figure':60s} {'measured':>12s} {'loops':>10s} {'budget':>10s}")
     for line in lines:
         numbers = (line["measured"], line["loops"], line["budget"])
@@ -74,17 +60,6 @@ def main() -> int:
     if args.json:
         args.json.write_text(json.dumps(lines, indent=1) + "\n", encoding="utf-8")
     return 0
-
-
-def cpu_ms(work: Callable[[], None], times: int) -> float:
-    """Median CPU milliseconds of one `work` over rounds of `times`."""
-    spent = []
-    for _ in range(ROUNDS):
-        start = time.process_time()
-        for _ in range(times):
-            work()
-        spent.append((time.process_time() - start) / times * 1e3)
-    return float(np.median(spent))
 
 
 def touches() -> list[Row]:
@@ -131,25 +106,8 @@ def touches() -> list[Row]:
     return rows
 
 
-def idle_tick() -> list[Row]:
-    """A tick of a whole daemon to which nothing comes."""
-    with tempfile.TemporaryDirectory() as place:
-        endpoint = f"ipc://{place}/"
-        settings = config_file.parse(
-            f'[source]\nkind = "can"\ninterface = "virtual"\nchannel = "bench"\n'
-            f'[scene]\nbundle = "box"\n[publish]\nendpoints = ["{endpoint}stream"]\n'
-            f'[control]\nendpoint = "{endpoint}control"\n'
-            f'[sensor_pose]\nendpoint = "{endpoint}poses"\n'
-        )
-        daemon = Daemon(replace(settings))
-        ticks = iter(np.arange(10**7) * 0.01)
-        spent = cpu_ms(lambda: daemon.tick(float(next(ticks))), IDLE_TICKS)
-        daemon.close()
-    return [("a tick without a scan: CPU ms", spent, 0.3)]
-
-
 def demo() -> list[Row]:
-    """The demo in real time, and the daemon's memory at the end of it, as it says itself."""
+    """The demo in real time, and the peak memory of a daemon that replays its session."""
     with tempfile.TemporaryDirectory() as place:
         start = time.monotonic()
         command = [sys.executable, "-m", "taxeld_hil.cli", "run", "demo", "--out", place]
@@ -175,16 +133,8 @@ def replayed_peak_mb(directory: Path) -> float:
         encoding="utf-8",
     )
     daemon = subprocess.Popen([sys.executable, "-m", "taxeld.cli", "run", str(settings)])
-    peak = 0.0
-    while daemon.poll() is None:
-        status = Path(f"/proc/{daemon.pid}/status")
-        try:
-            lines = status.read_text(encoding="ascii").splitlines()
-        except OSError:
-            break
-        peak = max([peak, *(float(x.split()[1]) / 1024 for x in lines if x.startswith("VmHWM"))])
-        time.sleep(0.2)
-    return peak
+    *_, usage = os.wait4(daemon.pid, 0)
+    return usage.ru_maxrss / 1024.0
 
 
 if __name__ == "__main__":

@@ -1,5 +1,4 @@
-"""How fast this machine is at what a scan is made of: the unit that figures of different machines
-are compared in.
+"""How fast this machine is at the work that a scan takes: a unit for figures of different machines.
 
     python benchmarks/yardstick.py
 
@@ -17,7 +16,7 @@ import numpy as np
 STEPS = 120  # about a millisecond on a server's core of 2023
 ROUNDS = 15
 TAXELS = 80
-UNITS = (  # what a figure's name ends with → milliseconds of CPU time in one of it
+UNITS = (  # end of a figure's name → milliseconds of CPU time in one of its unit
     (re.compile(r"CPU us$"), 1e-3),
     (re.compile(r"CPU ms$"), 1.0),
     (re.compile(r"CPU s$"), 1e3),

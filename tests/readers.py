@@ -1,7 +1,6 @@
 """Every reader of a file, and what each must make of any content: a value, or its one line.
 
-The tests ask them with changed files (tests/daemon/test_any_file.py), the benchmarks with a
-coverage-guided fuzzer (benchmarks/fuzz.py).
+The tests ask them with changed files (tests/daemon/test_any_file.py).
 """
 
 import contextlib
@@ -16,7 +15,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from zmq.auth import create_certificates
@@ -39,7 +37,7 @@ from taxeld.source import session
 from taxeld.stream import curve, messages
 from taxeld_hil.scenario import scenario
 
-from .daemon.log_writers import WRITERS, bus, candump_log
+from .daemon.log_writers import bus, candump_log
 from .daemon.simulated_skin import SimulatedSkin
 from .daemon.test_layout_files import document
 from .daemon.test_layout_icub import icub_rows, icub_text
@@ -126,13 +124,14 @@ def scene_used(scene: Scene) -> None:
     assert np.isfinite([scene.size, scene.mean_radius]).all()
 
 
-def manifest_used(info: dict[str, Any]) -> None:
+def manifest_used(content: bytes) -> None:
     """All that is asked of bundle.json after it was read."""
-    found = replace(loaded(), info=info)
+    made, info = manifest.parse(content, NOWHERE)
+    found = replace(loaded(), manifest=made, info=info)
     for name in (*PROPOSALS, *found.order):
         used_or_refused(lambda name=name: found.cheaper(found.resolve(name)))  # type: ignore[misc]
-    for sampler in info["samplers"]:
-        assert found.resolve("auto", sampler["name"]) == sampler["name"]
+    for sampler in made.samplers:
+        assert found.resolve("auto", sampler.name) == sampler.name
     messages.info(found.model.layout, found.model.scene, info, str(FilterConfig()))
 
 
@@ -213,21 +212,17 @@ def _states() -> list[bytes]:
     return [state_format.dump(state)]
 
 
-def _logs() -> list[bytes]:
-    """One of each kind."""
-    made, path = [], place() / "made"
-    for write in WRITERS.values():
-        path.unlink(missing_ok=True)
-        write(bus(3), path)
-        made.append(path.read_bytes())
-    line = (RECORDED / session.SERIAL).read_bytes()[:3000]
-    return [*made, *map(gzip.compress, made[:5]), line]
-
-
 def _frames() -> list[bytes]:
-    path = place() / "made"
-    candump_log("a")(bus(3), path)
-    return [path.read_bytes()]
+    candump_log()(bus(3), place() / "made")
+    return [(place() / "made").read_bytes()]
+
+
+def _packed() -> list[bytes]:
+    return list(map(gzip.compress, _frames()))
+
+
+def _bytes() -> list[bytes]:
+    return [(RECORDED / session.SERIAL).read_bytes()[:3000]]
 
 
 def _keys() -> list[bytes]:
@@ -236,7 +231,10 @@ def _keys() -> list[bytes]:
 
 
 READERS = {
-    "log": Reader(_in_file("log", lambda path: list(decode(path))), _logs, 600),
+    **{
+        name: Reader(_in_file(name, lambda path: list(decode(path))), samples, 200)
+        for name, samples in (("a.log", _frames), ("a.log.gz", _packed), ("a.bin", _bytes))
+    },
     "configuration": Reader(
         _in_file("any.toml", load), lambda: [(ROOT / "examples" / "can0.toml").read_bytes()], 300
     ),
@@ -245,7 +243,7 @@ READERS = {
         lambda: [path.read_bytes() for path in scenario.shipped().values()],
     ),
     "bundle.json": Reader(
-        lambda content: manifest_used(manifest.parse(content, NOWHERE)),
+        manifest_used,
         lambda: [(SHIPPED / "bundle.json").read_bytes()],
         300,
     ),

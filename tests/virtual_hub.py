@@ -36,7 +36,8 @@ class VirtualHub:
     ) -> None:
         phase = Phase.MODULES if native else Phase.BOOTLOADER  # that link is the application's
         self.ihb = VirtualIhb(modules, short_id=short_id, phase=phase)
-        self.port = NativePort(link) if native else SlcanPort(link, lambda _: None, adapter)
+        self.requests: list[Frame] = []  # of the host, on the bus behind an SLCAN adapter
+        self.port = NativePort(link) if native else SlcanPort(link, self.requests.append, adapter)
         self.native = native
         self.device = str(link)
         self.scans = 0  # that were sent,

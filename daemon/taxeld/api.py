@@ -1,12 +1,12 @@
-"""The public face of `taxeld`: what a program that imports it may rely on (docs/api.md).
+"""The public interface of `taxeld` for programs that import it (docs/api.md).
 
     from taxeld.api import Replay
 
     for outcome in Replay("session"):
         print(outcome.estimate.status.name, outcome.estimate.map)
 
-Names that are not listed here may change at any time. `import taxeld` alone imports none of them,
-so that the commands start at once.
+Other names may change at any time. `import taxeld` alone imports none of these names, so that the
+commands start at once.
 """
 
 from taxeld.commands.replayed import Replay

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Reals = NDArray[np.floating]  # of either precision
+Reals = NDArray[np.floating]  # single or double precision
 Bools = NDArray[np.bool_]
 Index = NDArray[np.intp]  # positions in another array
-Grid = NDArray[np.float32]  # what is kept in many numbers and needs few digits
+Grid = NDArray[np.float32]  # large tables that need few digits
 Poses = NDArray[np.float64]  # (…, 3) x [m], y [m], θ [rad]

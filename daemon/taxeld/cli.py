@@ -23,19 +23,25 @@ DONE = {
 
 
 def main(argv: list[str] | None = None) -> int:
-    """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
+    """Run the command line; → 0 fine, 1 failed at work, 2 wrong arguments or configuration."""
     command_line.one_thread()
+    if (sys.argv[1:] if argv is None else argv)[:1] == ["relay"]:
+        print(
+            "relay: is no command any more; 'taxeld run' serves relay.publish and relay.control of "
+            "its configuration itself",
+            file=sys.stderr,
+        )
+        return command_line.USAGE_ERROR
     return command_line.main(_parser(), argv)
 
 
 def _run(args: argparse.Namespace) -> int:
     # the other commands need neither zmq nor a device
     from taxeld.commands.record import recorder_of
-    from taxeld.service import descriptors, log, signals
+    from taxeld.service import log, signals
     from taxeld.service.loop import Daemon
 
     with log.written(), signals.Signals() as received:
-        descriptors.ensure()
         config = load(args.config)
         log.set_level(args.log_level or config.log.level)
         recorder = recorder_of(config, args.config, args.record) if args.record else None
@@ -63,27 +69,6 @@ def _record(args: argparse.Namespace) -> int:
     signal.signal(signal.SIGINT, stop)
     print(recording.run())
     return FAILED if recording.failed else 0
-
-
-def _relay(args: argparse.Namespace) -> int:
-    from taxeld.commands.relay import Relay
-    from taxeld.service import descriptors, log, signals
-
-    with log.written(), signals.Signals() as received:
-        descriptors.ensure()
-        config = load(args.config)
-        log.set_level(args.log_level or config.log.level)
-        relay = Relay(config)
-        received.stop_by(relay.stop)
-        reload: dict[int, Callable[[], None]] = {
-            signal.SIGHUP: lambda: signals.reload(args.config, config, args.log_level)
-        }
-        try:
-            relay.run(lambda: received.serve(reload))
-        except SetupError as error:  # at work, where another start may help
-            print(error, file=sys.stderr)
-            return FAILED
-    return 0
 
 
 def _init(args: argparse.Namespace) -> int:
@@ -134,37 +119,13 @@ def _replay(args: argparse.Namespace) -> int:
 
 
 def _calibrate(args: argparse.Namespace) -> int:
-    import numpy as np
+    """Run the harness's calibration, which it registers in the entry-point group
+    `taxeld.commands`."""
+    from importlib.metadata import entry_points
 
-    from taxeld.commands.calibrate import calibrate
-    from taxeld.commands.calibration_text import lines
-    from taxeld.source import session
-
-    def say(line: str) -> None:
-        print(line, flush=True)
-
-    placed = None if args.object is None else np.array(args.object)
-    directory, config_path = args.source, args.config
-    if directory.is_dir():
-        config = load(config_path or directory / session.CONFIG)
-    else:
-        from taxeld.commands.calibrate_guided import Guided
-
-        if config_path:
-            raise SetupError(
-                "--config: is only for a session; a running skin has its own configuration"
-            )
-        config = load(directory)
-        directory = Guided.place(args.out)
-        guided = Guided(config, args.source, directory, args.idle_s, args.presses, say)
-        signal.signal(signal.SIGTERM, lambda *_: guided.stop())
-        signal.signal(signal.SIGINT, lambda *_: guided.stop())
-        if not guided.run():
-            return FAILED
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-    result = calibrate(directory, config, args.out, placed, say)
-    print("\n".join([*lines(result), f"written: {args.out}, and beside it a text and a picture"]))
-    return 0
+    for entry in entry_points(group="taxeld.commands", name="calibrate"):
+        return int(entry.load()(args))
+    raise SetupError("calibrate: taxeld is not installed here; pip install 'taxeld[calibrate]'")
 
 
 def _layout(args: argparse.Namespace) -> int:
@@ -276,13 +237,6 @@ def _add_daemon(commands: command_line.Commands) -> None:
         help="a daemon runs with this configuration: what it has in use is no fault",
     )  # fmt: skip
 
-    relay = command(
-        commands, "relay", "Publish the streams of a running daemon over TCP.",
-        "taxeld relay can0.toml", run=_relay,
-    )  # fmt: skip
-    relay.add_argument("config", type=Path, metavar="CONFIG", help="the daemon's configuration")
-    _add_log_level(relay)
-
 
 def _add_log_level(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
@@ -313,7 +267,7 @@ def _add_sessions(commands: command_line.Commands) -> None:
         run=_decode,
     )  # fmt: skip
     decode.add_argument(
-        "log", type=Path, metavar="LOG", help="a log of candump or another tool, or a serial.bin"
+        "log", type=Path, metavar="LOG", help="a log of candump or of python-can, or a serial.bin"
     )
     decode.add_argument("--dialect", choices=["cyskin", "icub"], default="cyskin")
     decode.add_argument(
@@ -379,7 +333,7 @@ def _add_asking(commands: command_line.Commands) -> None:
         where.add_argument(
             "config", type=Path, nargs="?", metavar="CONFIG", help="the daemon's configuration"
         )
-        where.add_argument("--endpoint", help="the control endpoint of the daemon or its relay")
+        where.add_argument("--endpoint", help="a control endpoint of the daemon")
         ask.add_argument(
             "--keys", type=Path, metavar="DIR", help="with server.key and client.key_secret"
         )

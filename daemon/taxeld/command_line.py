@@ -1,7 +1,7 @@
-"""What the four programs share: help with examples, `--version`, and one line with an exit status
-for whatever is wrong.
+"""The part common to the four programs: help with examples, `--version`, and one line with an exit
+status for every fault.
 
-Imported before anything else is known of the command, so it imports nothing that is slow.
+It is imported before the command is known, so it imports nothing slow.
 """
 
 import argparse
@@ -16,9 +16,11 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 
 FAILED, USAGE_ERROR = 1, 2
+STDERR = 2  # number of the last standard stream
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-EXTRAS = {  # modules that an extra of pyproject.toml brings, and nothing else
+EXTRAS = {  # extra of pyproject.toml → modules that only it installs
     "view": ("matplotlib", "rich", "rerun"),
+    "calibrate": ("scipy", "matplotlib"),
     "export": ("mcap_ros2",),
     "train": (
         "torch", "onnx", "trimesh", "shapely", "networkx", "scipy", "joblib",
@@ -36,8 +38,8 @@ Run: TypeAlias = Callable[[argparse.Namespace], int]
 
 
 def one_thread() -> None:
-    """Before numpy is imported: its libraries' threads would spin while they wait, and fight for
-    the core of the loop. What the environment says holds."""
+    """Limit numpy's libraries to one thread; to be called before numpy is imported. Their threads
+    would spin while they wait, and compete for the loop's core. Variables set before win."""
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")
 
@@ -58,7 +60,7 @@ def commands_of(parent: argparse.ArgumentParser) -> Commands:
 def command(
     commands: Commands, name: str, text: str, *examples: str, run: Run
 ) -> argparse.ArgumentParser:
-    """A command that `run` does; `text` is one sentence, each example a line as it is typed."""
+    """Add a command that calls `run`; `text` is one sentence, each example a line as typed."""
     made = commands.add_parser(
         name, help=text, description=text, epilog=_listed(examples), formatter_class=AS_WRITTEN
     )
@@ -68,8 +70,9 @@ def command(
 
 
 def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = "") -> int:
-    """Run what the arguments ask for; → 0 fine, 1 failed at work, 2 wrong arguments or
-    configuration. `prefix` stands before each line on what is wrong."""
+    """Run the command of the arguments; → 0 fine, 1 failed at work, 2 wrong arguments or
+    configuration. `prefix` begins each line on a fault."""
+    _open_standard()
     args = made.parse_args(argv)
     try:
         return int(args.command(args))
@@ -82,7 +85,7 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
         if line is None:
             raise
         return _refuse(prefix, line)
-    except BrokenPipeError:  # the reader of our output has gone: `taxeld decode LOG | head`
+    except BrokenPipeError:  # the reader of the output has gone: `taxeld decode LOG | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except KeyboardInterrupt:
@@ -90,8 +93,8 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
 
 
 def missing_extra(error: ModuleNotFoundError, prog: str = "") -> str | None:
-    """The line on a module that is not installed, with the command that installs it; None where no
-    extra has it. Where several have it, that of the program `prog`, or the first."""
+    """A line on a module that is not installed, with the command that installs it; None where no
+    extra has it. Of several extras, the one for the program `prog`, or the first."""
     module = (error.name or "").split(".")[0]
     for extra in sorted(EXTRAS, key=lambda extra: not prog.endswith(extra)):
         if module in EXTRAS[extra]:
@@ -100,6 +103,17 @@ def missing_extra(error: ModuleNotFoundError, prog: str = "") -> str | None:
                 f"{sys.executable} -m pip install 'taxeld[{extra}]'"
             )
     return None
+
+
+def _open_standard() -> None:
+    """Open closed standard streams to /dev/null: a device would otherwise get their numbers and be
+    written to."""
+    while (number := os.open(os.devnull, os.O_RDWR)) <= STDERR:
+        os.set_inheritable(number, True)
+    os.close(number)
+    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(number, mode, encoding="utf-8"))
 
 
 def _refuse(prefix: str, *lines: str) -> int:

@@ -1,6 +1,6 @@
 """The one exception that reaches a user: a fault in what was asked for or configured."""
 
-HEAD, TAIL = 700, 300  # characters of a message that are kept: what and where, and the cure
+HEAD, TAIL = 700, 300  # characters of a message kept: its beginning, and its end with the cure
 
 
 def one_line(text: str) -> str:
@@ -13,8 +13,9 @@ def one_line(text: str) -> str:
 class SetupError(Exception):
     """A configuration, bundle, layout or device that cannot be used.
 
-    The message is one line, whatever it quotes, that names what and where, and the cure; commands
-    print it and exit 2. Data that arrive at run time never raise: they become counters and flags.
+    The message is one line, even where it quotes several, that names the fault, its place and the
+    cure; commands print it and exit 2. Data that arrive at run time never raise: they become
+    counters and flags.
     """
 
     def __init__(self, message: str) -> None:

@@ -1,7 +1,8 @@
-"""Code in C beside its numpy twin: whether it was built when taxeld was installed (hatch_build.py).
+"""Code in C beside its numpy twin: finds the libraries built when taxeld was installed
+(hatch_build.py).
 
-A room stays pure with it, as with numpy: what is found depends on the installation alone. With
-TAXELD_COMPILED=0 in the environment nothing is found, and numpy does the work.
+A room stays pure with it, as with numpy, because only the installation decides. With
+TAXELD_COMPILED=0 in the environment no library is found, and numpy does the work.
 """
 
 import ctypes
@@ -16,7 +17,7 @@ SWITCH = "TAXELD_COMPILED"
 
 @functools.cache
 def library(name: str) -> ctypes.CDLL | None:
-    """The library of the C file of that name (`estimator/explain`); None: there is none of this
+    """The library of the C file `name` (`estimator/explain`); None where none was built from this
     very code for this processor."""
     made = (HERE / name).with_suffix(".so")
     if os.environ.get(SWITCH) == "0" or not made.exists():

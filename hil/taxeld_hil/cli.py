@@ -21,12 +21,20 @@ if TYPE_CHECKING:
     from taxeld_hil.scenario.scenario import Scenario
 
 VCAN = "vcan0"
+GONE = {  # commands of earlier versions, and what replaced them
+    "physics": "ten touches of a soft skin: taxeld-hil touches; what the simulated skins were "
+    "fitted to: docs/physics.md",
+}
 WATCH_SILENT_S = 10.0  # without a message for so long, a line says so: daemons start in seconds
 
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments or configuration."""
     command_line.one_thread()
+    argv = sys.argv[1:] if argv is None else argv
+    if argv and argv[0] in GONE:
+        print(f"taxeld-hil {argv[0]} is gone; {GONE[argv[0]]}", file=sys.stderr)
+        return command_line.USAGE_ERROR
     return command_line.main(_parser(), argv)
 
 
@@ -124,7 +132,7 @@ def _accept(args: argparse.Namespace) -> int:
         presses=args.press,
     )
     print(f"\n{report.text}\nreport, picture and recording in {out}", flush=True)
-    return 0 if report.passed else 1
+    return 1 if report.failed else 0
 
 
 def _watch(args: argparse.Namespace) -> int:
@@ -171,10 +179,9 @@ def _watch(args: argparse.Namespace) -> int:
 
 
 def _draw(args: argparse.Namespace) -> int:
-    from taxeld_hil.run.draw import draw
-    from taxeld_hil.run.picture import picture
+    from taxeld_hil.run.draw import draw_contacts, draw_moments
 
-    (picture if args.moments else draw)(args.session, args.out)
+    (draw_moments if args.moments else draw_contacts)(args.session, args.out)
     print(args.out)
     return 0
 

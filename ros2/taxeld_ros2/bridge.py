@@ -1,6 +1,6 @@
 """The bridge: what the daemon publishes goes out as ROS 2 topics, and the skin's pose comes in.
 
-Estimates are passed on first; particles and markers after them, so that they hold up no pose.
+Estimates are passed on first, markers after them, so that these hold up no pose.
 """
 
 import contextlib
@@ -8,6 +8,7 @@ import logging
 import math
 import os
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,27 +19,26 @@ import zmq
 from taxeld.arrays import Floats
 from taxeld.service.notify import Notifier
 from taxeld.stream import messages
-from taxeld_ros2 import convert
-from taxeld_ros2 import ros_types as ros
-from taxeld_ros2.dds import RELIABLE, Participant, last
+from taxeld.view import ros_messages as ros
+from taxeld.view.live import Streams
+from taxeld_ros2.dds import Participant
 from taxeld_ros2.markers import markers
 from taxeld_ros2.poses_in import FromTopic, FromTransforms, SensorPose
-from taxeld_ros2.stream import PoseOutput, Stream
 
 STEP_MS = 50
-SILENT_S = 2.0  # without an estimate for so long, no daemon is there
+SILENT_S = 2.0  # without an estimate, after which no daemon is there
 DIAGNOSTICS_S = 1.0  # between two, while the status stays
-MARKERS_S = 0.1
+MARKERS_S = 0.1  # between two
 DEPTH = 10  # messages kept for a reader, as ROS 2's own publishers do
 
-log = logging.getLogger(f"taxeld.{__name__}")  # which the command has written
+log = logging.getLogger(f"taxeld.{__name__}")  # the command writes the logs of taxeld
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What is bridged."""
+    """Settings of the bridge, from its command line and the daemon's configuration."""
 
-    stream: str  # where the daemon or its relay publishes
+    stream: str  # where the daemon publishes
     frame: str = "world"  # frame_id of the object's poses
     prefix: str = "taxeld"  # of the topics
     z_m: float = 0.0  # height of the poses
@@ -46,41 +46,40 @@ class Settings:
     keys: Path | None = None
     markers: bool = True
     sensor_endpoint: str = ""  # where the daemon expects the robot
-    sensor_frames: tuple[str, str] | None = None  # the skin's pose from transforms,
-    sensor_topic: str = ""  # or from a topic
+    sensor_frames: Sequence[str] | None = None  # the world's and the skin's, of transforms
+    sensor_topic: str = ""  # in place of transforms
 
 
 class Bridge:
     """Opened, until `close`."""
 
     def __init__(self, settings: Settings) -> None:
-        """Raises SetupError: something of it cannot be used; a daemon need not be there."""
+        """A daemon need not be there. Raises SetupError where a setting cannot be used."""
         self.stopping = False
-        self.forwarded = 0
         self._settings = settings
-        self._estimate: dict[str, Any] = {}
-        self._health: dict[str, Any] = {}
-        self._cloud: dict[str, Any] = {}
+        self._forwarded = 0
+        self._last: dict[bytes, dict[str, Any]] = {}  # message of each topic
         self._outline: Floats | None = None
         self._heard_s = time.monotonic()
         self._is_silent = False
         self._next_diagnostics_s = self._next_markers_s = -math.inf
-        self._shown_seq = -1
+        topics = [messages.ESTIMATE, messages.HEALTH, messages.INFO]
+        topics += [messages.PARTICLES] * settings.markers
         with contextlib.ExitStack() as opened:
-            context: zmq.Context[Any] = opened.enter_context(zmq.Context())
-            self._stream = Stream(context, settings.stream, settings.keys, settings.markers)
-            opened.callback(self._stream.close)
-            dds = Participant(settings.domain)
-            name, qos = settings.prefix.strip("/"), last(DEPTH, RELIABLE)
-            self._pose = dds.writer(f"{name}/pose", ros.PoseWithCovarianceStamped, qos)
-            self._modes = dds.writer(f"{name}/modes", ros.PoseArray, qos)
-            self._markers = dds.writer(f"{name}/markers", ros.MarkerArray, last(1, RELIABLE))
-            self._diagnostics = dds.writer("diagnostics", ros.DiagnosticArray, qos)
+            self._streams = Streams(settings.stream, settings.keys, topics, "--stream")
+            opened.callback(self._streams.close)
+            dds, name = Participant(settings.domain), settings.prefix.strip("/")
+            kind = "geometry_msgs/PoseWithCovarianceStamped"
+            self._pose = dds.writer(f"{name}/pose", kind, DEPTH)
+            self._modes = dds.writer(f"{name}/modes", "geometry_msgs/PoseArray", DEPTH)
+            self._markers = dds.writer(f"{name}/markers", "visualization_msgs/MarkerArray", 1)
+            kind = "diagnostic_msgs/DiagnosticArray"
+            self._diagnostics = dds.writer("diagnostics", kind, DEPTH)
             self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
             opened.callback(os.close, self._wake)
-            self._sensor = self._sensor_pose(context, dds, opened)
+            self._sensor = self._sensor_pose(dds, opened)
             self._poller = zmq.Poller()
-            self._poller.register(self._stream.socket, zmq.POLLIN)
+            self._poller.register(self._streams.socket, zmq.POLLIN)
             self._poller.register(self._wake, zmq.POLLIN)
             self._opened = opened.pop_all()
 
@@ -88,13 +87,13 @@ class Bridge:
         """Until `stop`.
 
         Raises:
-            VersionError: the daemon speaks another version of the stream.
+            SetupError: the daemon speaks another version of the stream.
         """
         notifier = Notifier()
         notifier.ready()
         try:
             while not self.stopping:
-                self.step()
+                self._step()
                 notifier.tick(time.monotonic(), self._status_line)
         finally:
             notifier.stopping()
@@ -102,60 +101,59 @@ class Bridge:
     def stop(self) -> None:
         self.stopping = True
 
-    def step(self) -> None:
+    def close(self) -> None:
+        self._opened.close()
+
+    def _sensor_pose(self, dds: Participant, opened: contextlib.ExitStack) -> SensorPose | None:
+        settings = self._settings
+        source: FromTransforms | FromTopic
+        if settings.sensor_frames is not None:
+            world, skin = settings.sensor_frames
+            source = FromTransforms(dds, world, skin, self._woken)
+        elif settings.sensor_topic:
+            source = FromTopic(dds, settings.sensor_topic, self._woken)
+        else:
+            return None
+        context: zmq.Context[Any] = opened.enter_context(zmq.Context())
+        sensor = SensorPose(context, settings.sensor_endpoint, source)
+        opened.callback(sensor.close)
+        return sensor
+
+    def _woken(self) -> None:
+        """Called by a thread of DDS when a pose has come."""
+        with contextlib.suppress(BlockingIOError, OSError):
+            os.eventfd_write(self._wake, 1)
+
+    def _step(self) -> None:
         """Wait a moment, and pass on what has come."""
         self._poller.poll(STEP_MS)
         with contextlib.suppress(BlockingIOError):
             os.eventfd_read(self._wake)
         if self._sensor is not None:
             self._sensor.serve()
-        for topic, message in self._stream.take():
-            self._on_message(topic, message)
+        is_new = False
+        for topic, message in self._streams.wait(0.0):
+            if topic == messages.ESTIMATE:
+                is_new = True
+                self._on_estimate(message)
+            elif topic == messages.INFO:
+                self._outline = np.array(message["outline"])
+            self._last[topic] = message
         now_s = time.monotonic()
         self._watch(now_s)
-        self._draw(now_s)
-
-    def close(self) -> None:
-        self._opened.close()
-
-    def _sensor_pose(
-        self, context: "zmq.Context[Any]", dds: Participant, opened: contextlib.ExitStack
-    ) -> SensorPose | None:
-        settings = self._settings
-        if settings.sensor_frames is None and not settings.sensor_topic:
-            return None
-        output = PoseOutput(context, settings.sensor_endpoint)
-        opened.callback(output.close)
-        if settings.sensor_frames is not None:
-            return SensorPose(FromTransforms(dds, *settings.sensor_frames, self._woken), output)
-        return SensorPose(FromTopic(dds, settings.sensor_topic, self._woken), output)
-
-    def _woken(self) -> None:
-        """By a thread of DDS: a pose has come."""
-        with contextlib.suppress(BlockingIOError, OSError):
-            os.eventfd_write(self._wake, 1)
-
-    def _on_message(self, topic: bytes, message: dict[str, Any]) -> None:
-        if topic == messages.ESTIMATE:
-            self._on_estimate(message)
-        elif topic == messages.HEALTH:
-            self._health = message
-        elif topic == messages.PARTICLES:
-            self._cloud = message
-        elif topic == messages.INFO:
-            self._outline = np.array(message["outline"])
+        if is_new and self._settings.markers and now_s >= self._next_markers_s:
+            self._draw(now_s)
 
     def _on_estimate(self, estimate: dict[str, Any]) -> None:
         """Poses are published while they may be used, and for each estimate of a scan."""
-        settings, before = self._settings, self._estimate
-        if estimate["valid"] and estimate["t"] != before.get("t"):
-            frame, z_m = settings.frame, settings.z_m
-            self._pose.write(convert.pose_with_covariance(estimate, frame, z_m))
-            self._modes.write(convert.modes(estimate, frame, z_m))
-            self.forwarded += 1
+        before, settings = self._last.get(messages.ESTIMATE, {}), self._settings
+        t, frame, z_m = estimate["t"], settings.frame, settings.z_m
+        if estimate["valid"] and t != before.get("t"):
+            self._pose.write(ros.pose_with_covariance(estimate, frame, z_m))
+            self._modes.write(ros.pose_array(t, estimate["modes"], frame, z_m))
+            self._forwarded += 1
         if estimate["status"] != before.get("status"):
             self._next_diagnostics_s = -math.inf
-        self._estimate = estimate
         self._heard_s = time.monotonic()
 
     def _watch(self, now_s: float) -> None:
@@ -165,27 +163,26 @@ class Bridge:
             self._is_silent, self._next_diagnostics_s = silent, -math.inf
             where = self._settings.stream
             if silent:
-                self._estimate, self._health, self._cloud = {}, {}, {}
+                self._last.clear()
                 log.warning("no daemon is heard at %s; is 'taxeld run' there? Waiting", where)
             else:
                 log.warning("a daemon is heard at %s", where)
-        if now_s >= self._next_diagnostics_s and (self._estimate or silent):
+        estimate = self._last.get(messages.ESTIMATE, {})
+        if now_s >= self._next_diagnostics_s and (estimate or silent):
             self._next_diagnostics_s = now_s + DIAGNOSTICS_S
             name = f"{self._settings.prefix.strip('/')}: estimate"
-            told = convert.diagnostics(self._estimate, self._health, time.time(), name)
-            self._diagnostics.write(told)
+            health = self._last.get(messages.HEALTH)
+            self._diagnostics.write(ros.diagnostics(time.time(), name, estimate, health))
+
+    def _draw(self, now_s: float) -> None:
+        """Markers of the last estimate, no more often than they can be seen."""
+        if self._outline is None:
+            return
+        self._next_markers_s = now_s + MARKERS_S
+        estimate, cloud = self._last[messages.ESTIMATE], self._last.get(messages.PARTICLES, {})
+        frame, z_m = self._settings.frame, self._settings.z_m
+        self._markers.write(markers(estimate, cloud, self._outline, frame, z_m))
 
     def _status_line(self, _: float) -> str:
         heard = "no daemon is heard" if self._is_silent else "a daemon is heard"
-        return f"{heard}, {self.forwarded} poses passed on"
-
-    def _draw(self, now_s: float) -> None:
-        """Markers, once something has changed and no more often than they can be seen."""
-        estimate = self._estimate
-        if not self._settings.markers or self._outline is None or now_s < self._next_markers_s:
-            return
-        if not estimate or estimate["seq"] == self._shown_seq:
-            return
-        self._next_markers_s, self._shown_seq = now_s + MARKERS_S, estimate["seq"]
-        frame, z_m = self._settings.frame, self._settings.z_m
-        self._markers.write(markers(estimate, self._cloud, self._outline, frame, z_m))
+        return f"{heard}, {self._forwarded} poses passed on"

@@ -3,6 +3,7 @@
 import argparse
 import math
 import re
+import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -27,18 +28,18 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _run(args: argparse.Namespace) -> int:
-    from taxeld.service import log, signals
+    from taxeld.service import log
     from taxeld_ros2.bridge import Bridge
-    from taxeld_ros2.stream import VersionError
 
     settings = settings_of(args, load(args.config) if args.config else None)
-    with log.written(), signals.Signals() as received:
+    with log.written():
         log.set_level("info")
         bridge = Bridge(settings)
-        received.stop_by(bridge.stop)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT):
+            signal.signal(number, lambda *_: bridge.stop())
         try:
             bridge.run()
-        except VersionError as error:  # at work: the daemon may have been exchanged
+        except SetupError as error:  # at work: the daemon may have been exchanged
             print(error, file=sys.stderr)
             return FAILED
         finally:
@@ -47,7 +48,7 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def settings_of(args: argparse.Namespace, config: Config | None) -> "Settings":
-    """What the arguments ask for, with the daemon's configuration where it is given.
+    """The arguments' settings, with the daemon's configuration where it is given.
 
     Raises:
         SetupError: they do not fit together.
@@ -67,8 +68,7 @@ def settings_of(args: argparse.Namespace, config: Config | None) -> "Settings":
             raise SetupError(f"{option}: {name!r:.80} is no name of a ROS 2 topic; use /arm/skin")
     if not math.isfinite(args.z_m):
         raise SetupError(f"--z-m: must be a height in metres, not {args.z_m}")
-    wants = args.sensor_tf is not None or bool(args.sensor_topic)
-    if wants and not expected:
+    if (args.sensor_tf or args.sensor_topic) and not expected:
         raise SetupError(
             "sensor_pose.endpoint: is empty, so the daemon takes no poses of a robot; set it, as "
             "to tcp://127.0.0.1:9874"
@@ -82,7 +82,7 @@ def settings_of(args: argparse.Namespace, config: Config | None) -> "Settings":
         keys=args.keys,
         markers=not args.no_markers,
         sensor_endpoint=expected,
-        sensor_frames=None if args.sensor_tf is None else (args.sensor_tf[0], args.sensor_tf[1]),
+        sensor_frames=args.sensor_tf,
         sensor_topic=args.sensor_topic,
     )
 
@@ -96,38 +96,26 @@ def _parser() -> argparse.ArgumentParser:
         "taxeld-ros2 --stream tcp://127.0.0.1:9872 --frame base",
     )
     parser.set_defaults(command=_run)
-    parser.add_argument(
-        "config", type=Path, nargs="?", metavar="CONFIG", help="the daemon's configuration"
-    )
-    parser.add_argument(
-        "--stream", default="", metavar="ENDPOINT", help="in place of its publish.endpoints"
-    )
+    about = "the daemon's configuration"
+    parser.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help=about)
+    about = "in place of its publish.endpoints"
+    parser.add_argument("--stream", default="", metavar="ENDPOINT", help=about)
     sensor = parser.add_mutually_exclusive_group()
-    sensor.add_argument(
-        "--sensor-tf", nargs=2, metavar=("WORLD", "SKIN"),
-        help="take the skin's pose from /tf: its frame in the world's",
-    )  # fmt: skip
-    sensor.add_argument(
-        "--sensor-topic", default="", metavar="TOPIC",
-        help="take it from a topic of geometry_msgs/msg/PoseStamped",
-    )  # fmt: skip
-    parser.add_argument(
-        "--sensor-endpoint", default="", metavar="ENDPOINT",
-        help="where the daemon expects it (default: its sensor_pose.endpoint)",
-    )  # fmt: skip
-    parser.add_argument(
-        "--frame", default="", help="frame_id of what is published (default: world, or sensor "
-        "where the daemon has no sensor pose)",
-    )  # fmt: skip
+    about = "take the skin's pose from /tf: its frame in the world's"
+    sensor.add_argument("--sensor-tf", nargs=2, metavar=("WORLD", "SKIN"), help=about)
+    about = "take it from a topic of geometry_msgs/msg/PoseStamped"
+    sensor.add_argument("--sensor-topic", default="", metavar="TOPIC", help=about)
+    about = "where the daemon expects it (default: its sensor_pose.endpoint)"
+    parser.add_argument("--sensor-endpoint", default="", metavar="ENDPOINT", help=about)
+    about = "frame_id of the poses (default: world, or sensor where the daemon has no sensor pose)"
+    parser.add_argument("--frame", default="", help=about)
     parser.add_argument("--prefix", default="taxeld", help="of the topics (default %(default)s)")
-    parser.add_argument(
-        "--z-m", type=float, default=0.0, help="height of the poses (default %(default)s)"
-    )
+    about = "height of the poses (default %(default)s)"
+    parser.add_argument("--z-m", type=float, default=0.0, help=about)
     parser.add_argument("--no-markers", action="store_true", help="nothing for RViz")
     parser.add_argument("--domain", type=int, help="in place of ROS_DOMAIN_ID")
-    parser.add_argument(
-        "--keys", type=Path, metavar="DIR", help="with server.key and client.key_secret"
-    )
+    about = "with server.key and client.key_secret"
+    parser.add_argument("--keys", type=Path, metavar="DIR", help=about)
     return parser
 
 

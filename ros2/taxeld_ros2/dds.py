@@ -1,5 +1,6 @@
 """DDS as ROS 2 uses it: topics by their ROS names, with the qualities of service of its nodes."""
 
+import functools
 import logging
 import math
 import os
@@ -10,53 +11,63 @@ from typing import Any
 from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import DDSException, Listener, Policy, Qos
 from cyclonedds.domain import DomainParticipant
+from cyclonedds.idl import make_idl_struct, types
 from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from taxeld.errors import SetupError
+from taxeld.view import ros_types
 
 DOMAIN = "ROS_DOMAIN_ID"
 DOMAIN_MAX = 232  # beyond it there are no ports
-BLOCKED_MS = 1  # that a reliable reader which does not keep up may hold a writer
+BLOCKED_MS = 1  # for how long a reliable reader that does not keep up may hold a writer
 TAKEN = 200  # messages at once
-AGAIN_S = 30.0  # between lines of one kind
-# what writers of ROS 2 offer, and what a reader of either kind takes
+AGAIN_S = 30.0  # between two log lines of one kind
+# ROS 2's writers offer this representation, and its readers take it
 CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=BLOCKED_MS))
 BEST_EFFORT = Policy.Reliability.BestEffort
 LATCHED = Policy.Durability.TransientLocal
+EMPTY = {"string": "", "bool": False}  # values of fields that are left out; numbers are 0
 
-log = logging.getLogger(f"taxeld.{__name__}")  # which the command has written
+log = logging.getLogger(f"taxeld.{__name__}")  # the command writes the logs of taxeld
+
+
+@functools.cache
+def kind_of(name: str) -> Any:
+    """The class by which Cyclone DDS writes and reads a ROS type, as `geometry_msgs/Pose`."""
+    package, _, short = name.partition("/")
+    fields = {field: _idl(ros) for ros, field in ros_types.fields(name)}
+    return make_idl_struct(short, f"{package}::msg::dds_::{short}_", fields)
+
+
+def message(name: str, values: dict[str, Any]) -> Any:
+    """A ROS message of a map of its fields; fields that are left out are zero or empty."""
+    fields = ros_types.fields(name)
+    return kind_of(name)(*(_value(ros, values.get(field)) for ros, field in fields))
 
 
 class Output:
     """A topic that is written to. A reader that does not keep up loses messages, alone."""
 
-    def __init__(self, name: str, writer: Any) -> None:
+    def __init__(self, name: str, kind: str, writer: Any) -> None:
         self.lost = 0
-        self._name, self._writer = name, writer
+        self._name, self._kind, self._writer = name, kind, writer
         self._next_line_s = -math.inf
 
-    def write(self, message: Any) -> None:
-        """Never raises for what a reader does, and waits for none longer than `BLOCKED_MS`."""
+    def write(self, values: dict[str, Any]) -> None:
+        """Send a message. Readers never make it fail, nor wait longer than `BLOCKED_MS`."""
         try:
-            self._writer.write(message)
+            self._writer.write(message(self._kind, values))
         except DDSException as error:
             self.lost += 1
             now_s = time.monotonic()
             if now_s >= self._next_line_s:
                 self._next_line_s = now_s + AGAIN_S
-                log.warning(
-                    "/%s: %d messages were lost (%s); a reader does not keep up",
-                    self._name, self.lost, error.msg.strip(),
-                )  # fmt: skip
-
-
-def last(depth: int, *policies: Any) -> Qos:
-    """The last `depth` messages are kept."""
-    return Qos(CDR, Policy.History.KeepLast(depth), *policies)
+                text = "/%s: %d messages were lost (%s); a reader does not keep up"
+                log.warning(text, self._name, self.lost, error.msg.strip())
 
 
 class Participant:
@@ -64,7 +75,7 @@ class Participant:
 
     def __init__(self, domain: int | None = None) -> None:
         """Raises SetupError: the domain is none, or DDS cannot be had."""
-        self.domain = domain_of(domain)
+        self.domain = _domain(domain)
         try:
             self._participant = DomainParticipant(self.domain)
         except DDSException as error:
@@ -74,24 +85,27 @@ class Participant:
             ) from None
         self._seen = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
 
-    def writer(self, name: str, kind: type, qos: Qos) -> Output:
-        """Of the ROS topic `/name`."""
+    def writer(self, name: str, kind: str, depth: int, *policies: Any) -> Output:
+        """Of the ROS topic `/name`; the last `depth` messages are kept for a reader."""
+        qos = Qos(CDR, Policy.History.KeepLast(depth), RELIABLE, *policies)
         made = DataWriter(self._participant, self._topic(name, kind), qos=qos)
-        return Output(name.strip("/"), made)
+        return Output(name.strip("/"), kind, made)
 
-    def reader(self, name: str, kind: type, qos: Qos, on_data: Callable[[], None]) -> Any:
-        """`on_data` is called by a thread of DDS when something has come."""
+    def reader(self, name: str, kind: str, on_data: Callable[[], None], *policies: Any) -> Any:
+        """`on_data` is called by a thread of DDS when a message has come."""
         listener = Listener(on_data_available=lambda _: on_data())
+        qos = Qos(CDR, Policy.History.KeepLast(100), *policies)
         return DataReader(self._participant, self._topic(name, kind), qos=qos, listener=listener)
 
     def kinds_of(self, name: str) -> set[str]:
-        """The ROS types under which others publish a topic."""
+        """The ROS types, as `geometry_msgs/msg/Pose`, under which others publish a topic."""
         wanted = _dds_name(name)
         found = (seen for seen in self._seen.read(N=1000) if seen.topic_name == wanted)
-        return {_ros_type(seen.type_name) for seen in found}
+        names = (seen.type_name.replace("::dds_::", "::").removesuffix("_") for seen in found)
+        return {name.replace("::", "/") for name in names}
 
-    def _topic(self, name: str, kind: type) -> Any:
-        return Topic(self._participant, _dds_name(name), kind)
+    def _topic(self, name: str, kind: str) -> Any:
+        return Topic(self._participant, _dds_name(name), kind_of(kind))
 
 
 def taken(reader: Any) -> list[Any]:
@@ -99,22 +113,32 @@ def taken(reader: Any) -> list[Any]:
     return [sample for sample in reader.take(N=TAKEN) if sample.sample_info.valid_data]
 
 
-def domain_of(given: int | None) -> int:
-    """Raises SetupError where it is none."""
+def _idl(ros: str) -> Any:
+    """The type of a field for Cyclone DDS: of `float64`, `geometry_msgs/Pose[]`, `float64[36]`."""
+    base, is_many, length = ros.rstrip("]").partition("[")
+    plain = {"string": str, "bool": bool}.get(base)
+    kind = plain or (kind_of(base) if "/" in base else getattr(types, base))
+    if not is_many:
+        return kind
+    return types.array[kind, int(length)] if length else types.sequence[kind]
+
+
+def _value(ros: str, given: Any) -> Any:
+    base, is_many, _ = ros.partition("[")
+    if is_many:
+        return [_value(base, one) for one in given] if given and "/" in base else given or []
+    if "/" in base:
+        return message(base, given or {})
+    return EMPTY.get(base, 0) if given is None else given
+
+
+def _domain(given: int | None) -> int:
+    """The number of the domain. Raises SetupError for one that DDS does not have."""
     text = os.environ.get(DOMAIN, "0") if given is None else str(given)
     if not text.isascii() or not text.isdigit() or int(text) > DOMAIN_MAX:
         told = DOMAIN if given is None else "--domain"
         raise SetupError(f"{told}: must be 0..{DOMAIN_MAX}, not {text!r}")
     return int(text)
-
-
-def ros_type(kind: Any) -> str:
-    """`geometry_msgs/msg/Pose` of a class of `ros_types`."""
-    return _ros_type(str(kind.__idl_typename__).replace(".", "::"))
-
-
-def _ros_type(name: str) -> str:
-    return name.replace("::dds_::", "::").removesuffix("_").replace("::", "/")
 
 
 def _dds_name(name: str) -> str:

@@ -1,100 +1,58 @@
-"""The belief as RViz draws it: outlines of the modes, particles, and the skin."""
+"""The belief as RViz draws it: outlines of the modes, and particles."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from taxeld.arrays import Floats
-from taxeld_ros2 import ros_types
-from taxeld_ros2.cdr import Writer, Written
+from taxeld.arrays import Floats, Poses
+from taxeld.model import se2
+from taxeld.view import ros_messages as ros
 
-LINE_STRIP, POINTS = 4, 8
-ADD, DELETE = 0, 2
+LINE_STRIP, POINTS = 4, 8  # types of a visualization_msgs/Marker
+ADD, DELETE = 0, 2  # its actions
 LINE_M, POINT_M = 0.002, 0.003
 BLUE, GREEN = (0.12, 0.47, 0.71), (0.17, 0.63, 0.17)
-FAINTEST = 0.15  # of a mode or particle of hardly any weight
+FAINTEST = 0.15  # of a mode of hardly any weight
 MODES_MAX = 5  # as the daemon sends
 
 
-@dataclass
-class Drawn:
-    """One marker; without points it is taken away."""
-
-    ns: str
-    id: int
-    type: int
-    points: Floats  # (P, 3) in the frame
-    rgba: tuple[float, float, float, float]
-    colours: Floats  # (P, 4), or empty
-
-
-class Markers(Written, ros_types.MarkerArray):
-    """Ready to be sent."""
-
-
-def written(t: float, frame: str, drawn: list[Drawn]) -> Markers:
-    writer = Writer()
-    writer.uint32(len(drawn))
-    for marker in drawn:
-        writer.header(t, frame)
-        writer.string(marker.ns)
-        writer.int32(marker.id, marker.type, ADD if len(marker.points) else DELETE)
-        writer.float64(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)  # the pose, of no effect
-        width = LINE_M if marker.type == LINE_STRIP else POINT_M
-        writer.float64(width, width, 0.0)
-        writer.float32(*marker.rgba)
-        writer.int32(0)  # lives until it is replaced
-        writer.uint32(0)
-        writer.boolean(False)
-        writer.points(marker.points)
-        writer.colours(marker.colours)
-        writer.string("")  # no texture
-        writer.header(0.0, "")
-        writer.string("")
-        writer.nothing()
-        writer.nothing()
-        writer.string("")  # no text, no mesh
-        writer.string("")
-        writer.string("")
-        writer.nothing()
-        writer.boolean(False)
-    return Markers(writer.done())
-
-
 def markers(
-    estimate: dict[str, Any], cloud: dict[str, Any], outline: Floats, frame: str, z_m: float
-) -> Markers:
-    """Modes of the estimate as outlines, the stronger the heavier, and particles as points; nothing
-    of an estimate that is not valid. `cloud`: the particles, if any have come. `outline`: (P, 2) of
-    the object, in its own frame."""
-    shown = estimate["modes"] if estimate["valid"] else []
+    estimate: ros.Map, cloud: ros.Map, outline: Floats, frame: str, z_m: float
+) -> dict[str, Any]:
+    """A `MarkerArray`: modes of the estimate as outlines, the stronger the heavier, and particles
+    as points; nothing of an estimate that is not valid.
+
+    `cloud`: `/taxeld/particles`, or empty. `outline`: (P, 2) of the object, in its own frame.
+    """
+    header = ros.header(estimate["t"], frame)
+    modes = estimate["modes"] if estimate["valid"] else []
     closed = np.vstack([outline, outline[:1]])
     drawn = []
     for k in range(MODES_MAX):
-        points, alpha = np.empty((0, 3)), 0.0
-        if k < len(shown):
-            points, alpha = _placed(closed, shown[k], z_m), max(shown[k]["weight"], FAINTEST)
-        drawn.append(Drawn("modes", k, LINE_STRIP, points, (*BLUE, alpha), np.empty((0, 4))))
-    particles = cloud if shown else {}
-    drawn.append(_particles(particles, outline.mean(axis=0), z_m))
-    return written(estimate["t"], frame, drawn)
+        points, alpha = np.empty((0, 2)), 0.0
+        if k < len(modes):
+            mode = modes[k]
+            points = se2.apply(np.array([mode["x"], mode["y"], mode["theta"]]), closed)
+            alpha = max(mode["weight"], FAINTEST)
+        drawn.append(_marker("modes", k, LINE_STRIP, LINE_M, points, z_m, (*BLUE, alpha)))
+    poses: Poses = np.array(cloud["xytheta"] if cloud and modes else ()).reshape(-1, 3)
+    centre = np.array([*outline.mean(axis=0), 0.0])
+    points = se2.compose(poses, centre)[:, :2]
+    drawn.append(_marker("particles", 0, POINTS, POINT_M, points, z_m, (*GREEN, 1.0)))
+    return {"markers": [{"header": header, **one} for one in drawn]}
 
 
-def _particles(cloud: dict[str, Any], centre: Floats, z_m: float) -> Drawn:
-    """Each at the object's centre."""
-    poses = np.array(cloud.get("xytheta", ())).reshape(-1, 3)
-    weight = np.array(cloud.get("weight", ()))
-    c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    x, y = centre
-    at = [poses[:, 0] + c * x - s * y, poses[:, 1] + s * x + c * y, np.full(len(poses), z_m)]
-    colours = np.tile((*GREEN, 1.0), (len(poses), 1))
-    colours[:, 3] = np.maximum(weight / weight.max(initial=1e-300), FAINTEST)
-    return Drawn("particles", 0, POINTS, np.column_stack(at), (*GREEN, 1.0), colours)
-
-
-def _placed(points: Floats, pose: dict[str, float], z_m: float) -> Floats:
-    c, s = np.cos(pose["theta"]), np.sin(pose["theta"])
-    x, y = points.T
-    at = [pose["x"] + c * x - s * y, pose["y"] + s * x + c * y, np.full(len(points), z_m)]
-    return np.column_stack(at)
+def _marker(
+    ns: str, number: int, kind: int, size_m: float, points: Floats, z_m: float, rgba: Any
+) -> ros.Map:
+    """A marker of points (P, 2); without points it is taken away."""
+    return {
+        "ns": ns,
+        "id": number,
+        "type": kind,
+        "action": ADD if len(points) else DELETE,
+        "pose": ros.pose({"x": 0.0, "y": 0.0, "theta": 0.0}),
+        "scale": {"x": size_m, "y": size_m},
+        "color": dict(zip("rgba", rgba, strict=True)),
+        "points": [{"x": x, "y": y, "z": z_m} for x, y in points.tolist()],
+    }

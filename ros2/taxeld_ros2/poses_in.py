@@ -1,42 +1,31 @@
-"""Where the skin is, from ROS 2: transforms, or a topic of poses."""
+"""Where the skin is, from ROS 2: its poses go on to the daemon as `/robot/sensor_pose`."""
 
 import logging
 import math
 import time
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any
 
-from taxeld_ros2 import ros_types as ros
-from taxeld_ros2.dds import (
-    AGAIN_S,
-    BEST_EFFORT,
-    LATCHED,
-    RELIABLE,
-    Participant,
-    last,
-    ros_type,
-    taken,
-)
-from taxeld_ros2.stream import PoseOutput
-from taxeld_ros2.transforms import Rigid, Transforms
+import msgpack
+import zmq
+
+from taxeld.arrays import Floats
+from taxeld.config import endpoints
+from taxeld.errors import SetupError
+from taxeld.stream import messages
+from taxeld.stream.sockets import open_socket, why
+from taxeld_ros2.dds import AGAIN_S, BEST_EFFORT, LATCHED, RELIABLE, Participant, taken
+from taxeld_ros2.transforms import Transforms, matrix
 
 TILT_RAD = 0.1  # of the link from upright, beyond which its pose is not planar
 PATIENCE_S = 5.0  # without a pose, until that is said
-OFF_S = 1.0  # stamps so far from this machine's clock are of another
+OFF_S = 1.0  # stamps farther from this machine's clock are of another clock
+QUEUE = 1000  # poses that wait for the daemon
+POSE = "geometry_msgs/msg/PoseStamped"
 
-log = logging.getLogger(f"taxeld.{__name__}")  # which the command has written
+Places = list[tuple[float, Floats]]  # Unix seconds, and the skin's frame in the world's (4, 4)
 
-
-class Source(Protocol):
-    """Where poses come from."""
-
-    def take(self) -> list[tuple[float, Rigid]]:
-        """Those that have come since, with their times."""
-        ...
-
-    def fault(self) -> str:
-        """Why none comes, as far as it is known."""
-        ...
+log = logging.getLogger(f"taxeld.{__name__}")  # the command writes the logs of taxeld
 
 
 class FromTransforms:
@@ -44,29 +33,23 @@ class FromTransforms:
 
     def __init__(self, dds: Participant, parent: str, child: str, wake: Callable[[], None]) -> None:
         self._transforms = Transforms(parent, child)
-        self._readers = (
-            (dds.reader("tf_static", ros.TFMessage, last(100, RELIABLE, LATCHED), wake), True),
-            (dds.reader("tf", ros.TFMessage, last(100, RELIABLE), wake), False),
-        )
+        self.fault = self._transforms.fault
+        kind = "tf2_msgs/TFMessage"
+        self._static = dds.reader("tf_static", kind, wake, RELIABLE, LATCHED)
+        self._moving = dds.reader("tf", kind, wake, RELIABLE)
 
-    def take(self) -> list[tuple[float, Rigid]]:
+    def take(self) -> Places:
+        """The places that have come since the last call."""
         found = []
-        for reader, is_static in self._readers:
+        for reader in (self._static, self._moving):
             for message in taken(reader):
                 for one in message.transforms:
-                    self._take(one, is_static)
-                told = self._transforms.news()
-                found += [told] if told else []
+                    t = math.inf if reader is self._static else _seconds(one.header.stamp)
+                    place = _matrix(one.transform.translation, one.transform.rotation)
+                    self._transforms.take(t, one.header.frame_id, one.child_frame_id, place)
+                news = self._transforms.news()
+                found += [news] if news else []
         return found
-
-    def _take(self, one: ros.TransformStamped, is_static: bool) -> None:
-        rigid = _rigid(one.transform.translation, one.transform.rotation)
-        t = _seconds(one.header.stamp)
-        parent, child = one.header.frame_id, one.child_frame_id
-        self._transforms.take(t, parent, child, rigid, is_static)
-
-    def fault(self) -> str:
-        return self._transforms.fault()
 
 
 class FromTopic:
@@ -74,69 +57,86 @@ class FromTopic:
 
     def __init__(self, dds: Participant, topic: str, wake: Callable[[], None]) -> None:
         self._dds, self._topic = dds, topic
-        self._reader = dds.reader(topic, ros.PoseStamped, last(100, BEST_EFFORT), wake)
+        self._reader = dds.reader(topic, "geometry_msgs/PoseStamped", wake, BEST_EFFORT)
 
-    def take(self) -> list[tuple[float, Rigid]]:
-        found = []
-        for message in taken(self._reader):
-            t = _seconds(message.header.stamp)
-            rigid = _rigid(message.pose.position, message.pose.orientation)
-            if rigid is not None:
-                found.append((t, rigid))
-        return found
+    def take(self) -> Places:
+        """The places that have come since the last call."""
+        found = (
+            (_seconds(m.header.stamp), _matrix(m.pose.position, m.pose.orientation))
+            for m in taken(self._reader)
+        )
+        return [(t, place) for t, place in found if place is not None]
 
     def fault(self) -> str:
-        wanted, there = ros_type(ros.PoseStamped), self._dds.kinds_of(self._topic)
+        """Why none comes, as far as it is known."""
+        there = self._dds.kinds_of(self._topic)
         name = "/" + self._topic.strip("/")
         if not there:
             return f"nothing publishes {name} in domain {self._dds.domain}"
-        if wanted not in there:
-            return f"{name} is of {', '.join(sorted(there))}, not of {wanted}"
-        return ""
+        return "" if POSE in there else f"{name} is of {', '.join(sorted(there))}, not of {POSE}"
 
 
 class SensorPose:
-    """Hands the poses of a source on to the daemon, and says what is wrong with them."""
+    """Publishes the places of a source where the daemon expects the robot, and says what is wrong
+    with them."""
 
-    def __init__(self, source: Source, output: PoseOutput) -> None:
-        self.tilted = 0  # poses that are not planar
-        self._source, self._output = source, output
+    def __init__(
+        self, context: "zmq.Context[Any]", endpoint: str, source: FromTransforms | FromTopic
+    ) -> None:
+        """Raises SetupError: the endpoint cannot be used."""
+        if not endpoints.is_local(endpoint):
+            raise SetupError(
+                f"sensor_pose.endpoint: '{endpoint}' is not of this machine; run the bridge beside "
+                "the daemon, with an endpoint as tcp://127.0.0.1:9874"
+            )
+        self._source = source
         self._next: dict[str, float] = {}  # when a line of a kind may be said again, monotonic
         self._since_s = time.monotonic()
+        self._socket = open_socket(context, zmq.PUB, send=QUEUE, receive=1, largest=1024)
+        try:
+            self._socket.bind(endpoint)
+        except zmq.ZMQError as error:
+            self.close()
+            raise SetupError(
+                f"sensor_pose.endpoint: cannot publish at {endpoint} ({why(error)}); does "
+                "something else publish the robot's pose there?"
+            ) from None
+
+    def close(self) -> None:
+        self._socket.close()
 
     def serve(self) -> None:
+        """Hand on the places that have come since."""
         now_s = time.monotonic()
-        for t, rigid in self._source.take():
+        for t, place in self._source.take():
             self._since_s = now_s
-            if rigid.tilt > TILT_RAD:
-                self.tilted += 1
-                self._say(
-                    "tilt", f"the skin's z axis is {math.degrees(rigid.tilt):.0f}° from upright: "
-                    "such poses are left out",
-                )  # fmt: skip
+            tilt = math.acos(min(1.0, max(-1.0, place[2, 2])))
+            if tilt > TILT_RAD:
+                degrees = math.degrees(tilt)
+                text = f"the skin's z axis is {degrees:.0f}° from upright: such poses are left out"
+                self._say("tilt", text, now_s)
                 continue
             off_s = t - time.time()
             if abs(off_s) > OFF_S:
-                self._say(
-                    "clock", f"sensor poses are stamped {off_s:+.0f} s from this machine's clock, "
-                    "so the daemon does not take them; is it a simulation's time?",
-                )  # fmt: skip
-            x, y, _ = rigid.at
-            self._output.send(t, x, y, rigid.yaw)
+                text = f"sensor poses are stamped {off_s:+.0f} s from this machine's clock, so the "
+                text += "daemon does not take them; is it a simulation's time?"
+                self._say("clock", text, now_s)
+            x, y = map(float, place[:2, 3])
+            body = {"t": t, "x": x, "y": y, "theta": math.atan2(place[1, 0], place[0, 0])}
+            frames = messages.SENSOR_POSE, msgpack.packb(body), b"%.6f" % t
+            self._socket.send_multipart(frames, zmq.NOBLOCK)
         if now_s - self._since_s > PATIENCE_S:
-            why = self._source.fault() or "none has come"
-            self._say("silent", f"no sensor pose: {why}")
+            self._say("silent", f"no sensor pose: {self._source.fault() or 'none came'}", now_s)
 
-    def _say(self, kind: str, text: str) -> None:
-        now_s = time.monotonic()
+    def _say(self, kind: str, text: str, now_s: float) -> None:
         if now_s >= self._next.get(kind, -math.inf):
             self._next[kind] = now_s + AGAIN_S
             log.warning(text)
 
 
-def _seconds(stamp: ros.Time) -> float:
-    return float(stamp.sec) + 1e-9 * float(stamp.nanosec)
+def _seconds(stamp: Any) -> float:
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
-def _rigid(at: ros.Point | ros.Vector3, turn: ros.Quaternion) -> Rigid | None:
-    return Rigid.of((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))
+def _matrix(at: Any, turn: Any) -> Floats | None:
+    return matrix((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))

@@ -204,9 +204,9 @@ def test_health_is_put_off_while_a_pass_has_no_time_for_it_but_not_for_long(
     clock_ns = time.perf_counter_ns()
     monkeypatch.setattr(time, "perf_counter_ns", lambda: clock_ns)
     monkeypatch.setattr(daemon.pipeline, "advance", advance)
-    monkeypatch.setattr(daemon.publisher, "wants", lambda _: False)
+    monkeypatch.setattr(daemon.link, "wants", lambda _: False)
     monkeypatch.setattr(
-        daemon.publisher, "send", lambda topic, *_: sent.append(now) if topic == HEALTH else None
+        daemon.link, "send", lambda topic, *_: sent.append(now) if topic == HEALTH else None
     )
     period_s = 1.0 / daemon.config.loop.rate_hz
     while len(sent) < 4:

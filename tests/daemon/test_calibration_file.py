@@ -178,18 +178,19 @@ def test_check_refuses_what_run_would_refuse(
     assert main(["check", str(path)]) == 0
 
 
-@pytest.mark.parametrize("named", ["c.toml", "skins/c.toml"])
-def test_a_recorded_session_has_its_calibration(skin: Layout, tmp_path: Path, named: str) -> None:
+def test_a_recorded_session_has_the_calibration_beside_its_configuration(
+    skin: Layout, tmp_path: Path
+) -> None:
     place = tmp_path / "robot"
-    (place / named).parent.mkdir(parents=True)
-    source = written(skin, place / named, of(skin))
-    config = configured(place, named)
+    place.mkdir()
+    source = written(skin, place / "c.toml", of(skin))
+    config = configured(place, "c.toml")
     session = tmp_path / "session"
     calibration = Path(load(config).skin.calibration)
     with Recorder(session, moves=False, config=config, calibration=calibration) as recorder:
         recorder.take(Frame(NOW, 0x100, b"\x00" * 8))
-    assert (session / named).read_bytes() == source.read_bytes()
-    assert load(session / "config.toml").skin.calibration == str(session / named)
+    assert (session / "c.toml").read_bytes() == source.read_bytes()
+    assert load(session / "config.toml").skin.calibration == str(session / "c.toml")
 
 
 def test_a_calibration_elsewhere_is_not_copied(skin: Layout, tmp_path: Path) -> None:

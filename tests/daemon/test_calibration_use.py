@@ -11,7 +11,7 @@ from taxeld.config.tables import Config, FilterConfig, SkinConfig
 from taxeld.estimator.calibration_check import CalibrationDoubt, Suspect
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld.model.response import response
+from taxeld.model.response import GRID, Inverse, response
 from taxeld.pipeline.calibrated import calibrated, told
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.skin.skin import Skin
@@ -39,6 +39,22 @@ def test_a_reading_becomes_the_depth_that_was_pressed(skin: Layout) -> None:
         assert z[rising] == pytest.approx(depth, abs=0.03)
         simulated.press = np.zeros(len(skin))
         simulated.run(subject, 3.0)
+
+
+def test_a_response_is_undone_by_its_inverse() -> None:
+    onset = np.array([-0.5, 0.0, 0.4, 2.5])
+    inverse = Inverse(0.1, onset)
+    for h in GRID[::16]:
+        reading = response(np.full(4, h), 0.1, onset)
+        assert inverse(reading) == pytest.approx(np.full(4, h), abs=4e-3)
+
+
+@pytest.mark.parametrize("bend", [-0.3, 0.0, 0.1])
+def test_a_reading_of_full_scale_is_exactly_full_depth_so_that_it_counts_as_saturated(
+    bend: float,
+) -> None:
+    depth = Inverse(bend, np.linspace(-0.8, 2.5, 50))(np.full(50, 1.7))
+    assert (depth == 1.0).all()
 
 
 def test_without_a_calibration_a_reading_is_a_share_of_full_scale(skin: Layout) -> None:

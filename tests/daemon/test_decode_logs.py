@@ -1,166 +1,194 @@
-"""Logs of every kind, told by what is in them: the same frames, and of damage the rest."""
+"""Logs: each form gives the same scans, and a damaged one the rest, or one line."""
 
 import gzip
 import json
-import os
-import random
-import threading
-import time
-from collections.abc import Iterator
+import subprocess
+import sys
+import tracemalloc
+from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 
 import can
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from taxeld.commands.decode import decode
 from taxeld.errors import SetupError
-from taxeld.source.logs.files import LogFile
-from taxeld.source.logs.formats import are_differences
-from taxeld.source.logs.text import Damage
+from taxeld.source import can_log
 from taxeld.source.module_order import Given
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld_protocol import cyskin, serial_link, slcan
-from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
 
 from .log_writers import (
     BEFORE_SCANS,
-    MILLISECONDS,
     MODULES,
     START_S,
-    UNTIMED,
     WRITERS,
-    Write,
     bus,
     candump_log,
     counts,
     decoded,
-    frames_of,
-    said,
-    trc,
+    refused,
     values_of,
+    written,
 )
 
 FRAMES = bus()
+RECORDED = Path(__file__).parent / "session"
 
 
-@pytest.fixture
-def log(tmp_path: Path) -> Path:
-    """A file whose name tells nothing."""
-    return tmp_path / "recording"
-
-
-@pytest.fixture(params=["", "Asia/Kathmandu"])
-def zone(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Of this machine, in which a date is written and read."""
-    with pytest.MonkeyPatch.context() as patch:
-        if request.param:
-            patch.setenv("TZ", request.param)
-        time.tzset()
-        yield
-    time.tzset()
-
-
-@pytest.mark.parametrize("packed", [False, True], ids=["plain", "gzip"])
-@pytest.mark.parametrize("kind", WRITERS)
-def test_a_log_of_any_kind_gives_the_same_scans_at_the_same_times(
-    log: Path, kind: str, packed: bool
+@pytest.mark.parametrize("name", WRITERS)
+def test_a_log_of_each_form_gives_the_same_scans_at_the_same_times(
+    tmp_path: Path, name: str
 ) -> None:
-    WRITERS[kind](FRAMES, log)
-    if packed:
-        log.write_bytes(gzip.compress(log.read_bytes()))
-    scans, stats = decoded(log)
+    scans, stats = decoded(written(name, tmp_path))
     assert [scan["modules"] for scan in scans] == counts()
     assert stats["frames"] == len(FRAMES)
-    assert stats["dropped"]["foreign"] == 2  # type: ignore[index]
+    assert stats["dropped"]["foreign"] == 2
     assert stats["bad_lines"] == 0
-    between = [float(scan["t"]) - float(scans[0]["t"]) for scan in scans]  # type: ignore[arg-type]
-    expected = [0.0 if kind in UNTIMED else 0.05 * k for k in range(len(scans))]
-    assert between == pytest.approx(expected, abs=0.002 if kind in MILLISECONDS else 1e-5)
+    between = [scan["t"] - scans[0]["t"] for scan in scans]
+    assert between == pytest.approx([0.05 * k for k in range(len(scans))], abs=1e-5)
 
 
-@pytest.mark.usefixtures("zone")
-@pytest.mark.parametrize("kind", ["candump -t A", "candump -L -t A", "blf by python-can"])
-def test_a_log_that_tells_the_time_of_day_gives_unix_time(log: Path, kind: str) -> None:
-    WRITERS[kind](FRAMES, log)
-    found, _ = frames_of(log)
-    assert [frame.t for frame in found if frame] == pytest.approx([f.t for f in FRAMES], abs=1e-5)
-
-
-@pytest.mark.parametrize("ending", ["log", "asc", "trc", "csv", "blf", "db"])
-def test_what_python_can_reads_is_read_as_it_reads_it(tmp_path: Path, ending: str) -> None:
-    kinds = {"db": "SQLite", "log": "candump log by python-can"}
-    path = tmp_path / f"a.{ending}"
-    WRITERS[kinds.get(ending, f"{ending} by python-can")](FRAMES, path)
-    with can.LogReader(path) as reader:
+def test_candump_text_is_read_as_python_can_reads_it(tmp_path: Path) -> None:
+    log = written("candump.log", tmp_path)
+    with can.LogReader(log) as reader:
         theirs = [
-            Frame(m.timestamp, m.arbitration_id, bytes(m.data), m.is_extended_id) for m in reader
+            (m.channel, (m.timestamp, m.arbitration_id, bytes(m.data), m.is_extended_id))
+            for m in reader
         ]
-    ours, damage = frames_of(path)
-    assert damage.count == 0
-    assert [frame and frame[1:] for frame in ours] == [frame[1:] for frame in theirs]
-    times = [frame.t for frame in ours if frame]
-    assert times == pytest.approx([frame.t for frame in theirs], abs=1e-6)
+    assert list(can_log.frames(log, can_log.Damage())) == theirs
 
 
-def test_differences_go_on_over_what_is_no_frame_and_over_other_interfaces(log: Path) -> None:
-    passed = [0.0, 0.00011, 0.03, *(0.0001 + 1e-5 * (7 * k % 10) for k in range(57))]
-    lines = [f" ({t:010.6f})  can{k % 2}  101   [1]  43" for k, t in enumerate(passed)]
-    lines[2] = " (000.030000)  can0  101   [3]  remote request"
-    log.write_text("\n".join(lines), encoding="ascii")
-    with LogFile(log) as file:
-        logged = [entry for batch in file.frames(Damage()) for entry in batch]
-    found = {k: frame.t for k, (_, frame) in enumerate(logged) if frame is not None}
-    assert found == pytest.approx({k: sum(passed[: k + 1]) for k in range(60) if k != 2})
+@pytest.mark.parametrize(
+    "line",
+    [
+        "(1700000000.1) can0 101#R",
+        "(1700000000.1) can0 101#R8_9",
+        "(1700000000.1) can0 20000088#0000000000000000",
+        "(1700000000.1) can0 101##1001122 R",
+        "(1700000000.1) can0 00123#81:00:12345678#11223344",
+    ],
+    ids=["remote", "remote of a length", "error", "FD", "XL"],
+)
+def test_a_frame_that_carries_nothing_for_a_skin_is_counted_as_foreign(
+    tmp_path: Path, line: str
+) -> None:
+    log = written("candump.log", tmp_path)
+    log.write_text(f"{log.read_text()}{line}\n")
+    _, stats = decoded(log)
+    assert (stats["dropped"]["foreign"], stats["bad_lines"]) == (3, 0)
 
 
-@settings(deadline=None)
-@given(st.lists(st.floats(0.0, 10.0), min_size=1, max_size=300), st.floats(0.0, 2e9))
-def test_times_are_no_differences(steps: list[float], start: float) -> None:
-    assert not are_differences([start + 0.01 + sum(steps[:k]) for k in range(len(steps))])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "(1700000000.1) can0 101#4",
+        "(1700000000.1) can0 1G1#43",
+        "(1700000000.1) can0 8FF#43",
+        "(17000",
+        "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)",
+        f"({'9' * 400}.5) can0 101#43",
+        "x" * 5 * can_log.LINE_MAX,
+        "\0" * can_log.LINE_MAX,
+        "é\r",
+    ],
+    ids=range(9),
+)
+def test_a_damaged_line_costs_only_itself_and_is_counted_and_named_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture, line: str
+) -> None:
+    log = written("candump.log", tmp_path)
+    lines = log.read_text().split("\n")
+    at = len(lines) // 2
+    lines[at:at] = [line, line]
+    log.write_text("\n".join(lines), newline="")
+    scans, stats = decoded(log)
+    assert [scan["modules"] for scan in scans] == counts()
+    assert (stats["frames"], stats["bad_lines"]) == (len(FRAMES), 2)
+    (message,) = caplog.messages
+    assert f"2 bad_lines), at first line {at + 1}: '" in message
+    assert message.isprintable()
 
 
-@given(st.integers(2, 40), st.integers(1, 40), st.integers(0, 1000))
-@settings(deadline=None)
-def test_the_pauses_of_a_scanning_hub_are_differences(frames: int, scans: int, seed: int) -> None:
-    """Frames back to back, with the jitter of a kernel, and a pause before the next scan."""
-    rng = random.Random(seed)
-    pauses = [
-        0.05 + rng.uniform(-1e-3, 1e-3) if k % frames == 0 else 1.1e-4 + rng.uniform(0.0, 5e-5)
-        for k in range(frames * scans)
-    ]
-    assert are_differences([0.0, *(round(pause, 6) for pause in pauses)])
+def test_a_packed_log_is_read_up_to_where_it_is_cut_or_damaged(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    log = written("candump.log.gz", tmp_path, scans=3000)
+    packed = log.read_bytes()
+    for damaged in (packed[: len(packed) // 2], packed[: len(packed) // 2] + bytes(1000)):
+        caplog.clear()
+        log.write_bytes(damaged)
+        scans, stats = decoded(log)
+        assert 1000 < len(scans) < 2000
+        assert stats["bad_lines"] >= 1
+        assert len(caplog.messages) == 1
 
 
-def test_equal_pauses_are_differences_but_equal_times_are_none() -> None:
-    assert are_differences([0.0, *[0.00025] * 50])
-    assert not are_differences([1.0] * 50)
-    assert not are_differences([0.0] * 50)
-    assert not are_differences([0.0] * 20 + [0.05] * 20 + [0.1] * 20)
+# python-can leaves a file open that it refuses
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.parametrize(
+    ("name", "content", "part"),
+    [
+        ("a.log", b"", "a.log: has no frame; candump -l and -L, "),
+        ("a.log", b" can0  101   [2]  43 1A\n", "has no frame (line 1: 'can0  101   [2]  43 1A')"),
+        ("a.log.gz", b"no gzip", "has no frame (after line 0: "),
+        ("a.log.gz", gzip.compress(b"\n" * 1_000_000), "has no frame; candump"),
+        ("a.asc", b"\n", "has no frame; candump"),
+        ("a.asc", b"x\n0.1 1  1G1  Rx  d 1 43\n", "python-can's reader of .asc files stops here: "),
+        ("a.blf", b"LOGG", "python-can's reader of .blf files stops here: "),
+        ("a.csv", b"t\n1.0,0x101,0\n", "python-can's reader of .csv files stops here: "),
+        ("a.csv", b"t\nnan,0x101,0,0,0,0,\n", "stops here: a frame of id 257 at nan s; repair"),
+        ("a.csv", b"t\n1.0,-1,0,0,0,0,\n", "stops here: a frame of id -1 at 1.0 s; repair"),
+        ("a.db", b"SQLite format 3\0", "python-can's reader of .db files stops here: "),
+        ("a.trc", b";$FILEVERSION=2.0\n", "python-can's reader of .trc files stops here: "),
+        ("a.mf4", b"MDF     4.10    ", "python-can's reader of .mf4 files stops here: "),
+        ("a.b.asc.gz", b"", "python-can's reader of .asc files stops here: "),
+        ("serial.bin", b"\n" * 200_000, "neither an SLCAN frame nor a packet"),
+    ],
+    ids=range(15),
+)
+def test_a_log_that_cannot_be_read_is_refused_with_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: bytes, part: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    assert part in refused(tmp_path / name, capsys)
 
 
-def test_a_clock_that_is_set_back_makes_no_differences_of_times() -> None:
-    assert not are_differences([*(1.7e9 + 0.01 * k for k in range(50)), *range(50)])
+@pytest.mark.parametrize("name", ["a.asc", "a.blf", "a.csv", "a.trc"])
+def test_of_a_cut_log_that_python_can_reads_the_scans_before_the_cut_are_given(
+    tmp_path: Path, name: str
+) -> None:
+    log = written(name, tmp_path, scans=3000)
+    log.write_bytes(log.read_bytes()[: log.stat().st_size // 2])
+    lines = list(islice(decode(log), 100))
+    assert [json.loads(line)["modules"] for line in lines] == counts(100)
+
+
+def test_a_directory_is_no_log_and_the_line_says_what_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "of a session its frames.log or serial.bin" in refused(tmp_path, capsys)
 
 
 def two_interfaces(log: Path) -> None:
     other = [frame._replace(can_id=0x105) for frame in FRAMES if frame.can_id != 0x7F0]
-    paths = [log.with_name(name) for name in ("0", "1")]
-    candump_log("a", "can0")(FRAMES, paths[0])
-    candump_log("a", "can1")(other, paths[1])
-    lines = [line for path in paths for line in path.read_text(encoding="ascii").splitlines()]
-    log.write_text("\n".join(sorted(lines)) + "\n", encoding="ascii")
+    candump_log("can0")(FRAMES, log)
+    lines = log.read_text().splitlines()
+    candump_log("can1")(other, log)
+    lines += log.read_text().splitlines()
+    log.write_text("\n".join(sorted(lines)) + "\n")
 
 
 def test_of_several_interfaces_one_is_to_be_named(
-    log: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    log = tmp_path / "any.log"
     two_interfaces(log)
-    assert "interfaces, can0, can1; name the skin's with --interface" in said(log, capsys)
-    assert "no frame of can2; it has those of can0, can1" in said(
+    assert "interfaces, can0, can1; name the skin's with --interface" in refused(log, capsys)
+    assert "no frame of can2; it has those of can0, can1" in refused(
         log, capsys, "--interface", "can2"
     )
     scans, stats = decoded(log, "can0")
@@ -169,31 +197,22 @@ def test_of_several_interfaces_one_is_to_be_named(
     assert decoded(log, "can1")[1]["frames"] == len(FRAMES) - 1
 
 
-def test_an_interface_that_comes_late_is_found_before_a_scan_is_printed(
-    log: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("name", ["a.asc", "a.blf"])
+def test_channels_are_interfaces_by_the_number_that_python_can_gives_them(
+    tmp_path: Path, name: str
 ) -> None:
-    candump_log("a")(bus(2000), log)
-    with log.open("a", encoding="ascii") as file:
-        file.write("(1700000999.0) vcan7 101#43\n")
-    assert log.stat().st_size > 1 << 19
-    assert "can0, vcan7" in said(log, capsys)
-
-
-def test_a_log_without_interfaces_takes_no_name(
-    log: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    WRITERS["csv by python-can"](FRAMES, log)
-    assert "it names no interface; leave this out" in said(log, capsys, "--interface", "can0")
-
-
-@pytest.mark.parametrize("write", [trc("2.1", "NOTBIdRLD", ";$COLUMNS=N,O,T,B,I,d,R,L,D"),
-                                   WRITERS["asc"], WRITERS["blf by python-can"]],
-                         ids=["trc", "asc", "blf"])  # fmt: skip
-def test_channels_are_interfaces_by_their_number(log: Path, write: Write) -> None:
-    write(FRAMES, log)
-    assert len(decoded(log, "1")[0]) == 6
-    with pytest.raises(SetupError, match="no frame of 2; it has those of 1"):
+    log = written(name, tmp_path)
+    assert len(decoded(log, "0")[0]) == 6
+    with pytest.raises(SetupError, match="no frame of 2; it has those of 0"):
         list(decode(log, interface="2"))
+
+
+@pytest.mark.parametrize("name", ["a.csv", "serial.bin"])
+def test_a_log_without_interfaces_takes_no_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    log = RECORDED / name if name == "serial.bin" else written(name, tmp_path)
+    assert "leave this out" in refused(log, capsys, "--interface", "can0")
 
 
 @pytest.mark.parametrize("framing", ["native", "slcan"])
@@ -205,17 +224,16 @@ def test_the_bytes_of_a_recorded_serial_line_are_decoded_with_their_times(
         for scan in range(6):
             line = b"\x00\rnoise"
             for command, payload in hub.sensor_data(values_of(scan)):
-                line += (
-                    serial_link.DELIMITER + serial_link.encode(command, payload, ihb=1)
-                    if framing == "native"
-                    else b"".join(b"\r" + slcan.encode(f) for f in cyskin.to_frames(
-                        command, payload, ihb=1))
-                )  # fmt: skip
+                if framing == "native":
+                    line += serial_link.DELIMITER + serial_link.encode(command, payload, ihb=1)
+                    continue
+                for frame in cyskin.to_frames(command, payload, ihb=1):
+                    line += b"\r" + slcan.encode(frame)
             for at in range(0, len(line), 50):
                 recorder.take(Chunk(START_S + 0.05 * scan + 1e-6 * at, line[at : at + 50]))
     log = tmp_path / "session" / "serial.bin"
-    modules = list(decode(log, Given([(m.sui, m.mask) for m in MODULES])))
-    scans, stats = [json.loads(line) for line in modules[:-1]], json.loads(modules[-1])["stats"]
+    *lines, last = decode(log, Given([(m.sui, m.mask) for m in MODULES]))
+    scans, stats = [json.loads(line) for line in lines], json.loads(last)["stats"]
     assert [scan["modules"] for scan in scans] == counts()
     assert [scan["t"] for scan in scans] == pytest.approx(
         [START_S + 0.05 * k for k in range(6)], abs=1e-3
@@ -225,28 +243,69 @@ def test_the_bytes_of_a_recorded_serial_line_are_decoded_with_their_times(
     assert stats["bad_lines"] == 0
 
 
-def test_what_comes_through_a_pipe_is_read(tmp_path: Path) -> None:
-    log, pipe = tmp_path / "log", tmp_path / "pipe"
-    WRITERS["SQLite"](FRAMES, log)
-    os.mkfifo(pipe)
-    writer = threading.Thread(target=lambda: pipe.write_bytes(log.read_bytes()))
-    writer.start()
-    scans, _ = decoded(pipe)
-    writer.join()
-    assert len(scans) == 6
-
-
-def test_the_frames_of_a_log_are_read_once_where_hubs_declare_their_modules(
-    log: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("change", "bad", "part"),
+    [
+        (lambda _: None, 1, "serial.csv: 'it is not there"),
+        (lambda rows: ["t,offset", f"{'9' * 400},0", *rows[2:]], 1, "serial.csv line 2: '999"),
+        (lambda rows: [*rows[:4], "nan,5", "1700000000.5,1", *rows[4:]], 2, "line 5: 'nan,5'"),
+        (lambda rows: rows[: len(rows) // 2], 0, ""),
+    ],
+    ids=["none", "400 digits", "no rows", "cut"],
+)
+def test_bytes_whose_times_are_damaged_are_decoded_all_the_same(
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    change: Callable[[list[str]], list[str] | None],
+    bad: int,
+    part: str,
 ) -> None:
-    passes = []
-    monkeypatch.setattr(
-        LogFile, "frames", lambda self, damage, read=LogFile.frames: passes.append(1) or read(
-            self, damage)
-    )  # fmt: skip
-    WRITERS["candump -L -t a"](FRAMES, log)
-    assert len(decoded(log)[0]) == 6
-    assert len(passes) == 1
-    WRITERS["candump -L -t a"](FRAMES[BEFORE_SCANS:], log)
-    assert len(decoded(log)[0]) == 6
-    assert len(passes) == 3
+    whole, _ = decoded(RECORDED / "serial.bin")
+    log = tmp_path / "serial.bin"
+    log.write_bytes((RECORDED / "serial.bin").read_bytes())
+    rows = change((RECORDED / "serial.csv").read_text().split("\n"))
+    if rows is not None:
+        log.with_suffix(".csv").write_text("\n".join(rows))
+    scans, stats = decoded(log)
+    assert [scan["modules"] for scan in scans] == [scan["modules"] for scan in whole]
+    assert stats["bad_lines"] == bad
+    assert part in "".join(caplog.messages)
+
+
+def test_a_line_without_an_end_takes_little_memory(tmp_path: Path) -> None:
+    log = tmp_path / "frames.log"
+    log.write_bytes(b"x" * (20 << 20))
+    tracemalloc.start()
+    try:
+        with pytest.raises(SetupError, match="has no frame"):
+            decoded(log)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
+MEMORY = """
+import sys
+from pathlib import Path
+from taxeld.commands.decode import decode
+lines = sum(1 for _ in decode(Path(sys.argv[1])))
+status = Path("/proc/self/status").read_text()
+print(lines, status.split("VmHWM:")[1].split()[0])
+"""
+
+
+@pytest.mark.parametrize("declared", [True, False], ids=["declared", "undeclared"])
+def test_a_log_of_any_length_takes_the_same_memory(tmp_path: Path, declared: bool) -> None:
+    """The peak of a process, in kB, over a log and over one of ten times its length."""
+    log, peaks = tmp_path / "frames.log", []
+    for scans in (1000, 10_000):
+        frames = bus(scans)
+        candump_log()(frames if declared else frames[BEFORE_SCANS:], log)
+        ran = subprocess.run(
+            [sys.executable, "-c", MEMORY, str(log)], capture_output=True, text=True, check=True
+        )
+        lines, peak = map(int, ran.stdout.split())
+        assert lines == scans + 1
+        peaks.append(peak)
+    assert peaks[1] < peaks[0] + 4000
+    assert peaks[1] < 100_000

@@ -5,7 +5,6 @@ import errno
 import fcntl
 import logging
 import os
-import resource
 import select
 import subprocess
 import sys
@@ -319,32 +318,6 @@ def test_a_device_that_comes_and_goes_all_day_fills_no_log(
     assert source.counters.lost >= 300
     assert 10 <= len(caplog.records) <= 10 + 1000 / 30 + 1
     source.close()
-
-
-def test_a_device_is_opened_again_though_all_descriptors_are_taken(tmp_path: Path) -> None:
-    hub = VirtualHub(tmp_path / "skin", MODULES, native=True)
-    source = live(SourceConfig(kind="serial", channel=hub.device))
-    hub.unplug()
-    until(source, lambda: source.counters.lost == 1, lambda: None)
-    limits = resource.getrlimit(resource.RLIMIT_NOFILE)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (1200, limits[1]))
-    taken: list[int] = []
-    try:
-        with contextlib.suppress(OSError):
-            while True:
-                taken.append(os.open(os.devnull, os.O_RDONLY))
-        for _ in range(2):
-            os.close(taken.pop())
-        hub.plug()  # takes two
-        for second in range(2000, 2010):
-            source.poll(float(second) + time.monotonic())
-    finally:
-        for fd in taken:
-            os.close(fd)
-        resource.setrlimit(resource.RLIMIT_NOFILE, limits)
-    assert source.counters.reopened == 1
-    source.close()
-    hub.unplug()
 
 
 def test_who_hears_no_bus_of_python_cans_does_not_load_it() -> None:

@@ -7,10 +7,8 @@ import pytest
 
 from taxeld.config import endpoints
 from taxeld.config.file import parse
-from taxeld.config.tables import CurveConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.stream.curve import takes_keys
-from taxeld.stream.door import Door
 
 MINIMAL = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
 LOCAL = [
@@ -44,7 +42,7 @@ NONE_AT_ALL = [
 def test_this_machine_takes_no_keys(endpoint: str) -> None:
     assert endpoints.fault(endpoint, has_keys=False) is None
     assert endpoints.is_local(endpoint)
-    assert not takes_keys(endpoint, CurveConfig("/keys"))
+    assert not takes_keys(endpoint, loopback=False)
 
 
 @pytest.mark.parametrize("endpoint", BEYOND)
@@ -53,7 +51,7 @@ def test_what_lies_beyond_is_refused_or_takes_keys(endpoint: str) -> None:
     assert fault is not None
     assert "is not local; use ipc:///path or tcp://127.0.0.1:port, or set curve.dir" in fault
     assert endpoints.fault(endpoint, has_keys=True) is None
-    assert takes_keys(endpoint, CurveConfig("/keys"))
+    assert takes_keys(endpoint, loopback=False)
 
 
 @pytest.mark.parametrize("endpoint", NONE_AT_ALL)
@@ -62,9 +60,8 @@ def test_what_is_no_endpoint_is_refused_with_keys_as_well(endpoint: str) -> None
 
 
 def test_on_request_tcp_takes_keys_on_this_machine_too() -> None:
-    curve = CurveConfig("/keys", loopback=True)
-    assert takes_keys("tcp://127.0.0.1:9872", curve)
-    assert not takes_keys("ipc:///run/taxeld/stream", curve)
+    assert takes_keys("tcp://127.0.0.1:9872", loopback=True)
+    assert not takes_keys("ipc:///run/taxeld/stream", loopback=True)
 
 
 @pytest.mark.parametrize(
@@ -96,8 +93,7 @@ def test_the_daemon_itself_serves_no_network_with_keys_or_without(
     with pytest.raises(ConfigError) as error:
         parse(MINIMAL + table.format(endpoint) + curve)
     assert error.value.faults == [
-        f"{key}: '{endpoint}' is for the relay: name it in {relay_key} and start "
-        "'taxeld relay CONFIG'; the daemon serves ipc:///path alone"
+        f"{key}: '{endpoint}' is of TCP: name it in {relay_key}; here stands ipc:///path alone"
     ]
 
 
@@ -112,7 +108,7 @@ def test_a_users_own_daemon_has_its_sockets_in_the_users_runtime_directory(
     assert endpoints.for_this_user(stream) == own
     assert endpoints.no_directory(own) is None
     users.mkdir()
-    Door(own, "publish.endpoints").close()
+    endpoints.make_directory(own)
     assert stat.S_IMODE((users / "taxeld").stat().st_mode) == 0o700
     for other in ("ipc:///tmp/x", f"ipc://{services}/a/b", "tcp://127.0.0.1:1", ""):
         assert endpoints.for_this_user(other) == other

@@ -1,8 +1,8 @@
 """What is exported for ROS 2 is what the replay says, read by another's reader."""
 
 import shutil
-import tomllib
 from collections.abc import Iterator
+from itertools import dropwhile
 from pathlib import Path
 from typing import Any
 
@@ -10,19 +10,22 @@ import numpy as np
 import pytest
 
 from taxeld.cli import main
-from taxeld.config import file as config_file
-from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
 from taxeld.stream import messages
 from taxeld.view.recorded import Recording
 
 from .recorded import configuration, write_session
+from .test_stream_document import documented
 
 pytest.importorskip("mcap_ros2")
-highlevel = pytest.importorskip("rosbags.highlevel")
-typesys = pytest.importorskip("rosbags.typesys")
+pytest.importorskip("rosbags")
 
-from taxeld.view import export, ros_types  # noqa: E402
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from taxeld.view import export, ros_messages, ros_types
+
+RELEASES = [*dropwhile(lambda store: store is not Stores.ROS2_HUMBLE, Stores)]
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
 Heard = dict[str, list[Any]]
 
@@ -52,7 +55,7 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> Heard:
 
 
 def read(path: Path) -> Iterator[tuple[Any, int, Any]]:
-    with highlevel.AnyReader([path]) as reader:
+    with AnyReader([path]) as reader:
         for connection, t_ns, raw in reader.messages():
             yield connection, t_ns, reader.deserialize(raw, connection.msgtype)
 
@@ -128,25 +131,42 @@ def test_every_estimate_has_a_status_by_its_name(
     assert (truth.pose.position.x, truth.pose.position.y) == (0.1, 0.2)
 
 
-def test_the_sensor_stands_where_the_robot_said(
-    said: dict[bytes, list[dict[str, Any]]],
+@pytest.mark.parametrize("release", RELEASES, ids=lambda release: str(release.name).lower())
+def test_definitions_are_those_of_ros_2(release: Stores) -> None:
+    """rosbags has those of each release since Humble, and reads ours to the same fields."""
+    theirs = get_typestore(release).fielddefs
+    for name in ros_types.TYPES:
+        full = name.replace("/", "/msg/")
+        ours = get_types_from_msg(ros_types.definition(name), full)
+        assert full in ours
+        for one, (_, fields) in ours.items():
+            assert fields == theirs[one][1]
+
+
+@pytest.mark.parametrize("status", list(Status))
+def test_every_status_has_a_level_and_its_name(status: Status) -> None:
+    estimate = {**documented("/taxeld/estimate")[1], "status": int(status)}
+    health = documented("/taxeld/health")[1]
+    (told,) = ros_messages.diagnostics(5.0, "taxeld", estimate, health)["status"]
+    assert told["message"] == status.name.lower()
+    good = {Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED}
+    assert (told["level"] == ros_messages.OK) == (status in good)
+    assert {"key": "dead taxels", "value": "4 17 30"} in told["values"]
+
+
+def test_a_status_of_a_later_daemon_is_told_by_its_number() -> None:
+    estimate = {**documented("/taxeld/estimate")[1], "status": 99}
+    (told,) = ros_messages.diagnostics(5.0, "taxeld", estimate)["status"]
+    assert (told["level"], told["message"]) == (ros_messages.WARN, "unknown (99)")
+
+
+@pytest.mark.parametrize("t", [1700000005.121, 1.9999999999, 0.0, 1795357978.776642])
+def test_a_stamp_is_the_measurements_time_and_its_nanoseconds_are_less_than_a_second(
+    t: float,
 ) -> None:
-    rows = np.loadtxt(SESSION / "sensor_pose.csv", delimiter=",", skiprows=1)
-    placed = [one for one in said[messages.TAXELS] if one["placed"]]
-    for one in placed[1:-1]:
-        x = np.interp(one["t"], rows[:, 0], rows[:, 1])
-        assert one["sensor"]["x"] == pytest.approx(x, abs=1e-6)
-
-
-@pytest.mark.parametrize("name", sorted(set(export.TYPES.values())))
-def test_definitions_are_those_of_ros_2(name: str) -> None:
-    """rosbags has the definitions of a distribution; its parser reads ours to the same fields."""
-    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    full = name.replace("/", "/msg/")
-    ours = typesys.get_types_from_msg(ros_types.definition(name), full)
-    assert full in ours
-    for one, (_, fields) in ours.items():
-        assert fields == store.fielddefs[one][1]
+    stamp = ros_messages.header(t)["stamp"]
+    assert 0 <= stamp["nanosec"] < 1_000_000_000
+    assert stamp["sec"] + stamp["nanosec"] * 1e-9 == pytest.approx(t, abs=1e-6)
 
 
 def test_a_session_without_a_whole_scan_is_one_line_and_leaves_no_file(
@@ -175,12 +195,3 @@ def test_what_is_no_session_and_what_cannot_be_written_is_one_line(
     said = capsys.readouterr().err
     assert said.startswith("--mcap: cannot write")
     assert said.count("\n") == 1
-
-
-def test_a_session_of_a_newer_version_is_one_line(tmp_path: Path) -> None:
-    shutil.copytree(SESSION, tmp_path / "s")
-    (tmp_path / "s" / "session.toml").write_text("version = 99\n", encoding="utf-8")
-    assert tomllib.loads((tmp_path / "s" / "session.toml").read_text(encoding="utf-8"))
-    assert config_file.load(tmp_path / "s" / "config.toml")
-    with pytest.raises(SetupError, match="is of version 99"):
-        list(Recording(tmp_path / "s"))

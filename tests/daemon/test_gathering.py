@@ -38,7 +38,7 @@ class Line:
     def rest(self, until_s: float) -> Ready:
         if self.disturbed_s is not None and self.disturbed_s <= until_s:
             self.now_s, self.disturbed_s = max(self.now_s, self.disturbed_s), None
-            return Ready(peers=True)
+            return Ready(robot=True)
         self.now_s = max(self.now_s, until_s) + self.late()
         return Ready()
 
@@ -160,7 +160,7 @@ def test_whoever_else_comes_is_not_kept_waiting() -> None:
     line.arrivals, line.heard = scans[100], 0
     line.wait(scans[100][-1])
     line.disturbed_s = scans[100][5]
-    assert gathering.gather(line, line.hear, scans[100][-1]) == Ready(device=True, peers=True)
+    assert gathering.gather(line, line.hear, scans[100][-1]) == Ready(device=True, robot=True)
     assert line.now_s == scans[100][5]
     assert gathering.has_begun
 

@@ -246,8 +246,8 @@ def test_a_damaged_scene_file_is_one_line(tmp_path, box_model: ObservationModel)
     whole = path.read_bytes()
     for damaged in (b"", b"junk", whole[: len(whole) // 2]):
         path.write_bytes(damaged)
-        with pytest.raises(SetupError, match="unreadable scene"):
+        with pytest.raises(SetupError, match="unusable scene"):
             scene_file.load(path)
     np.savez(path, slices=np.zeros(3))
-    with pytest.raises(SetupError, match="lacks cell, centre"):
+    with pytest.raises(SetupError, match="silhouette"):
         scene_file.load(path)

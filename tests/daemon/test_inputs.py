@@ -1,4 +1,4 @@
-"""What wakes the loop: descriptors that come and go, and peers who never stop."""
+"""The loop sleeps until its device or the door has something to say: descriptors come and go."""
 
 import os
 import threading
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from taxeld.service.inputs import PEERS_S, Inputs, Ready
+from taxeld.service.inputs import Inputs, Ready
 
 SOON_S = 20.0  # a wait that ends by what comes ends long before
 
@@ -44,9 +44,8 @@ def pipes() -> Iterator[list[Pipe]]:
 
 
 @pytest.fixture
-def inputs(pipes: list[Pipe]) -> Iterator[Inputs]:
-    """Peers come to the last of the pipes."""
-    made = Inputs([pipes[-1].fileno()])
+def inputs() -> Iterator[Inputs]:
+    made = Inputs()
     yield made
     made.close()
 
@@ -56,17 +55,16 @@ def wait(inputs: Inputs, seconds: float = SOON_S) -> Ready:
 
 
 def test_whoever_speaks_ends_the_wait_and_is_named(inputs: Inputs, pipes: list[Pipe]) -> None:
-    device, robot, _, peers = pipes
+    device, robot, *_ = pipes
     inputs.follow(device, robot)
     assert wait(inputs, 0.0) == Ready()
     for pipe, ready in (
-        (device, Ready(device=True)), (robot, Ready(robot=True)), (peers, Ready(peers=True)),
+        (device, Ready(device=True)), (robot, Ready(robot=True)),
     ):  # fmt: skip
         pipe.say()
         assert wait(inputs) == ready
         pipe.hear()
-        while wait(inputs, 2.0 * PEERS_S) != Ready():  # peers are looked at once more
-            pass
+        assert wait(inputs, 0.0) == Ready()
 
 
 def test_what_comes_while_it_sleeps_wakes_it(inputs: Inputs, pipes: list[Pipe]) -> None:
@@ -126,27 +124,6 @@ def test_a_device_without_a_descriptor_is_left_to_the_clock(inputs: Inputs) -> N
 
     inputs.follow(Mute(), None)
     assert wait(inputs, 0.001) == Ready()
-
-
-def test_peers_who_never_stop_wake_it_now_and_then_alone(inputs: Inputs, pipes: list[Pipe]) -> None:
-    peers = pipes[-1]
-    peers.say()  # and nobody takes it: as if they said more and more
-    began, looks = time.monotonic(), 0
-    while looks < 5:
-        looks += wait(inputs, PEERS_S).peers
-    assert time.monotonic() - began >= 4.0 * PEERS_S, "no sooner"
-
-
-def test_once_they_are_quiet_peers_are_looked_at_once_more(
-    inputs: Inputs, pipes: list[Pipe]
-) -> None:
-    """For what a look has left, as it takes so much of each."""
-    peers = pipes[-1]
-    peers.say()
-    assert wait(inputs).peers
-    peers.hear()
-    assert wait(inputs).peers
-    assert wait(inputs, 3.0 * PEERS_S) == Ready()
 
 
 def test_a_device_that_rests_wakes_nobody_and_others_do(inputs: Inputs, pipes: list[Pipe]) -> None:

@@ -1,6 +1,5 @@
 """What the daemon logs, for whom, and how often."""
 
-import io
 import logging
 import os
 import pty
@@ -25,6 +24,7 @@ from taxeld.skin.channels import Wiring
 from taxeld_protocol.modules import wired
 from tests.daemon.recorded import configuration, write_session
 from tests.daemon.simulated_skin import SimulatedSkin
+from tests.logged import messages
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 RECORD = logging.LogRecord("taxeld", logging.WARNING, "", 0, "a line\nand another", None, None)
@@ -34,21 +34,27 @@ def test_the_journal_is_told_the_priority_of_each_line(tmp_path: Path) -> None:
     with (tmp_path / "journal").open("w") as stream:
         found = os.fstat(stream.fileno())
         environ = {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino}"}
-        assert log.formatter(stream, environ).format(RECORD) == "<4>a line\n<4>and another"
+        assert log.formatter(stream.fileno(), environ).format(RECORD) == "<4>a line\n<4>and another"
         elsewhere = {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino + 1}"}
-        assert "<4>" not in log.formatter(stream, elsewhere).format(RECORD)
-    assert "<4>" not in log.formatter(io.StringIO(), environ).format(RECORD)
+        assert "<4>" not in log.formatter(stream.fileno(), elsewhere).format(RECORD)
 
 
 def test_a_terminal_shows_a_warning_in_colour_unless_told_not_to() -> None:
     ours, theirs = pty.openpty()
     with os.fdopen(theirs, "w") as terminal:
-        coloured = log.formatter(terminal, {"TERM": "xterm"}).format(RECORD)
+        coloured = log.formatter(terminal.fileno(), {"TERM": "xterm"}).format(RECORD)
         assert coloured.startswith("\x1b[33m")
         assert coloured.endswith("\x1b[0m")
         for environ in ({"NO_COLOR": "1"}, {"TERM": "dumb"}):
-            assert "\x1b" not in log.formatter(terminal, environ).format(RECORD)
+            assert "\x1b" not in log.formatter(terminal.fileno(), environ).format(RECORD)
     os.close(ours)
+
+
+def test_a_librarys_warnings_are_lines_of_the_log(capfd: pytest.CaptureFixture[str]) -> None:
+    with log.written():
+        logging.getLogger("can").warning("the bus is off")
+        logging.getLogger("can").info("the bus is on")
+    assert messages(capfd.readouterr().err) == ["the bus is off"]
 
 
 @pytest.fixture
@@ -169,14 +175,14 @@ def test_a_hub_that_lacks_modules_of_the_layout_is_logged(
 
 
 def test_a_daemon_says_when_it_is_ready_with_what(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     from taxeld.cli import main  # noqa: PLC0415
 
     write_session(tmp_path, touches=1, period_s=0.02)
     config = str(configuration(tmp_path))
     assert main(["run", config]) == 0
-    lines = capsys.readouterr().err.splitlines()
+    lines = capfd.readouterr().err.splitlines()
     assert "ready: skin cylinder:rows=5" in lines[0]
     assert "80 taxels; object 003_cracker_box; samples by " in lines[0]
     assert f"source replay {tmp_path}, open" in lines[0]
@@ -184,7 +190,7 @@ def test_a_daemon_says_when_it_is_ready_with_what(
     assert any(line.endswith("hub 1 sends: 8 modules, 8 of them in the layout") for line in lines)
     before = logging.getLogger("taxeld").level
     assert main(["run", "--log-level", "error", config]) == 0
-    assert capsys.readouterr().err == ""
+    assert capfd.readouterr().err == ""
     assert logging.getLogger("taxeld").level == before
 
 

@@ -105,9 +105,9 @@ class Heard(list[tuple[bytes, dict[str, Any]]]):
     """What a daemon sends."""
 
     def __init__(self, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
-        monkeypatch.setattr(daemon.publisher, "wants", lambda _: True)
+        monkeypatch.setattr(daemon.link, "wants", lambda _: True)
         monkeypatch.setattr(
-            daemon.publisher, "send", lambda topic, message, _: self.append((topic, message))
+            daemon.link, "send", lambda topic, message, _: self.append((topic, message))
         )
 
     def of(self, topic: bytes) -> list[dict[str, Any]]:
@@ -185,9 +185,8 @@ def test_what_thoughts_have_bettered_is_sent_as_another_estimate_of_the_same_sca
         assert first["lat_us"]["skin"] > 0.0
         assert last["lat_us"]["skin"] == 0.0
         assert last["lat_us"]["filter"] > 0.0
-    timed = daemon.latencies._stages["total"]
     daemon.latencies.percentiles()
-    assert timed.cycles == daemon.pipeline.skin.counters.scans, "each scan counts once"
+    assert daemon.latencies.scans == daemon.pipeline.skin.counters.scans, "each scan counts once"
 
 
 def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Path) -> None:
@@ -211,7 +210,7 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
         "v", "seq", "t", "uptime_s", "loop", "over_budget", "degraded", "realtime", "source",
         "skin", "skin_state", "estimator", "inputs", "control", "recording", "subscribers",
         "hoarders", "keys_refused", "lat_us", "belief", "drift", "dead_taxels", "stuck_taxels",
-        "saturated_taxels", "untared_taxels", "calibration", "modules", "missing_modules",
+        "saturated_taxels", "untared_taxels", "calibration", "modules", "missing_modules", "door",
     }  # fmt: skip
     assert health["source"]["frames"] == 0
 
@@ -254,7 +253,6 @@ def test_a_client_that_breaks_off_does_not_wedge_control(daemon: Daemon, tmp_pat
 def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
     text = settings(tmp_path) + f'[sensor_pose]\nendpoint = "ipc://{tmp_path}/poses"\n'
     daemon = Daemon(parse(text))
-    assert daemon.pose_input is not None
     good = msgpack.packb({"t": 1.0, "x": 0, "y": 0.5, "theta": 0.0})
     with zmq.Context() as context, context.socket(zmq.PUB) as robot:
         robot.setsockopt(zmq.LINGER, 0)
@@ -267,7 +265,7 @@ def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
             msgpack.packb({"t": "x", "x": 0, "y": 0, "theta": 0}),
         ]
         while time.monotonic() < deadline and not (
-            track.latest_t == 1.0 and daemon.pose_input.counters.malformed >= 4
+            track.latest_t == 1.0 and daemon.link.report.robot.malformed >= 4
         ):
             for body in bad:
                 robot.send_multipart([messages.SENSOR_POSE, body, b"1.0"])
@@ -276,7 +274,7 @@ def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:
             daemon.tick(time.monotonic())
             time.sleep(0.005)
     assert track.latest_t == 1.0
-    assert daemon.pose_input.counters.malformed >= 4
+    assert daemon.link.report.robot.malformed >= 4
     daemon.close()
 
 

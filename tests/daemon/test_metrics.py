@@ -1,137 +1,67 @@
-"""Metrics: what health says, as OpenMetrics text that its own grammar and a collector's take."""
+"""The exporter among the examples: what it writes of health, and when it takes the file away."""
 
-import os
 import re
-import stat
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
-import pytest
+import msgpack
+import zmq
 
-from taxeld.config.tables import MetricsConfig
-from taxeld.errors import SetupError
-from taxeld.service.metrics import MetricsFile, metrics, place, text
+from taxeld.stream import messages
 
-from .test_cli import configuration
-from .test_stream_document import documented
+from .conftest import Sockets
+from .test_stream_document import ROOT, documented
 
+EXAMPLE = ROOT / "examples" / "metrics.py"
 DEADLINE_S = 60.0
-NAME = r"[a-zA-Z_:][a-zA-Z0-9_:]*"
-LINES = re.compile(
-    rf"# TYPE (?P<family>{NAME}) (?P<type>counter|gauge)\n"
-    r"(?:# UNIT (?P=family) (?P<unit>[a-z]+)\n)?"
-    r"# HELP (?P=family) [^\n]+\n"
-    rf'(?P<sample>{NAME})\{{daemon="(?:[^"\\\n]|\\[\\"n])*"\}} (?P<value>-?[0-9.e+-]+)\n'
+METRIC = re.compile(
+    r"# HELP (?P<name>[a-z0-9_]+) (?P<path>[\w.]+) of /taxeld/health\n"
+    r"# TYPE (?P=name) (?P<type>counter|gauge)\n"
+    r'(?P=name)\{daemon="can0"\} (?P<value>-?[0-9.e+-]+)\n'
 )
 
 
-def parsed(content: str) -> dict[str, tuple[str, str, float]]:
-    """Family → type, unit and value; by the part of the grammar that is used."""
-    assert content.endswith("# EOF\n")
-    body = content.removesuffix("# EOF\n")
-    found: dict[str, tuple[str, str, float]] = {}
-    at = 0
-    while at < len(body):
-        match = LINES.match(body, at)
-        assert match is not None, body[at : at + 200]
-        family, unit = match["family"], match["unit"] or ""
-        assert family not in found
-        assert match["sample"] == family + ("_total" if match["type"] == "counter" else "")
-        assert family.endswith(unit)
-        found[family] = match["type"], unit, float(match["value"])
-        at = match.end()
-    return found
+def wait(what: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while not what():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
 
 
-def test_the_documented_health_is_what_the_file_says() -> None:
-    _, health = documented("/taxeld/health")
-    found = parsed(text(health, "can0"))
-    assert found["taxeld_loop_ticks"] == ("counter", "", 500.0)
-    assert found["taxeld_uptime_seconds"] == ("gauge", "seconds", 5.0)
-    assert found["taxeld_lat_source_p50_seconds"] == ("gauge", "seconds", pytest.approx(168e-6))
-    assert found["taxeld_realtime_switch_seconds"] == ("gauge", "seconds", 0.0005)
-    assert found["taxeld_realtime_locked"] == ("gauge", "", 1.0)
-    assert found["taxeld_source_pending"][0] == "gauge"
-    assert found["taxeld_dead_taxels"] == ("gauge", "", 3.0)
-    assert {"taxeld_v", "taxeld_seq", "taxeld_t"}.isdisjoint(found)
-
-
-def test_the_daemons_name_is_quoted_and_what_is_no_number_left_out() -> None:
-    health = {"loop": {"ticks": 1}, "worst": float("inf"), "lost": float("nan")}
-    found = text(health, 'a"b\\c\nd')
-    assert parsed(found) == {"taxeld_loop_ticks": ("counter", "", 1.0)}
-    assert 'daemon="a\\"b\\\\c\\nd"' in found
-
-
-def test_every_metric_names_its_key() -> None:
-    _, health = documented("/taxeld/health")
-    for metric in metrics(health):
-        value = health
-        for key in metric.path.split("."):
-            value = value[key]
-        assert isinstance(value, int | float | list)
-
-
-def test_a_directory_that_is_missing_is_one_line(tmp_path: Path) -> None:
-    assert place(MetricsConfig()) is None
-    with pytest.raises(SetupError, match=r"^metrics\.file: there is no directory .*; make it$"):
-        place(MetricsConfig(file=str(tmp_path / "none" / "a.prom")))
-
-
-def test_a_file_that_cannot_be_written_is_said_once_and_stops_nothing(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+def test_health_becomes_a_file_of_metrics_that_goes_when_health_does(
+    sockets: Sockets, tmp_path: Path
 ) -> None:
-    directory = tmp_path / "a"
-    directory.mkdir()
-    file = MetricsFile(directory / "skin.prom")
-    directory.rmdir()
-    for k in range(3):
-        file.offer({"k": k})
-        deadline = time.monotonic() + DEADLINE_S
-        while file._health is not None:
-            assert time.monotonic() < deadline
-            time.sleep(0.001)
-    file.close()
-    assert [record.getMessage() for record in caplog.records] == [
-        f"metrics.file: {directory}/skin.prom is not written (No such file or directory)"
-    ]
-
-
-def test_a_daemon_keeps_the_file_and_takes_it_away(tmp_path: Path) -> None:
-    """It is always whole, others may read it, and with the daemon it goes."""
-    path = configuration(tmp_path, "source", "kind", '"can"')
-    file = tmp_path / "skin.prom"
-    content = path.read_text(encoding="utf-8").replace(
-        "[source]\n", '[source]\ninterface = "virtual"\nchannel = "m"\n'
-    )
-    path.write_text(content + f'[metrics]\nfile = "{file}"\n', encoding="utf-8")
-    old = os.umask(0o077)
-    command = [sys.executable, "-m", "taxeld.cli", "run", str(path)]
-    ticks: set[float] = set()
-    with subprocess.Popen(command) as daemon:
+    _, health = documented("/taxeld/health")
+    publisher = sockets.open(zmq.XPUB)
+    publisher.bind(f"ipc://{tmp_path}/stream")
+    path = tmp_path / "can0.prom"
+    command = [sys.executable, str(EXAMPLE), str(path), f"ipc://{tmp_path}/stream"]
+    with subprocess.Popen(command) as exporter:
         try:
-            os.umask(old)
-            deadline = time.monotonic() + DEADLINE_S
-            while len(ticks) < 2:
-                assert time.monotonic() < deadline
-                assert daemon.poll() is None
-                if file.exists():
-                    found = parsed(file.read_text(encoding="utf-8"))
-                    ticks.add(found["taxeld_loop_ticks"][2])
-                    assert stat.S_IMODE(file.stat().st_mode) == 0o644
-                time.sleep(0.01)
-            daemon.terminate()
-            assert daemon.wait(DEADLINE_S) == 0
+            assert publisher.poll(1000 * DEADLINE_S)
+            assert publisher.recv() == b"\x01" + messages.HEALTH
+            publisher.send_multipart([messages.HEALTH, msgpack.packb(health), b"1700000005.0"])
+            wait(path.exists)
+            text = path.read_text(encoding="utf-8")
+            assert not path.with_suffix(".new").exists()
+            wait(lambda: not path.exists())
         finally:
-            daemon.kill()
-    assert not list(tmp_path.glob("skin.prom*"))
+            exporter.terminate()
+    assert METRIC.sub("", text) == ""
+    found = {m["name"]: (m["path"], m["type"], float(m["value"])) for m in METRIC.finditer(text)}
+    assert len(found) == text.count("# HELP"), "each name is there once"
+    assert found["taxeld_loop_ticks_total"] == ("loop.ticks", "counter", 500.0)
+    assert found["taxeld_uptime_seconds"] == ("uptime_s", "gauge", 5.0)
+    assert found["taxeld_lat_source_p50_seconds"] == ("lat_us.source.p50", "gauge", 168e-6)
+    assert found["taxeld_realtime_locked"] == ("realtime.locked", "gauge", 1.0)
+    assert found["taxeld_dead_taxels"] == ("dead_taxels", "gauge", 3.0)
+    assert {"taxeld_seq_total", "taxeld_t"}.isdisjoint(found)
 
 
-def test_codes_and_numbers_of_now_are_gauges_not_counters() -> None:
-    health = documented("/taxeld/health")[1]
-    counters = {metric.path for metric in metrics(health) if metric.counts}
-    now = {"inputs.poses_fault", "inputs.poses_other_topics", "modules.layout", "modules.foreign"}
-    assert not counters & now
-    assert "inputs.poses_received" in counters
+def test_whole_numbers_that_can_fall_are_documented_keys_of_health() -> None:
+    named = EXAMPLE.read_text(encoding="utf-8").split("GAUGES = {")[1].split("}")[0]
+    keys, _ = documented("/taxeld/health")
+    assert set(re.findall(r'"([\w.]+)"', named)) <= {key for key in keys if keys[key] == "int"}

@@ -256,12 +256,20 @@ def test_decode_without_a_configuration_takes_full_modules(
 
 
 def test_what_is_written_for_a_listener_can_be_pasted(tmp_path: Path) -> None:
-    for tables in ({1: MODULES}, {1: MODULES[:2], 5: MODULES[2:]}):
-        module_order.write(tmp_path / module_order.FILE, tables)
-        text = (tmp_path / module_order.FILE).read_text(encoding="utf-8")
+    for name, tables in (("one", {1: MODULES}), ("two", {1: MODULES[:2], 5: MODULES[2:]})):
+        module_order.write(tmp_path / name, tables)
+        text = (tmp_path / name).read_text(encoding="utf-8")
         config = parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\nbundle = "box"\n')
         given = module_order.given(config.source, SKIN)
         assert {ihb: given.of(ihb) for ihb in tables} == tables
+
+
+def test_a_list_of_modules_is_written_over_nothing_and_through_no_link(tmp_path: Path) -> None:
+    victim = tmp_path / "victim"
+    (tmp_path / module_order.FILE).symlink_to(victim)
+    with pytest.raises(FileExistsError):
+        module_order.write(tmp_path / module_order.FILE, {1: MODULES})
+    assert not victim.exists()
 
 
 def start(*arguments: object) -> subprocess.Popen[str]:

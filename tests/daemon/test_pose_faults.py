@@ -1,23 +1,14 @@
 """Each mistake with the sensor's pose has a line of its own, in status, health and the log."""
 
 import itertools
-import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
-import msgpack
 import pytest
-import zmq
-from zmq.auth import create_certificates, load_certificate
 
 from taxeld.commands.status import lines
 from taxeld.pipeline.pose_watch import PoseFault, PoseWatch, line
-from taxeld.stream import messages
-from taxeld.stream.curve import RobotKeys
-from taxeld.stream.pose_input import PoseInput
-
-from .conftest import Sockets
+from taxeld.stream.link import RobotLine
 
 NOW = 1_700_000_000.0
 PERIOD_S = 0.05
@@ -104,73 +95,33 @@ def test_a_clock_that_was_set_is_no_fault_of_the_robot() -> None:
         assert PoseFault(watch.figures.fault) is PoseFault.NONE
 
 
-def heard(
-    sockets: Sockets, endpoint: str, fault: PoseFault, between: Callable[[], None],
-    keys: RobotKeys | None = None,
-) -> str:  # fmt: skip
-    """The line of an input that finds this fault within some looks."""
+@pytest.mark.parametrize(
+    ("line_of_the_door", "fault", "text"),
+    [
+        ({}, PoseFault.UNCONNECTED, f"nobody serves {ENDPOINT}: start the publisher; it binds"),
+        ({"refused": True}, PoseFault.REFUSED,
+         f"{ENDPOINT} takes the connection and refuses the daemon: robot.key must be the robot's"),
+        ({"connected": True}, PoseFault.UNHEARD,
+         f"connected to {ENDPOINT}, and nothing comes: publish /robot/sensor_pose"),
+        ({"connected": True, "topics": ["/robot/sensorpose"]}, PoseFault.OTHER_TOPIC,
+         f"connected to {ENDPOINT}, and only /robot/sensorpose comes: publish /robot/sensor_pose"),
+        ({"connected": True, "malformed": 3}, PoseFault.MALFORMED,
+         "messages come and are no poses: topic, then one msgpack map {t, x, y, theta}"),
+    ],
+    ids=["nobody serves", "refused", "says nothing", "another topic", "malformed"],
+)  # fmt: skip
+def test_where_no_pose_comes_the_connection_tells_the_mistake(
+    line_of_the_door: dict[str, Any], fault: PoseFault, text: str
+) -> None:
+    robot = RobotLine(**line_of_the_door)
     watch = PoseWatch((0.0, 0.0), 0.5, PERIOD_S)
-    made = PoseInput(sockets.context, endpoint, lambda *_: None, keys, watch)
-    sockets.callback(made.close)
-    deadline = time.monotonic() + 30.0
-    while True:
-        between()
-        made.poll()
-        figures = made.figures(time.time())
-        if PoseFault(figures.fault) is fault:
-            return line(inputs(watch), time.time(), endpoint, made.topics)
-        assert time.monotonic() < deadline, PoseFault(figures.fault)
-        time.sleep(0.05)
-
-
-def test_where_nobody_serves_the_endpoint_that_is_said(sockets: Sockets, tmp_path: Path) -> None:
-    endpoint = f"ipc://{tmp_path}/poses"
-    said = heard(sockets, endpoint, PoseFault.UNCONNECTED, lambda: None)
-    assert said.startswith(f"nobody serves {endpoint}: start the publisher; it binds")
-
-
-def test_a_robot_that_says_nothing_differs_from_none(sockets: Sockets, tmp_path: Path) -> None:
-    robot: zmq.Socket[Any] = sockets.open(zmq.PUB)
-    robot.bind(f"ipc://{tmp_path}/poses")
-    said = heard(sockets, f"ipc://{tmp_path}/poses", PoseFault.UNHEARD, lambda: None)
-    assert "nothing comes: publish /robot/sensor_pose" in said
-
-
-def test_another_topic_is_named(sockets: Sockets, tmp_path: Path) -> None:
-    robot: zmq.Socket[Any] = sockets.open(zmq.PUB)
-    robot.bind(f"ipc://{tmp_path}/poses")
-    said = heard(
-        sockets, f"ipc://{tmp_path}/poses", PoseFault.OTHER_TOPIC,
-        lambda: robot.send_multipart([b"/robot/sensorpose", b"x", b"1.0"]),
-    )  # fmt: skip
-    assert "only /robot/sensorpose comes: publish /robot/sensor_pose" in said
-
-
-def test_messages_that_are_no_poses_are_told(sockets: Sockets, tmp_path: Path) -> None:
-    robot: zmq.Socket[Any] = sockets.open(zmq.PUB)
-    robot.bind(f"ipc://{tmp_path}/poses")
-    body = msgpack.packb({"t": 1.0, "x": 0.0})
-    said = heard(
-        sockets, f"ipc://{tmp_path}/poses", PoseFault.MALFORMED,
-        lambda: robot.send_multipart([messages.SENSOR_POSE, body, b"1.0"]),
-    )  # fmt: skip
-    assert said.startswith("messages come and are no poses: topic, then one msgpack map {t, x, y")
-
-
-def test_a_robot_with_other_keys_is_told(sockets: Sockets, tmp_path: Path) -> None:
-    pairs = {}
-    for name in ("robot", "daemon", "stranger"):
-        create_certificates(tmp_path, name)
-        pairs[name] = load_certificate(tmp_path / f"{name}.key_secret")
-    robot: zmq.Socket[Any] = sockets.open(zmq.PUB)
-    robot.curve_server = True
-    robot.curve_publickey, robot.curve_secretkey = pairs["robot"]
-    port = robot.bind_to_random_port("tcp://127.0.0.1")
-    public, secret = pairs["daemon"]
-    assert secret is not None
-    keys = RobotKeys(public, secret, pairs["stranger"][0])
-    said = heard(sockets, f"tcp://127.0.0.1:{port}", PoseFault.REFUSED, lambda: None, keys)
-    assert "takes the connection and refuses the daemon: robot.key must be the robot's" in said
+    for second in range(2):
+        watch.look(
+            NOW + second, robot.malformed, connected=robot.connected, refused=robot.refused,
+            topics=len(robot.topics),
+        )  # fmt: skip
+    assert PoseFault(watch.figures.fault) is fault
+    assert line(inputs(watch), NOW + 2.0, ENDPOINT, robot.topics).startswith(text)
 
 
 def test_a_daemon_without_an_endpoint_says_that_its_sensor_stands_still() -> None:
@@ -188,7 +139,7 @@ def test_status_has_how_the_poses_come_and_what_is_wrong() -> None:
     assert rows["Pose link     "] == f"connected to {ENDPOINT}"
     assert rows["Pose timing   "].startswith("100 a second, the last 0.01 s ago, their time 4.2 s ")
     assert rows["Pose fault    "].startswith("the robot's clock is 4.2 s behind this machine's")
-    del answer["sensor_pose"]  # as a relay has it
+    del answer["sensor_pose"]  # as before the first health
     rows = dict(row.split(": ", maxsplit=1) for row in lines(answer))
     assert rows["Pose link     "] == "connected"
     assert rows["Pose fault    "].startswith("the robot's clock is 4.2 s behind this machine's")

@@ -109,7 +109,7 @@ def test_auto_is_the_bundles_first_choice_that_fits_the_budget(
     skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("mug", skin, DEPTH_MAX_M)
     order = ["ddpm-100", "density-64", "table", "projection"]
-    loaded = replace(loaded, info=loaded.info | {"auto": order})
+    loaded = replace(loaded, manifest=replace(loaded.manifest, auto=order))
     cost = {"ddpm": 12.0, "density": 0.3, "table": 0.6, "projection": 0.2}
     monkeypatch.setattr(choice, "cpu_ms", lambda proposal, _model, _samples: cost[proposal.name])
     auto, named = FilterConfig(), FilterConfig(sampler="ddpm-100")
@@ -130,7 +130,7 @@ def test_what_a_proposal_costs_grows_with_what_it_does() -> None:
 def test_a_bundle_without_a_kind_of_sampler_says_so() -> None:
     skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("mug", skin, DEPTH_MAX_M)
-    bare = replace(loaded, info=loaded.info | {"samplers": [], "auto": []})
+    bare = replace(loaded, manifest=replace(loaded.manifest, samplers=[], auto=[]))
     with pytest.raises(SetupError, match="holds no ddpm sampler; use auto"):
         bare.proposal("ddpm")
     assert bare.proposal("auto").name == "table"

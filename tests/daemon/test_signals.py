@@ -1,5 +1,6 @@
 """Signals to a real daemon: none ends it but those that should, and those end it in order."""
 
+import contextlib
 import json
 import os
 import signal
@@ -12,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from taxeld.service.signals import IGNORED, Signals
+from taxeld.service.signals import Signals
 from tests.logged import warnings
 
 from .test_cli import configuration
@@ -24,18 +25,27 @@ DEADLINE_S = 60.0
 class Running:
     """A daemon that is ready, and the lines it has logged."""
 
-    def __init__(self, place: Path) -> None:
+    def __init__(self, place: Path, *, stderr: int | None = None, redirect: str = "") -> None:
+        """`stderr`: in place of a file; `redirect`: as a shell is told to."""
         self.config = configuration(place, "source", "kind", '"can"')
         self.write('[log]\nlevel = "info"\n')
         self._log = (place / "log").open("w+", encoding="utf-8")
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as manager:
-            manager.bind(str(place / "notify"))
-            manager.settimeout(DEADLINE_S)
-            self.process = subprocess.Popen(
-                [sys.executable, "-m", "taxeld.cli", "run", str(self.config)],
-                stderr=self._log, env={**os.environ, **environ(manager)},
-            )  # fmt: skip
-            assert manager.recv(4096) == b"READY=1"
+        self.manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.manager.bind(str(place / "notify"))
+        self.manager.settimeout(DEADLINE_S)
+        self.process = subprocess.Popen(
+            ["sh", "-c", f'exec "$0" -m taxeld.cli run "$1" {redirect}', sys.executable,
+             str(self.config)],
+            stderr=self._log if stderr is None else stderr,
+            env={**os.environ, **environ(self.manager, WATCHDOG_USEC="200000")},
+        )  # fmt: skip
+        assert self.manager.recv(4096) == b"READY=1"
+
+    def goes_on(self) -> None:
+        """Wait until the loop has told ten times that it lives."""
+        for _ in range(10):
+            while b"WATCHDOG=1" not in self.manager.recv(4096):
+                pass
 
     def write(self, tables: str) -> None:
         text = self.config.read_text(encoding="utf-8").split("[log]")[0]
@@ -66,6 +76,7 @@ class Running:
     def close(self) -> None:
         self.process.kill()
         self.process.wait()
+        self.manager.close()
         self._log.close()
 
 
@@ -76,12 +87,14 @@ def daemon(tmp_path: Path) -> Iterator[Running]:
     made.close()
 
 
-def test_no_signal_ends_a_daemon_but_those_that_should(daemon: Running) -> None:
-    for number in (*IGNORED, signal.SIGHUP, signal.SIGUSR1, signal.SIGPIPE):
+USR = (signal.SIGUSR1, signal.SIGUSR2)
+SURVIVED = (*USR, signal.SIGALRM, signal.SIGHUP, signal.SIGPIPE)
+
+
+def test_no_signal_of_an_operator_ends_a_daemon_but_those_that_should(daemon: Running) -> None:
+    for number in SURVIVED:
         daemon.send(number)
-    lines = daemon.wait(lambda lines: sum(": ignored" in line for line in lines) == len(IGNORED))
-    # the stacks that SIGUSR1 writes at once may begin in the middle of a line
-    assert any("signal SIGUSR2: ignored" in line for line in lines)
+    daemon.wait_for("health: ")
     daemon.send(signal.SIGTERM)
     assert daemon.process.wait(DEADLINE_S) == 0
 
@@ -114,10 +127,57 @@ def test_usr1_ends_no_daemon_however_often_it_comes(daemon: Running) -> None:
 
 def test_signals_that_come_all_at_once_end_no_daemon(daemon: Running) -> None:
     daemon.send(signal.SIGSTOP)
-    for number in (*IGNORED, signal.SIGHUP, signal.SIGUSR1, signal.SIGPIPE):
+    for number in SURVIVED:
         daemon.send(number)
     daemon.send(signal.SIGCONT)
-    daemon.wait(lambda lines: sum(": ignored" in line for line in lines) == len(IGNORED))
+    daemon.wait_for("health: ")
+
+
+@pytest.fixture
+def full_pipe() -> Iterator[int]:
+    """The end to write to, where nothing more fits in and nobody reads."""
+    ours, theirs = os.pipe()
+    os.set_blocking(theirs, False)
+    for size in (4096, 1):
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                os.write(theirs, bytes(size))
+    os.set_blocking(theirs, True)
+    yield theirs
+    os.close(ours)
+    os.close(theirs)
+
+
+@pytest.mark.parametrize(
+    ("number", "status"),
+    [(signal.SIGTERM, 0), (signal.SIGXCPU, -signal.SIGXCPU), (signal.SIGABRT, -signal.SIGABRT)],
+)
+def test_standard_error_that_nobody_reads_stops_neither_the_loop_nor_its_end(
+    tmp_path: Path, full_pipe: int, number: int, status: int
+) -> None:
+    daemon = Running(tmp_path, stderr=full_pipe)
+    try:
+        daemon.send(signal.SIGUSR1)
+        daemon.goes_on()
+        daemon.send(number)
+        assert daemon.process.wait(DEADLINE_S) == status
+    finally:
+        daemon.close()
+
+
+@pytest.mark.parametrize("redirect", ["2>&-", "<&- >&- 2>&-"], ids=["stderr", "all"])
+def test_a_standard_stream_that_is_closed_leads_nowhere(tmp_path: Path, redirect: str) -> None:
+    daemon = Running(tmp_path, redirect=redirect)
+    try:
+        daemon.send(signal.SIGUSR1)
+        daemon.goes_on()
+        open_files = Path(f"/proc/{daemon.process.pid}/fd")
+        closed = (0, 1, 2) if "<" in redirect else (2,)
+        assert {(open_files / str(number)).readlink().name for number in closed} == {"null"}
+        daemon.send(signal.SIGTERM)
+        assert daemon.process.wait(DEADLINE_S) == 0
+    finally:
+        daemon.close()
 
 
 @pytest.mark.parametrize("number", [signal.SIGXCPU, signal.SIGABRT])
@@ -146,13 +206,14 @@ def test_hup_on_a_configuration_with_a_fault_changes_nothing(daemon: Running) ->
 
 
 def test_handlers_are_as_before_once_the_daemon_has_ended() -> None:
-    before = {number: signal.getsignal(number) for number in (*IGNORED, signal.SIGTERM)}
+    numbers = (signal.SIGHUP, signal.SIGUSR1, signal.SIGUSR2, signal.SIGTERM, signal.SIGABRT)
+    before = {number: signal.getsignal(number) for number in numbers}
     with Signals() as signals:
         signals.stop_by(lambda: None)
         signal.raise_signal(signal.SIGUSR2)
-        signal.raise_signal(signal.SIGALRM)
-        signal.raise_signal(signal.SIGALRM)
+        signal.raise_signal(signal.SIGHUP)
+        signal.raise_signal(signal.SIGHUP)
         acted: list[str] = []
-        signals.serve({signal.SIGALRM: lambda: acted.append("alarm")})
-    assert acted == ["alarm"]
+        signals.serve({signal.SIGHUP: lambda: acted.append("hang up")})
+    assert acted == ["hang up"]
     assert {number: signal.getsignal(number) for number in before} == before

@@ -143,7 +143,7 @@ FAULTS: list[tuple[str, Callable[[Layout, float], bytes], str]] = [
     ("gap", lambda s, t: text_of(s, t, coefficient=[None] * 4), "its coefficient is damaged"),
     ("old", lambda s, t: text_of(s, t - DAY_S), "it is 24.0 h old"),
     ("future", lambda s, t: text_of(s, t + DAY_S), "it is from the future"),
-    ("huge", lambda _s, _t: b" " * 2_000_000, "it is no state file"),
+    ("huge", lambda _s, _t: b" " * 2_000_000, "it is larger than 1000000 bytes"),
 ]
 
 
@@ -175,6 +175,28 @@ def test_a_directory_in_its_place_is_no_state_file(skin: Layout, tmp_path: Path)
     kept.restore(1e9)
     kept.close()
     assert (kept.counters.refused, kept.counters.failed) == (1, 1)
+
+
+def test_a_pipe_in_its_place_keeps_nobody_waiting(skin: Layout, tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / NAME)
+    subject = begun(skin)[1]
+    kept = StateFile(tmp_path, subject, subject.state, 43_200.0)
+    kept.restore(1e9)
+    assert kept.counters.refused == 1
+
+
+def test_a_state_is_written_through_no_link(skin: Layout, tmp_path: Path) -> None:
+    place, victim = tmp_path / "state", tmp_path / "victim"
+    place.mkdir()
+    victim.write_text("by hand", encoding="utf-8")
+    for name in (NAME, "skin.new"):
+        (place / name).symlink_to(victim)
+    subject = begun(skin)[1]
+    kept = StateFile(place, subject, subject.state, 43_200.0)
+    kept.close()
+    assert kept.counters.saved == 1
+    assert victim.read_text(encoding="utf-8") == "by hand"
+    assert [(path.name, path.is_symlink()) for path in place.iterdir()] == [(NAME, False)]
 
 
 def test_what_is_kept_is_what_is_restored(skin: Layout, tmp_path: Path) -> None:
@@ -273,9 +295,9 @@ def test_a_disk_that_takes_nothing_is_one_warning(
     kept = StateFile(tmp_path, subject, subject.state, 43_200.0)
     with caplog.at_level(logging.WARNING):
         for failed in (1, 2):
-            kept.keep(failed * state_file.EVERY_S)
             deadline = time.monotonic() + 30.0
             while kept.counters.failed < failed and time.monotonic() < deadline:
+                kept.keep(failed * state_file.EVERY_S)
                 time.sleep(0.002)
     kept.close()
     assert kept.counters.failed == 3

@@ -55,15 +55,6 @@ def counts(k: int) -> list[int]:
     return [1000 * k + i + 1 for i in range(CHANNELS)]
 
 
-def test_slcan_on_a_pseudo_terminal_brings_the_skin_up(hub: VirtualHub) -> None:
-    source = open_source(SourceConfig(kind="can", interface="slcan", channel=hub.device), SKIN)
-    scans = scans_until(source, lambda _: hub.serve(time.monotonic(), counts), 5)
-    assert [list(scan.counts) for scan in scans[:5]] == [counts(k) for k in range(5)]
-    source.close()
-    hub.answer(time.time())
-    assert not hub.ihb.auto_sync  # stopped on exit
-
-
 def test_damaged_slcan_lines_cost_only_themselves(hub: VirtualHub) -> None:
     settings = SourceConfig(
         kind="can", interface="slcan", channel=hub.device, listen_only=True, modules=LISTED
@@ -74,7 +65,6 @@ def test_damaged_slcan_lines_cost_only_themselves(hub: VirtualHub) -> None:
     def serve(k: int) -> None:
         hub.answer(time.time())
         os.write(hub.port.fileno(), noise[k % len(noise)])
-        time.sleep(0.01)  # python-can flushes a line that it cannot decode, and what follows it
         source.poll(time.monotonic())
         hub.scan(counts(k))
 
@@ -224,14 +214,40 @@ def test_stamps_of_an_adapters_own_clock_are_replaced_by_the_arrivals(
 ) -> None:
     """Some count from their start; the kernel's are believed, however old."""
     config = SourceConfig(kind="can", interface="virtual", channel="stamps")
-    device = CanDevice(config, lambda *_: [])
     stamp = time.time() - behind_s
     waiting = [can.Message(timestamp=stamp, arbitration_id=0x101, data=b"\x43")]
-    heard = lambda _: (waiting.pop() if waiting else None, False)  # noqa: E731
-    monkeypatch.setattr(device._bus, "_recv_internal", heard)
+    heard = lambda *_: (waiting.pop() if waiting else None, False)  # noqa: E731
+    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", heard)
+    device = CanDevice(config, lambda *_: [])
     (frame,) = device.read()
     assert (frame.t == stamp) == kept
     assert kept or time.time() - frame.t < DEADLINE_S
+    device.close()
+
+
+def test_a_bus_without_a_descriptor_is_polled_and_one_that_fails_is_lost_after_its_frames(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    say: list[object] = [
+        can.Message(arbitration_id=0x101, data=b"\x43", is_extended_id=False),
+        ValueError("damaged"),
+        can.Message(arbitration_id=0x102, data=b"", is_extended_id=False),
+        can.CanOperationError("gone"),
+    ]
+
+    def next_one(*_: object) -> tuple[object, bool]:
+        said = say.pop(0) if say else None
+        if isinstance(said, Exception):
+            raise said
+        return said, False
+
+    monkeypatch.setattr(can.interfaces.virtual.VirtualBus, "_recv_internal", next_one)
+    device = CanDevice(SourceConfig(kind="can", interface="virtual", channel="x"), lambda *_: [])
+    assert device.fileno() < 0
+    assert [[frame.can_id for frame in device.read()] for _ in range(2)] == [[0x101], [0x102]]
+    assert device.noticed.noise == 1
+    with pytest.raises(LostError):
+        device.read()
     device.close()
 
 

@@ -11,10 +11,10 @@ import msgpack
 import pytest
 import zmq
 
+from taxeld.door.robot import as_pose
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.pose_watch import PoseFault
 from taxeld.stream import client, messages
-from taxeld.stream.pose_input import as_pose
 
 from .conftest import Sockets
 from .recorded import configuration, write_session

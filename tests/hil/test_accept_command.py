@@ -53,7 +53,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     """Everything that looks at a clock between device and report looks at this one."""
     made = Clock()
     for module in (
-        "taxeld_hil.acceptance.accept", "taxeld_hil.acceptance.acquire",
+        "taxeld_hil.acceptance.accept", "taxeld_hil.acceptance.received",
         "taxeld.source.lines", "taxeld.source.slcan_device",
     ):  # fmt: skip
         monkeypatch.setattr(f"{module}.time", made)
@@ -149,7 +149,7 @@ def test_a_hub_that_stays_in_its_bootloader_fails_discovery_and_is_called_by_its
         hub.ihb = Stuck(MODULES)
         ran = accept(VirtualSkin(hub, Counts(MODULES), clock))
     assert (ran.code, ran.failed) == (1, ["discovery"])
-    assert "answers from its bootloader" in ran.findings("discovery")
+    assert "from a hub's bootloader" in ran.findings("discovery")
     assert not (ran.out / "modules.toml").exists()
 
 

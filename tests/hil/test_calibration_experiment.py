@@ -13,8 +13,7 @@ from taxeld.proposals import bundle
 from taxeld_hil import cli
 from taxeld_hil.experiment import calibration_experiment as experiment
 from taxeld_hil.experiment import calibration_runs as runs
-from taxeld_hil.experiment.calibration_experiment import FAULTS, Job, Plan
-from taxeld_hil.experiment.calibration_tables import lines, summary
+from taxeld_hil.experiment.calibration_experiment import FAULTS, Case, Plan, lines
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario import scenario
 from taxeld_hil.world import calibration_touches
@@ -70,48 +69,47 @@ def test_a_wrong_full_scale_is_noticed_and_a_right_one_is_not() -> None:
     assert runs.noticed(DEMO, 0, 7) == (0, "")
 
 
-def found(job: Job) -> dict[str, Any]:
-    if job.sort == "find":
+def found(case: Case) -> dict[str, Any]:
+    if case.sort == "find":
         one = {"gains_known": 40, "gain_off": 0.02, "mount_off_mm": 0.1, "yaw_off_deg": 0.05}
         return {"given": one, "found": {"refused": "calibrate: why"}}
-    if job.sort == "buy":
+    if case.sort == "buy":
         return {"without": [3, 2, 1], "without, mount off": [4, 3, 2], "with": [1, 0.5, 0.25]}
-    return {"noticed_after": 0 if job.sort == "none" else 6 + job.seed, "suspect": "scale"}
+    return {"noticed_after": 0 if case.sort == "none" else 6 + case.seed, "suspect": "scale"}
 
 
 def test_runs_are_remembered_and_a_measurement_that_was_cut_short_goes_on(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    played: list[Job] = []
+    played: list[Case] = []
 
-    def play(job: Job) -> dict[str, Any]:
-        played.append(job)
+    def play(case: Case, code: str) -> dict[str, Any]:
+        assert code == "this code"
+        played.append(case)
         if len(played) == 5:
             raise KeyboardInterrupt
-        return found(job)
+        return found(case)
 
     monkeypatch.setattr(experiment, "play", play)
     monkeypatch.setattr(experiment, "solid_of", lambda *_: None)
     monkeypatch.setattr(experiment, "digest", lambda _: "this code")
-    plan, memory = Plan(skins=("typical",), seeds=1, right_seeds=1), tmp_path / "memory.jsonl"
+    plan, memory = Plan(skins=("typical",), seeds=1, right_seeds=1), tmp_path / "memory"
     with pytest.raises(KeyboardInterrupt):
-        experiment.experiment(plan, tmp_path, memory, 1, lambda _: None)
-    with memory.open("a") as file:
-        file.write('{"code": "this co')  # as a power cut leaves it
-        file.write("\n")
-    path = experiment.experiment(plan, tmp_path, memory, 1, lambda _: None)
-    assert len(played) == len(plan.jobs()) + 1
-    assert len(json.loads(path.read_text())["runs"]) == len(plan.jobs())
+        experiment.experiment(plan, tmp_path, memory, 1)
+    path = experiment.experiment(plan, tmp_path, memory, 1)
+    assert len(played) == len(plan.cases()) + 1
+    assert len(json.loads(path.read_text())["runs"]) == len(plan.cases())
     table = list(lines(path))
     assert "| typical, found | 1, 1 | | | | |" in table
     assert any(line.startswith("| typical, given | 1, 0 | 40 | 2.0% (2.0%)") for line in table)
 
 
-def test_the_summary_counts_doubts_and_those_within_eight_touches() -> None:
+def test_the_table_counts_doubts_and_those_within_eight_touches(tmp_path: Path) -> None:
     fault = next(name for name in FAULTS if name != "none")
-    jobs = [Job(fault, "box", "typical", seed) for seed in range(4)]
-    (row,) = summary([{**job._asdict(), **found(job)} for job in jobs])
-    assert (row["raised"], row["within_8"], row["suspects"]) == (4, 3, {"scale": 4})
+    cases = [Case(fault, "box", "typical", seed) for seed in range(4)]
+    path = tmp_path / "calibration.json"
+    path.write_text(json.dumps({"runs": [{**case._asdict(), **found(case)} for case in cases]}))
+    assert list(lines(path))[-1] == f"| {fault} | typical, box | 4 | 4 | 3 | 4 scale |"
 
 
 def test_a_skin_without_depths_of_its_own_is_refused(

@@ -38,11 +38,10 @@ def test_a_drill_is_felt_on_a_soft_skin_and_everything_is_accounted_for(
     drill: Path, tmp_path: Path
 ) -> None:
     command = ["matrix", "demo", "--object", str(drill), "--skin", "typical",
-               "--seeds", "1", "--workers", "1", "--memory", str(tmp_path / "runs.jsonl"),
+               "--seeds", "1", "--workers", "1", "--memory", str(tmp_path / "memory"),
                "--out", str(tmp_path)]  # fmt: skip
     assert cli.main(command) in (0, 1)
     result = json.loads((tmp_path / "scenarios.json").read_text(encoding="utf-8"))
     (run,) = result["runs"]
-    assert result["summary"][0]["object"] == "drill"
     assert run["contacts"] >= 8
     assert not [name for name in run["failed"] if name.startswith("accounts")]

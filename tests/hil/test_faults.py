@@ -206,6 +206,8 @@ def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     assert (whole.object, whole.physics) == ("box", "scene")
     path.with_name("other").write_text("x")
     older = json.loads(path.read_text())
+    path.with_name("more").write_text(json.dumps(older | {"worst_detection_s": {}}))
+    assert soak.resumed(path.with_name("more"), DEMO, 5, "fake", 1.0).laps == 2
     del older["full_right"]
     path.with_name("older").write_text(json.dumps(older))
     with pytest.raises(scenario.SetupError, match="is of an older kind"):
@@ -267,7 +269,7 @@ def test_reports_of_soaks_are_shown_side_by_side(
         (lied, "converged", 8), ([], "converged", 9), ([], "ambiguous", 8)
     )):  # fmt: skip
         seen.add(number, of_a_lap(faults, [12.0] * (number < 2), status, contacts), 60.0)
-    seen.write(tmp_path / "soak_drill.json")
+    seen.report(tmp_path / "soak_drill.json", lambda _: None)
     assert cli.main(["soak", "--table", str(tmp_path / "soak_drill.json")]) == 0
     shown = dict(line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[2:])
     assert shown["object, skin, clock"] == "drill, `typical`, fake"

@@ -16,10 +16,10 @@ from matplotlib.image import imread
 from taxeld.commands.replay import open_pipeline
 from taxeld.config import file as config_file
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimate import Estimate, Status
 from taxeld_hil.cli import main
-from taxeld_hil.run import draw, picture
-from taxeld_hil.run.picture import Shot, four
+from taxeld_hil.run import draw
+from taxeld_hil.run.draw import Moment, four
 
 SESSION = Path(__file__).parents[1] / "daemon" / "session"  # four contacts of a mug
 
@@ -30,7 +30,7 @@ def figure() -> Figure:
     kept: list[Figure] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(draw, "save", lambda figure, _: kept.append(figure))
-        draw.draw(SESSION, Path("unused.png"))
+        draw.draw_contacts(SESSION, Path("unused.png"))
     return kept[0]
 
 
@@ -47,23 +47,13 @@ def test_contacts_are_drawn_in_millimetres_with_a_colour_bar_and_a_legend(figure
     assert "object, true" not in named, "nobody knows it of this session"
 
 
-def shot(status: Status, contacts: int, contact: bool, z: float, base: Shot) -> Shot:
-    made = Shot.__new__(Shot)
-    made.__dict__ |= base.__dict__
-    made.estimate = replace(base.estimate, status=status, contacts=contacts, contact=contact)
-    made.z = np.array([z])
-    return made
+def moment(base: Estimate, status: Status, contacts: int, contact: bool, z: float) -> Moment:
+    estimate = replace(base, status=status, contacts=contacts, contact=contact)
+    return Moment(estimate, np.array([z]), np.zeros(3), np.zeros((0, 3)))
 
 
-@pytest.fixture(scope="module")
-def base() -> Shot:
-    pipeline = open_pipeline(SESSION, config_file.load(SESSION / "config.toml"))
-    return Shot(pipeline, pipeline.estimate, np.zeros(1), np.zeros(3))
-
-
-def test_the_four_moments_are_no_touch_the_first_the_last_doubt_and_the_object_found(
-    base: Shot,
-) -> None:
+def test_the_four_moments_are_no_touch_the_first_the_last_doubt_and_the_object_found() -> None:
+    base = open_pipeline(SESSION, config_file.load(SESSION / "config.toml")).estimate
     told: list[tuple[Any, ...]] = [
         (Status.SEARCHING, 0, False, 0.0),
         (Status.SEARCHING, 0, False, 0.1),  # the last before the touch
@@ -75,17 +65,17 @@ def test_the_four_moments_are_no_touch_the_first_the_last_doubt_and_the_object_f
         (Status.CONVERGED, 2, False, 0.0),
         (Status.CONVERGED, 3, True, 0.5),  # found, and touched
     ]
-    shots = [shot(*one, base) for one in told]
-    found = four(shots)
+    moments = [moment(base, *one) for one in told]
+    found = four(moments)
     assert found is not None
-    assert [shots.index(one) for one in found.values()] == [1, 3, 5, 8]
-    assert four(shots[:7]) is None, "not found"
+    assert [one.z[0] for one in found.values()] == [0.1, 0.9, 0.3, 0.5]
+    assert four(moments[:7]) is None, "not found"
 
 
 def test_a_session_whose_object_is_not_found_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(picture, "four", lambda _: None)
+    monkeypatch.setattr(draw, "four", lambda _: None)
     out = tmp_path / "x.png"
     assert main(["draw", str(SESSION), "--moments", "--out", str(out)]) == 2
     said = capsys.readouterr().err
@@ -97,12 +87,12 @@ def test_a_session_whose_object_is_not_found_is_one_line(
 def test_the_moments_are_written_small_enough_for_a_page(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    chosen = picture.four
+    chosen = draw.four
 
-    def last(shots: list[Shot]) -> dict[str, Shot] | None:
-        return chosen(shots) or dict(zip("abcd", shots[-4:], strict=True))
+    def last(moments: list[Moment]) -> dict[str, Moment] | None:
+        return chosen(moments) or dict(zip("abcd", moments[-4:], strict=True))
 
-    monkeypatch.setattr(picture, "four", last)
+    monkeypatch.setattr(draw, "four", last)
     out = tmp_path / "x.png"
     assert main(["draw", str(SESSION), "--moments", "--out", str(out)]) == 0
     assert out.stat().st_size < 300_000
@@ -114,7 +104,7 @@ def test_a_truth_that_was_cut_before_its_first_row_is_no_truth(
 ) -> None:
     shutil.copytree(SESSION, tmp_path / "s")
     (tmp_path / "s" / "truth.csv").write_text("t,x,y,theta\n", encoding="ascii")
-    monkeypatch.setattr(draw, "_contacts", lambda *_: [])
+    monkeypatch.setattr(draw.Drawing, "moments", lambda _: iter(()))
     assert main(["draw", str(tmp_path / "s"), "--out", str(tmp_path / "x.png")]) == 2
     assert "holds no contact to draw" in capsys.readouterr().err
 

@@ -1,6 +1,5 @@
 """Touches at a steady pace: the path, what is counted of a run, and the measurement's memory."""
 
-import json
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +17,7 @@ from taxeld.model.activation import Activation
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Manifold
 from taxeld_hil import cli
-from taxeld_hil.experiment import touch_experiment, touch_runs
+from taxeld_hil.experiment import measurement, touch_experiment, touch_runs
 from taxeld_hil.experiment.overlooked import OVERLOOKED_NATS, truth_nats
 from taxeld_hil.experiment.touch_runs import AFTER, TouchRun
 from taxeld_hil.scenario import scenario
@@ -131,19 +130,11 @@ def run_of(seed: int, error: float) -> TouchRun:
     )  # fmt: skip
 
 
-def test_the_summary_is_of_the_runs() -> None:
-    (row,) = touch_experiment.summary([run_of(seed, 3.0 * seed) for seed in range(4)])
-    assert row["error_mm"]["after_6"] == {
-        "median": 4.5, "p90": 8.1, "under_5_mm": 0.5, "under_10_mm": 1.0, "converged": 1.0,
-        "not_found": 0, "overlooked": 0,
-    }  # fmt: skip
-    assert row["felt_in_air_of_scans"] == pytest.approx(0.1)
-    assert row["felt_in_air_of_air"] == pytest.approx(1.0 / 6.0)
-    assert row["light_missed"] == pytest.approx(6.0 / 16.0)
-    assert row["runs_with_a_silent_failure"] == 0.25
-    (line,) = list(touch_experiment.lines([row]))[2:]
-    assert line.startswith(
-        "| poor, box | 50 (50), 0% | 4.5 (8.1), 50% | 20 (20), 0% | 1 (1), 100% | 4, 2 | 0, 0 |"
+def test_the_table_is_of_the_runs() -> None:
+    (line,) = list(touch_experiment.lines([asdict(run_of(n, 3.0 * n)) for n in range(4)]))[2:]
+    assert line == (
+        "| poor, box | 50 (50), 0% | 4.5 (8.1), 50% | 20 (20), 0% | 1 (1), 100% | 4, 2 | 0, 0 "
+        "| 10.0% | 38% of 16 | 25.0% |"
     )
 
 
@@ -164,18 +155,17 @@ def test_a_truth_that_the_filter_has_missed_is_told_from_one_that_touches_do_not
 def test_the_command_goes_on_from_what_it_remembers(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["physics", "--touches", "--object", "box", "--skin", "stiff", "--workers", "1",
-               "--memory", str(tmp_path / "m" / "runs.jsonl"), "--out", str(tmp_path)]  # fmt: skip
+    command = ["touches", "--object", "box", "--skin", "stiff", "--workers", "1",
+               "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]  # fmt: skip
     assert not cli.main([*command, "--seeds", "1"])
-    first = capsys.readouterr()
-    assert "box, stiff, seed 0" in first.err
+    assert "box, stiff, seed 0: " in capsys.readouterr().err
     assert not cli.main([*command, "--seeds", "2"])
     second = capsys.readouterr()
     assert "1 of 2 runs are remembered" in second.err
     assert "seed 0" not in second.err
-    result = json.loads((tmp_path / "touches.json").read_text(encoding="utf-8"))
-    assert [run["seed"] for run in result["runs"]] == [0, 1]
-    assert result["summary"][0]["seeds"] == 2
+    runs = measurement.read(tmp_path / "touches.json")
+    assert [run["seed"] for run in runs] == [0, 1]
+    assert second.out.splitlines() == list(touch_experiment.lines(runs))
     assert "| stiff, box |" in second.out
 
 
@@ -187,11 +177,21 @@ def test_wrong_options_are_refused_with_one_line(
         ("--skin", "marble", "no skin 'marble'"),
         ("--skin", "scene", "--skin scene: is no soft skin"),
         ("--object", "party", "scene.bundle: no bundle 'party'"),
-        ("--seeds", "-1", "--seeds and --workers must be at least 1"),
-        ("--workers", "0", "--seeds and --workers must be at least 1"),
+        ("--seeds", "-1", "--seeds must be at least 1"),
+        ("--workers", "0", "--workers must be at least 1"),
         ("--memory", str(tmp_path / "file" / "m"), f"--memory: {tmp_path / 'file' / 'm'}: "),
     ):
-        assert cli.main(["physics", "--touches", option, value, "--out", str(tmp_path)]) == 2
+        assert cli.main(["touches", option, value, "--out", str(tmp_path)]) == 2
         error = capsys.readouterr().err
         assert error.startswith(message)
         assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("name", cli.GONE)
+def test_a_command_that_is_gone_says_in_one_line_what_replaced_it(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main([name, "--touches", "--out", "somewhere"]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"taxeld-hil {name} is gone; ")
+    assert error.count("\n") == 1

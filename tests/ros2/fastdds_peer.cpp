@@ -1,7 +1,7 @@
 // Fast DDS, the DDS of ROS 2's default middleware, on the other side of the bridge.
 //
-//     fastdds_peer hear DOMAIN    a line for each pose, the array of modes, the markers, diagnostics
-//     fastdds_peer tell DOMAIN    transforms on /tf and /tf_static and poses on /skin, 50 a second
+//     fastdds_peer hear DOMAIN    a line for each pose
+//     fastdds_peer tell DOMAIN    transforms on /tf and /tf_static, 50 a second
 //
 // Messages are read and written by Fast DDS's own CDR; only the order of their fields is known here.
 #include <chrono>
@@ -61,82 +61,20 @@ public:
     bool getKey(void*, InstanceHandle_t*, bool) override { return false; }
 };
 
-struct Stamp { int32_t sec; uint32_t nanosec; std::string frame; };
-
-static Stamp header(Cdr& in) {
-    Stamp h;
-    in >> h.sec >> h.nanosec >> h.frame;
-    return h;
-}
-
-static std::vector<double> doubles(Cdr& in, size_t n) {
-    std::vector<double> v(n);
+// Stamp, frame, x, y, z, yaw, and the variances of x and yaw
+static void print_pose(Cdr& in) {
+    int32_t sec;
+    uint32_t nanosec;
+    std::string frame;
+    in >> sec >> nanosec >> frame;
+    double v[7 + 36];
     for (auto& d : v) in >> d;
-    return v;
-}
-
-static void skip(Cdr& in, size_t each, bool aligned_to_8) {
-    uint32_t n;
-    in >> n;
-    for (uint32_t k = 0; k < n * each; ++k) {
-        if (aligned_to_8) { double d; in >> d; } else { float f; in >> f; }
-    }
-}
-
-static void on_pose(Cdr& in) {
-    auto h = header(in);
-    auto v = doubles(in, 7 + 36);
-    std::printf("pose %d.%09u %s %.17g %.17g %.17g %.17g %.17g %.17g %.17g %.17g\n", h.sec,
-                h.nanosec, h.frame.c_str(), v[0], v[1], v[2], 2 * std::atan2(v[5], v[6]), v[7],
-                v[8], v[7 + 5], v[7 + 35]);
-}
-
-static void on_modes(Cdr& in) {
-    header(in);
-    uint32_t n;
-    in >> n;
-    std::printf("modes %u", n);
-    for (uint32_t k = 0; k < n; ++k) std::printf(" %.17g", doubles(in, 7)[0]);
-    std::printf("\n");
-}
-
-static void on_markers(Cdr& in) {
-    uint32_t n;
-    in >> n;
-    std::printf("markers %u", n);
-    for (uint32_t k = 0; k < n; ++k) {
-        header(in);
-        std::string ns, text;
-        int32_t id, type, action, sec;
-        uint32_t points, nanosec, none;
-        float f;
-        bool b;
-        in >> ns >> id >> type >> action;
-        doubles(in, 10);
-        for (int c = 0; c < 4; ++c) in >> f;
-        in >> sec >> nanosec >> b >> points;
-        doubles(in, 3 * points);
-        skip(in, 4, false);
-        in >> text;              // texture_resource
-        header(in);              // texture
-        in >> text >> none >> none >> text >> text >> text >> none >> b;
-        std::printf(" %s:%d:%u", ns.c_str(), action, points);
-    }
-    std::printf("\n");
-}
-
-static void on_diagnostics(Cdr& in) {
-    header(in);
-    uint32_t n, values;
-    uint8_t level;
-    std::string name, message, hardware;
-    in >> n >> level >> name >> message >> hardware >> values;
-    std::printf("diagnostics %u %s, %u values\n", level, message.c_str(), values);
+    std::printf("%d.%09u %s %.17g %.17g %.17g %.17g %.17g %.17g\n", sec, nanosec, frame.c_str(),
+                v[0], v[1], v[2], 2 * std::atan2(v[5], v[6]), v[7], v[7 + 35]);
+    std::fflush(stdout);
 }
 
 class Hearer : public DataReaderListener {
-public:
-    explicit Hearer(void (*decode)(Cdr&)) : decode_(decode) {}
     void on_data_available(DataReader* reader) override {
         Bytes bytes;
         SampleInfo info;
@@ -145,13 +83,9 @@ public:
             FastBuffer buffer(bytes.data(), bytes.size());
             Cdr in(buffer, Cdr::DEFAULT_ENDIAN, Cdr::DDS_CDR);
             in.read_encapsulation();
-            decode_(in);
-            std::fflush(stdout);
+            print_pose(in);
         }
     }
-
-private:
-    void (*decode_)(Cdr&);
 };
 
 static DomainParticipant* participant(uint32_t domain) {
@@ -175,59 +109,39 @@ static Topic* topic(DomainParticipant* dds, const char* name, const char* type) 
 }
 
 static void hear(DomainParticipant* dds) {
-    auto* subscriber = dds->create_subscriber(SUBSCRIBER_QOS_DEFAULT);
     DataReaderQos qos;
     qos.reliability().kind = RELIABLE_RELIABILITY_QOS;
-    qos.history().depth = 100;
-    auto open = [&](const char* name, const char* type, void (*decode)(Cdr&)) {
-        subscriber->create_datareader(topic(dds, name, type), qos, new Hearer(decode));
-    };
-    open("rt/taxeld/pose", "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_", on_pose);
-    open("rt/taxeld/modes", "geometry_msgs::msg::dds_::PoseArray_", on_modes);
-    open("rt/taxeld/markers", "visualization_msgs::msg::dds_::MarkerArray_", on_markers);
-    open("rt/diagnostics", "diagnostic_msgs::msg::dds_::DiagnosticArray_", on_diagnostics);
+    const char* type = "geometry_msgs::msg::dds_::PoseWithCovarianceStamped_";
+    dds->create_subscriber(SUBSCRIBER_QOS_DEFAULT)
+        ->create_datareader(topic(dds, "rt/taxeld/pose", type), qos, new Hearer);
     for (;;) std::this_thread::sleep_for(std::chrono::seconds(1));
 }
 
-static Bytes written(const std::function<void(Cdr&)>& fields) {
+// A tf2_msgs/msg/TFMessage of one transform
+static Bytes transform(const char* parent, const char* child, double x, double yaw) {
+    auto ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
+                  std::chrono::system_clock::now().time_since_epoch()).count();
     FastBuffer buffer;
     Cdr out(buffer, Cdr::LITTLE_ENDIANNESS, Cdr::DDS_CDR);
     out.serialize_encapsulation();
-    fields(out);
-    return Bytes(out.getBufferPointer(), out.getBufferPointer() + out.getSerializedDataLength());
-}
-
-static void stamp(Cdr& out, const char* frame) {
-    auto ns = std::chrono::duration_cast<std::chrono::nanoseconds>(
-                  std::chrono::system_clock::now().time_since_epoch()).count();
-    out << int32_t(ns / 1000000000) << uint32_t(ns % 1000000000) << std::string(frame);
-}
-
-static void transform(Cdr& out, const char* parent, const char* child, double x, double yaw) {
-    stamp(out, parent);
-    out << std::string(child) << x << 0.25 << 0.5;
+    out << uint32_t(1) << int32_t(ns / 1000000000) << uint32_t(ns % 1000000000);
+    out << std::string(parent) << std::string(child) << x << 0.25 << 0.5;
     out << 0.0 << 0.0 << std::sin(yaw / 2) << std::cos(yaw / 2);
+    return Bytes(out.getBufferPointer(), out.getBufferPointer() + out.getSerializedDataLength());
 }
 
 static void tell(DomainParticipant* dds) {
     auto* publisher = dds->create_publisher(PUBLISHER_QOS_DEFAULT);
     DataWriterQos qos;
-    const char* tf = "tf2_msgs::msg::dds_::TFMessage_";
-    auto* moving = publisher->create_datawriter(topic(dds, "rt/tf", tf), qos);
-    auto* skin = publisher->create_datawriter(
-        topic(dds, "rt/skin", "geometry_msgs::msg::dds_::PoseStamped_"), qos);
+    const char* type = "tf2_msgs::msg::dds_::TFMessage_";
+    auto* moving = publisher->create_datawriter(topic(dds, "rt/tf", type), qos);
     qos.durability().kind = TRANSIENT_LOCAL_DURABILITY_QOS;
-    auto* fixed = publisher->create_datawriter(topic(dds, "rt/tf_static", tf), qos);
-    auto mount = written([](Cdr& out) { out << uint32_t(1); transform(out, "link", "skin", 0.1, 0.0); });
+    auto* fixed = publisher->create_datawriter(topic(dds, "rt/tf_static", type), qos);
+    auto mount = transform("link", "skin", 0.1, 0.0);
     fixed->write(&mount);
     for (;; std::this_thread::sleep_for(std::chrono::milliseconds(20))) {
-        auto link = written([](Cdr& out) { out << uint32_t(1); transform(out, "world", "link", 1.0, M_PI / 2); });
+        auto link = transform("world", "link", 1.0, M_PI / 2);
         moving->write(&link);
-        auto pose = written([](Cdr& out) {
-            stamp(out, "world");
-            out << 2.0 << -1.0 << 0.5 << 0.0 << 0.0 << std::sin(0.15) << std::cos(0.15);
-        });
-        skin->write(&pose);
     }
 }
 

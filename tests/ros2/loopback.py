@@ -1,113 +1,113 @@
-"""DDS between processes of this machine alone, and what the tests of the bridge share."""
+"""The bridge as a process, the daemon and the robot that it joins, DDS on this machine alone."""
 
-import functools
+import contextlib
 import os
+import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgpack
 import zmq
 
 from taxeld.stream import messages
-from taxeld.stream.publisher import Publisher
 from tests.daemon.test_stream_document import documented
 
 PATIENCE_S = 60.0
 DOMAIN = 100 + os.getpid() % 100  # of this run of the tests, as others may run beside it
-# No multicast: participants find each other at the ports of the first few of a domain
+# No multicast: participants find each other at the ports of the first few of a domain. One that
+# hangs is not taken for gone while a test lasts
 URI = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/>"
     "</Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery>"
     "<ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>20</MaxAutoParticipantIndex>"
-    "<Peers><Peer address='127.0.0.1'/></Peers><SPDPInterval>300ms</SPDPInterval></Discovery>"
+    "<Peers><Peer address='127.0.0.1'/></Peers><SPDPInterval>300ms</SPDPInterval>"
+    "<LeaseDuration>600s</LeaseDuration></Discovery>"
     "</Domain></CycloneDDS>"
 )
 ENVIRONMENT = {**os.environ, "CYCLONEDDS_URI": URI, "ROS_DOMAIN_ID": str(DOMAIN)}
 
 
-example = functools.cache(lambda topic: documented(topic)[1])
-
-
 class Daemon:
-    """What a daemon publishes, on its own publisher, as the document has it."""
+    """Publishes the examples of docs/stream.md."""
 
     def __init__(self, place: Path) -> None:
         self.endpoint = f"ipc://{place}/stream"
-        self._context: zmq.Context[Any] = zmq.Context()
-        _, info = documented("/taxeld/info")
-        self._publisher = Publisher(self._context, 100, info)
-        self._publisher.bind((self.endpoint,), "publish.endpoints")
         self.estimate = documented("/taxeld/estimate")[1]
-        self.seq = 0
-
-    def serve(self) -> None:
-        self._publisher.greet(time.monotonic(), time.time())
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._socket = self._context.socket(zmq.PUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.bind(self.endpoint)
 
     def say(self, **changed: Any) -> dict[str, Any]:
         """An estimate of a scan of now; → its map."""
-        self.serve()
-        self.seq += 1
-        message = {**self.estimate, "seq": self.seq, "t": time.time(), **changed}
-        self._publisher.send(messages.ESTIMATE, message, message["t"])
+        message = {**self.estimate, "t": time.time(), **changed}
+        self._send(messages.ESTIMATE, message)
         return message
 
-    def send(self, topic: bytes, **changed: Any) -> None:
-        """The document's example of another topic."""
-        self.serve()
-        self._publisher.send(topic, {**example(topic.decode()), **changed}, time.time())
+    def say_all(self) -> dict[str, Any]:
+        """The other topics, and an estimate; → its map."""
+        for topic in (messages.INFO, messages.HEALTH, messages.PARTICLES):
+            self._send(topic, documented(topic.decode())[1])
+        return self.say()
 
     def close(self) -> None:
-        self._publisher.close()
+        self._socket.close()
+        self._context.term()
+
+    def _send(self, topic: bytes, message: dict[str, Any]) -> None:
+        self._socket.send_multipart([topic, msgpack.packb(message), b"0.0"])
+
+
+class Robot:
+    """The daemon's end of the robot's poses."""
+
+    def __init__(self, place: Path) -> None:
+        self.endpoint = f"ipc://{place}/robot"
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._socket = self._context.socket(zmq.SUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.SUBSCRIBE, messages.SENSOR_POSE)
+        self._socket.connect(self.endpoint)
+
+    def pose(self) -> dict[str, float] | None:
+        if not self._socket.poll(20):
+            return None
+        _, body, _ = self._socket.recv_multipart()
+        pose: dict[str, float] = msgpack.unpackb(body)
+        return pose
+
+    def close(self) -> None:
+        self._socket.close()
         self._context.term()
 
 
-@contextmanager
-def bridge(*arguments: str) -> "Iterator[subprocess.Popen[str]]":
-    """The bridge as a process; what it logs is in `stderr`."""
-    command = [sys.executable, "-m", "taxeld_ros2.cli", *arguments]
-    running = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT)
-    try:
-        yield running
-    finally:
-        running.terminate()
-        running.wait(PATIENCE_S)
-        assert running.stderr is not None
-        running.stderr.close()
+@contextlib.contextmanager
+def running(*command: str) -> "Iterator[subprocess.Popen[str]]":
+    """A process that is ended with the context."""
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT
+    )
+    with process:
+        try:
+            yield process
+        finally:
+            process.terminate()
+            process.send_signal(signal.SIGCONT)  # one that was stopped ends as well
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(PATIENCE_S)
+            process.kill()
 
 
-class Lines:
-    """What a process prints, as it comes."""
-
-    def __init__(self, command: list[str]) -> None:
-        self.lines: list[str] = []
-        self._process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT
-        )
-        self._reading = threading.Thread(target=self._read)
-        self._reading.start()
-
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        self.lines.extend(iter(self._process.stdout.readline, ""))
-
-    def signal(self, number: int) -> None:
-        self._process.send_signal(number)
-
-    def close(self) -> None:
-        self._process.kill()
-        self._process.wait(PATIENCE_S)
-        self._reading.join()
-        assert self._process.stdout is not None
-        self._process.stdout.close()
+def bridge(*arguments: str) -> Any:
+    return running(sys.executable, "-m", "taxeld_ros2.cli", *arguments)
 
 
 def until(done: Callable[[], Any], meanwhile: Callable[[], object] = lambda: None) -> Any:
-    """What `done` gives once it is true; `meanwhile` is called again and again."""
+    """The value of `done` once it is true; `meanwhile` is called again and again."""
     deadline = time.monotonic() + PATIENCE_S
     while not (found := done()):
         assert time.monotonic() < deadline, "nothing came"

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import pytest
 import zmq
 
+from taxeld.door.robot import as_pose
 from taxeld.stream import messages
-from taxeld.stream.pose_input import as_pose
 
 ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "first-robot.md"

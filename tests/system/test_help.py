@@ -5,24 +5,17 @@ import shlex
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 
 import pytest
+from deploy import manuals
 
-import taxeld.cli
-import taxeld_hil.cli
-import taxeld_ros2.cli
-import taxeld_training.cli
 from taxeld import __version__, command_line
+from taxeld import cli as taxeld_cli
 
 ROOT = Path(__file__).parents[2]
-PROGRAMS = {
-    "taxeld": taxeld.cli,
-    "taxeld-train": taxeld_training.cli,
-    "taxeld-hil": taxeld_hil.cli,
-    "taxeld-ros2": taxeld_ros2.cli,
-}
+PROGRAMS = {program: import_module(module) for program, module in manuals.PROGRAMS.items()}
 HEAVY = {  # the slow ones: 0.03 to 2 s of CPU each
     "numpy", "zmq", "can", "serial", "onnxruntime", "msgpack",
     *(module for modules in command_line.EXTRAS.values() for module in modules),
@@ -34,16 +27,11 @@ IMPORT_NAMES = {
 }  # of packages that are called otherwise
 
 
-def commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            yield from action.choices.items()
-
-
 ALL = [
     (program, [name] if name else [], parser)
     for program, module in PROGRAMS.items()
-    for name, parser in [("", module._parser()), *commands(module._parser())]
+    for top in [module._parser()]
+    for name, parser in {"": top, **manuals.commands_of(top)}.items()
 ]
 NAMES = [" ".join([program, *name]) for program, name, _ in ALL]
 
@@ -61,6 +49,13 @@ def test_help_and_version_import_nothing_that_is_slow(program: str, option: str)
     loaded = {name.split(".")[0] for name in ran.stderr.split()}
     assert loaded & HEAVY == set()
     assert "argparse" in loaded
+
+
+def test_a_command_that_is_gone_says_what_replaced_it(capsys: pytest.CaptureFixture[str]) -> None:
+    assert taxeld_cli.main(["relay", "can0.toml"]) == command_line.USAGE_ERROR
+    said = capsys.readouterr().err
+    assert said.startswith("relay: is no command any more; 'taxeld run' serves relay.publish")
+    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize(("program", "name", "parser"), ALL, ids=NAMES)
@@ -115,6 +110,7 @@ WITHOUT = [
     ("taxeld-train", ["scene", "box.stl"], "train", ("trimesh", "shapely")),
     ("taxeld-hil", ["draw", "{place}", "--out", "{place}/x.png"], "view", ("matplotlib",)),
     ("taxeld", ["watch", "--endpoint", "ipc://{place}/x"], "view", ("rich",)),
+    ("taxeld", ["calibrate", "{place}", "--out", "{place}/x"], "calibrate", ("scipy",)),
     ("taxeld", ["view", "--save", "{place}/x"], "view", ("rerun",)),
     ("taxeld", ["export", "{place}", "--mcap", "{place}/x"], "export", ("mcap_ros2",)),
     ("taxeld-ros2", ["--stream", "ipc://{place}/stream"], "ros2", ("cyclonedds",)),
@@ -151,7 +147,7 @@ def test_a_missing_extra_is_one_line_that_names_the_command_that_installs_it(
 
 
 def test_watch_of_an_endpoint_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert taxeld_hil.cli.main(["watch", "--endpoint", "foo", "--bundle", "box"]) == 2
+    assert PROGRAMS["taxeld-hil"].main(["watch", "--endpoint", "foo", "--bundle", "box"]) == 2
     said = capsys.readouterr().err
     assert said.startswith("--endpoint: 'foo' is no endpoint; use ipc:///path")
     assert said.count("\n") == 1

@@ -32,10 +32,11 @@ case "$*" in
     echo "$REFUSES" >"$here/refuses"
     for name in taxeld taxeld-hil taxeld-ros2 taxeld-train; do
         printf '#!%s/bin/python\n' "$here" >"$here/bin/$name"
+    done
+    for page in man/man1/taxeld.1 bash-completion/completions/taxeld zsh/site-functions/_taxeld; do
+        mkdir -p "$here/share/${page%/*}"
+        echo page >"$here/share/$page"
     done ;;
-*" deploy/manuals.py "*)
-    mkdir -p "$3/share/man/man1"
-    echo page >"$3/share/man/man1/taxeld.1" ;;
 *" --version") [ "$FAILS_AT" != version ] && cat "$here/version" ;;
 *" check "*)
     for config; do :; done
@@ -61,7 +62,7 @@ class Machine:
         }.items():
             (bin_ / name).write_text(text, encoding="utf-8")
             (bin_ / name).chmod(0o755)
-        for name in ("systemctl", "udevadm", "sync"):
+        for name in ("systemctl", "sync"):
             (bin_ / name).symlink_to("/bin/true")
         self.installed = 0
 
@@ -291,11 +292,12 @@ def test_uninstall_takes_exactly_what_install_put(machine: Machine, staged: bool
     machine.make("install", **how)
     assert {p for p in machine.tree() if "/taxeld/versions/" not in p} == {
         "opt/bin/taxeld", "opt/lib/other", "opt/lib/taxeld/current",
-        "opt/lib/systemd/network/60-can0.network", "opt/lib/sysusers.d/taxeld.conf",
-        "opt/lib/udev/rules.d/60-taxeld.rules", "opt/share/doc/taxeld/can0.toml",
+        "opt/lib/sysusers.d/taxeld.conf", "opt/share/doc/taxeld/examples/60-can0.network",
+        "opt/share/doc/taxeld/examples/60-taxeld.rules", "opt/share/doc/taxeld/examples/can0.toml",
         "opt/share/doc/taxeld/service.md", "opt/bin/taxeld-hil", "opt/bin/taxeld-ros2",
         "opt/bin/taxeld-train",
-        "opt/share/man/man1/taxeld.1",
+        "opt/share/man/man1/taxeld.1", "opt/share/bash-completion/completions/taxeld",
+        "opt/share/zsh/site-functions/_taxeld",
         *(f"opt/lib/systemd/system/{p.name}" for p in (ROOT / "systemd").glob("*.service")),
     }  # fmt: skip
     lib = "/opt/lib/taxeld" if staged else str(machine.lib)

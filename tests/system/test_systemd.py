@@ -4,23 +4,22 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from taxeld import cli, command_line
 from taxeld.config.tables import ControlConfig, PublishConfig
-from taxeld.service import descriptors
+from taxeld.door import sandbox as door
 from taxeld_ros2 import cli as bridge
 
 ROOT = Path(__file__).parents[2]
 SYSTEMD = ROOT / "systemd"
 UNIT = SYSTEMD / "taxeld@.service"
-RELAY = SYSTEMD / "taxeld-relay@.service"
 BRIDGE = SYSTEMD / "taxeld-ros2@.service"
-UNITS = [UNIT, RELAY, BRIDGE]
-EXPOSURE = 1.6
+UNITS = [UNIT, BRIDGE]
+RULES = SYSTEMD / "examples" / "60-taxeld.rules"
+EXPOSURE = 1.7
 
 needs_systemd = pytest.mark.skipif(
     shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed"
@@ -67,16 +66,13 @@ def test_systemd_has_nothing_to_say_against_the_unit(tmp_path: Path, unit: Path)
     assert done.returncode == 0
 
 
-@pytest.mark.parametrize(("unit", "function"), [(UNIT, cli._run), (RELAY, cli._relay)])
-def test_the_unit_starts_what_the_command_line_takes(
-    unit: Path, function: Callable[..., int]
-) -> None:
-    (start,) = settings(unit)["ExecStart"]
+def test_the_unit_starts_what_the_command_line_takes() -> None:
+    (start,) = settings()["ExecStart"]
     command, *arguments = start.replace("%i", "can0").split()
     assert command == "/usr/local/lib/taxeld/current/bin/taxeld"
     args = cli._parser().parse_args(arguments)
     assert args.config == Path("/etc/taxeld/can0.toml")
-    assert args.command is function
+    assert args.command is cli._run
 
 
 def test_the_unit_of_the_bridge_and_the_options_it_proposes_start_what_its_command_line_takes() -> (
@@ -102,9 +98,8 @@ def test_the_page_on_the_bridge_installs_the_version_that_it_was_tried_with() ->
     assert f"-m pip install {line}\n" in (ROOT / "docs" / "ros2.md").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize("unit", [RELAY, BRIDGE], ids=lambda unit: unit.stem)
-def test_what_peers_may_take_of_the_machine_beside_the_daemon_is_bounded(unit: Path) -> None:
-    beside, daemon = settings(unit), settings(UNIT)
+def test_what_peers_may_take_of_the_machine_beside_the_daemon_is_bounded() -> None:
+    beside, daemon = settings(BRIDGE), settings(UNIT)
     assert beside["Restart"] == ["always"]
     for limit in ("LimitNOFILE", "MemoryMax", "TasksMax"):
         (value,) = beside[limit]
@@ -132,14 +127,33 @@ def test_a_fault_at_each_start_ends_and_one_now_and_then_does_not() -> None:
 
 def test_nothing_of_the_machines_can_be_used_up() -> None:
     unit = settings()
-    assert int(unit["LimitNOFILE"][0]) > 10 * descriptors.NEEDED
+    assert int(unit["LimitNOFILE"][0]) == door.DESCRIPTORS
     assert {"MemoryMax", "MemorySwapMax", "TasksMax", "LimitRTTIME", "OOMScoreAdjust"} <= set(unit)
     (reload,) = unit["ExecReload"]
     assert reload == "/bin/kill -HUP $MAINPID"
 
 
+def test_the_door_may_end_alone_and_confine_itself_and_tell_users_apart() -> None:
+    unit = settings()
+    assert unit["OOMPolicy"] == ["continue"]
+    assert unit["KillMode"] == ["mixed"]
+    assert "PrivateUsers" not in unit
+    *_, own, sandbox = unit["SystemCallFilter"]
+    assert {"setrlimit", "sched_setscheduler"} <= set(own.split())
+    assert len(re.findall(r"\blandlock_\w+", sandbox)) == 3
+    bytes_max = int(unit["MemoryMax"][0].removesuffix("G")) << 30
+    assert bytes_max > 4 * door.MEMORY_BYTES, "most of it is the loop's"
+
+
+def test_there_is_a_group_to_hear_and_one_to_change() -> None:
+    unit = settings()
+    made = (SYSTEMD / "taxeld.sysusers").read_text(encoding="utf-8")
+    assert re.search(rf"^u {unit['User'][0]} ", made, re.MULTILINE)
+    assert re.search(rf"^g {ControlConfig().group} ", made, re.MULTILINE)
+
+
 def test_modem_manager_keeps_away_from_the_daemons_lines() -> None:
-    rules = (SYSTEMD / "60-taxeld.rules").read_text(encoding="utf-8")
+    rules = RULES.read_text(encoding="utf-8")
     assert 'ENV{ID_MM_DEVICE_IGNORE}="1"' in rules
     assert 'ENV{ID_MM_PORT_IGNORE}="1"' in rules
     assert rules.index("ID_MM_DEVICE_IGNORE") > rules.index('GOTO="taxeld_end"')
@@ -152,11 +166,9 @@ def test_the_default_endpoints_lie_in_the_units_runtime_directory() -> None:
         assert endpoint.startswith(f"ipc:///run/{directory}/")
 
 
-def test_the_daemons_user_is_made_and_owns_its_lines() -> None:
+def test_the_rule_gives_the_daemon_its_lines() -> None:
     unit = settings()
-    made = (SYSTEMD / "taxeld.sysusers").read_text(encoding="utf-8")
-    assert re.search(rf"^u {unit['User'][0]} ", made, re.MULTILINE)
-    rules = (SYSTEMD / "60-taxeld.rules").read_text(encoding="utf-8")
+    rules = RULES.read_text(encoding="utf-8")
     assert f'GROUP="{unit["Group"][0]}"' in rules
     majors = {"char-166 rw": "ttyACM", "char-188 rw": "ttyUSB"}
     assert unit["DeviceAllow"] == list(majors)

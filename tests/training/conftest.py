@@ -1,5 +1,7 @@
 """A small box on small skins, and the readings of it."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import trimesh
@@ -40,3 +42,11 @@ def half_model() -> ObservationModel:
 @pytest.fixture(scope="session")
 def touches(ring_model: ObservationModel) -> Touches:
     return simulate(ring_model, 20_000, np.random.default_rng(0))
+
+
+@pytest.fixture(scope="session")
+def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The box as a mesh file."""
+    path = tmp_path_factory.mktemp("mesh") / "block.stl"
+    trimesh.creation.box((0.06, 0.1, 0.1)).export(path)
+    return path

@@ -6,31 +6,18 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-import trimesh
 
-from taxeld.model.observation import ObservationModel
-from taxeld.proposals.analytic import Projection
 from taxeld_training.cli import main
 from taxeld_training.jobs.options import Options
 from taxeld_training.jobs.rows import DISTANCES, EXACT
-from taxeld_training.limits.rivals import LARGE_EPOCHS
-from taxeld_training.models.variants import MODELS
 from taxeld_training.objects.setting import Setting, ring
 from taxeld_training.samplers import evaluate, experiment, runs, trainings
-from taxeld_training.samplers.experiment import Measurement
 
 FRONTIER = {
     "object", "columns", "proposal", "steps", "width", "flops", "ms", "ms_eager_ddpm100",
     "speedup", "ms_warm", "ms_eager_ddpm100_warm", "speedup_warm", "energy_distance",
     "energy_floor",
 }  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def block(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("mesh") / "block.stl"
-    trimesh.creation.box((0.06, 0.1, 0.1)).export(path)
-    return path
 
 
 def command(name: str, block: Path, place: Path, *more: str) -> list[str]:
@@ -77,35 +64,6 @@ def test_proposals_writes_a_row_a_sampler_and_remembers_its_jobs(
     assert before == sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
 
 
-def test_samplers_of_a_later_run_are_added_to_the_rows_of_an_earlier_one(
-    block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    once, twice = tmp_path / "once", tmp_path / "twice"
-    assert main(command("proposals", block, once, "--groups", "analytic,density-64")) == 0
-    assert main(command("proposals", block, twice, "--groups", "analytic")) == 0
-    assert main(command("proposals", block, twice, "--groups", "density-64", "--add")) == 0
-    text = [
-        (place / "out" / "proposals.json").read_text(encoding="utf-8") for place in (once, twice)
-    ]
-    assert text[0] == text[1]
-    assert main(command("proposals", block, twice, "--groups", "density-64", "--add")) == 0
-    assert (twice / "out" / "proposals.json").read_text(encoding="utf-8") == text[0]  # replaced
-
-    rows = json.loads(text[0])
-    kept = twice / "out" / "proposals.json"
-    capsys.readouterr()
-    kept.write_text(json.dumps([row | {"energy_floor": 1.0} for row in rows]), encoding="utf-8")
-    assert main(command("proposals", block, twice, "--groups", "density-64", "--add")) == 2
-    assert "are of other readings" in capsys.readouterr().err
-    for row in rows:
-        del row[DISTANCES]
-    kept.write_text(json.dumps(rows), encoding="utf-8")
-    assert main(command("proposals", block, twice, "--groups", "density-64", "--add")) == 2
-    assert f"--add: {kept} has rows without distances" in capsys.readouterr().err
-    assert main(command("stability", block, twice, "--add")) == 2
-    assert "only rows of proposals and frontier" in capsys.readouterr().err
-
-
 def test_a_filter_follows_with_the_model_whose_distance_was_measured(
     block: Path, tmp_path: Path
 ) -> None:
@@ -144,20 +102,6 @@ def test_frontier_writes_cost_and_distance_of_each_sampler(
     assert (tmp_path / "out" / "frontier_16.png").is_file()
 
 
-def test_the_gallery_is_drawn(block: Path, tmp_path: Path) -> None:
-    assert main(command("gallery", block, tmp_path)) == 0
-    assert (tmp_path / "out" / "gallery.png").stat().st_size > 10_000
-
-
-def test_damage_is_measured_on_the_shipped_bundles(tmp_path: Path) -> None:
-    place = ["--out", str(tmp_path), "--memory", str(tmp_path / "memory"), "--workers", "1"]
-    assert main(["evaluate", "damage", "--quick", *place]) == 0
-    rows = json.loads((tmp_path / "damage.json").read_text(encoding="utf-8"))
-    assert {row["dead_share"] for row in rows} == {0.0, 0.1}
-    assert {row["proposal"] for row in rows} == {"density", "ddpm", "table", "manifold"}
-    assert (tmp_path / "damage.png").is_file()
-
-
 def test_without_time_only_remembered_rows_are_written(block: Path, tmp_path: Path) -> None:
     groups = ("--groups", "analytic")
     assert main(command("proposals", block, tmp_path, *groups)) == 0
@@ -169,6 +113,19 @@ def test_without_time_only_remembered_rows_are_written(block: Path, tmp_path: Pa
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    "name", ["proposals", "proposals --cells skin", "frontier", "filter", "stability", "push"]
+)
+def test_without_time_for_anything_an_experiment_says_so_in_one_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, *more = name.split()
+    assert main(command(first, Path("025_mug"), tmp_path, *more, "--minutes", "0")) == 2
+    assert capsys.readouterr().err == (
+        "taxeld-train: nothing was measured; give more --minutes, or other --groups\n"
+    )
+
+
 def test_an_unknown_group_or_object_is_refused_in_one_line(
     block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -178,38 +135,8 @@ def test_an_unknown_group_or_object_is_refused_in_one_line(
     assert "999_none" in capsys.readouterr().err
 
 
-def test_measurements_with_other_counts_are_other_jobs() -> None:
-    one = Measurement("a", ring(8), 8)
-    other = Measurement("a", ring(8), 8, readings=9)
-    assert repr(one) != repr(other)
-    assert one.name == other.name == "a-8"
-
-
-def test_every_sampler_of_the_results_has_a_command(block: Path, tmp_path: Path) -> None:
-    """Also those not run before: the generator, and rivals with the density's contacts."""
-    wanted = {"generator-128", "diffusion-128", "paper", "table-1e5", "npe-3e5", "fmpe-3e5", "npse"}
-    assert wanted <= set(experiment.GROUPS["frontier"])
-    assert experiment.COLUMNS == (8, 16, 32, 64)
+def test_rows_of_another_skin_do_not_stand_in_the_rings_place(block: Path, tmp_path: Path) -> None:
     out = command("proposals", block, tmp_path, "--groups", "analytic", "--skin", ring(4))
     assert main(out) == 0
-    names = {path.name for path in (tmp_path / "out").iterdir() if path.suffix == ".json"}
-    assert len(names) == 1
-    assert "proposals.json" not in names  # rows of another skin do not stand in the rings' place
-
-
-def test_a_large_rival_has_the_densitys_number_of_contacts(
-    monkeypatch: pytest.MonkeyPatch, ring_model: ObservationModel
-) -> None:
-    asked = []
-
-    def train(kind: str, *_: object, **more: int) -> Projection:
-        asked.append((kind, more.get("contacts"), more.get("max_epochs")))
-        return Projection(ring_model)
-
-    monkeypatch.setattr(experiment, "train_rival", train)
-    setting = Measurement("a", ring(16), 16)
-    for group in ("fmpe", "fmpe-3e5"):
-        (tried,) = experiment.samplers_of(setting, group, None, ring_model)
-        assert tried.proposal == group
-    assert asked == [("fmpe", None, None), ("fmpe", 300_000, LARGE_EPOCHS["fmpe"])]
-    assert MODELS["density-64"].training.contacts == 300_000
+    (name,) = (path.name for path in (tmp_path / "out").iterdir() if path.suffix == ".json")
+    assert name != "proposals.json"

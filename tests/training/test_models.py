@@ -20,7 +20,6 @@ from taxeld_training.models.density import BINS, ContactDensity
 from taxeld_training.models.diffusion import Solver
 from taxeld_training.models.export import export, flops, rounded
 from taxeld_training.models.frames import ContactFrame
-from taxeld_training.models.generator import Generator
 from taxeld_training.models.train import SCALE_BATCH
 from taxeld_training.models.variants import Variant
 from taxeld_training.models.views import Plain, best
@@ -32,7 +31,6 @@ SMALL = {
     "dpm": Variant("diffusion", FEW, TRAINING, samplers=((Solver.DPM, 3),)),
     "ddpm": Variant("diffusion", FEW, TRAINING, samplers=((Solver.DDPM, 8),)),
     "paper": Variant("diffusion", FEW, TRAINING, "plain", "pose", ((Solver.DDPM, 8),)),
-    "generator": Variant("generator", NetworkConfig(8, 16), TRAINING),
 }
 
 
@@ -69,35 +67,28 @@ def test_onnx_equals_torch_for_any_number_of_samples(
     assert metadata == {"training": {"seed": 1}}
 
 
-@pytest.mark.parametrize(
-    ("name", "updates", "of_projection"), [("density", 300, 0.12), ("generator", 120, 0.7)]
-)
 def test_a_trained_model_is_near_the_posterior(
-    name: str, updates: int, of_projection: float, ring_model: ObservationModel, touches: Touches,
-    tmp_path: Path,
-) -> None:  # fmt: skip
+    ring_model: ObservationModel, touches: Touches, tmp_path: Path
+) -> None:
     to = quality.reference(ring_model, Noise(), 20, np.random.default_rng(1), bank=40_000)
-    sampler = fitted(variants.density(32) if name == "density" else SMALL[name], ring_model,
-                     touches, updates)  # fmt: skip
+    sampler = fitted(variants.density(32), ring_model, touches, 300)
     export(sampler, len(ring_model.layout), tmp_path / "s.onnx", {})  # type: ignore[arg-type]
     rng = np.random.default_rng(2)
-    learned = quality.distance(Sampler.read(tmp_path / "s.onnx", ring_model.layout, name), to, rng)
-    uninformed = quality.distance(Projection(ring_model), to, rng)
-    assert learned < of_projection * uninformed
+    learned = Sampler.read(tmp_path / "s.onnx", ring_model.layout, "density")
+    uninformed = quality.distances(Projection(ring_model), to, rng).mean()
+    assert quality.distances(learned, to, rng).mean() < 0.12 * uninformed
 
 
 def test_a_model_trained_beside_others_is_the_one_that_is_trained_alone(
     ring_model: ObservationModel, touches: Touches
 ) -> None:
     """Those of other batches, and of fewer updates, among them."""
-    few = {"density": 4, "ddpm": 6, "paper": 5, "generator": 4}
+    few = {"density": 4, "ddpm": 6, "paper": 5}
     given = [
         variants.trained_with(SMALL[name], updates / TRAINING.updates, 5_000, 0)
         for name, updates in few.items()
     ]
-    beside = variants.fit_beside(
-        [(variant, lambda _: None) for variant in given], ring_model, Noise(), touches
-    )
+    beside = variants.fit_beside(given, ring_model, Noise(), touches)
     for variant, one in zip(given, beside, strict=True):
         alone = variants.fit(variant, ring_model, Noise(), touches)
         for name, weight in alone.state_dict().items():
@@ -117,8 +108,7 @@ def test_models_that_are_trained_side_by_side_draw_their_batches_once(
     monkeypatch.setattr(Batches, "draw", counted)
     few = variants.trained_with(SMALL["density"], 3 / TRAINING.updates, 5_000, 0)
     more = variants.trained_with(SMALL["ddpm"], 5 / TRAINING.updates, 5_000, 0)
-    given = [(variant, lambda _: None) for variant in (few, more)]
-    variants.fit_beside(given, ring_model, Noise(), touches)
+    variants.fit_beside([few, more], ring_model, Noise(), touches)
     assert drawn == [SCALE_BATCH] + [TRAINING.batch] * 5
 
 
@@ -168,4 +158,3 @@ def test_operations_grow_with_steps_and_samples(ring_model: ObservationModel) ->
     net = ContactDensity(NetworkConfig(8, 16, encoder_depth=2), view, frame)
     assert flops(net, 200) - flops(net, 100) == 100 * 2 * net.multiply_adds_each
     assert flops(net, 0) == 2 * (64 * 16 + 16 * 16 + 16 * BINS + 16 * 16)
-    assert Generator(NetworkConfig(8, 16), view, frame).multiply_adds_each > 0

@@ -15,8 +15,7 @@ from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld_training.filters import push
 from taxeld_training.filters.ground import Ground
-from taxeld_training.filters.pusher import DEPTH_M, STEP_M, TOUCHES, PushedTrial, gave_way
-from taxeld_training.filters.told import told
+from taxeld_training.filters.pusher import DEPTH_M, STEP_M, TOUCHES, PushedTrial, gave_way, told
 from taxeld_training.jobs.options import Options
 
 

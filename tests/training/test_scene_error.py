@@ -1,4 +1,4 @@
-"""The grid error: measured independently of the code that makes the grids."""
+"""The grid error: what grids look up, against exact distances to the outlines."""
 
 from dataclasses import replace
 

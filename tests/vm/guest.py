@@ -14,16 +14,13 @@ import time
 from pathlib import Path
 
 import checks
-import zmq
 from checks import check
 from touch import CONFIG, ON_VCAN0, PATIENCE_S, VCAN0, Touch, Unit, sh, until, vcan0_is_there
 
-from taxeld.config.tables import ControlConfig, LoopConfig, RelayConfig
+from taxeld.config.tables import ControlConfig, LoopConfig
+from taxeld.door import sandbox, settings
 from taxeld.estimator.estimate import Status
-from taxeld.stream import client, messages
-
-RELAY, RELAYED = "taxeld-relay@vcan0", RelayConfig().publish[0]
-FLOODS = 20
+from taxeld.stream import client
 
 
 @check
@@ -49,18 +46,6 @@ def a_device_that_comes_late_is_waited_for() -> None:
     sh("ip link add vcan0 type vcan && ip link set vcan0 up")
     until("it is opened", lambda: not VCAN0.show("StatusText").startswith("waiting, "))
     assert VCAN0.pid == pid
-
-
-@check
-def too_few_descriptors_are_said_in_one_line() -> None:
-    unit = Unit("few")
-    unit.config.write_text(CONFIG % "vcan0", encoding="utf-8")
-    unit.drop_in("LimitNOFILE=32")
-    sh(f"! systemctl start {unit.name}")
-    until("it has failed", lambda: unit.show("ActiveState") == "failed")
-    assert unit.show("ExecMainStatus") == "2"
-    said = unit.said()
-    assert re.fullmatch(r"32 open files are allowed, and the daemon needs .*", said), said
 
 
 @check
@@ -97,26 +82,23 @@ def the_loop_is_a_real_time_thread_with_locked_memory() -> str:
 
 
 @check
-def a_relay_serves_tcp_and_a_flood_there_ends_no_daemon() -> str:
-    pid, restarts = VCAN0.pid, VCAN0.restarts()
-    sh(f"systemctl start {RELAY}")
-    with zmq.Context() as context:
-        for _ in range(FLOODS):
-            with context.socket(zmq.XSUB) as hostile:
-                hostile.setsockopt(zmq.LINGER, 0)
-                hostile.connect(RELAYED)
-                for number in range(1000):
-                    hostile.send(b"\x01%d" % number)
-                hostile.poll(20)
-        with context.socket(zmq.SUB) as subscriber:
-            subscriber.setsockopt(zmq.LINGER, 0)
-            subscriber.setsockopt(zmq.SUBSCRIBE, messages.ESTIMATE)
-            subscriber.connect(RELAYED)
-            assert subscriber.poll(1000 * PATIENCE_S), "nothing was relayed"
-    assert (VCAN0.pid, VCAN0.restarts()) == (pid, restarts)
-    times = sh(f"systemctl show -P NRestarts {RELAY}").strip()
-    sh(f"systemctl stop {RELAY}")
-    return f"{FLOODS} floods, the relay was restarted {times} times"
+def the_door_is_limited_and_confined() -> str:
+    """As it says itself, and as the kernel does."""
+    answer = client.ask(ControlConfig().endpoint, "status", timeout_s=PATIENCE_S)
+    assert answer is not None
+    door = answer["health"]["door"]
+    assert door["confined"], door
+    place = Path("/proc", str(VCAN0.door))
+    text = (place / "limits").read_text("ascii")
+    limits = dict(re.findall(r"^Max (.*?)  +\S+ +(\S+)", text, re.MULTILINE))
+    wanted = {
+        "data size": sandbox.MEMORY_BYTES, "open files": sandbox.DESCRIPTORS, "processes": 0,
+        "file size": 0, "core file size": 0, "locked memory": 0,
+    }  # fmt: skip
+    assert {name: int(limits[name]) for name in wanted} == wanted, text
+    assert int((place / "oom_score_adj").read_text("ascii")) == settings.OOM_SCORE
+    assert os.sched_getscheduler(VCAN0.door) == os.SCHED_OTHER
+    return f"{sandbox.MEMORY_BYTES >> 20} MB"
 
 
 @check

@@ -1,44 +1,74 @@
 """The checks of others on the machine: what they may reach, and memory that they use up.
 
-Attackers are those of benchmarks/attacks.py, and its healthy subscriber listens beside them.
+Attackers are those of attacks.py; a healthy subscriber listens beside them.
 """
 
-import json
+import os
+import re
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
+import msgpack
 import zmq
 from checks import check
-from touch import (
-    PATIENCE_S,
-    VCAN0,
-    Unit,
-    frame_times,
-    recording,
-    sh,
-    until,
-)
+from touch import OVER_TCP, PATIENCE_S, VCAN0, frame_times, recording, sh, until
 
-from hostile_watch import Listener
-from taxeld.config.tables import ControlConfig, PublishConfig, RelayConfig
+from taxeld.config.tables import ControlConfig, PublishConfig
 from taxeld.source import session
-from taxeld.stream import client
+from taxeld.stream import client, messages
 
 STREAM, CONTROL = PublishConfig().endpoints[0], ControlConfig().endpoint
-RELAY, RELAYED = Unit("vcan0", "taxeld-relay"), RelayConfig().publish[0]
-MEMBER, STRANGER = "member", "stranger"
+CHANGER, MEMBER, STRANGER = "changer", "member", "stranger"
+USERS = {CHANGER: "-G taxeld,taxeld-control", MEMBER: "-G taxeld", STRANGER: ""}
+ASKED = "status", "tare", "reset"
+# of an endpoint and a command; ZeroMQ itself would wait for a socket that it may not open
+ASKS = f"""
+import socket, sys
+from taxeld.stream import client
+socket.socket(socket.AF_UNIX).connect(sys.argv[1].removeprefix("ipc://"))
+answer = client.ask(*sys.argv[1:], timeout_s={PATIENCE_S})
+print("done" if answer["ok"] else "refused")
+"""
 ATTACKS = (  # connections or MB, at most, and seconds
     ("subscribe_and_leave", STREAM, 120, 4),
     ("ask_and_leave", CONTROL, 120, 4),
     ("endless_to_stream", STREAM, 100, 4),
     ("unique_subscriptions", STREAM, 20, 4),
 )
+FLOODS = "subscribe_and_leave", "endless_to_stream", "unique_subscriptions"
+KILLS, HEARD = 6, 5  # and estimates in a row from one to the next
 FRAMES = 100  # in a recording that has begun
-SPARE_MB = 12  # of what a relay lets peers hoard before it hangs up on them, a part
+IDS = iter(range(0x7F0, 0x800))  # of CAN, that no skin has; another one each time
+LEAST_BYTES = 1_000_000
+LACKING_MB = 40  # more than the door has
 LATE_S = 3.0  # a recorder writes four times a second, on a quicker processor
+
+
+class Listener:
+    """A subscriber that keeps up, and counts the estimates that it misses."""
+
+    def __init__(self, context: zmq.Context, endpoint: str) -> None:
+        self.estimates = self.missed = self._seq = 0
+        self._socket = context.socket(zmq.SUB)
+        self._socket.linger = 0
+        self._socket.rcvhwm = 0  # what is lost is lost on the other side
+        self._socket.subscribe(messages.ESTIMATE)
+        self._socket.connect(endpoint)
+
+    def hear(self) -> None:
+        while self._socket.poll(0):
+            seq = msgpack.unpackb(self._socket.recv_multipart()[1])["seq"]
+            self.missed += seq - self._seq - 1 if self.estimates else 0
+            self._seq = seq
+            self.estimates += 1
+
+    def close(self) -> None:
+        self._socket.close()
 
 
 def as_user(user: str, *command: str) -> list[str]:
@@ -51,8 +81,20 @@ def attacker(user: str, name: str, endpoint: str, count: int, seconds: float) ->
 
 
 def users() -> None:
-    sh(f"id -u {MEMBER} || useradd -G taxeld {MEMBER}")
-    sh(f"id -u {STRANGER} || useradd {STRANGER}")
+    for user, groups in USERS.items():
+        sh(f"id -u {user} || useradd {groups} {user}")
+
+
+def answered(user: str, command: str) -> str:
+    """What comes of a command that a user asks for: done, refused, or no socket."""
+    asked = subprocess.run(
+        as_user(user, sys.executable, "-c", ASKS, CONTROL, command),
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    if "PermissionError" in asked.stderr:
+        return "no socket"
+    assert asked.returncode == 0, asked.stderr
+    return asked.stdout.strip()
 
 
 @contextmanager
@@ -89,80 +131,120 @@ def hear_more(listener: Listener) -> None:
     until("an estimate", hears)
 
 
-def wait_out_of_memory(unit: Unit, restarts: int) -> None:
-    """Until it has been ended for it, and is ready again."""
-    unit.wait_restarted(restarts)
-    assert "killed by the OOM killer" in unit.journal()
+def hear_without_gap(listener: Listener) -> None:
+    """Until it hears one estimate after the other: from a door that was slow to start, those come
+    first that waited for it, and then a gap."""
+
+    def hears() -> bool:
+        before = listener.missed
+        for _ in range(HEARD):
+            hear_more(listener)
+        return listener.missed == before
+
+    until("estimates without a gap", hears)
 
 
-@check
-def a_user_outside_the_group_reaches_no_socket() -> None:
-    users()
-    recording()
-    for endpoint in (STREAM, CONTROL):
-        path = endpoint.removeprefix("ipc://")
-        connect = f"import socket; socket.socket(socket.AF_UNIX).connect('{path}')"
-        refused = {}
-        for user in (MEMBER, STRANGER):
-            command = as_user(user, sys.executable, "-c", connect)
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-            refused[user] = "PermissionError" in done.stderr
-        assert refused == {MEMBER: False, STRANGER: True}
+def numbers(where: Path, can_id: int) -> list[int]:
+    """Of those frames of an id that a session has."""
+    text = (where / session.FRAMES).read_text("ascii")
+    found = re.findall(rf" {can_id:X}#([0-9A-F]{{16}})\n", text)
+    return [int.from_bytes(bytes.fromhex(data), "little") for data in found]
 
 
-@check
-def members_of_the_group_who_flood_end_no_daemon_and_cost_no_estimate() -> str:
-    users()
-    recording()
+@contextmanager
+def undisturbed() -> Iterator[list[int]]:
+    """Whatever is done meanwhile, the loop goes on, and records each frame of the bus.
+
+    The frames' numbers are in the list afterwards.
+    """
+    kept: list[int] = []
+    can_id = next(IDS)
+    where = recording()
     pid, restarts = VCAN0.pid, VCAN0.restarts()
-    with listening(STREAM) as healthy:
+    with ended(["cangen", VCAN0.instance, "-g10", "-L8", "-Di", f"-I{can_id:X}"]):
+        until("a recording", lambda: len(frame_times(where)) > FRAMES)
+        yield kept
+        before = len(numbers(where, can_id))
+        until("more of it", lambda: len(numbers(where, can_id)) > before + FRAMES)
+    kept += numbers(where, can_id)
+    assert kept == list(range(kept[0], kept[0] + len(kept))), "frames are missing"
+    assert (VCAN0.pid, VCAN0.restarts()) == (pid, restarts)
+
+
+@check
+def only_members_hear_and_only_those_of_the_control_group_change() -> None:
+    users()
+    recording()
+    answers = {user: {asked: answered(user, asked) for asked in ASKED} for user in USERS}
+    assert answers == {
+        CHANGER: dict.fromkeys(ASKED, "done"),
+        MEMBER: {"status": "done", "tare": "refused", "reset": "refused"},
+        STRANGER: dict.fromkeys(ASKED, "no socket"),
+    }
+
+
+@check
+def members_of_the_group_who_flood_end_no_daemon_and_cost_no_frame() -> str:
+    users()
+    with undisturbed() as kept:
         for attack in ATTACKS:
-            done = json.loads(subprocess.check_output(attacker(MEMBER, *attack)))
-            assert done["bytes"], attack
-            hear_more(healthy)
+            assert int(subprocess.check_output(attacker(MEMBER, *attack))), attack
             with listening(STREAM) as newcomer:
                 assert newcomer.estimates
         assert client.ask(CONTROL, "status", timeout_s=PATIENCE_S) is not None
-        hear_more(healthy)
-    assert healthy.missed == 0
-    assert (VCAN0.pid, VCAN0.restarts()) == (pid, restarts)
-    return f"{len(ATTACKS)} attacks, {healthy.estimates} estimates"
+    return f"{len(ATTACKS)} attacks, {len(kept)} frames"
 
 
 @check
-def a_relay_that_is_out_of_memory_is_restarted_and_the_daemon_misses_nothing() -> None:
+def a_flood_over_tcp_ends_no_daemon_and_costs_no_frame() -> str:
     users()
-    recording()
-    RELAY.start()
-    pid, restarts = VCAN0.pid, VCAN0.restarts()
-    with listening(STREAM) as healthy, listening(RELAYED) as relayed:
-        before = RELAY.restarts()
-        RELAY.leave_memory(SPARE_MB)
-        endless = attacker(STRANGER, "endless_to_stream", RELAYED, 1000, PATIENCE_S)
-        with ended(endless):
-            until("it is ended", lambda: RELAY.restarts() > before)
-        wait_out_of_memory(RELAY, before)
-        hear_more(relayed)
-        hear_more(healthy)
-    assert healthy.missed == 0
-    assert (VCAN0.pid, VCAN0.restarts()) == (pid, restarts)
+    with undisturbed() as kept:
+        for name in FLOODS:
+            flood = attacker(STRANGER, name, OVER_TCP, 120, 4)
+            assert int(subprocess.check_output(flood)), name
+        with listening(OVER_TCP) as newcomer, listening(STREAM) as member:
+            assert newcomer.estimates
+            assert member.estimates
+    return f"{len(FLOODS)} attacks, {len(kept)} frames"
+
+
+@check
+def a_door_that_is_killed_again_and_again_is_back_and_costs_no_frame() -> str:
+    with undisturbed() as kept:
+        for _ in range(KILLS):
+            door = VCAN0.door
+            with listening(STREAM) as member, listening(OVER_TCP) as over_tcp:
+                hear_without_gap(member)
+                hear_without_gap(over_tcp)
+                os.kill(door, signal.SIGKILL)
+                VCAN0.wait_door(door)
+    return f"{KILLS} times, {len(kept)} frames"
+
+
+@check
+def a_door_that_gets_no_more_memory_ends_alone() -> str:
+    """Its limit is lowered to less than it has: what a peer makes it ask for ends it."""
+    users()
+    with undisturbed() as kept:
+        door = VCAN0.door
+        sh(f"prlimit --pid {door} --data={LEAST_BYTES}")
+        with ended(attacker(MEMBER, "endless_to_stream", STREAM, 100, PATIENCE_S)):
+            VCAN0.wait_door(door)
+        with listening(STREAM) as member:
+            assert member.estimates
+    return f"{len(kept)} frames"
 
 
 @check
 def a_daemon_that_is_out_of_memory_is_restarted_and_its_recording_is_kept() -> str:
-    """By a fault of its own, as no peer has it grow; the relay goes on, and so does the record."""
+    """By a fault of the loop's own, as no peer has it grow."""
     begun = recording()
-    RELAY.start()
-    relay = RELAY.pid, RELAY.restarts()
-    busy = ["cangen", VCAN0.instance, "-g", "20"]  # milliseconds from frame to frame
-    with listening(RELAYED) as relayed, ended(busy):
+    with ended(["cangen", VCAN0.instance, "-g", "20"]):  # milliseconds from frame to frame
         until("a recording", lambda: len(frame_times(begun)) > FRAMES)
         restarts, limited_s = VCAN0.restarts(), time.time()
-        VCAN0.leave_memory(-SPARE_MB)
-        wait_out_of_memory(VCAN0, restarts)
-        hear_more(relayed)
-    assert (RELAY.pid, RELAY.restarts()) == relay
-    RELAY.stop()
+        VCAN0.leave_memory(-LACKING_MB)
+        VCAN0.wait_restarted(restarts)
+    assert "killed by the OOM killer" in VCAN0.journal()
     kept = frame_times(begun)
     assert limited_s - kept[-1] < LATE_S
     since = recording()

@@ -25,6 +25,7 @@ PATIENCE_S = 180.0  # an emulated processor is some twenty times slower
 GOOD_MM = 10.0
 COMMAND = "/usr/local/lib/taxeld/current/bin/taxeld"
 POSES = "tcp://127.0.0.1:9874"
+OVER_TCP = "tcp://127.0.0.1:9872"
 
 CONFIG = f"""\
 [source]
@@ -41,6 +42,8 @@ rate_hz = 10.0
 [budget]
 propose_ms = 1000.0
 degrade = false
+[relay]
+publish = ["{OVER_TCP}"]
 """
 
 
@@ -59,11 +62,11 @@ def until(what: str, true: Callable[[], bool], patience_s: float = PATIENCE_S) -
 
 
 class Unit:
-    """An instance of the service, or of its relay."""
+    """An instance of the service."""
 
-    def __init__(self, instance: str, service: str = "taxeld") -> None:
+    def __init__(self, instance: str) -> None:
         self.instance = instance
-        self.name = f"{service}@{instance}"
+        self.name = f"taxeld@{instance}"
         self.config = Path(f"/etc/taxeld/{instance}.toml")
 
     def drop_in(self, *settings: str) -> None:
@@ -77,8 +80,8 @@ class Unit:
         return sh(f"systemctl show -P {key} {self.name}")
 
     def leave_memory(self, mb: int) -> None:
-        """Until it ends, MemoryMax= is so much more than what it has and cannot give back; it ends
-        at once where that is less."""
+        """Until it is started again, MemoryMax= is so much more than what its processes have and
+        cannot give back; where that is less, the kernel ends them."""
         group = Path(f"/sys/fs/cgroup{self.show('ControlGroup')}")
         limit = group / "memory.max"
         assert limit.read_text("ascii").strip() == self.show("MemoryMax")  # of the unit as it is
@@ -91,6 +94,15 @@ class Unit:
     @property
     def pid(self) -> int:
         return int(self.show("MainPID"))
+
+    @property
+    def door(self) -> int:
+        """Process id of its door; 0 where there is none now."""
+        return int(sh(f"pgrep -P {self.pid} -f taxeld.door || echo 0"))
+
+    def wait_door(self, before: int) -> None:
+        """Until another door than the one `before` is there."""
+        until("another door", lambda: self.door not in (0, before))
 
     def start(self) -> None:
         sh(f"systemctl start {self.name}")  # returns when it has said READY=1

@@ -20,23 +20,23 @@ if TYPE_CHECKING:
     from taxeld.layout.layout import Layout
 
 DEFAULT_SKIN = SkinConfig().layout
-EXPERIMENTS = (
-    "proposals",
-    "frontier",
-    "gallery",
-    "damage",
-    "skins",
-    "filter",
-    "shipped",
-    "sizes",
-    "stability",
-    "push",
-)
+EXPERIMENTS = ("proposals", "frontier", "filter", "stability", "push")
+GONE = {  # experiments of earlier versions, and what now makes their figures
+    "shipped": "'filter --groups shipped --cells \"sensor mm=2,nudged mm,moved=2,skin\"'",
+    "sizes": "'stability --groups table --cells lengths'",
+    "skins": "'proposals --cells skin'",
+    "damage": "'proposals --cells \"dead share\"'",
+    "gallery": "",
+}
 
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments."""
-    return command_line.main(_parser(), argv, "taxeld-train: ")
+    try:
+        return command_line.main(_parser(), argv, "taxeld-train: ")
+    except SetupError as error:  # an experiment that is gone: raised while arguments are read
+        print(f"taxeld-train: {error}", file=sys.stderr)
+        return 2
 
 
 def _build(args: argparse.Namespace) -> int:
@@ -120,16 +120,12 @@ def _doubt(args: argparse.Namespace, mesh: "trimesh.Trimesh", skin: "Layout") ->
 
 
 def _evaluate(args: argparse.Namespace) -> int:
-    from taxeld_training.filters import filter as filter_experiment
-    from taxeld_training.filters import push as push_experiment
-    from taxeld_training.filters import shipped, sizes, skins, stability
+    from taxeld_training.filters import experiment, push, sampled
     from taxeld_training.jobs.options import Options
-    from taxeld_training.samplers import damage, evaluate, gallery
+    from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment != "stability":
-        raise SetupError("--cells: only stability has cells to choose from")
-    if args.add and args.experiment not in ("proposals", "frontier"):
-        raise SetupError("--add: only rows of proposals and frontier can be added to others")
+    if args.cells and args.experiment not in ("proposals", "filter", "stability"):
+        raise SetupError("--cells: only proposals, filter and stability have cells to choose from")
     options = Options(
         out=args.out,
         memory=args.memory,
@@ -145,19 +141,13 @@ def _evaluate(args: argparse.Namespace) -> int:
         effort=args.effort,
         seeds=args.seeds,
         seed=args.seed,
-        add=args.add,
     )
     experiments = {
-        "proposals": evaluate.proposals,
+        "proposals": sampled.run if args.cells else evaluate.proposals,
         "frontier": evaluate.frontier,
-        "gallery": gallery.run,
-        "damage": damage.run,
-        "skins": skins.run,
-        "filter": filter_experiment.run,
-        "shipped": shipped.run,
-        "sizes": sizes.run,
-        "stability": stability.run,
-        "push": push_experiment.run,
+        "filter": experiment.filter_rows,
+        "stability": experiment.stability_rows,
+        "push": push.run,
     }
     for path in experiments[args.experiment](options):
         print(path)
@@ -236,10 +226,23 @@ def _add_object(one: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _experiment(name: str) -> str:
+    """A name as it was typed.
+
+    Raises:
+        SetupError: an earlier version had such an experiment.
+    """
+    if name in GONE:
+        now = GONE[name]
+        cure = f"use {now}" if now else "an earlier version drew its picture"
+        raise SetupError(f"'{name}' is no experiment of its own any more; {cure}")
+    return name
+
+
 def _add_options(one: argparse.ArgumentParser) -> None:
     """The arguments of `evaluate`."""
     add = one.add_argument
-    add("experiment", choices=EXPERIMENTS)
+    add("experiment", type=_experiment, choices=EXPERIMENTS)
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     add(
         "--memory", type=Path, default=Path(".experiments"), metavar="DIR",
@@ -248,7 +251,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     add(
         "--objects", default="", metavar="A,B",
-        help="default: the paper's ten; of shipped, sizes, skins, stability and push, box and mug",
+        help="default: the paper's ten; of stability, push and cells of proposals, box and mug",
     )  # fmt: skip
     add("--columns", default="", metavar="N,M", help="of the 5-row skins")
     add("--skin", metavar="LAYOUT", help="this layout in place of them")
@@ -257,15 +260,11 @@ def _add_options(one: argparse.ArgumentParser) -> None:
         "--groups",
         default="",
         metavar="A,B",
-        help="of samplers (analytic, npe, …), proposals, or conditions",
+        help="of samplers (analytic, npe, …), or of filters by their proposal (table, shipped, …)",
     )
     add(
         "--cells", default="", metavar="A,B",
-        help="of stability: factors (noise, 'wrong object', …) or one level of one (moved=5)",
-    )  # fmt: skip
-    add(
-        "--add", action="store_true",
-        help="of proposals and frontier: to the rows that OUT has; table and picture are of all",
+        help="conditions: factors (noise, skin, 'wrong object', …) or a level of one (moved=5)",
     )  # fmt: skip
     add("--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training")
     add("--seeds", type=int, default=0, metavar="N", help="trials a cell of a filter experiment")

@@ -7,7 +7,7 @@ from taxeld.config.tables import Config, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle, choice
-from taxeld.service import calibration_file, metrics
+from taxeld.service import calibration_file
 from taxeld.source import dialects, session
 from taxeld.source.session import Items
 from taxeld.stream import client, curve
@@ -17,7 +17,7 @@ MODULES_TO_COME = (
     "which modules its hub has"
 )
 
-POSES_USUAL = "tcp://127.0.0.1:9874"  # in the documents and examples
+POSES_USUAL = "tcp://127.0.0.1:9874"  # address in the documents and examples
 HEAR_POSES_S = 0.3
 POSES_UNUSED = (
     f"sensor_pose.endpoint: is empty, so the sensor is taken to stand still; but a robot publishes "
@@ -26,8 +26,8 @@ POSES_UNUSED = (
 
 
 def faults(config: Config, is_running: bool = False) -> list[str]:
-    """One path-qualified line a fault of a configuration whose keys are fine. Where a daemon
-    `is_running` with it, what is in use is no fault."""
+    """Lines on the faults of a configuration with valid keys, each with its path. While a daemon
+    `is_running` with the configuration, a device or endpoint in use is no fault."""
     found = []
     recorded, away = _source(config.source)
     try:
@@ -49,14 +49,10 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
         except SetupError as error:
             found.append(str(error))
     found += away
-    for keys in (curve.robot_keys, curve.relay_keys):
-        try:
-            keys(config)
-        except SetupError as error:
-            found.append(str(error))
-            break  # a pair that cannot be used is both's
     try:
-        metrics.place(config.metrics)
+        keys, loopback = config.curve.directory, config.curve.loopback
+        curve.robot_keys(keys, config.sensor_pose.endpoint, loopback)
+        curve.relay_keys(keys, (*config.relay.publish, config.relay.control), loopback)
     except SetupError as error:
         found.append(str(error))
     for key, endpoints in (
@@ -75,7 +71,7 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
 
 
 def notes(config: Config) -> list[str]:
-    """What no check can see, one line each."""
+    """Lines on matters that no check can decide."""
     source = config.source
     if source.kind == "replay":
         return []
@@ -93,7 +89,7 @@ def notes(config: Config) -> list[str]:
 
 
 def _source(source: SourceConfig) -> tuple[Items, list[str]]:
-    """What a session holds, and why the source cannot be opened."""
+    """The items of a session, and lines on why the source cannot be opened."""
     if source.kind != "replay":
         away = openings.absent(source)
         return [], [away] if away else []

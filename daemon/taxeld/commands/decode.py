@@ -1,4 +1,4 @@
-"""`taxeld decode`: a log as JSON lines, one a scan, and then what became of every frame."""
+"""`taxeld decode`: a log as JSON lines, one a scan, and then the fate of every frame."""
 
 import json
 import logging
@@ -6,13 +6,20 @@ from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
 
+from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source.logs.files import LogFile, Pass
+from taxeld.source import can_log, serial_log
 from taxeld.source.module_order import Given, missing
+from taxeld.source.wire import Heard, Wire
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
 from taxeld_protocol.icub_decoder import IcubDecoder
 from taxeld_protocol.modules import NAMES, Module
+
+KNOWN = (
+    "candump -l and -L, files that python-can reads by their ending "
+    f"({' '.join(can_log.PYTHON_CAN)}), and serial.bin are read"
+)
 
 log = logging.getLogger(__name__)
 
@@ -20,42 +27,107 @@ log = logging.getLogger(__name__)
 def decode(
     path: Path, given: Given | None = None, dialect: str = "cyskin", interface: str = ""
 ) -> Iterator[str]:
-    """The log's scans and a last line {"stats": …}; `interface`: whose frames, of several.
+    """The log's scans and a last line {"stats": …}. `interface`: the one to decode, where the log
+    has several.
 
-    The module table of a CySkin hub is what its DECLARE and DETAILS answers say, wherever in the
-    log they stand; else what `given` lists; without it, full modules of twelve channels, as many as
-    its packets reach. That of an iCub board is the triangles that it sends.
+    The module table of a CySkin hub comes from its DECLARE and DETAILS answers, wherever in the log
+    they stand; else from `given`; else it is full modules of twelve channels, as many as the hub's
+    packets reach. An iCub board has the triangles that it sends.
 
     Raises:
-        SetupError: the log is unreadable or has no frame at all, it is not clear of which
-            interface, or `given` has none of its hubs.
+        SetupError: the log is unreadable or has no frame, the interface is ambiguous, or `given`
+            lacks a hub. Scans before that place have been yielded.
     """
-    with LogFile(path) as log_file:
-        log_file.check(interface)
+    if path.exists() and not path.is_file():
+        raise SetupError(
+            f"{path}: is no file; name a log, or of a session its frames.log or serial.bin"
+        )
 
-        @cache  # and only for a hub that streams before it has declared its modules
-        def tables() -> dict[int, Sequence[Module]]:
-            return _tables(log_file, interface, given)
+    @cache  # needed only for a hub that streams before it has declared its modules
+    def tables() -> dict[int, Sequence[Module]]:
+        return _tables(path, interface, given)
 
-        known = Decoder(lambda ihb: tables().get(ihb, ()))
-        decoder: ScanDecoder = IcubDecoder() if dialect == "icub" else known
-        whole = Pass(log_file, decoder, interface)
-        for _, scans in whole.heard():
-            yield from map(_line, scans)
-        yield from map(_line, decoder.flush())
-        yield _json({"stats": whole.stats()})
+    known = Decoder(lambda ihb: tables().get(ihb, ()))
+    decoder: ScanDecoder = IcubDecoder() if dialect == "icub" else known
+    whole = _Pass(path, decoder, interface)
+    for _, scans in whole.heard():
+        yield from map(_line, scans)
+    yield from map(_line, decoder.flush())
+    yield _json({"stats": whole.stats()})
     if whole.damage.count:
         log.warning(
             "%s: left out what is damaged or no frame (counted as %d bad_lines), at first %s",
-            path, whole.damage.count, whole.damage.first,
-        )  # fmt: skip
+            path,
+            whole.damage.count,
+            whole.damage.first,
+        )
 
 
-def _tables(log_file: LogFile, interface: str, given: Given | None) -> dict[int, Sequence[Module]]:
+class _Pass:
+    """One pass through a log: the frames of one interface, through a decoder."""
+
+    def __init__(self, path: Path, decoder: ScanDecoder, interface: str) -> None:
+        self.damage = can_log.Damage()
+        self._path = path
+        self._decoder = decoder
+        self._interface = interface
+        self._wire: Wire | None = None
+        if path.suffix.lower() == serial_log.ENDING:
+            framing = serial_log.framing(path)
+            self._wire = Wire(SourceConfig(kind="serial", framing=framing), decoder)
+
+    def heard(self) -> Iterator[Heard]:
+        """Packets and scans from the decoder.
+
+        Raises:
+            SetupError: the log is unreadable, or has frames of other interfaces or none.
+        """
+        if self._wire is None:
+            yield from self._of_frames()
+            return
+        if self._interface:
+            raise SetupError(f"--interface: {self._path} is of a serial line; leave this out")
+        for chunk in serial_log.chunks(self._path, self.damage):
+            yield from self._wire.data(chunk.data, chunk.t)
+
+    def stats(self) -> dict[str, object]:
+        """Counters of the decoder and of a serial line, and the amount of damage."""
+        stats = self._decoder.stats() if self._wire is None else self._wire.stats()
+        return {**stats, "bad_lines": self.damage.count}
+
+    def _of_frames(self) -> Iterator[Heard]:
+        feed, drop, wanted = self._decoder.feed, self._decoder.drop_foreign, self._interface
+        names: set[str] = set()
+        for name, frame in can_log.frames(self._path, self.damage):
+            if name not in names:
+                names.add(name)
+                if not wanted and len(names - {""}) > 1:
+                    raise SetupError(
+                        f"{self._path}: has frames of several interfaces, "
+                        f"{', '.join(sorted(names - {''}))}; name the skin's with --interface"
+                    )
+            if wanted and name != wanted:
+                continue
+            if frame is None:
+                drop()
+                continue
+            packet, scans = feed(frame)
+            if packet is not None or scans:
+                yield Heard(packet, scans)
+        if not names:
+            first = f" ({self.damage.first})" if self.damage.count else ""
+            raise SetupError(f"{self._path}: has no frame{first}; {KNOWN}")
+        if wanted and wanted not in names:
+            named = ", ".join(sorted(names - {""}))
+            cure = f"it has those of {named}" if named else "it names no interface; leave this out"
+            raise SetupError(f"--interface: {self._path} has no frame of {wanted}; {cure}")
+
+
+def _tables(path: Path, interface: str, given: Given | None) -> dict[int, Sequence[Module]]:
     """The module table of each hub of the log."""
     decoder = Decoder()
-    reached: dict[int, int] = {}  # channels of full modules that each hub's packets run through
-    for packet, _ in Pass(log_file, decoder, interface).heard():
+    reached: dict[int, int] = {}  # hub → channels of full modules that its packets reach
+    for packet, _ in _Pass(path, decoder, interface).heard():
         if packet is not None and packet.command == Command.SENSOR_DATA and packet.payload:
             module, channel, values = *packet.payload[:2], len(packet.payload) // 2 - 1
             end = module * NAMES + channel + values
@@ -66,7 +138,7 @@ def _tables(log_file: LogFile, interface: str, given: Given | None) -> dict[int,
         elsewhere = full if given is None else given.of(ihb)
         tables[ihb] = decoder.table(ihb).modules or elsewhere
     if tables and not any(tables.values()):
-        raise SetupError(missing(f"hub {next(iter(tables))} of {log_file.path}"))
+        raise SetupError(missing(f"hub {next(iter(tables))} of {path}"))
     return tables
 
 

@@ -1,4 +1,4 @@
-"""`taxeld init`: a configuration with each key and what it is, from answers or options."""
+"""`taxeld init`: a configuration with every key explained, from answers or options."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import generated
 from taxeld.proposals import bundle, manifest, seal
 
-SOURCES = {  # a skin's connection, as `taxeld-hil accept` names it → keys of [source]
+SOURCES = {  # connection as named by `taxeld-hil accept` → keys of [source]
     "can": {"kind": "can"},
     "slcan": {"kind": "can", "interface": "slcan"},
     "serial": {"kind": "serial"},
@@ -26,7 +26,7 @@ Ask = Callable[[str], str]
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """None where nobody has been asked yet."""
+    """Answers to the questions; None: not asked yet."""
 
     source: str | None = None
     bundle: str | None = None
@@ -40,7 +40,7 @@ def write(path: Path, answers: Answers, ask: Ask | None) -> Config:
     """Write the configuration; `ask` puts a question to a person, None where there is none.
 
     Raises:
-        SetupError: an answer is missing or cannot be used, or something is there already.
+        SetupError: an answer is missing or cannot be used, or the file exists already.
     """
     if os.path.lexists(path):
         raise SetupError(f"{path}: is there already and is not overwritten; name another file")
@@ -55,12 +55,12 @@ def write(path: Path, answers: Answers, ask: Ask | None) -> Config:
 
 
 def person() -> Ask | None:
-    """Who can be asked: a person at a terminal."""
+    """A way to ask a person at a terminal; None where there is none."""
     return _typed if sys.stdin.isatty() and sys.stderr.isatty() else None
 
 
 def lines(path: Path, given: dict[str, dict[str, Any]]) -> str:
-    """The text: keys that are `given`, by their tables, and all others as comments."""
+    """The text: `given` keys by their tables, and all others as comments."""
     text = [
         "# Configuration of a taxeld daemon. A key behind a '#' has its default.",
         f"# Test it with 'taxeld check {path.name}', run it with 'taxeld run {path.name}'.",
@@ -82,7 +82,7 @@ def _key(key: Field[Any], given: dict[str, Any]) -> list[str]:
 
 
 def toml(value: object) -> str:
-    """A value of a key, as TOML has it."""
+    """A key's value as TOML."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):
@@ -91,7 +91,7 @@ def toml(value: object) -> str:
 
 
 def _given(path: Path, answers: Answers, ask: Ask | None) -> dict[str, dict[str, Any]]:
-    """The keys that the answers are, by their tables."""
+    """The keys that follow from the answers, by their tables."""
 
     def answer(given: str | None, option: str, question: str, default: str | None) -> str:
         if given is not None:
@@ -107,7 +107,7 @@ def _given(path: Path, answers: Answers, ask: Ask | None) -> dict[str, dict[str,
     named = answer(
         answers.bundle, "--bundle", "the object: box, mug, or the directory of a bundle", None
     )
-    its_own = _layout_of(named)  # which also refuses what is no bundle
+    its_own = _layout_of(named)  # also refuses a directory that is no bundle
     layout = answers.layout or its_own
     if layout is None:
         layout = answer(None, "--layout", "the skin's layout, as the bundle was built for", None)
@@ -140,12 +140,13 @@ def _source(text: str) -> dict[str, Any]:
 def _layout_of(name: str) -> str | None:
     """The generated layout that a bundle was built for; None where it came from a file."""
     found = bundle.find(name) / manifest.NAME
-    spec = str(manifest.parse(seal.read(found), found)["layout"]["name"])
+    spec = manifest.parse(seal.read(found), found)[0].layout.name
     return spec if ":" in spec else None
 
 
 def _from(path: Path, name: str) -> str:
-    """A file's or directory's name as seen from beside the configuration; a shipped bundle's."""
+    """The name of a file or directory relative to the configuration; of a shipped bundle, its
+    name."""
     there = Path(name)
     if bundle.is_shipped(name) or not os.path.exists(there):  # noqa: PTH110  (False of any text)
         return name

@@ -1,11 +1,10 @@
 """Whether a run could open its device and serve its endpoints, asked without opening any of them.
 
-The lines are those that `taxeld run` refuses with: tests hold them against each other.
+The lines equal the refusals of `taxeld run`: tests compare them.
 """
 
 import contextlib
 import errno
-import fcntl
 import os
 import socket
 import stat
@@ -14,20 +13,21 @@ from pathlib import Path
 from taxeld.config import endpoints
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source import holders, opening
+from taxeld.source import opening
 from taxeld.source.slcan_device import adapter_line
 
 SYS_NET = Path("/sys/class/net")
+LOCKS = Path("/proc/locks")
 CAN_TYPE = "280"  # ARPHRD_CAN
 IS_UP = 0x1  # IFF_UP
 PROBE_S = 1.0
 
 
 def device(source: SourceConfig) -> str:
-    """The serial line of a source; empty of a CAN interface and of a session.
+    """The path of a source's serial line; empty for a CAN interface and for a session.
 
     Raises:
-        SetupError: what follows the channel's @ is no line speed.
+        SetupError: the text after the channel's @ is no line speed.
     """
     if source.kind == "serial":
         return source.channel
@@ -37,10 +37,10 @@ def device(source: SourceConfig) -> str:
 
 
 def absent(source: SourceConfig) -> str | None:
-    """Why the source's device cannot be opened, whoever has it now."""
+    """A line on why the source's device cannot be opened by anyone; None where it can."""
     try:
         where = device(source)
-    except SetupError as error:  # the channel names none
+    except SetupError as error:  # the channel names no device
         return str(error)
     if where:
         return _unopened_line(where)
@@ -50,15 +50,13 @@ def absent(source: SourceConfig) -> str | None:
 
 
 def taken(source: SourceConfig) -> str | None:
-    """Who has the serial line of a source that is not `absent`."""
+    """A line if another process has locked the serial line of a source that is not `absent`."""
     where = device(source)
-    if where and holders.holder(where) and _is_kept(where):
-        return str(opening.busy(where))
-    return None
+    return str(opening.busy(where)) if where and _is_locked(where) else None
 
 
 def down(source: SourceConfig) -> str | None:
-    """What brings a CAN interface up that is there and down: a run waits for that."""
+    """A line on how to bring up a CAN interface that exists and is down; a run waits for that."""
     if source.kind != "can" or source.interface != "socketcan":
         return None
     with contextlib.suppress(OSError, ValueError):
@@ -68,7 +66,7 @@ def down(source: SourceConfig) -> str | None:
 
 
 def closed(endpoint: str, key: str) -> str | None:
-    """Why nothing may be served at an ipc endpoint, whoever serves there now."""
+    """A line on why nothing may be served at an ipc endpoint, even if it is free."""
     path = endpoints.ipc_path(endpoint)
     if path is None or path.parent == endpoints.own_directory():
         return None
@@ -89,7 +87,7 @@ def closed(endpoint: str, key: str) -> str | None:
 
 
 def served(endpoint: str, key: str) -> str | None:
-    """Who serves an ipc endpoint already."""
+    """A line if an ipc endpoint is served already."""
     path = endpoints.ipc_path(endpoint)
     if path is None or not path.is_socket():
         return None
@@ -97,7 +95,7 @@ def served(endpoint: str, key: str) -> str | None:
         probe.settimeout(PROBE_S)
         try:
             probe.connect(str(path))
-        except OSError:  # left behind, or not ours to ask
+        except OSError:  # left behind, or closed to this user
             return None
     return f"{key}: another daemon serves {path}; stop it or name another endpoint"
 
@@ -132,17 +130,11 @@ def _bring_up(source: SourceConfig) -> str:
     return f"ip link set {source.channel} up type can bitrate {source.bitrate}"
 
 
-def _is_kept(where: str) -> bool:
-    """Whether a line that another process has open is that one's alone: that it is opened once more
-    changes nothing on it."""
+def _is_locked(where: str) -> bool:
+    """Whether a process holds a lock on a line, by the kernel's list."""
     try:
-        number = os.open(where, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
-    except OSError as error:
-        return error.errno in opening.BUSY
-    try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        return any(fcntl.ioctl(number, holders.TIOCGEXCL, bytes(4)))
-    except OSError as error:
-        return error.errno in opening.BUSY
-    finally:
-        os.close(number)
+        node, locks = Path(where).stat(), LOCKS.read_text(encoding="ascii")
+    except OSError:
+        return False
+    inode = f" {os.major(node.st_dev):02x}:{os.minor(node.st_dev):02x}:{node.st_ino} "
+    return any("FLOCK" in line and inode in line for line in locks.splitlines())

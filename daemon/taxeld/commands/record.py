@@ -1,23 +1,22 @@
-"""`taxeld record`: what a skin and a robot send, as a session, and nothing estimated.
+"""`taxeld record`: the data of a skin and a robot, as a session, without estimates.
 
-A process of its own that brings the skin up itself; `taxeld run --record` records beside estimates.
+It is a process of its own that brings the skin up; `taxeld run --record` records beside estimates.
 """
 
+import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
-
-import zmq
 
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.pipeline.poses import PoseTrack
+from taxeld.service.doorkeeper import Doorkeeper, poses_alone
 from taxeld.source import module_order
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source
-from taxeld.stream import curve
-from taxeld.stream.pose_input import PoseInput
+from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Decoder, Scan
 
 POLL_S = 0.002
@@ -26,10 +25,10 @@ OnPoll = Callable[[list[Scan], PoseTrack], None]
 
 
 def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
-    """What records the input of such a configuration.
+    """The recorder for the input of this configuration.
 
     Raises:
-        SetupError: the directory holds a session, or the configuration replays one.
+        SetupError: the directory cannot be recorded into, or the configuration replays a session.
     """
     if config.source.kind == "replay":
         raise SetupError("source.kind: 'replay' is a recording already; use can or serial")
@@ -39,10 +38,10 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
 
 
 class Recording:
-    """A configuration, being recorded into a directory."""
+    """A recording of a configuration's input into a directory."""
 
     def __init__(self, config: Config, config_path: Path, directory: Path) -> None:
-        """Raises SetupError as `recorder_of` does."""
+        """Raises SetupError under the conditions of `recorder_of`."""
         self.config = config
         self.stopping = False
         self.scans = 0
@@ -51,41 +50,39 @@ class Recording:
 
     @property
     def failed(self) -> bool:
-        """Whether the disk took no more; the log says why."""
+        """Whether the disk took no more; the log has the reason."""
         return self._recorder.counters.failed
 
     def run(self, on_poll: OnPoll | None = None) -> str:
-        """Record until `stopping`, or until the disk is full; → one line on what was recorded, and
-        where the modules are listed. `on_poll` is given the scans of each poll and the sensor's
+        """Record until `stopping`, or until the disk is full; → one line on the recording, and on
+        the file that lists the modules. `on_poll` is given the scans of each poll and the sensor's
         poses.
 
         Raises:
             SetupError: a device or the directory cannot be used.
         """
-        config = self.config
-        endpoint, keys = config.sensor_pose.endpoint, curve.robot_keys(config)
-        with self._recorder as recorder, zmq.Context() as context:
-            source = open_source(config.source, layouts.load(config.skin.layout), recorder)
-            moves = config.sensor_pose
+        config, moves = self.config, self.config.sensor_pose
+        with contextlib.ExitStack() as opened:
+            door = opened.enter_context(contextlib.closing(Doorkeeper(poses_alone(config))))
+            recorder = opened.enter_context(self._recorder)
             track = PoseTrack(moves.max_age_s, moves.within_m, recorder.pose)
-            robot = PoseInput(context, endpoint, track.add, keys) if endpoint else None
-            try:
-                while not self.stopping and not self.failed:
-                    if robot is not None:
-                        robot.poll()
-                    scans = source.poll(time.monotonic())
-                    self.scans += len(scans)
-                    if on_poll is not None:
-                        on_poll(scans, track)
-                    time.sleep(POLL_S)
-            finally:
-                if robot is not None:
-                    robot.close()
-                source.close()
+            link = Link({}, lambda t, x, y, yaw: track.add(t, x, y, yaw, time.time()), {})
+            opened.callback(link.detach)
+            source = open_source(config.source, layouts.load(config.skin.layout), recorder)
+            opened.callback(source.close)
+            door.wait(link)
+            while not self.stopping and not self.failed:
+                now_s = time.monotonic()
+                door.look(link, now_s)
+                scans = source.poll(now_s)
+                self.scans += len(scans)
+                if on_poll is not None:
+                    on_poll(scans, track)
+                time.sleep(POLL_S)
         return self._said() + self._listed(source)
 
     def _listed(self, source: Source) -> str:
-        """Write what the hubs told of their modules, for who listens to them later; → where."""
+        """Write the hubs' modules to a file for later listeners; → a line that names the file."""
         decoder, written = source.wire.decoder, self._recorder.counters
         if not isinstance(decoder, Decoder) or not (written.frames or written.bytes):
             return ""

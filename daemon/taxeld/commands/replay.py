@@ -25,10 +25,11 @@ Arrival = Frame | Chunk | PoseRow
 
 
 def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator[str]:
-    """One JSON line a scan: the map of `/taxeld/estimate`. Same input and seed, same bytes.
+    """One JSON line a scan: the map of `/taxeld/estimate`. The same input and seed give the same
+    bytes.
 
     Raises:
-        SetupError: the session or what the configuration names cannot be used.
+        SetupError: the session, or a file named by the configuration, cannot be used.
     """
     if seed is not None:
         config = replace(config, filter=replace(config.filter, seed=seed))
@@ -40,15 +41,14 @@ def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator
 
 
 def open_pipeline(directory: Path, config: Config) -> Pipeline:
-    """The pipeline of a session: with a sensor pose where one was recorded, whatever the
-    configuration says of an endpoint, and with the bundle's first choice for `auto`, whatever it
-    costs here.
+    """The pipeline of a session. It has a sensor pose if one was recorded, whatever endpoint is
+    configured, and takes the bundle's first choice for `auto`, whatever it costs here.
 
     Raises:
-        SetupError: what the configuration names cannot be used.
+        SetupError: a file named by the configuration cannot be used.
     """
     where = str(directory) if session.has_poses(directory) else ""
-    # all poses are there: each scan is placed between two, and none by those before it alone
+    # all poses are known, so each scan is placed between two and none is extrapolated
     moves = replace(config.sensor_pose, endpoint=where, extrapolate_s=0.0)
     config = replace(config, sensor_pose=moves)
     skin = layouts.load(config.skin.layout)
@@ -59,19 +59,18 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
 
 
 def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
-    """What each scan of a session led to.
+    """The outcome of each scan of a session.
 
     Raises:
-        SetupError: the session cannot be read, or nothing tells the order of its modules, or which
-            boards it is of.
+        SetupError: the session cannot be read, or its modules' order or boards are unknown.
     """
     recorded = session.read(directory)
-    if not recorded.items:  # cut before the first
+    if not recorded.items:  # the session was cut before its first record
         return
     config, layout = pipeline.config.source, pipeline.skin.layout
     wire = Wire(config, dialects.replayed(config, layout, recorded.items, str(directory)))
     before = 0, recorded.items[0].t
-    # as in the daemon, a scan is taken when its last frame is there, and so are the poses
+    # like the daemon: poses up to the arrival of a scan's last frame are known
     arrivals = heapq.merge(_ordered(recorded.poses), _ordered(recorded.items), key=itemgetter(0))
     for now, came in arrivals:
         if now[0] > before[0]:
@@ -87,9 +86,10 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
 
 
 def _ordered(arrivals: Iterable[Arrival]) -> Iterator[tuple[tuple[int, float], Arrival]]:
-    """Each with how often the clock was set back before, and its time: the order of arrival.
+    """Arrivals with their keys of order: the number of earlier steps back of the clock, and the
+    time.
 
-    Only a step back shows in a recording: one forward looks like a pause.
+    Only a step back shows in a recording: a step forward looks like a pause.
     """
     steps, before = 0, -math.inf
     for came in arrivals:

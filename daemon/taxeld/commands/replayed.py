@@ -1,4 +1,4 @@
-"""A recorded session for programs: what each scan led to, and the belief after it."""
+"""A recorded session for programs: the outcome of each scan, and the belief after it."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,17 +16,17 @@ from taxeld.source import session
 class Replay:
     """A recorded session, estimated anew; iterating over it goes through its scans, once.
 
-    Same session, configuration and seed: same estimates, bit for bit.
+    The same session, configuration and seed give the same estimates, bit for bit.
     """
 
     def __init__(
         self, directory: str | Path, config: Config | None = None, seed: int | None = None
     ) -> None:
-        """`config`: in place of the session's own `config.toml`; `seed`: of `filter.seed`.
+        """`config` replaces the session's own `config.toml`; `seed` replaces `filter.seed`.
 
         Raises:
-            SetupError: what the configuration names cannot be used.
-            ConfigError: the configuration itself.
+            SetupError: a file named by the configuration cannot be used.
+            ConfigError: the configuration has faults.
         """
         self.directory = Path(directory)
         config = config or config_file.load(self.directory / session.CONFIG)
@@ -38,7 +38,7 @@ class Replay:
         self._outcomes = outcomes(self.directory, self.pipeline)
 
     def __iter__(self) -> Iterator[Outcome]:
-        """What each scan led to: estimate, activation, and sensor pose.
+        """The outcome of each scan: estimate, activation, and sensor pose.
 
         Raises:
             SetupError: the session cannot be read, or is damaged.
@@ -47,10 +47,10 @@ class Replay:
 
     @property
     def belief(self) -> tuple[Poses, Floats]:
-        """Particles (N, 3) and their weights (N,) of sum 1, after the scan that was taken last."""
+        """Particles (N, 3) and their weights (N,), of sum 1, after the last scan."""
         belief = self.pipeline.estimator.rule.belief
         return belief.pose.copy(), belief.weight.copy()
 
     def is_valid(self, estimate: Estimate) -> bool:
-        """Whether the daemon would say that this estimate, the last, may be used."""
+        """Whether the daemon would mark this estimate, the last one, as valid."""
         return self.pipeline.freshness.is_valid(estimate)

@@ -1,4 +1,4 @@
-"""What a daemon believes and counts, in aligned lines, in the manner of `chronyc tracking`."""
+"""A daemon's estimate and counters in aligned lines, in the manner of `chronyc tracking`."""
 
 import math
 from collections.abc import Iterator
@@ -13,7 +13,7 @@ WIDTH = 14
 
 
 def lines(answer: dict[str, Any]) -> Iterator[str]:
-    """A line a subject of the answer to `status`; parts that it lacks are left out."""
+    """Lines of a subject each, from the answer to `status`; missing parts are left out."""
     for name, text in _rows(answer.get("estimate", {}), answer):
         yield f"{name:{WIDTH}s}: {text}"
 
@@ -73,7 +73,7 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
 
 
 def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """`sensor_pose`: of the daemon's own answer; a relay's comes without."""
+    """`sensor_pose` is empty in an answer before the daemon's first health."""
     inputs = health["inputs"]
     stale = [name for name in ("scans", "poses") if inputs[f"{name}_stale"]]
     yield "Stale inputs", ", ".join(stale) or "none"
@@ -85,7 +85,7 @@ def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator
         return
     used = f"{inputs['poses']} used, {unused}"
     yield "Sensor poses", f"{used}; {inputs['scans_without_pose']} scans without one"
-    if "poses_received" not in inputs:  # an older daemon
+    if "poses_received" not in inputs:  # the daemon is older than this count
         return
     link = "connected" if inputs["poses_connected"] else "not connected"
     yield "Pose link", f"{link}{f' to {endpoint}' if endpoint else ''}"
@@ -110,7 +110,7 @@ def _calibration(used: dict[str, Any]) -> str:
 
 
 def _doubt(used: dict[str, Any]) -> str:
-    """What touches say against a calibration, and the cure."""
+    """The doubt that touches raise about a calibration, and the cure."""
     try:
         suspect = Suspect(used["suspect"])
     except ValueError:
@@ -128,7 +128,7 @@ def _doubt(used: dict[str, Any]) -> str:
 
 
 def _device(source: dict[str, Any], waits_for: str | None) -> str:
-    """`waits_for`: None where it is not known, as a relay's answers come without."""
+    """`waits_for` is None in an answer before the daemon's first health."""
     in_vain = f"{source.get('unopened', 0)} attempts to open it failed"
     if waits_for or source.get("waiting"):
         return f"waiting, {waits_for or 'the log of the daemon says for what'}; {in_vain}"

@@ -1,4 +1,4 @@
-"""Why no daemon answers at an endpoint: none is there, or this user may not ask it."""
+"""Why no daemon answers at an endpoint: there is none, or this user may not ask it."""
 
 import getpass
 import grp
@@ -12,7 +12,7 @@ PROBE_S = 1.0
 
 
 def unanswered(endpoint: str) -> str:
-    """The line, with the cure."""
+    """One line with the cure."""
     path = endpoints.ipc_path(endpoint)
     none = f"no daemon answers at {endpoint}; is 'taxeld run' there?"
     if path is None:
@@ -37,7 +37,7 @@ def _is_closed(directory: Path) -> bool:
 
 
 def _denied(path: Path) -> str:
-    """Of whom something is, and how this user becomes one of them."""
+    """The group of a path, and how this user joins it."""
     try:
         group = grp.getgrgid(path.stat().st_gid).gr_name
         user = getpass.getuser()

@@ -1,8 +1,8 @@
-"""Endpoints by their text: what may be bound or asked plainly, and what takes keys.
+"""Endpoints by their text: which may be bound or asked plainly, and which need keys.
 
-Names other than `localhost` are not looked up: where they lead may change after the check.
-`/run/taxeld` is the service's; where it is not open to a user, `$XDG_RUNTIME_DIR/taxeld` stands for
-it.
+Names other than `localhost` are not looked up: their meaning may change after the check.
+`/run/taxeld` belongs to the service; a user to whom it is closed gets `$XDG_RUNTIME_DIR/taxeld`
+instead.
 """
 
 import ipaddress
@@ -11,13 +11,13 @@ from pathlib import Path
 
 IPC = "ipc://"
 TCP = "tcp://"
-IPC_PATH_MAX = 107  # bytes: what a socket's address holds on Linux
+IPC_PATH_MAX = 107  # bytes of a path that fit a socket's address on Linux
 FORMS = "ipc:///path or tcp://127.0.0.1:port"
 RUNTIME = Path("/run/taxeld")
 
 
 def fault(endpoint: str, has_keys: bool) -> str | None:
-    """Why `endpoint` is refused, with the cure; beyond this machine it takes keys."""
+    """Why `endpoint` is refused, with the cure; beyond this machine it needs keys."""
     if endpoint.startswith(IPC):
         path = endpoint.removeprefix(IPC)
         if not path.startswith("/"):
@@ -34,17 +34,14 @@ def fault(endpoint: str, has_keys: bool) -> str | None:
 
 
 def served_fault(endpoint: str, relay_key: str) -> str | None:
-    """Why the daemon itself does not serve `endpoint`; `relay_key` is where it may stand."""
+    """Why `endpoint` is not served here; `relay_key` names the key for TCP endpoints."""
     if endpoint.startswith(TCP):
-        return (
-            f"'{endpoint}' is for the relay: name it in {relay_key} and start "
-            "'taxeld relay CONFIG'; the daemon serves ipc:///path alone"
-        )
+        return f"'{endpoint}' is of TCP: name it in {relay_key}; here stands ipc:///path alone"
     return fault(endpoint, has_keys=False)
 
 
 def for_this_user(endpoint: str) -> str:
-    """The endpoint, or the user's own in place of one of the service's that is closed to them."""
+    """The endpoint, or the user's own in place of a service endpoint that is closed to them."""
     path, own = ipc_path(endpoint), own_directory()
     if path is None or path.parent != RUNTIME or own is None or os.access(RUNTIME, os.X_OK):
         return endpoint
@@ -52,9 +49,16 @@ def for_this_user(endpoint: str) -> str:
 
 
 def own_directory() -> Path | None:
-    """Where a user's own daemon has its sockets, outside the service; made when it is needed."""
+    """The directory of a user's own daemon's sockets, outside the service; made when needed."""
     place = os.environ.get("XDG_RUNTIME_DIR")
     return Path(place) / RUNTIME.name if place else None
+
+
+def make_directory(endpoint: str) -> None:
+    """Make the user's own directory if the endpoint's socket file lies in it."""
+    path, own = ipc_path(endpoint), own_directory()
+    if path is not None and own is not None and path.parent == own:
+        own.mkdir(mode=0o700, exist_ok=True)
 
 
 def is_local(endpoint: str) -> bool:
@@ -75,7 +79,7 @@ def ipc_path(endpoint: str) -> Path | None:
 
 
 def no_directory(endpoint: str) -> str | None:
-    """The fault of an ipc endpoint whose directory is not there."""
+    """The fault of an ipc endpoint whose directory does not exist."""
     path = ipc_path(endpoint)
     if path is None or path.parent.is_dir() or path.parent == own_directory():
         return None

@@ -1,14 +1,17 @@
-"""The configuration file: read, and checked where keys must agree."""
+"""The configuration file: reading, and checks across keys."""
 
+import errno
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 from taxeld.config import endpoints, toml_tables
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld_protocol import icub
 
-MAX_BYTES = 1_000_000
+CONFIG_BYTES = 64_000  # ten times the length of a file from `taxeld init`, with all comments
+TOML_BYTES = 1_000_000  # limit for any other TOML file; a calibration has a line for each taxel
 SHIPPED = Path(__file__).parents[1] / "bundles"
 
 
@@ -18,30 +21,46 @@ def load(path: Path) -> Config:
     Raises:
         ConfigError: all faults at once.
     """
-    config = _for_this_user(parse(text_of(path), str(path)))
+    config = _for_this_user(parse(text_of(path, CONFIG_BYTES), str(path)))
     skin, scene = config.skin, config.scene
     if skin.calibration:
-        # an absolute path stays what it is
+        # an absolute path stays unchanged
         skin = replace(skin, calibration=str(path.parent / skin.calibration))
     skin = replace(skin, layout=_beside(path, skin.layout))
     scene = replace(scene, bundle=_beside(path, scene.bundle, SHIPPED))
     return replace(config, skin=skin, scene=scene)
 
 
-def text_of(path: Path) -> str:
-    """A TOML file's text.
+def opened(path: Path, most: int | None = None) -> BinaryIO:
+    """A regular file opened for reading, of at most `most` bytes. Other kinds are refused: a pipe
+    or a device could keep its reader for ever.
 
     Raises:
-        ConfigError: it is unreadable, or too large to be one.
+        OSError: it is not regular, too large, or cannot be opened; `strerror` says why.
+    """
+    if path.exists() and not path.is_file():
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+    file = path.open("rb")
+    if most is not None and path.stat().st_size > most:
+        file.close()
+        raise OSError(errno.EFBIG, f"it is larger than {most} bytes", str(path))
+    return file
+
+
+def text_of(path: Path, most: int = TOML_BYTES) -> str:
+    """The text of a TOML file of at most `most` bytes.
+
+    Raises:
+        ConfigError: it is unreadable, or too large.
     """
     try:
-        with path.open("rb") as file:
-            content = file.read(MAX_BYTES + 1)
-        if len(content) > MAX_BYTES:
-            raise ConfigError([f"{path}: is larger than {MAX_BYTES} bytes; name a configuration"])
-        return content.decode("utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        with opened(path, most) as file:
+            return file.read(most).decode("utf-8")
+    except UnicodeDecodeError as error:
         raise ConfigError([f"{path}: unreadable configuration ({error})"]) from None
+    except OSError as error:
+        reason = f"{path}: unreadable configuration ({error.strerror}); name a configuration"
+        raise ConfigError([reason]) from None
 
 
 def parse(text: str, name: str = "configuration") -> Config:
@@ -54,7 +73,6 @@ def parse(text: str, name: str = "configuration") -> Config:
     faults: list[str] = []
     _check_source(config.source, faults)
     _check_rate(config, faults)
-    _check_metrics(config.metrics.file, faults)
     _check_endpoints(config, faults)
     if config.source.dialect == "icub":
         _check_icub(config, faults)
@@ -64,14 +82,14 @@ def parse(text: str, name: str = "configuration") -> Config:
 
 
 def _beside(path: Path, name: str, shipped: Path | None = None) -> str:
-    """What a configuration at `path` names, from where it lies, unless it is `shipped`; else from
-    the shell's directory, as a session is replayed that keeps the configuration and not the
-    bundle."""
+    """A name in the configuration at `path`, resolved from that file's directory unless it is
+    `shipped`; else from the shell's directory, because a session keeps its configuration without
+    the bundle."""
     try:
         if shipped is not None and (shipped / name).is_dir():
             return name
         return str(path.parent / name) if (path.parent / name).exists() else name
-    except (OSError, ValueError):  # no path at all, or not ours to see
+    except (OSError, ValueError):  # not a path, or not readable by this user
         return name
 
 
@@ -85,7 +103,7 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
 
 
 def _check_rate(config: Config, faults: list[str]) -> None:
-    """Whether a tick has room for what each touch takes: samples keep to what is left of it."""
+    """Check that a tick has room for the fixed cost of a touch: samples get the rest."""
     budget = config.budget
     needed_ms = budget.source_ms + budget.skin_ms + budget.filter_ms + budget.publish_ms
     if budget.degrade and needed_ms * config.loop.rate_hz > 1000.0:
@@ -94,12 +112,6 @@ def _check_rate(config: Config, faults: list[str]) -> None:
             f"tick, and budget has {needed_ms:g} for it without samples; use "
             f"{int(1000.0 / needed_ms)} or less, or smaller budgets"
         )
-
-
-def _check_metrics(file: str, faults: list[str]) -> None:
-    path = Path(file)
-    if file and (path.suffix != ".prom" or not path.is_absolute()):
-        faults.append(f"metrics.file: {file} must be an absolute path that ends with .prom")
 
 
 def _check_endpoints(config: Config, faults: list[str]) -> None:
@@ -122,7 +134,7 @@ def _check_endpoints(config: Config, faults: list[str]) -> None:
 
 
 def _for_this_user(config: Config) -> Config:
-    """With the user's own endpoints, where the service's are closed to them."""
+    """The configuration with the user's own endpoints where the service's are closed to them."""
     own = endpoints.for_this_user
     return replace(
         config,

@@ -1,10 +1,11 @@
 """The configuration: one dataclass a table, every key with its type, default and bounds.
 
-Units stand in the names.
+Names of keys end in their units.
 """
 
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from taxeld.config.toml_tables import between, key, one_of
 from taxeld_protocol import icub
@@ -12,7 +13,7 @@ from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
 from taxeld_protocol.slcan import BITRATES
 
-LEVELS = ("debug", "info", "warning", "error")  # of the log
+LEVELS = ("debug", "info", "warning", "error")  # levels of the log
 
 
 def _bit_rate(value: int) -> str | None:
@@ -170,7 +171,8 @@ class LoopConfig:
 
 @dataclass(frozen=True, slots=True)
 class BudgetConfig:
-    """Of the stages of a scan; what takes longer is counted, and samples keep to what is left."""
+    """`[budget]`: time for each stage of a scan. Longer stages are counted, and samples use the
+    rest of the time."""
 
     source_ms: float = key(1.0, between(0.01, 1000), "taking what has arrived")
     skin_ms: float = key(0.5, between(0.01, 1000), "counts to activations")
@@ -215,7 +217,7 @@ class FilterConfig:
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")
     half_width_m: float = key(0.5, between(0.01, 100), "of that square, world frame")
-    # what a soft skin reads lies so far from what is expected of it (docs/physics.md)
+    # a soft skin's readings differ by this much from expected ones (docs/physics.md)
     noise_sigma: float = key(0.04, between(1e-4, 1), "sd of an activation")
     gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
     outliers: float = key(0.01, between(0, 0.5), "share of readings that mean nothing")
@@ -232,15 +234,18 @@ class PublishConfig:
 @dataclass(frozen=True, slots=True)
 class ControlConfig:
     endpoint: str = key("ipc:///run/taxeld/control", doc="REP endpoint, ipc alone; empty: none")
+    group: str = key(
+        "taxeld-control", doc="its members may tare and reset, beside root and the daemon's user"
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class RelayConfig:
-    """`taxeld relay`: the streams over TCP, by a process of its own."""
+    """`[relay]`: the streams over TCP."""
 
-    publish: tuple[str, ...] = key(("tcp://127.0.0.1:9872",), doc="where the relay publishes")
-    control: str = key("", doc="where it answers status and info; empty: nowhere")
-    change: bool = key(False, doc="it takes tare and reset as well")
+    publish: tuple[str, ...] = key((), doc="where they are published; [] is nowhere")
+    control: str = key("", doc="where status and info are answered; empty: nowhere")
+    change: bool = key(False, doc="tare and reset are taken there as well")
     frames: int = key(
         3, between(2, 3), "of a message; 2: without its time, for a PlotJuggler that spoils three"
     )
@@ -262,11 +267,6 @@ class LogConfig:
 
 
 @dataclass(frozen=True, slots=True)
-class MetricsConfig:
-    file: str = key("", doc="*.prom of node_exporter's textfile collector; empty: none")
-
-
-@dataclass(frozen=True, slots=True)
 class Config:
     """A whole configuration, table by table."""
 
@@ -282,4 +282,5 @@ class Config:
     relay: RelayConfig = field(default_factory=RelayConfig)
     curve: CurveConfig = field(default_factory=CurveConfig)
     log: LogConfig = field(default_factory=LogConfig)
-    metrics: MetricsConfig = field(default_factory=MetricsConfig)
+
+    GONE: ClassVar = {"metrics.file": "run examples/metrics.py, which subscribes"}

@@ -1,13 +1,15 @@
 """TOML files as frozen dataclasses: types, defaults, bounds, and all faults in one pass.
 
-Unknown keys are refused, and every fault is named by its path (`source.chanel: unknown key`).
+Unknown keys are refused, and every fault is named by its path (`source.chanel: unknown key`). The
+keys that a table once had are listed in its `GONE`, each with what replaces it.
 """
 
 import difflib
 import math
+import re
 import reprlib
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from typing import Any, Generic, TypeVar, cast, get_args, get_origin, get_type_hints
 
@@ -15,8 +17,11 @@ from taxeld.errors import SetupError, one_line
 
 T = TypeVar("T")
 
-INTEGER_MAX = 1 << 63  # TOML's own, beyond which a reader need not go
-KEY_SHOWN = 60  # characters
+INTEGER_MAX = 1 << 63  # limit of TOML's own integers
+KEY_SHOWN = 60  # characters of a key in a message
+DEEPEST = 16  # parts of a dotted key; tomllib takes minutes and gigabytes for thousands
+_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
+_TOO_DEEP = re.compile(rf"(?<![\w-]){_PART}(?:[ \t]*+\.[ \t]*+{_PART}){{{DEEPEST}}}")
 
 
 class ConfigError(SetupError):
@@ -32,7 +37,7 @@ Bound = Callable[[Any], str | None]
 
 @dataclass(frozen=True)
 class Given(Generic[T]):
-    """The keys that a file gives of a table T, checked; what it leaves out is for its reader."""
+    """The keys of a table T that a file gives, checked; the reader fills in the others."""
 
     keys: dict[str, Any] = field(default_factory=dict)
 
@@ -54,7 +59,11 @@ def key(default: Any = MISSING, check: Bound | None = None, doc: str = "") -> An
 
 
 def loads(text: str) -> dict[str, Any]:
-    """The values of TOML text. Raises ValueError, with what is wrong."""
+    """The values of TOML text. Raises ValueError with the fault."""
+    deep = _TOO_DEEP.search(text)
+    if deep:
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ValueError(f"line {line}: more than {DEEPEST} names are joined by dots")
     try:
         return tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -66,7 +75,7 @@ def loads(text: str) -> dict[str, Any]:
 
 
 class _Short(reprlib.Repr):
-    """Values of a file, in a message."""
+    """Shortens values of a file for a message."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -107,7 +116,12 @@ def _values(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> di
     """The keys that a TOML table gives of a dataclass."""
     known = {f.name: f for f in fields(cls)}
     hints = get_type_hints(cls)
+    gone: Mapping[str, str] = getattr(cls, "GONE", {})  # key, or TABLE.key → what replaces it
     for name in data.keys() - known:
+        replaced = [key for key in gone if key.partition(".")[0] == name]
+        faults += [f"{path}{key}: is gone; {gone[key]}" for key in replaced]
+        if replaced:
+            continue
         near = difflib.get_close_matches(name[:KEY_SHOWN], known, 1)
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
         faults.append(f"{path}{name[:KEY_SHOWN]}: unknown key; {hint}")
@@ -146,7 +160,7 @@ def _value(kind: Any, spec: Field[Any], value: Any, path: str, faults: list[str]
 
 
 def _convert(kind: Any, value: Any) -> Any:
-    """The TOML value as `kind`, or None if it is none: TOML has no null."""
+    """The TOML value as `kind`; None if it is of another type, because TOML has no null."""
     if get_origin(kind) is tuple:
         inner = get_args(kind)
         if not isinstance(value, list) or (inner[-1] is not Ellipsis and len(value) != len(inner)):

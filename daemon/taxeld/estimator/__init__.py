@@ -1,4 +1,4 @@
-"""The belief about one object: what a scan tells, how particles learn from it, what that is worth.
+"""The belief about one object: how scans change it, and how reliable it is.
 
-Pure, and the same bytes for the same scans and seed. It is given a proposal and never chooses one.
+Pure: the same scans and seed give the same bytes. The proposal is given to it, never chosen here.
 """

@@ -1,11 +1,11 @@
-"""Whether touches still agree with the skin's calibration: full scale, mount, and which module is
-where.
+"""Whether touches still agree with the skin's calibration: full scale, mount, and module places.
 
 A wrong full scale or mount hardly shows in one touch: the belief takes it for a slightly other
-pose. Over several touches it does, as the object does not move with the sensor. So the last touches
-are explained twice: by the object's pose alone, and by that, a factor on all readings and an offset
-of the mount together. A doubt is raised where the second is far likelier, and what it finds large.
-Two modules that have changed places show in readings that are likelier in each other's place.
+pose. It shows over several touches, as the object does not move with the sensor. So the last
+touches are fitted twice: by the object's pose alone, and by that pose together with a factor on all
+readings and an offset of the mount. A doubt is raised where the second fit is far likelier and its
+factor or offset is large. Two modules that have changed places are found by readings that are
+likelier in each other's place.
 """
 
 from dataclasses import dataclass
@@ -21,34 +21,35 @@ from taxeld.model import se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.response import deviation
 
-TOUCHES = 16  # that are explained together, at most; of a large skin fewer
+TOUCHES = 16  # touches fitted together, at most; fewer on a large skin
 LEAST_TOUCHES = 5
-FELT = 0.1  # of full scale: a touch whose strongest taxel reads less is left out
-ROOM = 16 * 80  # touches times taxels: what a step has time for
-ITERATIONS = 5  # of each fit after a touch, one a scan: a scan has little time
-SETTLED_NATS = 0.01  # a step that gains less ends its fit
-STEP = np.array([1e-4, 1e-4, 2e-3])  # m, m, rad, for derivatives
+FELT = 0.1  # share of full scale: a touch whose strongest taxel reads less is left out
+ROOM = 16 * 80  # touches × taxels: the limit on the work of one step
+ITERATIONS = 5  # steps of each fit after a touch, one a scan: a scan has little time
+SETTLED_NATS = 0.01  # nats: a step that gains less ends its fit
+STEP = np.array([1e-4, 1e-4, 2e-3])  # m, m, rad: steps of the numerical derivatives
 PRIOR_SD = np.array([1.0, 0.01, 0.01, 0.15, 0.02, 0.02, 0.2])  # log scale, mount, object
-SCALES = np.log([0.4, 1.0, 2.5])  # to begin with
-SHARES = np.array([0.1, 0.3, 1.0])  # of a step, of which the best is taken
-FREEDOM = 4.0  # of the t distribution that residuals are weighed by
-ONSET_SD = 0.8  # of taxels' responses, as shares of `model.response.deviation` (docs/physics.md)
-MOVED_M = 0.02  # between fit and belief: what is believed is not what was fitted
-CANDIDATES = 3  # modes of the belief that a fit may begin with
-ALONE, TOGETHER = np.arange(4, 7), np.arange(7)  # what is free: the object's pose, or all
-SCALE_MOST = np.log(1.6)  # of the factor's logarithm: responses differ by up to a third in common
+SCALES = np.log([0.4, 1.0, 2.5])  # starting values of the log factor
+SHARES = np.array([0.1, 0.3, 1.0])  # shares of a step that are tried; the best is taken
+FREEDOM = 4.0  # degrees of freedom of the t distribution that weighs residuals
+ONSET_SD = 0.8  # sd of taxels' onsets, in units of `model.response.deviation` (docs/physics.md)
+MOVED_M = 0.02  # m between fit and belief: beyond this they are about different places
+CANDIDATES = 3  # modes of the belief from which a fit may start
+ALONE, TOGETHER = np.arange(4, 7), np.arange(7)  # free parameters: the object's pose, or all seven
+SCALE_MOST = np.log(1.6)  # log of the factor: responses of a skin differ in common by up to a third
 MOUNT_MOST_M, YAW_MOST = 0.002, np.radians(2.0)
-TOUCH_MOST = 30.0  # nats that a touch may cost: one in the air is no evidence of anything
-BEYOND = 0.05  # of what it would cost beyond: one pose that misses it is still nearer
-# by which touches are likelier than with a right calibration, the best aside: a rough skin's gains
-# imitate a mount by up to 20, and a mug believed in a wrong place another full scale by 16
+TOUCH_MOST = 30.0  # nats that a touch may cost in full: a touch in the air is no evidence
+BEYOND = 0.05  # share of the cost over TOUCH_MOST that still counts, to rank poses that miss
+# CERTAIN_NATS: gain of the second fit over the first, without the touch that gains most. A rough
+# skin's gains imitate a wrong mount by up to 20 nats, and a mug believed in a wrong place imitates
+# a wrong full scale by up to 16.
 CERTAIN_NATS = 22.0
-SWAPPED_NATS = 30.0  # by which two modules' readings are likelier in each other's place
-NAMES = 16  # that a module's taxels can have
+SWAPPED_NATS = 30.0  # nats gained when two modules' readings are exchanged
+NAMES = 16  # names that a taxel of one module can have
 
 
 class Suspect(IntEnum):
-    """What a doubt is about."""
+    """The part of the calibration that a doubt is about."""
 
     NONE = 0
     SCALE = 1
@@ -58,12 +59,12 @@ class Suspect(IntEnum):
 
 @dataclass(slots=True)
 class CalibrationDoubt:
-    """What the last touches say of the calibration; the figures are offsets from it."""
+    """The doubt that the last touches raise; the figures are offsets from the calibration."""
 
     suspect: Suspect = Suspect.NONE
-    raised: int = 0  # times, since start
-    nats: float = 0.0  # by which touches are likelier so, the one that gains most left out
-    touches: int = 0  # that the figures rest on
+    raised: int = 0  # times a doubt began, since start
+    nats: float = 0.0  # gain in log-likelihood by the figures, without the touch that gains most
+    touches: int = 0  # touches that the figures rest on
     scale: float = 1.0  # factor on all readings
     mount_x_m: float = 0.0
     mount_y_m: float = 0.0
@@ -71,13 +72,13 @@ class CalibrationDoubt:
 
 
 class Read(NamedTuple):
-    """What K touches have read, as arrays."""
+    """Readings of K touches on M taxels."""
 
     sensor: Poses  # (K, 3)
     z: Floats  # (K, M)
     live: Bools
     floor: Floats
-    residue: Floats  # what may be of other presses
+    residue: Floats  # (K, M) activation that may come from other presses
 
     @classmethod
     def none(cls, taxels: int) -> Self:
@@ -85,14 +86,14 @@ class Read(NamedTuple):
         return cls(np.empty((0, 3)), nothing, nothing > 0.0, nothing, nothing)
 
     def at(self, rows: slice) -> Self:
-        """Some of them."""
+        """The touches in these rows."""
         return self._replace(
             sensor=self.sensor[rows], z=self.z[rows], live=self.live[rows],
             floor=self.floor[rows], residue=self.residue[rows],
         )  # fmt: skip
 
     def after(self, touch: Observation) -> Self:
-        """And another one."""
+        """The same touches, and another one after them."""
         nothing = np.zeros_like(touch.z)
         return self._replace(
             sensor=np.vstack([self.sensor, touch.sensor]),
@@ -103,8 +104,8 @@ class Read(NamedTuple):
         )
 
     def is_told(self, expected: Floats) -> Bools:
-        """(…, K, M) where a taxel that lives may read other than is expected: not both beyond full
-        scale, nor both too light to be felt."""
+        """Where the reading tells anything about `expected` (…, K, M) → (…, K, M): the taxel is
+        live, and the two are neither both beyond full scale nor both below the floor."""
         saturated = (self.z >= 1.0) & (expected >= 1.0)
         unfelt = (self.z == 0.0) & (expected <= self.floor)
         return np.asarray(self.live & ~saturated & ~unfelt)
@@ -116,31 +117,32 @@ class CalibrationCheck:
     def __init__(
         self, model: ObservationModel, config: FilterConfig, doubt: CalibrationDoubt
     ) -> None:
-        """`doubt` is kept up to date."""
+        """`doubt` is updated in place."""
         self.doubt = doubt
         noise = noise_of(config)
         self._model, self._noise = model, noise
-        self._moves = config.motion != "none"  # touches are then not of one place
+        self._moves = config.motion != "none"  # a pushed object has no single place for all touches
         self._modules = _Modules(model, noise)
         self._most = max(min(TOUCHES, ROOM // len(model.layout)), LEAST_TOUCHES + 1)
         self._touches: list[Observation] = []
         self._read = Read.none(len(model.layout))
         self._x = np.zeros(7)  # log scale, mount, and the object's pose from `_object`
-        self._right = np.zeros(7)  # the same, of a right calibration: the object's pose alone
-        self._object: Poses = np.zeros(3)  # where it was believed first
-        self._believed: Poses = np.zeros(3)  # and is now
+        self._right = np.zeros(7)  # `_x` under a right calibration: only the pose is free
+        self._object: Poses = np.zeros(3)  # where the object was believed to be at the first fit
+        self._believed: Poses = np.zeros(3)  # where the object is believed to be now
         self._contact = self._due = 0
-        self._strength = 0.0  # of the last touch: all that it reads
+        self._strength = 0.0  # sum of the last touch's activations
         self._begun = False
 
     @property
     def is_due(self) -> bool:
-        """Whether it goes on with a scan that nothing was learned from."""
+        """Whether fitting goes on with a scan from which nothing was learned."""
         return self._due > 0 and not self._moves
 
     def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> Parts[None]:
-        """What was learned from, if anything, in the last of so many contacts, and what is believed
-        of the object's pose: (N, 3), the best first. It is done when its parts are."""
+        """Take a scan. `used`: the observation that the belief learned from, None where it learned
+        nothing; `believed` (N, 3): modes of the belief, the best first; `contacts`: contacts begun
+        so far. The work is done when the returned parts are."""
         if self._moves:
             return
         if used is not None and used.is_contact:
@@ -159,10 +161,10 @@ class CalibrationCheck:
 
     def _take(self, used: Observation, believed: Poses, contacts: int) -> None:
         strength = float(used.z.sum())
-        if used.z.max() < FELT:  # noise and foam's residue touch lightly, and tell nothing
+        if used.z.max() < FELT:  # noise and foam's residue touch so lightly
             return
         if contacts == self._contact and self._touches:
-            if strength < self._strength:  # of a contact its strongest scan counts
+            if strength < self._strength:  # only the strongest scan of a contact counts
                 return
             self._touches.pop()
             self._read = self._read.at(slice(-1))
@@ -175,7 +177,8 @@ class CalibrationCheck:
             self._due = 2 * ITERATIONS
 
     def _begin(self, believed: Poses) -> None:
-        """Go on from where the last fits ended, or from what is believed now, if that is better."""
+        """Start both fits: at the last fits' ends, or at the modes believed now where these are
+        better. `believed` is (N, 3)."""
         if not self._begun:
             self._begun, self._object = True, believed[0].copy()
         self._believed = believed[0]
@@ -192,8 +195,8 @@ class CalibrationCheck:
         self._right = flat[right[cost[right].argmin()]]
 
     def _better(self, x: Floats, free: Index) -> Parts[tuple[Floats, float]]:
-        """One step of Gauss-Newton of the `free` on robust residuals, where it makes things
-        better; → where that leads, and the nats that it gains."""
+        """One Gauss-Newton step of the parameters `free` on robust residuals, from x (7,); → the
+        new x (7,) and the nats gained, or x and 0 where no step is better."""
         residual, jacobian, weight, now = self._linear(x)
         jacobian, prior = jacobian[:, free], PRIOR_SD[free] ** -2.0
         normal = (jacobian.T * weight) @ jacobian + np.diag(prior)
@@ -206,21 +209,20 @@ class CalibrationCheck:
         return (tried[cost.argmin()], gained) if gained > 0.0 else (x, 0.0)
 
     def _cost(self, x: Floats) -> Floats:
-        """(N,) of candidates (N, 7)."""
+        """Cost [nats] of candidates (N, 7) → (N,)."""
         return np.asarray(self._costs(x).sum(axis=1) + _prior(x))
 
     def _costs(self, x: Floats) -> Floats:
-        """(N, K) nats of candidates (N, 7), touch by touch: of all that was read or should have
-        been."""
+        """Cost [nats] of candidates (N, 7) touch by touch → (N, K): readings and silent taxels."""
         n, k = len(x), len(self._touches)
         h = self._model.activation(self._seen(x).reshape(-1, 3)).reshape(n, k, -1)
         return self._nats(h, np.exp(x[:, 0])[:, None, None])
 
     def _nats(self, h: Floats, factor: Floats) -> Floats:
-        """(…, K) of what was read of true activations (…, K, M), all of them a factor greater."""
+        """Cost [nats] of true activations `h` (…, K, M), all scaled by `factor` → (…, K)."""
         expected, read = factor * h, self._read
         off = np.where(read.is_told(expected), read.z - expected, 0.0)
-        at = np.flatnonzero(off)  # few: most taxels are silent, as is expected
+        at = np.flatnonzero(off)  # few: most taxels are silent, as expected
         of_touch, of_all = at % read.z.size, at // read.z.size
         residue = read.residue.take(of_touch)
         e = off.take(at) / self._sd(expected.take(at), np.ravel(factor).take(of_all), residue)
@@ -232,16 +234,16 @@ class CalibrationCheck:
         )
 
     def _sd(self, expected: Floats, factor: Floats | float, residue: Floats) -> Floats:
-        """Of a reading, its taxel's own response included, and what it may have of other presses
-        (`residue`): of saturated ones more than they read."""
+        """Standard deviation of a reading (P,), from noise, the taxel's own response, and what
+        other presses may add (`residue`). Residues of saturated readings grow with the factor."""
         within = np.minimum(expected, 1.0)
         own = ONSET_SD * deviation(within)
         other = residue * np.maximum(factor, 1.0)
         return np.sqrt(self._noise.variance(within) + own * own + other * other)
 
     def _linear(self, x: Floats) -> tuple[Floats, Floats, Floats, float]:
-        """Residuals (R,), their slopes (R, 7) and weights (R,), in standard deviations; and the
-        cost of x."""
+        """Residuals (R,), their slopes (R, 7), their weights (R,), and the cost of x (7,).
+        Residuals are in standard deviations."""
         model = self._model
         q = self._seen(x[None])[0]
         factor = np.exp(x[0])
@@ -261,7 +263,7 @@ class CalibrationCheck:
         return e, jacobian, (FREEDOM + 1.0) / (FREEDOM + e * e), cost
 
     def _seen(self, x: Floats) -> Poses:
-        """(N, K, 3) the object in the sensor's frame, by candidates (N, 7)."""
+        """Poses (N, K, 3) of the object in the sensor's frame, for candidates (N, 7)."""
         mounted = se2.compose(self._read.sensor[None], x[:, None, 1:4])
         return se2.compose(se2.inverse(mounted), (self._object + x[:, 4:7])[:, None])
 
@@ -277,7 +279,7 @@ class CalibrationCheck:
         doubt.raised += doubt.suspect is not Suspect.NONE and before is Suspect.NONE
 
     def _suspect(self) -> Suspect:
-        """What is wrong by much, if it is certain that something is."""
+        """The part of the calibration that is certainly wrong, and by much."""
         if self._modules.most_nats > SWAPPED_NATS:
             return Suspect.MODULES
         x = self._x
@@ -291,12 +293,12 @@ class CalibrationCheck:
 
 
 def _prior(x: Floats) -> Floats:
-    """(N,) nats of candidates (N, 7)."""
+    """Cost [nats] of the prior at candidates (N, 7) → (N,)."""
     return np.asarray(0.5 * np.square(x / PRIOR_SD).sum(axis=1))
 
 
 class _Modules:
-    """By how much the readings of each two modules would be likelier in each other's place."""
+    """How much likelier each two modules' readings would be in each other's place."""
 
     def __init__(self, model: ObservationModel, noise: Noise) -> None:
         self._model, self._noise = model, noise
@@ -305,7 +307,7 @@ class _Modules:
         self._shape = len(suis), NAMES
         self._has = self._spread(np.ones(len(module))) > 0.0
         alike: Bools = (self._has[:, None] == self._has[None, :]).all(axis=2)
-        self._alike = alike & ~np.eye(len(suis), dtype=np.bool_)  # others cannot be swapped
+        self._alike = alike & ~np.eye(len(suis), dtype=np.bool_)  # with equal taxels
         self._gain = np.zeros(self._alike.shape)
 
     @property
@@ -313,7 +315,7 @@ class _Modules:
         return float(self._gain.max(initial=0.0))
 
     def take(self, touch: Observation, seen: Poses) -> None:
-        """A touch, the object at a pose (3,) in the sensor's frame."""
+        """Take a touch; `seen` (3,): the object's pose in the sensor's frame."""
         m = len(touch.z)
         h = self._spread(self._model.activation(seen[None])[0])
         read = [
@@ -321,7 +323,7 @@ class _Modules:
             for each in (touch.z, touch.live, touch.floor, touch.residue)
         ]
         at = np.flatnonzero((read[0] > 0.0).any(axis=1) | (h > 0.0).any(axis=1))
-        told = np.zeros(self._alike.shape)  # of the readings of column's module at row's place
+        told = np.zeros(self._alike.shape)  # log-likelihood of column's readings at row's place
         told[at] = self._likely(h[at, None], *(each[None] for each in read))
         told[:, at] = self._likely(h[:, None], *(each[None, at] for each in read))
         own = np.diag(told)

@@ -1,5 +1,8 @@
-"""`Memory.explain` in C (explain.c): what the numpy code of memory.py does, without its temporary
-arrays, where it was compiled (`taxeld.native`). Both are equal but for rounding."""
+"""`Memory.explain` in C (explain.c), used where it was compiled (`taxeld.native`).
+
+It computes the same as the numpy code of memory.py, without temporary arrays, and equals it but for
+rounding.
+"""
 
 import ctypes
 import math
@@ -19,9 +22,9 @@ from taxeld.model.observation import (
     ObservationModel,
 )
 
-GIVEN_UP = -1e9  # in place of what every scan says of a pose
-FIELDS = 5  # of `memory.Kept` that C looks at
-LANES = 8  # of its vectors
+GIVEN_UP = -1e9  # log-likelihood given to a pose that cannot reach its bound
+FIELDS = 5  # fields of `memory.Kept` that the C code reads
+LANES = 8  # lanes of the C code's vectors
 
 
 class _Model(ctypes.Structure):
@@ -48,29 +51,29 @@ class _Bounds(ctypes.Structure):
 
 
 class Scans(NamedTuple):
-    """Scans as the C code has them."""
+    """Scans in the layout of the C code."""
 
     told: _Scans
-    held: tuple[object, ...]  # what its pointers point to
+    held: tuple[object, ...]  # arrays that the pointers point into, kept alive
 
 
 class Bounds(NamedTuple):
-    """From which on a pose is of no use."""
+    """Limits below which the C code gives a pose up."""
 
-    order: Index  # (K,) in which scans are looked at, the last first
-    share: Floats  # (K,) of each
-    left: Floats  # (K,) the most that those of this order may add together, up to each
-    least: Floats  # (N,) that all must add together for each pose
+    order: Index  # (K,) order in which the scans are looked at, from the end
+    share: Floats  # (K,) weight of each scan
+    left: Floats  # (K,) the most that the scans up to each one in `order` can add together
+    least: Floats  # (N,) the sum that each pose must reach
 
 
 class _Runs(NamedTuple):
-    """Taxels of one place, in slices that follow each other: C looks a run up by one vector."""
+    """Runs of taxels at one place, in consecutive slices: C looks up a run by one vector."""
 
     order: Index  # (M,) taxels, run by run
-    first: Index  # (R,) where in the order each begins,
-    size: Index  # how many it has, `LANES` at most,
-    place: Index  # in which column it stands
-    height: Index  # and which slice is its first taxel's
+    first: Index  # (R,) where in `order` each run begins
+    size: Index  # (R,) taxels in the run, at most `LANES`
+    place: Index  # (R,) column of the place
+    height: Index  # (R,) slice of the run's first taxel
 
 
 def _runs(model: ObservationModel) -> _Runs:
@@ -103,7 +106,7 @@ class Compiled:
             **{name: getattr(runs, name) for name in ("first", "height", "size")},
         }
         held = {name: np.ascontiguousarray(table) for name, table in tables.items()}
-        self._held = held  # what the pointers below point to
+        self._held = held  # arrays that the pointers below point into, kept alive
         heights, ny, nx = scene.slices.shape
         self._order = runs.order
         self._model = _Model(
@@ -117,11 +120,12 @@ class Compiled:
         )  # fmt: skip
 
     def scans(self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Scans:
-        """Readings (FIELDS or more, K, M) of the sensor's poses (K, 3)."""
+        """Readings `kept` (FIELDS or more, K, M) taken at the sensor's poses (K, 3). `variance`
+        (K,) of the offsets is in m²; `silent` (K,)."""
         shape = FIELDS, *kept.shape[1:]
         laid = np.zeros(math.prod(shape) + LANES, np.float32)
         out = laid[:-LANES].reshape(shape)
-        np.take(kept[:FIELDS], self._order, axis=2, out=out, mode="clip")  # no copy on the way
+        np.take(kept[:FIELDS], self._order, axis=2, out=out, mode="clip")  # avoids a copy
         told = _Scans(
             laid.ctypes.data, sensor.ctypes.data, variance.ctypes.data, silent.ctypes.data,
             len(sensor), bool(variance.any()),
@@ -129,8 +133,8 @@ class Compiled:
         return Scans(told, (laid, sensor, variance, silent))
 
     def explain(self, scans: Scans, poses: Poses, bounds: Bounds | None = None) -> Floats:
-        """K scans and poses (N, 3) → (N, K), as memory.py has them; GIVEN_UP of poses that cannot
-        come up to bounds."""
+        """K scans and poses (N, 3) → (N, K), as memory.py computes them; GIVEN_UP for poses that
+        cannot reach their bound."""
         poses = np.ascontiguousarray(poses)
         out = np.empty((len(poses), scans.told.scans))
         asked = None
@@ -151,6 +155,6 @@ class Compiled:
 
 
 def compiled(model: ObservationModel, noise: Noise) -> Compiled | None:
-    """None: numpy does it."""
+    """The C code for this model; None where it was not compiled, so that numpy does the work."""
     library = native.library("estimator/explain")
     return None if library is None else Compiled(library, model, noise)

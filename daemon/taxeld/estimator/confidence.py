@@ -1,12 +1,11 @@
-"""What a belief is worth: what confirms it, what refutes it, and what speaks against it now.
+"""How reliable a belief is: contacts that confirm or refute it, and doubt about the newest.
 
-A belief is *confirmed* by a firm contact that leaves it narrow and where it was, and that it
-explains.
-It is *searched* by samples that could have found a better place and did not. It is in *doubt* while
-no pose explains the newest scan, or all remembered contacts together. A firm contact in doubt stays
-*unexplained*, whatever is not felt after it, until another is explained. It was *refuted* each time
-that contacts contradicted each other: of an object of another shape some agree, and others do not.
-What came before the oldest contact that is remembered counts once at most.
+A belief is *confirmed* by a firm contact that it explains and that leaves it narrow and in place.
+It is *searched* when samples could have found a better place and did not. It is in *doubt* while no
+pose explains the newest scan, or all remembered contacts together. A firm contact in doubt stays
+*unexplained* until another contact is explained; silence does not change that. The belief was
+*refuted* each time that contacts contradicted each other: on an object of another shape some
+contacts agree, and others do not. All contacts before the oldest remembered one count once at most.
 """
 
 from dataclasses import dataclass, field
@@ -21,11 +20,11 @@ from taxeld.model.observation import Observation
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
 
-CONFIRMED_M = 0.02  # a heaviest mode that moved less has stayed; less of a smaller object
-LEAST = 3  # contacts, unless the place was known: any two are explained by most objects somewhere
-AGREEING = 4  # remembered contacts, for each time that any was refuted: a few agree by chance
-FIRM = 0.05  # of full scale: a lighter contact may be noise, and begins a press that tells more
-ROUNDING = 1e-15  # weights that differ by less are the same
+CONFIRMED_M = 0.02  # the heaviest mode stayed if it moved less; scaled with a smaller object
+LEAST = 3  # contacts, unless the place was known: most objects explain any two contacts somewhere
+AGREEING = 4  # remembered contacts needed for each refuted one: a few agree by chance
+FIRM = 0.05  # share of full scale: a lighter contact may be noise, or the beginning of a press
+ROUNDING = 1e-15  # weights that differ by less count as equal
 SEARCHED = 100  # samples that must have left a narrow belief where it was
 
 
@@ -34,27 +33,27 @@ class Confidence:
     """Follows one belief."""
 
     metric: PoseMetric
-    summary: Summary  # of the belief as it stands
-    agreeing: int  # contacts that it takes each time that one was refuted
-    enough: int  # samples that it takes
-    least: int  # contacts that it takes where nothing was known before
+    summary: Summary  # summary of the current belief
+    agreeing: int  # agreeing contacts needed for each refuted one
+    enough: int  # samples needed
+    least: int  # contacts needed where nothing was known before
     doubt: bool = False
     doubted: int = 0  # contacts in a row that ended in doubt
-    unexplained: bool = False  # a firm contact was, and none has been explained since
-    refuting: list[int] = field(default_factory=list)  # a contact's number for each time
+    unexplained: bool = False  # a firm contact was not explained, and no contact has been since
+    refuting: list[int] = field(default_factory=list)  # a contact's number for each refutation
     searched: int = 0  # samples in a row that left a narrow belief where it was
-    confirmed: bool = False  # by the last contact, and by every search since
+    confirmed: bool = False  # the last contact confirmed the belief, and every search since did
     remembered: int = 0  # contacts that the belief explains
-    known: bool = False  # that it explains what was known before them too
-    _contact: int = 0  # that was judged last: one contact confirms once
-    _summed: tuple[Poses, Floats] | None = None  # poses and weights that the summary is of
+    known: bool = False  # the belief also explains what was known before the remembered contacts
+    _contact: int = 0  # the contact judged last: one contact confirms once
+    _summed: tuple[Poses, Floats] | None = None  # poses and weights behind `summary`
 
     @classmethod
     def of(
         cls, belief: Belief, scene: Scene, agreeing: int = AGREEING, enough: int = SEARCHED,
         least: int = LEAST,
     ) -> Self:  # fmt: skip
-        """Of a new belief about the object of a scene."""
+        """The confidence in a new belief about the object of a scene."""
         metric = PoseMetric(scene)
         return cls(metric, summarise(belief, metric), agreeing, enough, least)
 
@@ -62,9 +61,10 @@ class Confidence:
         self, belief: Belief, samples: int, contact: int, remembered: int, oldest: int = 0, *,
         in_doubt: bool, known: bool = False,
     ) -> None:  # fmt: skip
-        """The belief has learned from a firm scan of the given contact, counted from 1, or from one
-        that is not firm, 0. So many contacts are `remembered`, the `oldest` of this number.
-        `in_doubt`: as it was before; `known`: a prior is remembered."""
+        """The belief has learned from a scan. `contact`: the number of the scan's contact, from 1;
+        0 where the scan is not firm. `remembered`: contacts in memory, the first of them number
+        `oldest`. `in_doubt`: whether the belief was in doubt before; `known`: whether a prior is
+        remembered."""
         stayed = self._search(belief, samples)
         self.remembered, self.known = remembered, known
         since = [number for number in self.refuting if number >= oldest]
@@ -78,18 +78,18 @@ class Confidence:
         self.confirmed &= self._search(belief, samples)
 
     def moved(self, belief: Belief) -> None:
-        """The object was pushed, and the belief with it."""
+        """The object was pushed, and the belief moved with it."""
         self._summarise(belief)
         self.confirmed, self.remembered = False, 0
 
     def judged(self, *, doubt: bool, is_firm: bool = True) -> None:
-        """A contact has ended in doubt, or without."""
+        """A contact has ended, in doubt or not."""
         self.doubt = doubt
         self.unexplained = doubt and (is_firm or self.unexplained)
         self.doubted = self.doubted + 1 if doubt else 0
 
     def contradicted(self, contact: int, times: int = 0) -> None:
-        """The contact of this number has refuted scans, and contacts among them so many times."""
+        """Contact number `contact` has refuted remembered scans; `times`: refuted contacts."""
         self.refuting += [contact] * max(times, 0 if self.refuting else 1)
 
     @property
@@ -104,7 +104,7 @@ class Confidence:
         return agree and self.is_searched
 
     def _search(self, belief: Belief, samples: int) -> bool:
-        """Whether a change by so many samples has left a narrow belief where it was."""
+        """Whether a change by this number of samples left a narrow belief in place."""
         before = self.summary
         self._summarise(belief)
         stayed = before.is_narrow and self.summary.is_narrow
@@ -115,7 +115,8 @@ class Confidence:
         return stayed
 
     def _summarise(self, belief: Belief) -> None:
-        """Unless nothing has changed: most silence tells of particles alone that weigh nothing."""
+        """Update the summary, unless nothing has changed: most silence changes only particles
+        without weight."""
         pose, weight = belief.pose, belief.weight
         if self._summed is not None:
             at, weighed = self._summed
@@ -127,7 +128,7 @@ class Confidence:
 
 
 def firm(observation: Observation, contact: int) -> int:
-    """The number of a contact if a scan of it is firm; else 0."""
+    """The contact's number if this scan of it is firm; else 0."""
     return contact if is_firm(observation) else 0
 
 
@@ -136,8 +137,8 @@ def is_firm(observation: Observation) -> bool:
 
 
 def status(confidence: Confidence, contacts: int, *, blind: bool = False) -> Status:
-    """What an estimate is worth after so many contacts; `blind`: no taxel lives where the best
-    pose expects contact."""
+    """The status after this number of contacts. `blind`: no taxel is live where the best pose
+    expects contact."""
     summary = confidence.summary
     if blind:
         return Status.BLIND

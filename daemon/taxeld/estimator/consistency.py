@@ -1,10 +1,10 @@
-"""Whether any pose explains what was read: deviances of remembered scans from what is usual.
+"""Whether any pose explains the readings: how far remembered scans deviate from the usual.
 
-The deviance of a pose is by how much its likelihood falls short of that of taxels pressed just as
-they read. A single scan may deviate as much as the true pose does in one of 1000 contacts. All
-contacts together may deviate little more than they usually do: a wrong object of about the right
-shape does not pass that. What chance adds averages out over many taxels. What a soft skin adds that
-nobody has calibrated does not: each taxel may deviate by so much more, however many there are.
+The deviance of a pose is how far its likelihood falls short of the likelihood that every taxel was
+pressed just as it reads. A single scan may deviate as much as the true pose does in one of 1000
+contacts. All contacts together may deviate only a little more than usual: a wrong object of about
+the right shape exceeds that. Chance averages out over many taxels. The deviation of a soft,
+uncalibrated skin does not, so it is allowed for each taxel, however many there are.
 """
 
 import math
@@ -15,17 +15,16 @@ from taxeld.arrays import Bools, Floats
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.particles import Belief
 
-MOST, MOST_TAXEL = 10.0, 1.0  # nats that a scan or prior, and each pressed taxel, may deviate
-USUAL, USUAL_TAXEL = 2.0, 0.55  # nats that a contact, and each of its taxels, usually deviate
-USUAL_SPREAD = (
-    3.5  # of the sum over contacts, times the root of its taxels: 3.1 at most in 120 seen
-)
-USUAL_BIAS = 0.5  # nats more that all taxels of a soft skin may deviate by alike
+MOST, MOST_TAXEL = 10.0, 1.0  # nats allowed to a scan or prior, and to each pressed taxel
+USUAL, USUAL_TAXEL = 2.0, 0.55  # nats that a contact and each of its taxels deviate by usually
+# nats of the sum over contacts, per root of its taxels; the most seen in 120 runs was 3.1
+USUAL_SPREAD = 3.5
+USUAL_BIAS = 0.5  # nats a taxel by which all taxels of a soft skin may deviate alike
 
 
 def excess(memory: Memory, belief: Belief) -> Floats:
-    """(K,) nats by which each remembered scan deviates more than is allowed; above 0: no pose that
-    is believed explains it."""
+    """(K,) nats by which each remembered scan deviates more than allowed; above 0 no believed pose
+    explains it."""
     allowed = MOST + MOST_TAXEL * memory.pressed
     return np.asarray(deviance(memory, belief) - allowed)
 
@@ -39,8 +38,8 @@ def refutes_prior(memory: Memory, belief: Belief) -> bool:
 
 
 def contradictions(memory: Memory, kept: Bools) -> int:
-    """How many times contacts are refuted that `kept` (K,) leaves no scan of. Each is one; but all
-    before those that agree are one together: an object that has moved leaves them behind."""
+    """The number of refuted contacts, which have no scan in `kept` (K,). All refuted contacts
+    before the agreeing ones count as one, because an object that moved leaves them all behind."""
     agreeing = memory.number[memory.contact & kept]
     refuted = np.setdiff1d(memory.number[memory.contact], agreeing)
     among = refuted > agreeing.min()
@@ -48,9 +47,9 @@ def contradictions(memory: Memory, kept: Bools) -> int:
 
 
 def is_excessive(memory: Memory, belief: Belief) -> bool:
-    """Whether the remembered contacts together deviate more than is allowed, though each alone may
-    pass: a wrong object of about the right shape. A contact counts once, however many scans are of
-    it."""
+    """Whether the remembered contacts together deviate more than allowed, though each alone may
+    pass, as with a wrong object of about the right shape. Each contact counts once, however many
+    scans it has."""
     contact = memory.contact
     share = memory.of_scans(memory.share)[contact]
     deviant = float(share @ deviance(memory, belief)[contact])
@@ -62,5 +61,5 @@ def is_excessive(memory: Memory, belief: Belief) -> bool:
 
 
 def deviance(memory: Memory, belief: Belief) -> Floats:
-    """(K,) nats of each remembered scan."""
+    """(K,) deviance of each remembered scan [nats]."""
     return np.asarray(memory.ceiling - belief.weight @ memory.of_scans(belief.remembered))

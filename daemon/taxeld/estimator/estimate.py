@@ -1,4 +1,4 @@
-"""The belief in short, and what it is worth."""
+"""The estimate: the belief in short, and its status."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -10,17 +10,17 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.particles import Belief
 from taxeld.model.symmetry import Mode, PoseMetric
 
-# lengths are for objects of a mean radius of 0.05 m; for others they are as much longer or shorter
-MODE_RADIUS_M = 0.02  # of root-mean-square surface displacement
+# Lengths are for an object of 0.05 m mean radius; they scale with the object.
+MODE_RADIUS_M = 0.02  # root-mean-square displacement of surface points
 MODES_MAX = 5
 MODE_CANDIDATES = 64
-CONVERGED_WEIGHT = 0.9  # of the heaviest mode
-CONVERGED_SD_M = 0.02  # and no more, however large the object
-SEARCHING_WEIGHT = 0.2  # of the heaviest mode: below, no mode is worth its name
+CONVERGED_WEIGHT = 0.9  # least weight of the heaviest mode
+CONVERGED_SD_M = 0.02  # greatest sd, however large the object
+SEARCHING_WEIGHT = 0.2  # least weight of the heaviest mode: a lighter one is not worth reporting
 
 
 class Status(IntEnum):
-    """What the estimate is worth."""
+    """How far the estimate can be used."""
 
     STARTING = 0  # the idle baseline is being learned
     SEARCHING = 1  # nothing touched yet, or too little
@@ -44,33 +44,33 @@ class ProposalKind(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Where the belief lies, up to the object's symmetry."""
+    """Place and spread of the belief, up to the object's symmetry."""
 
     modes: tuple[Mode, ...]  # heaviest first; equivalent poses are one mode
     mean: Poses  # (3,)
     cov: Poses  # (3, 3) about the mean
     ess: float
     particles: int
-    is_narrow: bool  # one mode, and surface points within a small part of the object's size
+    is_narrow: bool  # one mode whose surface points spread over a small part of the object's size
 
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """The belief in short; poses of the object in the world."""
+    """The belief in short; poses are of the object in the world."""
 
-    t: float  # of the scan
+    t: float  # time of the scan [s]
     status: Status
     contact: bool
-    contacts: int  # begun since reset
+    contacts: int  # contacts begun since reset
     map: Poses  # (3,) mean of the heaviest mode
     mean: Poses  # (3,)
-    cov: Poses  # (3, 3) about the mean, turns up to symmetry
+    cov: Poses  # (3, 3) covariance about the mean, turns up to symmetry
     modes: tuple[Mode, ...]
     ess: float
     particles: int
-    injected: int  # by this scan
+    injected: int  # samples injected by this scan
     proposal: ProposalKind
-    log_evidence: float  # of this scan, 0 where it was not learned from
+    log_evidence: float  # log evidence of this scan; 0 where nothing was learned from it
 
 
 def summarise(belief: Belief, metric: PoseMetric) -> Summary:

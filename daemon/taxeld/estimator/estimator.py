@@ -1,8 +1,8 @@
 """The estimator: activations and sensor poses in, estimates out. No clock, no socket, no file.
 
-It takes what can be used of a scan (`intake`), picks the scans to learn from (`news`), has the
-belief learn from them by the configured rule (`rules`), and says what the result is worth
-(`confidence`). docs/estimator.md has the way of a contact through these.
+It takes the usable part of a scan (`intake`), picks the scans to learn from (`news`), has the
+belief learn from them by the configured rule (`rules`), and judges the result (`confidence`).
+docs/estimator.md follows a contact through these.
 """
 
 from collections.abc import Generator
@@ -63,12 +63,13 @@ class Estimator:
         return self.estimate
 
     def parts(self, activation: Activation, sensor: Poses) -> Generator[None, None, Estimate]:
-        """The same in parts, of which none takes long; another scan, or `reset`, may come only
-        after the last of them, or after `close` of these.
+        """Take a scan in parts, none of which takes long. `sensor` (3,) is the sensor's pose in the
+        world. Another scan or `reset` may come only after the last part, or after `close` of the
+        generator.
 
-        Until this scan's is there, `estimate` is of the scan before. Where the scan tells nothing
-        new it is there after the first part: the others are thoughts about what was felt before,
-        and may better it.
+        Until the estimate of this scan exists, `estimate` is that of the scan before. A scan that
+        tells nothing new has its estimate after the first part; the other parts reconsider earlier
+        contacts, and may improve it.
         """
         self.counters.scans += 1
         observation = self._intake.observation(activation, sensor)
@@ -95,16 +96,16 @@ class Estimator:
         return self.estimate
 
     def figures(self) -> dict[str, float]:
-        """What contacts tell of their own exactness."""
+        """Measured exactness of the contacts: the slack that they need."""
         return {"slack": self.rule.slack}
 
     @property
     def _believed(self) -> Poses:
-        """(N, 3) of the modes, the best first."""
+        """(N, 3) poses of the modes, the best first."""
         return np.array([mode.pose for mode in self.rule.confidence.summary.modes])
 
     def _follow(self, observation: Observation) -> None:
-        """Between two scans of one contact the object may have been pushed."""
+        """Move the belief: the object may have been pushed between two scans of one contact."""
         before, self._before = self._before, observation
         if self.config.motion == "none" or before is None:
             return
@@ -114,7 +115,7 @@ class Estimator:
     def _conclude(
         self, observation: Observation, injected: int = 0, log_evidence: float = 0.0
     ) -> None:
-        """What the belief says now is the estimate."""
+        """Make an estimate of the current belief."""
         blind = self._is_blind(observation)
         self.estimate = self._estimate(self._intake.t, injected, log_evidence, blind=blind)
 
@@ -124,7 +125,7 @@ class Estimator:
         return poses
 
     def _is_blind(self, observation: Observation) -> bool:
-        """Whether no taxel lives, or none of those that the best pose presses."""
+        """Whether no taxel is live, or none of the taxels that the best pose presses."""
         if observation.live.all() or observation.is_contact:
             return False
         if not observation.live.any():

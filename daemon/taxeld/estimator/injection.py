@@ -1,9 +1,9 @@
 """How samples of a contact enter the belief: by the paper's rule, or weighed against it.
 
-A sample of p(q | contact) takes no other scan into account. The paper gives it the mean weight all
-the same, and a belief that is right can lose to samples that explain the present contact alone.
-Here the samples are first *annealed* into a second opinion of the whole posterior, which stands
-beside the belief by its evidence.
+A sample of p(q | contact) takes no other scan into account. The paper still gives it the mean
+weight, so a right belief can lose to samples that explain only the present contact. Here the
+samples are first *annealed* into a second opinion of the whole posterior, which is merged with the
+belief by its evidence.
 """
 
 import numpy as np
@@ -15,13 +15,13 @@ from taxeld.estimator.parts import Parts
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
 
-KEPT = 0.25  # of the samples: effective number that a stage of annealing leaves
-STAGES_MAX = 6  # the last takes all that is left
-FINE = np.array([0.004, 0.004, 0.06])  # cells that measure how much room a belief takes
+KEPT = 0.25  # share of the samples that remains effective after a stage of annealing
+STAGES_MAX = 6  # the last stage takes all that is left
+FINE = np.array([0.004, 0.004, 0.06])  # m, m, rad: cells that measure the room that a belief takes
 
 
 def paper(belief: Belief, poses: Poses) -> None:
-    """Algorithm 1 of Marić et al. 2025: the least particles give way to samples (S, 3), at the mean
+    """Algorithm 1 of Marić et al. 2025: the lightest particles give way to samples (S, 3) of mean
     weight; then the weights are normalised."""
     n, count = len(belief), min(len(poses), len(belief))
     if not count:
@@ -40,12 +40,12 @@ def anneal(
     rng: np.random.Generator,
     scale: float = 1.0,
 ) -> Parts[Belief]:
-    """Equally weighted samples of ∏ p(z_k | q)^own_k brought to ∏ p(z_k | q)^share_k: the other
-    scans count by degrees, and after each step the samples are drawn anew and moved (an SMC
-    sampler, Del Moral et al. 2006). A step is as large as leaves the share KEPT of them.
+    """Bring equally weighted samples of ∏ p(z_k | q)^own_k to ∏ p(z_k | q)^share_k. The other scans
+    are added by degrees, and after each step the samples are drawn anew and moved (an SMC sampler,
+    Del Moral et al. 2006). A step is as large as leaves the share KEPT of them effective.
 
-    own (terms,) in 0..1: the terms that the samples have taken into account; `scale`: of the
-    object's size, to the usual.
+    `own` (terms,) in 0..1: terms that the samples already take into account; `share` (terms,): the
+    weight of each term at the end; `scale`: the object's size over the usual.
     """
     n, rest = len(samples), share - own
     degree = 0.0
@@ -65,7 +65,8 @@ def anneal(
 
 
 def merge(a: Belief, b: Belief, share: Floats, scale: float = 1.0) -> Belief:
-    """Both, each weighed by its evidence."""
+    """Both beliefs in one, each weighed by its evidence. `share` (terms,): the weight of each
+    term."""
     made = Belief(
         np.concatenate([a.pose, b.pose]),
         np.concatenate([c.log_weight + evidence(c, share, scale) for c in (a, b)]),
@@ -77,8 +78,8 @@ def merge(a: Belief, b: Belief, share: Floats, scale: float = 1.0) -> Belief:
 
 
 def evidence(belief: Belief, share: Floats, scale: float = 1.0) -> float:
-    """log ∫ ∏ p(z_k | q)^share_k dq up to a constant: the mean logarithm of the integrand, and the
-    room that the belief takes (its entropy, as the cells that it occupies)."""
+    """log ∫ ∏ p(z_k | q)^share_k dq up to a constant, share (terms,): the mean logarithm of the
+    integrand plus the belief's entropy, measured by the cells that it occupies."""
     support = belief.remembered @ share
     cells = pf.occupied(belief.pose, FINE * [scale, scale, 1.0])
     return float(belief.weight @ support) + float(np.log(cells))
@@ -86,8 +87,8 @@ def evidence(belief: Belief, share: Floats, scale: float = 1.0) -> float:
 
 def project(model: ObservationModel, poses: Poses) -> Poses:
     """Samples (S, 3) in the sensor frame brought onto the contact manifold by one step (Marić et
-    al. 2026): those that miss the object, or press deeper than a taxel can tell, are moved along
-    the contact's normal; the others keep the depth, and thus the spread, that they have."""
+    al. 2026). Samples that miss the object, or press deeper than a taxel can tell, are moved along
+    the contact's normal; the others keep their depth, and so their spread."""
     ax, ay = contacts.axis_in_object(poses)
     radius_m = model.layout.radius_m
     distance, gx, gy = model.scene.clearance(ax, ay)
@@ -98,7 +99,7 @@ def project(model: ObservationModel, poses: Poses) -> Poses:
 def _step(gain: Floats, most: float, kept: float) -> float:
     """The largest power of exp(gain), up to `most`, that leaves `kept` effective samples."""
     gain = gain - gain.max()
-    add = np.add.reduce  # as `sum`, with less about it: this is asked often
+    add = np.add.reduce  # like `sum` with less overhead: this is called often
 
     def left(power: float) -> float:
         weight = np.exp(power * gain)

@@ -1,5 +1,4 @@
-"""What can be used of a scan: finite, in order, within its range, without taxels that are stuck,
-and not what may come from presses elsewhere."""
+"""The usable part of a scan: finite, in order, in range, without stuck taxels or leaked presses."""
 
 import math
 
@@ -15,10 +14,10 @@ from taxeld.model.se2 import JUMP_M
 
 
 class Intake:
-    """Makes observations of one skin's activations; what is wrong with them is counted."""
+    """Makes observations of one skin's activations, and counts the faults in them."""
 
     def __init__(self, model: ObservationModel, counters: EstimatorCounters) -> None:
-        self.t = -np.inf  # of the last scan that was used
+        self.t = -np.inf  # time of the last used scan [s]
         self._counters = counters
         self._radius_m = model.layout.radius_m
         self._leak = model.leak
@@ -26,12 +25,13 @@ class Intake:
         self._stuck = Stuck(len(model.layout))
 
     def observation(self, activation: Activation, sensor: Poses) -> Observation | None:
-        """A scan at the sensor's pose (3,) in the world as evidence; None: it is of no use."""
+        """The observation at the sensor's pose (3,) in the world; None where the scan is of no
+        use."""
         a, least, most = activation, float(activation.z.min()), float(activation.z.max())
         if not self._is_usable(a.t, sensor, least, most):
             return None
         before, self._sensor, self.t = self._sensor, sensor, a.t
-        if least == most == 0.0:  # as mostly: nothing is stuck, and nothing leaks
+        if least == most == 0.0:  # the usual case: nothing is stuck, and nothing leaks
             self._stuck.released()
             return Observation(sensor, a.z, a.live, a.floor, a.residue)
         moved = 0.0 if before is None else moved_m(before, sensor, self._radius_m)
@@ -45,7 +45,7 @@ class Intake:
         return Observation(sensor, z, live, floor, residue)
 
     def _is_usable(self, t: float, sensor: Poses, least: float, most: float) -> bool:
-        """Activations from `least` to `most`."""
+        """Whether time, pose (3,) and activations from `least` to `most` can be used."""
         counters = self._counters
         if not all(map(math.isfinite, (t, least, most, *sensor.tolist()))):
             counters.bad_input += 1
@@ -56,7 +56,7 @@ class Intake:
         before = self._sensor
         if before is not None and math.dist(before[:2].tolist(), sensor[:2].tolist()) > JUMP_M:
             counters.jumps += 1
-            self._sensor = sensor  # where it stays, it is believed
+            self._sensor = sensor  # a far pose at which the sensor stays is believed next time
             return False
         counters.out_of_range += least < 0.0 or most > 1.0
         return True

@@ -1,8 +1,8 @@
 """Memory of past scans: how well a pose explains which taxels were pressed before, and which not.
 
-A sample proposed for one contact takes no other into account, and a particle that is moved must
-still explain them all (after the memory unscented particle filter, Vezzani et al. 2017). Silent
-scans are remembered beside contacts: where the skin met nothing, the object is not.
+A sample proposed for one contact takes no other into account, and a moved particle must still
+explain them all (after the memory unscented particle filter, Vezzani et al. 2017). Silent scans are
+remembered beside contacts: where the skin met nothing, the object is not.
 """
 
 import copy
@@ -22,35 +22,35 @@ from taxeld.model.observation import Noise, Observation, ObservationModel
 
 Number = TypeVar("Number", np.intp, np.float64)
 
-SPARE_NATS = 0.05  # by which a pose may explain a scan better than its ceiling, which is rounded
-FAR = 1e30  # standard deviations: without a bound
-LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # of a reading: the activations that may explain it best
+SPARE_NATS = 0.05  # nats by which a pose may exceed a scan's rounded ceiling
+FAR = 1e30  # standard deviations: no bound
+LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # shares of a reading that may explain it best
 
 
 class Kept(IntEnum):
-    """What is kept of each reading."""
+    """Fields kept for each reading."""
 
     Z = 0
-    LEVEL = 1  # what is read, or the floor where that is 0
+    LEVEL = 1  # the reading, or the floor where it is 0
     RESIDUE = 2
-    ROOT = 3  # 1 / standard deviation about what is read, 0 where not live
+    ROOT = 3  # 1 / standard deviation of the reading, 0 where not live
     SILENT = 4  # log p(z | h = 0)
-    LOW = 5  # by how much it may be said to be above what is expected: at least,
-    HIGH = 6  # and at most [standard deviations]
+    LOW = 5  # lower bound on the reading's excess over the expected [standard deviations]
+    HIGH = 6  # upper bound on the reading's excess over the expected [standard deviations]
     LIVE = 7
 
 
 class Told(NamedTuple):
-    """What a scan tells, whatever the pose."""
+    """The evidence of one scan, whatever the pose."""
 
     kept: Grid  # (FIELDS, M)
     untouched: float  # log p(scan | nothing is pressed)
-    pressed: int  # taxels
+    pressed: int  # number of pressed taxels
     ceiling: float  # log p(scan | each taxel is pressed just as it reads)
 
 
 class Silence(NamedTuple):
-    """What silent scans of the same taxels and floors tell is the same."""
+    """The evidence of a silent scan, kept for others with the same taxels and floors."""
 
     live: Bools
     floor: Floats
@@ -60,20 +60,20 @@ class Silence(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Slack:
-    """By how much a remembered scan may be off, in the plane."""
+    """How far a remembered scan may be off, in the plane."""
 
-    robot_m: float = 0.0  # sd of the sensor's reported place, the same throughout a contact
-    nudge_m: float = 0.0  # sd of what the object gives way at each contact since
-    scale: float = 1.0  # of both, as the contacts show it
+    robot_m: float = 0.0  # sd of the sensor's reported place, one draw for a whole contact
+    nudge_m: float = 0.0  # sd of the object's motion at each later contact
+    scale: float = 1.0  # factor on both, fitted to the contacts
 
     def variance(self, age: NDArray[np.intp]) -> Floats:
-        """[m²] of scans that were followed by `age` contacts."""
+        """Variance [m²] of scans with `age` (K,) later contacts → (K,)."""
         return np.asarray(self.scale**2 * (self.robot_m**2 + self.nudge_m**2 * age))
 
 
 class Memory:
-    """K scans to be explained by poses of the object in the world, and a prior that stands for all
-    that was known before them, if there was anything."""
+    """K scans to be explained by poses of the object in the world, and a prior for everything known
+    before them, if there is one."""
 
     def __init__(
         self,
@@ -86,19 +86,19 @@ class Memory:
         self._noise = noise
         self.slack = slack or Slack()
         self._compiled = compiled(model, noise)
-        self._silence: Silence | None = None  # of the last silent scan
+        self._silence: Silence | None = None  # the last silent scan
         self._forget(prior)
 
     def _forget(self, prior: Prior | None) -> None:
         self.prior = prior
         self._sensor = np.empty((0, 3))
         self._kept: Grid = np.empty((len(Kept), 0, len(self._model.layout)), np.float32)
-        self.number = np.empty(0, dtype=np.intp)  # (K,) of the contact; the last, where silent
-        self.newest = 0  # number of the contact that began last
-        self.pressed = np.empty(0, dtype=np.intp)  # (K,) taxels that were pressed
-        self.ceiling = np.empty(0)  # (K,) as `Told` has them
+        self.number = np.empty(0, dtype=np.intp)  # (K,) contact; the last one if silent
+        self.newest = 0  # number of the newest contact
+        self.pressed = np.empty(0, dtype=np.intp)  # (K,) number of pressed taxels
+        self.ceiling = np.empty(0)  # (K,) as in `Told`
         self._untouched = np.empty(0)
-        self._share: Floats | None = None  # as last asked for
+        self._share: Floats | None = None  # cached `share`
         self._for_c: tuple[tuple[int, int, Slack], Scans] | None = None
 
     def __len__(self) -> int:
@@ -116,29 +116,29 @@ class Memory:
 
     @property
     def silent(self) -> Bools:
-        """(K,) whether none was."""
+        """(K,) whether no taxel was pressed."""
         return np.asarray(self.pressed == 0)
 
     @property
     def last_touch(self) -> Floats | None:
-        """(2,) where the sensor was in the world in the newest contact; None: there is none."""
+        """(2,) the sensor's place in the world at the newest contact; None without a contact."""
         touches = np.flatnonzero(self.contact)
         return self._sensor[touches[-1], :2] if len(touches) else None
 
     @property
     def contacts(self) -> int:
-        """How many the scans are of."""
+        """The number of different contacts."""
         return round(float(self.of_scans(self.share)[self.contact].sum()))
 
     @property
     def oldest(self) -> int:
-        """The number of the first of them; 0: there is none."""
+        """The number of the oldest remembered contact; 0 without one."""
         numbers = self.number[self.contact]
         return int(numbers[0]) if len(numbers) else 0
 
     @property
     def share(self) -> Floats:
-        """(terms,) by which each counts: a contact counts once, however many scans are of it."""
+        """(terms,) weight of each term: a contact counts once, however many scans it has."""
         if self._share is None:
             self._share = np.ones(self.terms)
             touched = self.contact
@@ -149,7 +149,7 @@ class Memory:
         return self._share
 
     def add(self, observation: Observation, number: int = 0) -> None:
-        """A scan of the contact of that number, or a silent one after it."""
+        """Remember a scan of contact `number`, or a silent scan after that contact."""
         told = self._told(observation)
         self._kept = np.concatenate([self._kept, told.kept[:, None]], axis=1)
         self._sensor = np.concatenate([self._sensor, observation.sensor[None]])
@@ -159,7 +159,7 @@ class Memory:
         self.ceiling = _and(self.ceiling, told.ceiling)
         self._untouched = _and(self._untouched, told.untouched)
         self._for_c = None
-        if self._share is not None:  # a silent scan changes no other's
+        if self._share is not None:  # a silent scan changes no other scan's share
             self._share = None if told.pressed else np.append(self._share, 1.0)
 
     def _told(self, observation: Observation) -> Told:
@@ -175,10 +175,10 @@ class Memory:
         return before.told
 
     def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats) -> Told:
-        """(M,) each."""
+        """Evidence of activations z, live, floor and residue, each (M,)."""
         pressed = z > 0.0
         count = int(np.count_nonzero(z))
-        explained = (LIKELY if count else LIKELY[:1])[:, None] * z  # silence is so by nothing
+        explained = (LIKELY if count else LIKELY[:1])[:, None] * z  # silence needs one share
         density = self._noise.log_density(z, explained, floor, residue)
         density *= live
         fields = np.empty((len(Kept), len(z)), np.float32)
@@ -194,26 +194,26 @@ class Memory:
         return Told(fields, untouched, count, float(density.max(axis=0).sum()))
 
     def scan(self, k: int) -> Observation:
-        """The k-th scan."""
+        """The k-th scan as an observation."""
         z, level, residue, live = self._kept[[Kept.Z, Kept.LEVEL, Kept.RESIDUE, Kept.LIVE], k]
-        floor = np.where(z > 0.0, 0.0, level)  # of no other is it of any use
+        floor = np.where(z > 0.0, 0.0, level)  # pressed taxels need no floor
         return Observation(self._sensor[k], z.astype(np.float64), live > 0.0, floor, residue)
 
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
-        """The scans that `kept` (K,) names, with the prior or without."""
+        """A memory of the scans in the mask `kept` (K,), with the prior or without."""
         made = copy.copy(self)
         made.prior = self.prior if prior else None
         made._share = made._for_c = None
-        if self._share is not None and kept[self.contact].all():  # the others' stay as they are
+        if self._share is not None and kept[self.contact].all():  # the other scans' shares stay
             own = self.terms - len(self) if prior else 0
             made._share = np.append(self._share[:own], self.of_scans(self._share)[kept])
-        made._kept = self._kept.compress(kept, axis=1)  # in order of memory, as C asks for it
+        made._kept = self._kept.compress(kept, axis=1)  # contiguous, as the C code needs it
         for name in ("_sensor", "number", "pressed", "ceiling", "_untouched"):
             setattr(made, name, getattr(self, name)[kept])
         return made
 
     def anew(self, prior: Prior | None = None) -> "Memory":
-        """Of the same model and slack, without a scan."""
+        """An empty memory of the same model and slack."""
         made = copy.copy(self)
         made._forget(prior)
         return made
@@ -223,12 +223,12 @@ class Memory:
         return float(np.sqrt(self.slack.variance(self.newest - self.number[k])))
 
     def of_scans(self, explained: Floats) -> Floats:
-        """(…, terms) as `explain` has them → (…, K) without the prior's."""
+        """Columns of the scans alone: (…, terms) as from `explain` → (…, K)."""
         return explained[..., self.terms - len(self) :]
 
     def explain(self, poses: Poses, needed: Needed | None = None) -> Floats:
-        """Log-density of the prior, if there is one, and log p(scan | pose) over live taxels of
-        each scan: (N, 3) → (N, terms); as `particles.Explain` has it."""
+        """Log-density of the prior, if there is one, and log p(scan | pose) over the live taxels of
+        each scan: poses (N, 3) → (N, terms), by the rules of `particles.Explain`."""
         if self.prior is None:
             return self._explain(poses, 0, needed)
         prior = self.prior.log_density(poses)
@@ -238,12 +238,13 @@ class Memory:
         return np.hstack([prior[:, None], self._explain(poses, 0, needed)])
 
     def explain_newest(self, poses: Poses) -> Floats:
-        """log p(scan | pose) of the scan that was added last: (N, 3) → (N,)."""
+        """log p(scan | pose) of the newest scan: poses (N, 3) → (N,)."""
         return self._explain(poses, len(self) - 1)[:, 0]
 
     def _explain(self, poses: Poses, since: int, needed: Needed | None = None) -> Floats:
-        """Of scans from `since` on: (N, 3) → (N, K − since). Contacts have an offset each; a silent
-        scan tells of what presses deeper than its offset may have hidden."""
+        """log p(scan | pose) of scans from number `since` on: poses (N, 3) → (N, K − since). Each
+        contact has an offset of its own; a silent scan rules out only presses deeper than its
+        offset could hide."""
         if self._compiled is not None:
             scans = self._scans(self._compiled, since)
             bounds = None if needed is None else self._bounds(needed)
@@ -256,7 +257,7 @@ class Memory:
         return met
 
     def _scans(self, compiled: Compiled, since: int) -> Scans:
-        """As C has them, the same until something changes."""
+        """Scans from `since` on in the layout of the C code, kept until something changes."""
         of = since, self.newest, self.slack
         if self._for_c is None or self._for_c[0] != of:
             variance = self.slack.variance(self.newest - self.number[since:])
@@ -267,17 +268,18 @@ class Memory:
         return self._for_c[1]
 
     def _bounds(self, needed: Needed) -> Bounds:
-        """What all scans must add to that of a skin which is not pressed."""
+        """Limits for `needed`, less the log-likelihood of an untouched skin, which all poses
+        share."""
         share = needed.share
         most = share * (self.ceiling + SPARE_NATS - self._untouched)
-        order = most.argsort()  # looked at from the end: those first that may refute a pose by most
+        order = most.argsort()  # read from the end: most refuting scans come first
         left = most.take(order).cumsum()
         return Bounds(order, share, left, needed.least - share @ self._untouched)
 
     def _met(
         self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools, poses: Poses
     ) -> Floats:
-        """`Compiled.explain`: what taxels that are pressed add to log p, (N, K)."""
+        """`Compiled.explain` in numpy: what pressed taxels add to log p(scan | pose), (N, K)."""
         n, k, taxels = len(poses), len(sensor), len(self._model.layout)
         order = np.argsort(silent, kind="stable")  # contacts first
         about = k - int(np.count_nonzero(silent)) if variance.any() else 0
@@ -303,7 +305,7 @@ class Memory:
 
 
 def _and(values: NDArray[Number], last: float) -> NDArray[Number]:
-    """Values (K,) and one more: `np.append` without what makes it slow."""
+    """Values (K,) and one more: like `np.append`, but faster."""
     made = np.empty(len(values) + 1, values.dtype)
     made[:-1] = values
     made[-1] = last

@@ -1,4 +1,4 @@
-"""The rule that remembers: samples stand beside the belief by their evidence, and the past is
+"""The rule that remembers: samples are merged with the belief by their evidence, and the past is
 dropped when the object has moved."""
 
 from dataclasses import replace
@@ -18,15 +18,15 @@ from taxeld.estimator.push import STRIDE, Push, assumed, changed, push
 from taxeld.estimator.rule import PUSHED_M, Draw, Parts, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
-ROOM = 3.0  # half-widths of the table, from the last touch: all of it, and more
+ROOM = 3.0  # half-widths of the table around the last touch: the whole table, and more
 MOVES = 2  # Metropolis steps a contact
-SILENT_MAX = 32  # silent scans remembered
-TELLING = 1.0  # nats by which a silent scan must part the particles to be remembered
-SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # of the configured slack
-SLACK_FROM = 3  # contacts: fewer agree whatever the slack
-SLACK_PARTICLES = 32  # by which the evidence is found
-SLACK_NATS = 1.0  # of evidence, for another scale
-REVISITS = 4  # a contact: second opinions taken while there is nothing to learn
+SILENT_MAX = 32  # silent scans remembered at most
+TELLING = 1.0  # nats of range over the particles; a less telling silent scan is not remembered
+SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # candidate factors on the configured slack
+SLACK_FROM = 3  # contacts: fewer agree with any slack
+SLACK_PARTICLES = 32  # particles that estimate the evidence of a slack
+SLACK_NATS = 1.0  # nats of evidence needed to change the slack
+REVISITS = 4  # second opinions after a contact, while there is nothing to learn
 
 
 class Mixture:
@@ -40,7 +40,7 @@ class Mixture:
         rng: np.random.Generator,
     ) -> None:
         self._model, self._config, self._rng = model, config, rng
-        # of a pushed object the prior has room for what a push leaves unknown
+        # with pushing, the prior already covers the unknown part of a push
         slack = Slack(robot_m, config.nudge_m) if config.motion == "none" else Slack()
         self.memory = Memory(model, noise_of(config), slack=slack)
         self.belief = anew(config, rng)
@@ -48,15 +48,15 @@ class Mixture:
         self._scale = self.confidence.metric.scale
         self.counters = RuleCounters()
         self.push: Push = push
-        self._revisits = 0  # since the last contact
-        self._fitted = 0  # number of the contact that slack was fitted after
+        self._revisits = 0  # second opinions since the last contact
+        self._fitted = 0  # number of the contact after which the slack was fitted
 
     @property
     def slack(self) -> float:
         return self.memory.slack.scale
 
     def follow(self, before: Observation, after: Observation) -> None:
-        """What is remembered was read where the object no longer is: a prior stands for it."""
+        """Replace the memory by a prior: its scans were taken where the object no longer is."""
         belief, metric = self.belief, self.confidence.metric
         if not belief.ground.size:
             belief.ground = assumed(len(belief), self._rng)
@@ -95,8 +95,9 @@ class Mixture:
         return len(samples), log_evidence
 
     def _update(self, observation: Observation, samples: Poses, number: int) -> Parts[float | None]:
-        """Learn from a scan of the contact of this number, or a silent one after it, and samples of
-        it, without judging the result; → log evidence, None where nothing was learned."""
+        """Learn from a scan of contact `number`, or a silent scan after it, and from `samples` (S,
+        3) of that scan, without judging the result; → log evidence, None where nothing was
+        learned."""
         self._age(number)
         before = self.memory.share
         self.memory.add(observation, number)
@@ -118,14 +119,14 @@ class Mixture:
         return evidence
 
     def _is_expected(self, newest: Floats) -> bool:
-        """Whether a silent scan, explained so by the particles (N,), parts none of them and refutes
-        none."""
+        """Whether a silent scan of log-likelihoods `newest` (N,) neither separates the particles
+        nor refutes any."""
         refuting = self.memory.ceiling[-1] - newest.min() > consistency.MOST
-        lost = not np.isfinite(self.belief.log_weight.max())  # and must begin anew
+        lost = not np.isfinite(self.belief.log_weight.max())  # no particle is possible
         return not (refuting or lost) and bool(np.ptp(newest) < TELLING)
 
     def _age(self, number: int) -> None:
-        """The object may have given way to a contact that begins."""
+        """Let the remembered scans age when a contact begins, as the object may have moved."""
         memory, belief = self.memory, self.belief
         nudge_m = memory.slack.nudge_m * memory.slack.scale
         if not nudge_m or not len(memory) or number <= memory.newest:
@@ -137,7 +138,8 @@ class Mixture:
         belief.remembered = memory.explain(belief.pose)
 
     def revisit(self, draw: Draw) -> Parts[int]:
-        """Samples of a remembered contact, brought to explain all, as a second opinion."""
+        """Take a second opinion: samples of a remembered contact, brought to explain all
+        contacts."""
         memory, confidence = self.memory, self.confidence
         enough = confidence.is_searched and not confidence.doubt
         if self._revisits >= REVISITS or enough:
@@ -148,7 +150,7 @@ class Mixture:
         yield
         scan = int(self._rng.choice(contacts))
         samples = drawn(draw, memory.scan(scan), self._wanted())
-        if not len(samples):  # none are asked for, or there is no time for any
+        if not len(samples):  # none were asked for, or there is no time
             return 0
         self._revisits += 1
         opinion = yield from self._opinion(samples, memory, scan)
@@ -164,13 +166,14 @@ class Mixture:
         return len(samples)
 
     def _wanted(self) -> int:
-        """S as configured, and more as the belief is wider or in doubt."""
+        """Number of samples: as configured, and more while the belief is wide or in doubt."""
         config = self._config
         size = config.particles_max if self.confidence.doubted else len(self.belief)
         return round(config.injected * max(size / config.particles, 1.0))
 
     def _weigh(self, samples: Poses) -> Parts[None]:
-        """Judge the newest scan, which the weights have taken, and change the particles by it."""
+        """Judge the newest scan, already in the weights, and move the particles. `samples` is (S,
+        3)."""
         confidence = self.confidence
         confidence.doubt = bool(consistency.excess(self.memory, self.belief)[-1] > 0.0)
         self._keep_to_size()
@@ -184,8 +187,8 @@ class Mixture:
         self.counters.inconsistent += confidence.doubt
 
     def _fit_slack(self) -> Parts[None]:
-        """How far scans are off, by the evidence of the belief: contacts that agree exactly are
-        believed exactly, and others are given more room. A contact moves it by one step."""
+        """Fit the slack to the evidence: contacts that agree exactly are believed exactly, others
+        get more room. Each contact moves the slack by one step."""
         memory, belief = self.memory, self.belief
         now = memory.slack
         if memory.newest == self._fitted or memory.contacts < SLACK_FROM:
@@ -212,7 +215,7 @@ class Mixture:
             yield from self._become(belief, moves=1)
 
     def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> Parts[None]:
-        """From the samples of a contact, or from nothing."""
+        """Begin with the samples (S, 3) of a contact, or with a uniform belief."""
         self.memory = self.memory.anew()
         self.belief = anew(self._config, self._rng)
         if len(samples):
@@ -221,7 +224,7 @@ class Mixture:
             yield from self._become(opinion, moves=MOVES)
 
     def _take(self, samples: Poses) -> Parts[None]:
-        """The samples' own opinion of all that is remembered, beside the belief's."""
+        """Merge the samples' (S, 3) opinion of the whole memory with the belief."""
         self._revisits = 0
         memory = self.memory
         opinion = yield from self._opinion(samples, memory, len(memory) - 1)
@@ -230,7 +233,7 @@ class Mixture:
         yield from self._become(opinion, moves=MOVES)
 
     def _opinion(self, samples: Poses, memory: Memory, scan: int) -> Parts[Belief]:
-        """Samples of one of its scans brought to explain a whole memory."""
+        """Samples (S, 3) of scan number `scan`, brought to explain the whole memory."""
         own = np.zeros(memory.terms)
         memory.of_scans(own)[scan] = 1.0
         samples = samples.copy()
@@ -244,8 +247,8 @@ class Mixture:
         )
 
     def _merged(self, opinion: Belief) -> Belief:
-        """The belief, and samples' opinion beside it. They say nothing of how the object slides:
-        each takes it from the particle that is nearest."""
+        """The belief merged with a second opinion. Samples know nothing of how the object slides,
+        so each takes the ground of the nearest particle."""
         belief, metric = self.belief, self.confidence.metric
         if belief.ground.size:
             apart = metric.distance(opinion.pose[:, None], belief.pose[None])
@@ -253,7 +256,8 @@ class Mixture:
         return injection.merge(belief, opinion, self.memory.share, self._scale)
 
     def _become(self, belief: Belief, moves: int) -> Parts[None]:
-        """Have as many particles as so wide a belief needs, all equal, and part the copies."""
+        """Resample to the number of equal particles that this width needs, and separate the
+        copies."""
         self.belief = pf.resample(belief, self._size(belief), self._rng)
         share, room = self.memory.share, self._room()
         for _ in range(moves):
@@ -261,8 +265,8 @@ class Mixture:
             pf.rejuvenate(self.belief, self.memory.explain, share, self._rng, self._scale, room)
 
     def _room(self) -> pf.Room:
-        """Where the object may be: about the last touch, or about the table's middle, not about a
-        sensor that has gone elsewhere since."""
+        """The circle that may hold the object: around the last touch, or around the table's middle.
+        The sensor may have gone elsewhere since."""
         touch, config = self.memory.last_touch, self._config
         centre = np.array(config.centre_m) if touch is None else touch
         return pf.Room(centre, ROOM * config.half_width_m)
@@ -299,7 +303,7 @@ class Mixture:
         if not confidence.doubt:
             return
         doubted, contacts = confidence.doubted, np.flatnonzero(self.memory.contact)
-        for last in dict.fromkeys((doubted, 2)):  # all since the doubt began, or the last two
+        for last in dict.fromkeys((doubted, 2)):  # contacts in doubt, then the last two
             if not 2 <= last <= min(doubted, len(contacts)):
                 continue
             kept = np.arange(len(self.memory)) >= contacts[-last]
@@ -307,8 +311,8 @@ class Mixture:
                 return
 
     def _begin_with(self, kept: Bools, samples: Poses) -> Parts[bool]:
-        """Whether some pose explains all of these scans, and the belief does so far worse; if so,
-        nothing else is remembered."""
+        """Begin anew from the scans `kept` (K,) if some pose explains all of them and the belief
+        explains them far worse; → whether that was done. Everything else is then forgotten."""
         recent = self.memory.only(kept, prior=False)
         opinion = yield from self._opinion(samples, recent, len(recent) - 1)
         if consistency.excess(recent, opinion).max() > 0.0:
@@ -318,7 +322,7 @@ class Mixture:
         lost = consistency.deviance(self.memory, self.belief)[kept] - consistency.deviance(
             recent, opinion
         )
-        # a few contacts are explained by more poses than all are: by far, or not at all
+        # a few contacts fit more poses than all contacts do, so the gain must be large
         if lost.sum() <= consistency.MOST * np.count_nonzero(recent.contact):
             return False
         self.counters.forgotten += 1
@@ -329,8 +333,8 @@ class Mixture:
         return True
 
     def _keep_to_size(self) -> None:
-        """Forget what is too much: of the contact that has the most scans the oldest, as a press of
-        many scans tells no more than others; and the oldest silence."""
+        """Forget the scans that are too many: the oldest of the contact with the most scans,
+        because further scans of one press tell little, and the oldest silent scans."""
         memory = self.memory
         kept = np.ones(len(memory), dtype=np.bool_)
         touched, silent = np.flatnonzero(memory.contact), np.flatnonzero(memory.silent)
@@ -344,7 +348,7 @@ class Mixture:
         self._remember_only(kept)
 
     def _remember_only(self, kept: Bools, *, prior: bool = True) -> None:
-        """Of the scans those that `kept` (K,) names; of the prior whether it stays."""
+        """Keep the scans in `kept` (K,), and the prior if `prior`; drop the rest."""
         if kept.all() and prior:
             return
         terms = np.full(self.memory.terms, prior)

@@ -1,10 +1,10 @@
-"""Which scans to learn from: a held contact must sharpen nothing.
+"""Which scans to learn from: a held contact must not sharpen the belief.
 
-- A press is used once, when it stops deepening, which is when it says most. A tap that ends before
-  is used by its strongest scan.
-- After that, and in free motion, a scan is used again whenever the sensor has moved or a taxel is
-  pressed much harder. A release tells nothing that the press did not. Silence where the belief
-  expects contact is evidence like any other.
+- A press is used once, when it stops deepening, because it is strongest then. A shorter tap is used
+  by its strongest scan.
+- After that, and in free motion, a scan is used whenever the sensor has moved or a taxel is pressed
+  much harder. A release tells no more than its press. Silence where the belief expects contact is
+  evidence like any other.
 """
 
 import math
@@ -15,10 +15,10 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.model.observation import Observation
 
-MOTION_M = 0.005  # a sensor that moved this far meets another place
-ACTIVATION = 0.5  # a taxel that rose this much is pressed in another way
-RISING = 0.02  # a strongest activation that grew by more is a press still deepening
-RELEASE_S = 0.15  # silence this long ends a contact: a flicker does not start another
+MOTION_M = 0.005  # a sensor that moved this far is at another place
+ACTIVATION = 0.5  # a taxel that rose this much is pressed differently
+RISING = 0.02  # growth of the strongest activation that shows a deepening press
+RELEASE_S = 0.15  # silence this long ends a contact: a flicker starts no new one
 
 
 @dataclass(slots=True)
@@ -27,14 +27,15 @@ class News:
 
     radius_m: float
     contact: bool = False
-    contacts: int = 0  # begun so far
-    _used: Observation | None = None  # the last scan that was learned from
-    _strongest: float = 0.0  # activation of the scan before this one
+    contacts: int = 0  # contacts begun so far
+    _used: Observation | None = None  # the last scan that was used
+    _strongest: float = 0.0  # the strongest activation of the previous scan
     _pending: Observation | None = None  # the strongest scan of a press that is not used yet
-    _pressed_s: float = -np.inf  # when any taxel was pressed last
+    _pressed_s: float = -np.inf  # time of the last scan with a pressed taxel [s]
 
     def on_scan(self, t: float, observation: Observation) -> Observation | None:
-        """The scan to learn from now, this one or one that it completes; None: nothing is new."""
+        """The scan to learn from now: this one, or the pending one that it ends; None: nothing
+        new."""
         strongest = float(observation.z.max())
         rising = strongest > self._strongest + RISING
         self._strongest = strongest
@@ -48,7 +49,7 @@ class News:
     def _silent(self, t: float, observation: Observation) -> Observation | None:
         if self._pending is not None:
             return self._ended()
-        if t - self._pressed_s <= RELEASE_S:  # just released: neither a contact nor free yet
+        if t - self._pressed_s <= RELEASE_S:  # just released: neither contact nor free motion
             return None
         self.contact = False
         return observation if self._is_new(observation) else None
@@ -65,7 +66,7 @@ class News:
         return observation if not rising and self._is_new(observation) else None
 
     def _ended(self, held: Observation | None = None) -> Observation | None:
-        """The press that was pending: as it is held now, or its strongest scan."""
+        """The pending press: the given scan of it, or its strongest."""
         pending, self._pending = self._pending, None
         return held or pending
 
@@ -79,7 +80,7 @@ class News:
 
 
 def moved_m(a: Poses, b: Poses, radius_m: float) -> float:
-    """How far a point of the skin went between two sensor poses (3,), at most."""
+    """Upper bound on how far a point of the skin went between two sensor poses (3,) [m]."""
     (ax, ay, turned_a), (bx, by, turned_b) = a.tolist(), b.tolist()
     turn = (turned_b - turned_a + math.pi) % (2.0 * math.pi) - math.pi
     return float(math.hypot(bx - ax, by - ay) + radius_m * abs(turn))

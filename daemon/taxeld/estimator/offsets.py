@@ -1,9 +1,9 @@
-"""A robot errs and an object gives way: each remembered scan has a small offset of its own.
+"""A robot errs and objects give way: each remembered scan has a small offset of its own.
 
-The sensor's pose at a touch is known to about a millimetre only, and since then the object may have
-moved by as much at each touch. So p(z | q) = ∫ p(z | q, e) N(e; 0, s²) de over an offset e of the
-sensor in the plane, that all taxels of the scan share. The depth is linear in e, by the gradient of
-the distance field; the integral is Laplace's, about the e that explains the reading best.
+The sensor's pose at a touch is known only to about a millimetre, and each later touch may have
+moved the object as much. So p(z | q) = ∫ p(z | q, e) N(e; 0, s²) de over an offset e of the sensor
+in the plane, common to all taxels of the scan. The depth is linear in e, by the gradient of the
+distance field; the integral is Laplace's, about the e that explains the reading best.
 """
 
 from dataclasses import dataclass
@@ -12,29 +12,29 @@ import numpy as np
 
 from taxeld.arrays import Floats, Grid, Index
 
-ITERATIONS = 2  # of Gauss and Newton: taxels come into touch, and leave it, once
-HIDDEN = 1.5  # standard deviations of its offset that a silent scan may be off
-LEAST_M2 = 1e-12  # variance of an offset: none at all
-ROBUST = 3.0  # standard deviations from which a reading pulls no harder (Huber 1964)
+ITERATIONS = 2  # Gauss-Newton steps: taxels come into touch, and leave it, once
+HIDDEN = 1.5  # standard deviations of its offset by which a silent scan may be off
+LEAST_M2 = 1e-12  # least variance of an offset, for one that has none
+ROBUST = 3.0  # standard deviations beyond which a reading pulls no harder (Huber 1964)
 
 
 @dataclass(frozen=True, slots=True)
 class Readings:
-    """Pairs (P,) of a taxel's reading and a pose, in order of their rows: what is needed to find
-    the pose's offset. Single precision: they are many, and a thousandth of a nat is nothing."""
+    """Pairs (P,) of a taxel's reading and a pose, sorted by row, to find each pose's offset. Single
+    precision: there are many pairs, and a thousandth of a nat does not matter."""
 
-    row: Index  # scan and pose that the pair is of
+    row: Index  # scan and pose of the pair
     level: Grid  # the reading, or its floor where it is 0
-    low: Grid  # the least and the most that it may be said to be above what is expected: 0 where
-    high: Grid  # the other side tells nothing, beyond full scale or under the floor
+    low: Grid  # lower bound on reading − expected [sd]; 0 where a higher expectation fits as well
+    high: Grid  # upper bound on reading − expected [sd]; 0 where a lower expectation fits as well
     depth: Grid  # share of full scale, below 0 where the taxel is not reached
-    gx: Grid  # by which it grows with the offset [1/m]
+    gx: Grid  # slope of the depth over the offset [1/m]
     gy: Grid
-    root: Grid  # 1 / standard deviation of the reading; 0: it is not to be believed
+    root: Grid  # 1 / standard deviation of the reading; 0 where it cannot be believed
 
     def offset(self, variance: Floats) -> tuple[Grid, Floats, Floats]:
-        """Of rows (R,) whose offsets have these variances [m²] → the depth (P,) there, log of what
-        the integral adds to the likelihood there (R,), and the length of the offset (R,) [m]."""
+        """Fit the offsets, of variance (R,) [m²] for each row; → the depths (P,) there, what the
+        integral adds to each row's log-likelihood (R,), and the offsets' lengths (R,) [m]."""
         added, size_m = np.zeros((2, len(variance)))
         if not len(self.row):
             return self.depth, added, size_m
@@ -42,7 +42,7 @@ class Readings:
         rows = self.row[begins]
         pairs = np.diff(begins, append=len(self.row))
         precision = 1.0 / np.maximum(variance[rows], LEAST_M2)
-        away = (self.level - self.depth) * self.root  # in standard deviations, at no offset
+        away = (self.level - self.depth) * self.root  # misfit without an offset [sd]
         slope = np.array([self.gx, self.gy])
         slope *= self.root
         ax, ay = slope

@@ -59,7 +59,8 @@ class Paper:
         return len(samples), log_evidence
 
     def update(self, observation: Observation, samples: Poses) -> float:
-        """Learn from a scan and samples of it, without judging the result; → log evidence."""
+        """Learn from a scan and samples (S, 3) of it, without judging the result; → log
+        evidence."""
         injection.paper(self.belief, samples)
         memory = self._nothing.anew()
         memory.add(observation)
@@ -85,8 +86,8 @@ class Paper:
         return 0
 
     def _wanted(self, contacts: int) -> int:
-        """S falls with each contact, to nothing: the paper's algorithm has no floor under it, so a
-        belief that settled wrongly stays wrong."""
+        """Number of samples. It falls with each contact to nothing: the paper's algorithm sets no
+        lower limit, so a belief that settled wrongly stays wrong."""
         config = self._config
         share = config.injected_decay ** max(contacts - 1, 0)
         return min(round(share * config.injected), len(self.belief))

@@ -1,7 +1,7 @@
 """The particle filter: a belief over object poses in the world, and the steps that change it.
 
-Particles are a structure of arrays with log-weights; each step is a function of its own. How the
-samples of a contact enter the belief is in `injection`.
+Particles are a structure of arrays with log-weights; each step is a function of its own. Samples of
+a contact enter the belief in `injection`.
 """
 
 from dataclasses import dataclass
@@ -15,38 +15,37 @@ from taxeld.model import se2
 
 
 class Needed(NamedTuple):
-    """What Σ share · explained must be for a pose to be of any use."""
+    """The least Σ share · explained at which a pose is of any use."""
 
-    share: Floats  # (terms,)
-    least: Floats  # (N,) of each pose
+    share: Floats  # (terms,) weight of each term
+    least: Floats  # (N,) least sum for each pose
 
 
 class Explain(Protocol):
-    """How well poses explain what is remembered."""
+    """How well poses explain the remembered scans."""
 
     def __call__(self, poses: Poses, needed: Needed | None = None, /) -> Floats:
-        """Poses (N, 3) → (N, terms) as in `Belief.remembered`; of one that cannot reach what is
-        needed, any that do not reach it either."""
+        """Poses (N, 3) → (N, terms) as in `Belief.remembered`. For a pose that cannot reach
+        `needed`, any values that do not reach it either."""
         ...
 
 
-RESAMPLE_BELOW = 0.5  # of N: effective sample size at which particles are drawn anew
-MOVE = np.array([0.002, 0.002, 0.02])  # sd of a random step [m, m, rad], times 2^u
-MOVE_OCTAVES = (-2.5, 1.5)  # of u: coarse steps part the copies, fine ones settle them
-DIFFERENCES = np.array(
-    [0.3, 0.7, 1.0]
-)  # of two other particles, of which half of the steps are made
-CELL = np.array([0.01, 0.01, np.radians(10.0)])  # cells of SE(2) that a belief occupies
+RESAMPLE_BELOW = 0.5  # share of N: particles are resampled below this effective sample size
+MOVE = np.array([0.002, 0.002, 0.02])  # m, m, rad: sd of a random step, times 2^u
+MOVE_OCTAVES = (-2.5, 1.5)  # range of u: coarse steps separate the copies, fine ones settle them
+# factors on the difference of two other particles, for half of the steps
+DIFFERENCES = np.array([0.3, 0.7, 1.0])
+CELL = np.array([0.01, 0.01, np.radians(10.0)])  # m, m, rad: cells of SE(2)
 
 
 class Room(NamedTuple):
-    """A circle that no step leads out of."""
+    """A circle that steps do not leave."""
 
     centre: Floats  # (2,) [m]
     radius_m: float
 
     def lets(self, before: Poses, after: Poses) -> Bools:
-        """(N,) whether steps to `after` (N, 3) stay within, or at least lead back."""
+        """(N,) whether steps from `before` (N, 3) to `after` (N, 3) stay within, or lead back."""
         gap = self._gap(after)
         within = gap <= self.radius_m
         return within if within.all() else within | (gap < self._gap(before))
@@ -63,27 +62,29 @@ class Belief:
     pose: Poses  # (N, 3) world frame
     log_weight: Floats  # (N,)
     remembered: Floats  # (N, terms) as `Memory.explain` has them
-    ground: Floats  # (N, K) what each assumes of how the object slides; K = 0 where it does not
+    ground: Floats  # (N, K) assumptions on sliding; K = 0 without motion
 
     def __len__(self) -> int:
         return len(self.log_weight)
 
     @property
     def weight(self) -> Floats:
+        """(N,) weights of sum 1."""
         return np.exp(self.log_weight)
 
 
 def uniform(
     n: int, centre_m: tuple[float, float], half_width_m: float, rng: np.random.Generator
 ) -> Belief:
-    """N equally weighted poses, uniform over a square and all turns, that remember nothing."""
+    """n equally weighted poses, uniform over a square and all turns, without memory."""
     low = np.array([centre_m[0] - half_width_m, centre_m[1] - half_width_m, -np.pi])
     high = np.array([centre_m[0] + half_width_m, centre_m[1] + half_width_m, np.pi])
     return equal(rng.uniform(low, high, (n, 3)), np.empty((n, 0)))
 
 
 def equal(pose: Poses, remembered: Floats, ground: Floats | None = None) -> Belief:
-    """Equally weighted poses (N, 3) that explain what is remembered by `remembered` (N, terms)."""
+    """Equally weighted poses (N, 3) with log-likelihoods `remembered` (N, terms) and `ground` (N,
+    K)."""
     n = len(pose)
     ground = np.empty((n, 0)) if ground is None else ground
     return Belief(pose, np.full(n, -np.log(n)), remembered, ground)
@@ -95,7 +96,7 @@ def effective_sample_size(belief: Belief) -> float:
 
 
 def normalise(belief: Belief) -> float:
-    """Make the weights sum to 1; → the logarithm of what they summed to."""
+    """Make the weights sum to 1; → the logarithm of their sum before."""
     log_sum = _log_sum_exp(belief.log_weight)
     belief.log_weight = belief.log_weight - log_sum
     return log_sum
@@ -114,6 +115,7 @@ def reweight(belief: Belief, log_likelihood: Floats) -> float | None:
 
 
 def resampling_is_due(belief: Belief) -> bool:
+    """Whether the effective sample size is below RESAMPLE_BELOW."""
     return effective_sample_size(belief) < RESAMPLE_BELOW * len(belief)
 
 
@@ -129,7 +131,7 @@ def resample(belief: Belief, n: int, rng: np.random.Generator) -> Belief:
 
 
 def roughen(belief: Belief, rng: np.random.Generator, scale: float = 1.0) -> None:
-    """Part the copies that resampling made by random steps."""
+    """Separate the copies that resampling made, by random steps."""
     belief.pose = belief.pose + _random_steps(len(belief), rng, scale)
     belief.pose[:, 2] = se2.wrap(belief.pose[:, 2])
 
@@ -142,13 +144,13 @@ def rejuvenate(
     scale: float = 1.0,
     room: Room | None = None,
 ) -> None:
-    """One Metropolis step of every particle, which leaves the posterior ∏ p(z_k | q)^share_k as it
-    is (resample-move, Gilks & Berzuini 2001).
+    """One Metropolis step of every particle; it leaves the posterior ∏ p(z_k | q)^share_k unchanged
+    (resample-move, Gilks & Berzuini 2001).
 
-    Half of the steps are random, half along the difference of two other particles, which has the
-    posterior's own shape (differential evolution, ter Braak 2006). `share` (terms,): how
-    much each of what is remembered counts; `scale`: of the object's size, to the usual. Where
-    nothing was touched any pose explains the same, so only `room` keeps particles from straying.
+    Half of the steps are random, half along the difference of two other particles, which follows
+    the posterior's own shape (differential evolution, ter Braak 2006). `share` (terms,): the weight
+    of each term; `scale`: the object's size over the usual. Where nothing was touched all poses
+    explain the same, and only `room` keeps particles from straying.
     """
     n = len(belief)
     step = _random_steps(n, rng, scale)
@@ -181,7 +183,8 @@ def _random_steps(n: int, rng: np.random.Generator, scale: float) -> Poses:
 
 
 def occupied(poses: Poses, cell: Floats = CELL) -> int:
-    """How many cells of SE(2) hold a pose."""
+    """The number of cells of SE(2) that hold one of the poses (N, 3); `cell` (3,) is in m, m,
+    rad."""
     at = np.floor(poses / cell).astype(np.int64)
     at -= at.min(axis=0)
     size = at.max(axis=0) + 1
@@ -190,8 +193,9 @@ def occupied(poses: Poses, cell: Floats = CELL) -> int:
 
 
 def enough(cells: int, error: float, confidence: float) -> int:
-    """Particles that a belief over so many cells needs for a Kullback–Leibler divergence from its
-    own histogram of at most `error` with this probability (KLD-sampling, Fox 2003, eq. 7)."""
+    """The particles that a belief over `cells` cells needs for a Kullback–Leibler divergence from
+    its own histogram of at most `error`, with probability `confidence` (KLD-sampling, Fox 2003, eq.
+    7)."""
     if cells < 2:
         return 1
     k = cells - 1

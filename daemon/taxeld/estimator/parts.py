@@ -1,5 +1,5 @@
-"""Work that may be put down between its parts and gone on with later: generators that yield where
-they may pause, and return the result. What comes of it does not depend on the pauses."""
+"""Work in parts: generators that may pause where they yield, and return the result. The result does
+not depend on the pauses."""
 
 from collections.abc import Generator
 from typing import TypeVar
@@ -9,7 +9,7 @@ Parts = Generator[None, None, T]
 
 
 def done(parts: Parts[T]) -> T:
-    """All parts at once."""
+    """Do all parts at once; → the result."""
     while True:
         try:
             next(parts)

@@ -1,4 +1,4 @@
-"""What was believed, in few numbers: a Gaussian for each of the belief's modes."""
+"""An earlier belief in few numbers: a Gaussian for each of its modes."""
 
 from collections.abc import Sequence
 
@@ -7,8 +7,8 @@ import numpy as np
 from taxeld.arrays import Floats, Poses
 from taxeld.model.symmetry import Mode, PoseMetric
 
-LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # of a mode: m, m, rad
-FLOOR = np.exp(-14.0)  # of the peak: what a prior says against a pose is bounded; it can be refuted
+LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a mode
+FLOOR = np.exp(-14.0)  # share of the peak density: lets a prior be refuted
 
 
 class Prior:
@@ -28,7 +28,7 @@ class Prior:
         self.ceiling = max(height for *_, height in self._modes)
 
     def log_density(self, poses: Poses) -> Floats:
-        """(N, 3) → (N,), up to a constant; `ceiling` at most, about."""
+        """Log-density of poses (N, 3) → (N,), up to a constant; about `ceiling` at most."""
         total = np.full(len(poses), FLOOR)
         for mean, inverse, height in self._modes:
             shift = self._metric.centres(poses) - self._metric.centres(mean)

@@ -1,4 +1,4 @@
-"""What a rule is: how a belief learns from scans, and from the samples that it asks for."""
+"""The interface of a rule: how a belief learns from scans, and from samples of contacts."""
 
 from collections.abc import Callable
 from typing import Protocol
@@ -19,11 +19,11 @@ __all__ = ["PUSHED_M", "Draw", "Parts", "Rule", "anew", "drawn", "noise_of"]
 Draw = Callable[[Observation, int], Poses]
 """Poses (≤ n, 3) in the world that explain an observation by itself."""
 
-PUSHED_M = 2e-4  # between two scans: less than this is a press that settles
+PUSHED_M = 2e-4  # m between two scans: a shorter way is a press that settles
 
 
 class Rule(Protocol):
-    """A belief, how it learns, and what it is worth."""
+    """A belief, how it learns, and how reliable it is."""
 
     belief: Belief
     confidence: Confidence
@@ -31,28 +31,28 @@ class Rule(Protocol):
 
     @property
     def slack(self) -> float:
-        """How far scans are off, in units of what is configured."""
+        """How far scans are off, as a factor on the configured slack."""
         ...
 
     def follow(self, before: Observation, after: Observation) -> None:
-        """Move the belief as the object does that is pushed from one scan to the next."""
+        """Move the belief with an object that is pushed from one scan to the next."""
         ...
 
     def learn(
         self, observation: Observation, contacts: int, draw: Draw
     ) -> Parts[tuple[int, float]]:
-        """Take a scan, of the last of so many contacts or a silent one; → how many samples it
-        brought, and its log evidence."""
+        """Take a scan of contact number `contacts`, or a silent one after it; → the number of
+        samples injected, and the scan's log evidence."""
         ...
 
     def revisit(self, draw: Draw) -> Parts[int]:
-        """While there is nothing to learn, look for poses that explain all contacts better; → how
-        many samples that took."""
+        """While there is nothing to learn, look for poses that explain all contacts better; → the
+        number of samples used."""
         ...
 
 
 def drawn(draw: Draw, observation: Observation, n: int) -> Poses:
-    """Samples (≤ n, 3) of a contact; silence has none."""
+    """Samples (≤ n, 3) of a contact; none of a silent scan."""
     return draw(observation, n) if n and observation.is_contact else np.empty((0, 3))
 
 
@@ -61,5 +61,5 @@ def noise_of(config: FilterConfig) -> Noise:
 
 
 def anew(config: FilterConfig, rng: np.random.Generator) -> Belief:
-    """A uniform belief that remembers nothing."""
+    """A uniform belief without memory."""
     return pf.uniform(config.particles, config.centre_m, config.half_width_m, rng)

@@ -1,4 +1,4 @@
-"""The rules by name: how a belief learns from a scan and the samples that a touch brings."""
+"""The rules by name: how a belief learns from scans and samples of contacts."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""The samples that a rule asks for: from the proposal, in the sensor's frame, into the world."""
+"""Samples for a rule: from the proposal, in the sensor's frame, into the world."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ __all__ = ["Proposal", "Sampling"]
 
 
 class Sampling:
-    """A proposal as a rule sees it: `draw` of `estimator.rule`."""
+    """A proposal as the `draw` of `estimator.rule`."""
 
     def __init__(
         self,
@@ -24,7 +24,7 @@ class Sampling:
         project: bool,
     ) -> None:
         """`project`: bring samples that miss the object onto it by one step."""
-        self.kind = ProposalKind.NONE  # of the last samples
+        self.kind = ProposalKind.NONE  # kind of the last samples
         self._model, self._proposal, self._rng = model, proposal, rng
         self._project = project
 

@@ -1,7 +1,7 @@
-"""The cylinder that a patch of taxels lies on, and the sensor frame that it makes.
+"""The cylinder on which a patch of taxels lies, and the sensor frame that follows from it.
 
-The estimator models a link as a cylinder about the sensor frame's z axis, while a file gives
-taxels in a frame of its own.
+The estimator models a link as a cylinder about the sensor frame's z axis, but a file gives taxels
+in a frame of its own.
 """
 
 import math
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Floats
 
-PARALLEL = 0.003  # normals spread less than this (mean square) over an arc of about 11°
-AXIAL_MAX = 0.5  # of that spread; normals with more along the axis are a dome's
-ROUND = 0.1  # the mean normal across the axis is shorter only beyond an arc of about 327°
-RMS_MAX = 0.25  # of the radius; beyond it the taxels lie on something else
+PARALLEL = 0.003  # least mean square spread of the normals: less is an arc under about 11°
+AXIAL_MAX = 0.5  # share of the normals' spread along the axis; more is a dome
+ROUND = 0.1  # length of the mean normal across the axis: shorter only beyond an arc of about 327°
+RMS_MAX = 0.25  # share of the radius: with a larger residual the taxels lie on something else
 RADIUS_MIN_M = 0.001
-RADIUS_MAX_SPANS = 10.0  # of the patch's width; beyond it the arc is too short to tell a radius
+RADIUS_MAX_SPANS = 10.0  # patch widths: with a larger radius the arc is too short to tell it
 ITERATIONS = 20
 
 
@@ -27,18 +27,18 @@ class Fit:
 
     frame: Floats  # (4, 4) rigid transform from the file's frame to the sensor frame
     radius_m: float  # inf: the taxels lie on no cylinder
-    inwards: NDArray[np.bool_]  # (M,) normals that point to the axis
+    inwards: NDArray[np.bool_]  # (M,) whether the normal points to the axis
     why_none: str = ""  # why there is no cylinder, in words
 
 
 def fit(position_m: Floats, normal: Floats) -> Fit:
     """Fit a cylinder to taxels (M, 3) with unit normals (M, 3), both in the file's frame.
 
-    The axis is the direction that the normals have least of, the circle across it that of least
+    The axis is the direction of which the normals have least; the circle across it has the least
     squared distances. The sensor frame has its origin on the axis, at the middle of the taxels'
-    heights; z along the axis, the way in which its largest component in the file is positive; and
-    x (angle 0) towards the mean outward normal. A patch that goes all the way round has no such
-    mean: there x follows the file's own axis, that after the one nearest to z (x → y → z → x).
+    heights; z along the axis, such that its largest component in the file is positive; and x (angle
+    0) towards the mean outward normal. A patch that goes all the way round has no such mean: there
+    x follows the axis of the file that comes after the one nearest to z (x → y → z → x).
 
     Where there is no cylinder (parallel normals, a dome, or taxels far from any circle) the radius
     is infinite, the origin the taxels' mean, and z their mean normal.
@@ -80,8 +80,8 @@ def _flat(position_m: Floats, normal: Floats, why: str) -> Fit:
 
 
 def _across(axis: Floats, towards: Floats) -> tuple[Floats, Floats]:
-    """Unit x and y that make a right-handed frame with z = `axis`, x as near as can be to
-    `towards`."""
+    """Unit x and y of a right-handed frame with z = `axis` (3,), x as near as can be to `towards`
+    (3,)."""
     x = towards - (towards @ axis) * axis
     x = x / np.linalg.norm(x)
     return x, np.cross(axis, x)

@@ -63,7 +63,8 @@ def _section(axes: Axes, layout: Layout, flat: bool, colour: NDArray[np.float64]
 
 
 def middle(layout: Layout, taxels: NDArray[np.bool_]) -> tuple[float, float]:
-    """Where a module's serial number goes: its middle, found before unrolling cuts it in two."""
+    """Place of a module's serial number on paper [mm]: the middle of its `taxels` (M,), found
+    before unrolling cuts it in two."""
     middle = layout.position_m[taxels].mean(axis=0, keepdims=True)
     x, y = plane(middle, layout.radius_m)
     return float(x[0]), float(y[0])
@@ -72,7 +73,7 @@ def middle(layout: Layout, taxels: NDArray[np.bool_]) -> tuple[float, float]:
 def plane(
     position_m: NDArray[np.float64], radius_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Paper coordinates [mm] of positions (n, 3)."""
+    """Paper coordinates (n,), (n,) [mm] of positions (n, 3) [m]."""
     x, y, z = position_m.T * MM
     if math.isinf(radius_m):
         return x, y

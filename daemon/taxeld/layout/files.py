@@ -1,7 +1,7 @@
 """Layout files: CySkin's own robotskinlib JSON (version 2), and iCub skin positions (`.txt`).
 
-A reader returns the taxels that are there, in metres and in the file's frame, with a count of what
-it left out; whatever else a file holds ends in one ValueError that names the place.
+A reader returns the taxels of the file, in metres and in the file's frame, and counts what it left
+out. Any other content raises one ValueError that names the place.
 """
 
 import json
@@ -25,9 +25,9 @@ MAX_TAXELS = 5000  # a link's skin has hundreds
 MISSING_ID = -1
 UID_BITS = 36  # SUI u32 << 4 | name
 TRIANGLE = 12  # slots of an iCub triangle
-MIDDLE = 3  # slot of a common triangle's middle taxel, which stands for all ten
+MIDDLE = 3  # slot of a triangle's middle taxel, which may stand for all ten
 NUMBER_MAX = 1e6
-METRES_MAX = 5.0  # a wider patch is in millimetres: no link is 5 m wide, no module under 5 mm
+METRES_MAX = 5.0  # m: a wider patch is in mm, as no link is 5 m wide and no module under 5 mm
 RIGID_TOLERANCE = 0.01  # files write 0.7071 for √½
 NORMAL_MIN = 1e-3
 
@@ -64,7 +64,7 @@ def read(path: Path) -> Patch:
 
 @dataclass(slots=True)
 class _Gathered:
-    """Taxels as a reader comes across them, in the file's unit."""
+    """Taxels in the order of the file, in its unit."""
 
     uid: list[int] = field(default_factory=list)
     position: list[list[float]] = field(default_factory=list)
@@ -75,7 +75,7 @@ class _Gathered:
     pads: int = 0
 
     def add(self, uid: int, position: list[float], normal: list[float], place: str) -> None:
-        """Raises ValueError where the normal is zero; the empty `place` takes that."""
+        """Add a taxel. Raises ValueError where the normal is zero, unless `place` is empty."""
         if place and np.linalg.norm(normal) < NORMAL_MIN:
             raise ValueError(f"{place}: the normal must not be zero; {_CURE}")
         self.uid.append(uid)
@@ -154,7 +154,7 @@ def _robotskinlib(text: str) -> Patch:
 
 
 def _taxels(value: Any, place: str) -> Iterator[tuple[str, dict[str, Any]]]:
-    """Each taxel with its place; some files group them in lists of their own."""
+    """Each taxel with its place; some files group taxels in further lists."""
     if not isinstance(value, list):
         raise ValueError(f"{place}: must be a list of taxels, not {_show(value)}; export it again")
     for i, item in enumerate(value):
@@ -185,12 +185,12 @@ def _parent(frames: Any) -> Floats | None:
 
 
 def _icub(text: str) -> Patch:
-    """Row i is slot i % 12 of triangle i // 12, triangles counted through the part's boards; its
-    UID is that triangle as the SUI, and the slot as the name.
+    """Read iCub positions: row i is slot i % 12 of triangle i // 12, triangles counted through the
+    part's boards. A UID is the triangle as the SUI, and the slot as the name.
 
-    No taxel is where a row is all zeros, or where taxel2Repr has a negative entry: as iCub's own
-    reader has it, row by row, whatever entries are too many or too few. Which slots are thermal
-    pads follows from these; but some files list them among a common triangle's taxels.
+    A slot has no taxel where its row is all zeros, or where taxel2Repr has a negative entry: row by
+    row as iCub's own reader does, however many entries there are. The thermal pads follow from
+    these; but some files list them among a common triangle's taxels.
     """
     header, mark, text = text.partition("[calibration]")
     if not mark:
@@ -201,7 +201,7 @@ def _icub(text: str) -> Patch:
         if (words := line.split())
     ]
     listed = _representatives(header)
-    bare = not any(any(row[3:]) for _, row in rows)  # of all normals
+    bare = not any(any(row[3:]) for _, row in rows)  # no row has a normal
     gathered = _Gathered()
     for first in range(0, len(rows), TRIANGLE):
         here = rows[first : first + TRIANGLE]
@@ -218,8 +218,8 @@ def _icub(text: str) -> Patch:
 
 
 def _no_taxels(first: int, listed: list[int], empty: list[bool]) -> set[int]:
-    """The slots of the triangle with the row `first` that are no taxels: by taxel2Repr as far as
-    it goes, else where the row is empty. In a triangle that its own middle stands for, the pads."""
+    """The slots without a taxel in the triangle whose first row is `first`: by taxel2Repr as far as
+    it goes, else the empty rows. In a triangle that its own middle stands for, the thermal pads."""
     negative = [middle < 0 for middle in listed] + empty[len(listed) :]
     slots = {i for i, is_none in enumerate(negative[: len(empty)]) if is_none}
     is_common = {middle for middle in listed if middle >= 0} == {first + MIDDLE}
@@ -227,7 +227,7 @@ def _no_taxels(first: int, listed: list[int], empty: list[bool]) -> set[int]:
 
 
 def _representatives(header: str) -> list[int]:
-    """The triangle's middle taxel for each slot, negative for no taxel; empty if not given."""
+    """The representative taxel of each slot, negative for no taxel; empty where not given."""
     found = re.search(r"taxel2Repr\s*\(([^)]*)\)", header)
     try:
         return [int(word) for word in found[1].split()] if found else []

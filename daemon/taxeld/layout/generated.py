@@ -1,6 +1,6 @@
 """Layouts made from a line of numbers: an even grid, or CySkin triangles, around a cylinder.
 
-Both carry ten taxels a module and UIDs `SUI << 4 | name`, SUI 1, 2, … and name 1..10, on one hub.
+Both have ten taxels a module on one hub, with UIDs `SUI << 4 | name`: SUI 1, 2, … and name 1..10.
 """
 
 from dataclasses import dataclass
@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from taxeld_protocol.modules import MAX_MODULES
 
-TAXELS_PER_MODULE = 10  # a generated cylinder's wiring; a real CySkin triangle carries ten as well
-MAX_TAXELS = MAX_MODULES * TAXELS_PER_MODULE  # modules an IHB can address
+TAXELS_PER_MODULE = 10  # wiring of a generated cylinder; a real CySkin triangle has ten as well
+MAX_TAXELS = MAX_MODULES * TAXELS_PER_MODULE  # modules that an IHB can address × taxels
 LENGTH_MAX_M = 10.0
 
-# A CySkin triangle: T1..T10 from its middle, the base above and the apex below (measured).
+# Measured places of T1..T10 in a CySkin triangle: from its middle, base above, apex below.
 TRIANGLE_M = 1e-3 * np.array(
     [
         (12.0, 5.657), (4.0, 5.657), (-4.0, 5.657), (-12.0, 5.657), (-8.0, 0.0),
         (-4.0, -5.657), (0.0, -11.314), (4.0, -5.657), (8.0, 0.0), (0.0, 0.0),
     ]
 )  # fmt: skip
-MODULE_M = 0.020  # around, a module: bases of 40 mm, every other one above
-HEIGHT_M = 0.028285  # of a triangle and of a row, five rows of taxels
+MODULE_M = 0.020  # width of a module around the link: bases of 40 mm, every other one above
+HEIGHT_M = 0.028285  # height of a triangle and of a row, which is five rows of taxels
 
 EXAMPLES = {
     "cylinder": "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015",
@@ -50,7 +50,7 @@ def cylinder(rows: int, columns: int, radius_m: float, pitch_m: float) -> Genera
     """An even grid: row by row from below, column 0 at angle 0, counter-clockwise.
 
     Raises:
-        ValueError: no taxels, more than a hub carries, or a length that is none.
+        ValueError: no taxels, more than a hub carries, or a length that is not positive.
     """
     if not (rows > 0 and columns > 0 and rows * columns <= MAX_TAXELS):
         raise ValueError(f"rows × columns must be 1..{MAX_TAXELS}, not {rows} × {columns}")
@@ -65,9 +65,8 @@ def wrap(modules: int, radius_m: float, rows: int = 1) -> Generated:
     """CySkin triangles, `modules` of them in each row, apex down and apex up in turn.
 
     Module 0 of the lowest row stands at angle 0 with its apex down; modules go counter-clockwise
-    and rows upwards, bases on bases. They are spread evenly and so close the circle: where
-    their 20 mm each do not fill it, the same gap is left between all. Taxels are T1..T10 of module
-    0, of module 1, ….
+    and rows upwards, bases on bases. Modules are spread evenly around the circle: where their 20 mm
+    each do not fill it, all gaps are equal. Taxels are T1..T10 of module 0, of module 1, ….
 
     Raises:
         ValueError: the modules do not alternate, do not fit, or are too many for a hub.
@@ -84,8 +83,8 @@ def wrap(modules: int, radius_m: float, rows: int = 1) -> Generated:
             f"radius_m must be at least {least_m:.4f}, or modules fewer"
         )
     r, c = (a.ravel()[:, None] for a in np.mgrid[0:rows, 0:modules])
-    up = np.where((r + c) % 2 == 0, 1.0, -1.0)  # +1: base above, as TRIANGLE_M; −1: half a turn
-    middle = up * HEIGHT_M / 6.0  # a triangle's middle is a third off its base
+    up = np.where((r + c) % 2 == 0, 1.0, -1.0)  # +1: as TRIANGLE_M; −1: half a turn
+    middle = up * HEIGHT_M / 6.0  # a triangle's middle is a third of its height off its base
     height = (r - (rows - 1) / 2.0) * HEIGHT_M + middle + up * TRIANGLE_M[:, 1]
     angle = 2.0 * np.pi * c / modules + up * TRIANGLE_M[:, 0] / radius_m
     name = f"wrap:modules={modules},radius_m={radius_m:g},rows={rows}"

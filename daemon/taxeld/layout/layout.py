@@ -1,4 +1,4 @@
-"""A skin's layout: where its taxels are, and which turns leave it unchanged."""
+"""A skin's layout: places of its taxels, and the turns that leave it unchanged."""
 
 import hashlib
 import math
@@ -14,17 +14,17 @@ BLOCK = 64  # taxels matched at a time
 
 @dataclass(frozen=True, slots=True)
 class Provenance:
-    """What a file said of a layout beside its taxels."""
+    """Facts about a layout from its file, beside its taxels."""
 
-    unit: str = "m"  # m | mm, of the coordinates in the file
-    missing: int = 0  # id −1, temperatures and thermal pads, rows of zeros
+    unit: str = "m"  # m | mm: unit of the coordinates in the file
+    missing: int = 0  # entries without a taxel: id −1, temperatures and thermal pads, rows of zeros
     cut: int = 0
-    duplicates: int = 0  # of a UID that came before
+    duplicates: int = 0  # taxels left out because their UID came before
     parent: NDArray[np.float64] | None = (
-        None  # (4, 4) the first parent frame's tf_matrix, in metres
+        None  # (4, 4) tf_matrix of the first parent frame, in metres
     )
-    pads: int = 0  # of the missing: thermal pads on triangles that have taxels
-    own_normals: bool = True  # whether the file has any that tell more than one direction
+    pads: int = 0  # thermal pads among the missing, on triangles that have taxels
+    own_normals: bool = True  # whether the file's normals tell more than one direction
 
 
 @dataclass(frozen=True)
@@ -40,21 +40,21 @@ class Layout:
     """(4, 4) rigid transform from the layout file's frame [m] to the sensor frame, which
     `cylinder_fit.fit` defines; a robot that knows the file's frame finds the sensor by it."""
     source: Provenance = field(default_factory=Provenance)
-    turned: int = 0  # normals that the file has pointing inwards
-    no_cylinder: str = ""  # where the radius is infinite: why
+    turned: int = 0  # normals that point inwards in the file
+    no_cylinder: str = ""  # why the radius is infinite; empty where it is not
 
     def __len__(self) -> int:
         return len(self.uid)
 
     @cached_property
     def digest(self) -> str:
-        """16 hex digits that name the geometry (to 10 µm), for bundles to refer to."""
+        """16 hex digits that identify the geometry to 10 µm; bundles refer to them."""
         geometry = np.round(np.hstack([self.position_m, self.normal]) * 1e5).astype("<i8")
         return hashlib.sha256(geometry.tobytes()).hexdigest()[:16]
 
     @cached_property
     def rms_m(self) -> float:
-        """How far the taxels lie from the cylinder; nan where there is none."""
+        """Root mean square distance of the taxels from the cylinder [m]; nan without a cylinder."""
         if math.isinf(self.radius_m):
             return math.nan
         radius = np.hypot(self.position_m[:, 0], self.position_m[:, 1])
@@ -83,7 +83,8 @@ class Layout:
         return np.round(angle * order / (2.0 * np.pi)).astype(np.int64) % order
 
     def _match(self, angle: float) -> NDArray[np.int64] | None:
-        """For each taxel, the one that lies where it comes to when turned; None if one is not."""
+        """(M,) for each taxel, the taxel at the place to which it is turned; None if one has
+        none."""
         c, s = np.cos(angle), np.sin(angle)
         turned = self.position_m @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
         match = np.empty(len(self), dtype=np.int64)

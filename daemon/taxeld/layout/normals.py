@@ -1,21 +1,22 @@
-"""Normals of a file that tells none: iCub's positions come without, or with one for all taxels.
+"""Normals for a file that tells none: iCub's positions come without, or with one for all taxels.
 
-What they are needed for is the axis of the cylinder, which a patch's own curvature tells as well.
+Normals are needed for the cylinder's axis, which a patch's own curvature tells as well.
 """
 
 import numpy as np
 
 from taxeld.arrays import Floats
 
-NEAR = 20  # taxels that make a tangent plane: two triangles, over which a millimetre is little
-FLAT = 0.01  # of a patch's width; a patch that is no deeper is a plane
-ONE_WAY = 1e-6  # normals that differ by no more are one
-UPRIGHT = 0.5  # cosine between a plane's normal and a file's that may be meant for it
+NEAR = 20  # taxels that make a tangent plane: two triangles, over which the link is nearly flat
+FLAT = 0.01  # share of a patch's width: a patch that is no deeper is a plane
+ONE_WAY = 1e-6  # normals that differ by no more count as one
+UPRIGHT = 0.5  # least cosine between a plane's normal and the file's, to take the file's for it
 SAME_M = 1e-6  # distances are compared to a micrometre: the same neighbours on any machine
 
 
 def tells_none(position_m: Floats, normal: Floats) -> bool:
-    """Whether a patch (M, 3) has no normals; or one for all, and not that of a plane it lies in."""
+    """Whether a patch (M, 3) has no normals (M, 3), or one for all that is not the normal of a
+    plane through it."""
     if not np.any(normal):
         return True
     if np.ptp(normal, axis=0).max() > ONE_WAY:
@@ -27,9 +28,9 @@ def tells_none(position_m: Floats, normal: Floats) -> bool:
 
 
 def of_positions(position_m: Floats) -> Floats:
-    """Unit normals (M, 3) of the surface through taxels (M, 3), away from their middle.
+    """Unit normals (M, 3) of the surface through taxels (M, 3), pointing away from their middle.
 
-    Across a plane they are one, the way in which its largest component is positive.
+    On a plane all are the same, and their largest component is positive.
     """
     widths, axes = _axes(position_m)
     if _is_plane(widths):
@@ -46,8 +47,8 @@ def of_positions(position_m: Floats) -> Floats:
 
 
 def _axes(points: Floats) -> tuple[Floats, Floats]:
-    """Root mean squares of points (n, 3) along three axes of their own, and these (rows), the
-    widest first."""
+    """Root mean squares (3,) of points (n, 3) along their three principal axes, and these axes as
+    rows (3, 3), the widest first."""
     square, axes = np.linalg.eigh(np.cov(points.T, ddof=0))
     return np.sqrt(np.maximum(square[::-1], 0.0)), axes.T[::-1]
 

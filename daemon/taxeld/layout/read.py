@@ -11,7 +11,7 @@ from taxeld.layout.layout import Layout
 
 
 def load(spec: str) -> Layout:
-    """The layout that `skin.layout` names, for a run.
+    """The layout named by `skin.layout`, for a run.
 
     Raises:
         SetupError: it cannot be read, or its taxels lie on no cylinder.
@@ -27,7 +27,7 @@ def load(spec: str) -> Layout:
 
 
 def read(spec: str) -> Layout:
-    """The layout that `skin.layout` names, on a cylinder or not.
+    """The layout named by `skin.layout`, on a cylinder or not.
 
     Raises:
         SetupError: the text is no layout, or the file cannot be used.
@@ -47,7 +47,7 @@ def read(spec: str) -> Layout:
 
 
 def _of_patch(name: str, patch: files.Patch) -> Layout:
-    """The patch in its sensor frame; `name` is the file's, as names inside files repeat."""
+    """The patch in its sensor frame, under the file's name: names inside files repeat."""
     fit = cylinder_fit.fit(patch.position_m, patch.normal)
     turn, shift = fit.frame[:3, :3], fit.frame[:3, 3]
     outwards = np.where(fit.inwards[:, None], -patch.normal, patch.normal)

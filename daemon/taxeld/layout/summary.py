@@ -1,4 +1,4 @@
-"""What `taxeld layout` prints."""
+"""The lines of `taxeld layout`."""
 
 import math
 
@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 
 from taxeld.layout.layout import Layout
 
-TILT_MAX_RAD = math.radians(30.0)  # the scene model takes a taxel to give way along its radius
-SAME_PLACE_M = 1e-4  # iCub files put taxels they know nothing of where their neighbour is
-CLOSED_PITCHES = 2.0  # an angular gap this narrow is only the space between taxels
+TILT_MAX_RAD = math.radians(30.0)  # the scene model assumes that a taxel gives way along its radius
+SAME_PLACE_M = 1e-4  # iCub files put taxels of unknown place at their neighbour's
+CLOSED_PITCHES = 2.0  # taxel pitches: a narrower angular gap is only the space between taxels
 
 
 def summary(layout: Layout) -> list[str]:
-    """One line a fact: its name and its value with the unit."""
+    """Lines of a fact each: its name and its value with the unit."""
     source, modules = layout.source, len(np.unique(layout.uid >> 4))
     width, depth, height = np.ptp(layout.position_m, axis=0) * 1e3
     facts = {
@@ -58,7 +58,7 @@ def summary(layout: Layout) -> list[str]:
 
 
 def arc_rad(layout: Layout) -> float:
-    """The angle about the axis that the taxels cover: a full turn less the widest gap."""
+    """The angle about the axis that the taxels cover [rad]: a full turn less the widest gap."""
     angle = np.sort(np.arctan2(layout.position_m[:, 1], layout.position_m[:, 0]))
     gap = float(np.diff(angle, append=angle[0] + 2.0 * np.pi).max())
     closed = gap * layout.radius_m <= CLOSED_PITCHES * pitch_m(layout) or len(layout.turns) > 1
@@ -66,7 +66,7 @@ def arc_rad(layout: Layout) -> float:
 
 
 def pitch_m(layout: Layout) -> float:
-    """Median distance to the nearest taxel at another place; nan where there is none."""
+    """Median distance [m] to the nearest taxel at another place; nan where there is none."""
     cells = np.round(layout.position_m / SAME_PLACE_M)
     places = layout.position_m[np.unique(cells, axis=0, return_index=True)[1]]
     if len(places) < 2:
@@ -76,7 +76,7 @@ def pitch_m(layout: Layout) -> float:
 
 
 def tilted(layout: Layout) -> int:
-    """How many normals stand more than TILT_MAX_RAD from their taxel's radius."""
+    """The number of normals more than TILT_MAX_RAD off their taxel's radius."""
     radial = layout.position_m[:, :2]
     along = np.einsum("ij,ij->i", radial, layout.normal[:, :2])
     return int((along < np.cos(TILT_MAX_RAD) * np.hypot(*radial.T)).sum())

@@ -1,8 +1,8 @@
 """Contact synthesis: poses at which the object touches the skin, by one projection step.
 
-A pose is drawn uniformly, then the object is moved along the silhouette's distance gradient,
-t = −(σ + δ) ∇σ/‖∇σ‖, so that the cylinder presses it δ deep. On a true distance field one step
-lands exactly; near the medial axis and grid corners it does not, and those poses are dropped.
+A pose is drawn uniformly, then the object is moved along the silhouette's distance gradient, t =
+−(σ + δ) ∇σ/‖∇σ‖, so that the cylinder presses it δ deep. On a true distance field one step lands
+exactly; near the medial axis and grid corners it does not, and such poses are dropped.
 """
 
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ def project(
 def synthesise(
     scene: Scene, radius_m: float, depth_max_m: float, n: int, rng: np.random.Generator
 ) -> Contacts:
-    """Project `n` uniform poses; those that land are returned, the others counted."""
+    """Project `n` uniform poses; the poses that land are returned, the others counted."""
     low, high = scene.extent
     ax, ay = rng.uniform(low[:, None], high[:, None], (2, n))
     theta = rng.uniform(-np.pi, np.pi, n)
@@ -64,7 +64,7 @@ def axis_in_object(poses: Poses) -> tuple[NDArray[np.float64], NDArray[np.float6
 
 def pose_of_axis(ax: NDArray[np.float64], ay: NDArray[np.float64], theta: Floats) -> Poses:
     """Poses (N, 3) of an object turned by θ (N,) or (), in whose frame the cylinder's axis is at
-    (ax, ay) (N,): the inverse of `axis_in_object`, −R(θ) (ax, ay)."""
+    (ax, ay), each (N,): the inverse of `axis_in_object`, −R(θ) (ax, ay)."""
     c, s = np.cos(theta), np.sin(theta)
     x, y = -(c * ax - s * ay), -(s * ax + c * ay)
     return np.stack([x, y, np.broadcast_to(theta, x.shape)], axis=-1)

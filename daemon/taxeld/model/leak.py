@@ -1,17 +1,17 @@
-"""What a taxel may read of presses beside it: cross-talk of its module, and skin that sags."""
+"""The leak of a press into taxels beside it: cross-talk of its module, and skin that sags."""
 
 import numpy as np
 
 from taxeld.arrays import Floats
 from taxeld.layout.layout import Layout
 
-CROSS_TALK = 0.05  # of what the other taxels of its module read together (docs/physics.md)
-SAG = 0.1  # of the most that a taxel beside it reads
-BESIDE = 1.5  # nearest distances
+CROSS_TALK = 0.05  # share of the sum over the other taxels of the module (docs/physics.md)
+SAG = 0.1  # share of the strongest taxel beside it
+BESIDE = 1.5  # median nearest distances: taxels this near are beside each other
 
 
 class Leak:
-    """Of one skin's M taxels."""
+    """The leak between one skin's M taxels."""
 
     def __init__(self, layout: Layout) -> None:
         module = layout.uid >> 4
@@ -28,18 +28,19 @@ class Leak:
         self._share = SAG * np.take_along_axis(beside, order, axis=1).T.copy()
 
     def of(self, z: Floats) -> Floats:
-        """Activations z (M,) or (n, M) → as many, about the most that each has from elsewhere."""
+        """Activations (M,) or (n, M) → about the most that each taxel may read from elsewhere, in
+        the same shape."""
         if z.ndim > 1:
             return self._of_many(z)
         sag = (self._share * z.take(self._beside)).max(axis=0)
         return np.asarray(z @ self._coupled.T + sag)
 
     def _of_many(self, z: Floats) -> Floats:
-        """The same of z (n, M), within rounding: training asks it of every batch, and a tenth of
-        the time is enough where taxels are rows."""
+        """`of` for activations (n, M), within rounding, in a tenth of the time: training calls it
+        for every batch."""
         of_taxel = np.ascontiguousarray(z.T)
         member = self._member.astype(z.dtype)
-        others = member @ (member.T @ of_taxel) - of_taxel  # of its module
+        others = member @ (member.T @ of_taxel) - of_taxel  # other taxels of the module
         sag = np.zeros_like(of_taxel)
         for share, beside in zip(self._share.astype(z.dtype), self._beside, strict=True):
             np.maximum(sag, share[:, None] * of_taxel.take(beside, axis=0), out=sag)
@@ -48,9 +49,10 @@ class Leak:
     def without(
         self, z: Floats, floor: Floats | float, residue: Floats | float = 0.0
     ) -> tuple[Floats, Floats, Floats]:
-        """Activations z (..., M) that are 0 under a floor → those that are evidence of a press at
-        the taxel itself, 0 where they may be from elsewhere; their floor; and what may be in them
-        of other presses, with the `residue` of earlier ones. Each (..., M)."""
+        """Separate presses from leaks. Activations z (..., M) are 0 under `floor`; `residue` comes
+        from earlier presses. → activations that show a press at the taxel itself, 0 where they may
+        come from elsewhere; their floors; and the parts that other presses may have added, with the
+        residue. Each is (..., M)."""
         if not z.any():  # nothing is pressed, and so nothing leaks
             return z, np.broadcast_to(floor, z.shape), np.broadcast_to(residue, z.shape)
         leak = self.of(z)

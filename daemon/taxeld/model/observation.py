@@ -1,5 +1,5 @@
-"""The observation model: how deep an object at a pose presses each taxel, and how likely a reading
-is.
+"""The observation model: how deep an object at a pose presses each taxel, and how likely readings
+are.
 
 h(q)_i = clip(−σ_k(i)(q⁻¹ p_i) / δ_max, 0, 1); a reading is h, times the taxel's gain error, plus
 noise. Under the taxel's floor it is reported as 0, and over full scale as 1.
@@ -18,21 +18,21 @@ from taxeld.model.contacts import axis_in_object
 from taxeld.model.leak import Leak
 from taxeld.model.scene import Scene
 
-LEAST = 1e-37  # of a probability: its logarithm is finite
-FARTHEST_SD = 8.0  # that a reading is off: beyond, nothing changes
-BOWLING = 1.5976, 0.07056  # of the logistic function that is nearly the normal distribution's
+LEAST = 1e-37  # least probability, so that its logarithm is finite
+FARTHEST_SD = 8.0  # standard deviations: a reading that is farther off changes nothing more
+BOWLING = 1.5976, 0.07056  # coefficients of a logistic function near to the normal distribution's
 NONE = np.empty(0, np.float32)  # slopes where none are asked for
 
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """A scan as evidence: what was read where."""
+    """A scan as evidence: readings, and the sensor's pose."""
 
-    sensor: Poses  # (3,) in the world
-    z: Floats  # (M,) activations, 0 where a taxel does not live
+    sensor: Poses  # (3,) sensor's pose in the world
+    z: Floats  # (M,) activations, 0 where a taxel is not live
     live: Bools  # (M,)
-    floor: Floats | float = FLOOR  # (M,) under which a reading is 0
-    residue: Floats | float = 0.0  # (M,) of presses before, that a reading may have in it
+    floor: Floats | float = FLOOR  # (M,) a reading below it is 0
+    residue: Floats | float = 0.0  # (M,) part of a reading that earlier presses may have left
 
     @property
     def is_contact(self) -> bool:
@@ -42,15 +42,15 @@ class Observation:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Errors of a reading z around h(q); dimensionless, as activations are."""
+    """Errors of a reading z around h(q); dimensionless like activations."""
 
     sigma: float = 0.02  # sd of the additive noise
-    gain_cv: float = 0.17  # sd of a taxel's relative gain error (PROTOCOL: measured on such skin)
+    gain_cv: float = 0.17  # sd of a taxel's relative gain error, measured on such a skin
     outliers: float = 0.01  # probability that a reading has nothing to do with the pose
 
     @property
     def least(self) -> float:
-        """Of the density of a reading, whatever it is read at."""
+        """The least density that any reading can have."""
         return max(self.outliers / 3.0, LEAST)
 
     def draw(self, h: Floats, rng: np.random.Generator) -> Floats:
@@ -62,28 +62,30 @@ class Noise:
     def log_density(
         self, z: Reals, h: Reals, floor: Reals | float = FLOOR, residue: Reals | float = 0.0
     ) -> Floats:
-        """log p(z | h) of each taxel; shapes broadcast, and single precision stays so.
+        """log p(z | h) of each taxel. All of z, h, floor and residue are of any shapes that
+        broadcast, such as (M,) and (N, M), and the result has their common shape; single precision
+        is kept.
 
         Between floor and full scale it is a Gaussian's density. A reading of 0 is censored, and one
-        of 1 saturated: what counts is the probability of less than the floor, or of more than full
-        scale (a tobit model). With probability `outliers` a reading means nothing, and is 0, 1 or
-        anything between alike, so a single broken taxel costs a pose a bounded amount.
+        of 1 saturated: their terms are the probabilities of less than the floor, or of more than
+        full scale (a tobit model). With probability `outliers` a reading means nothing, and is 0, 1
+        or anything between alike, so a single broken taxel costs a pose a bounded amount.
         """
         variance = self.variance(h) + residue * residue
         off = (np.where(z > 0.0, z, floor) - h) / np.sqrt(variance)
         return self.log_of(z, off, variance)
 
     def variance(self, h: Reals) -> Floats:
-        """Of a reading about its true activation `h`."""
+        """Variance of a reading about its true activation `h` (any shape); → the same shape."""
         return np.asarray(self.sigma**2 + (self.gain_cv * h) ** 2)
 
     def log_of(self, z: Reals, off: Reals, variance: Reals) -> Floats:
-        """`log_density` of readings z that are, or whose floor is, `off` standard deviations above
-        what is expected."""
+        """`log_density` for readings z that lie `off` standard deviations over the expected; a
+        reading of 0 has its floor in its place. All three have shapes that broadcast, as (P,)."""
         off = np.minimum(np.maximum(off, -FARTHEST_SD), FARTHEST_SD)
         square = off * off
         told = (z > 0.0) & (z < 1.0)
-        sign = np.where(z > 0.0, off, -off)  # of being beyond: above full scale, or under the floor
+        sign = np.where(z > 0.0, off, -off)  # positive above full scale or under the floor
         power = np.exp(np.where(told, -0.5 * square, sign * (BOWLING[0] + BOWLING[1] * square)))
         likely = np.where(told, power / np.sqrt(2.0 * np.pi * variance), 1.0 / (1.0 + power))
         return np.asarray(np.log((1.0 - self.outliers) * likely + self.least))
@@ -94,35 +96,38 @@ class Noise:
 
 
 def normal_cdf(x: Floats) -> Floats:
-    """Of the standard normal distribution, to 1.5e-4 (Bowling et al. 2009, eq. 10)."""
+    """The standard normal distribution function of x (any shape), to 1.5e-4 (Bowling et al. 2009,
+    eq. 10)."""
     x = np.clip(x, -FARTHEST_SD, FARTHEST_SD)
     return np.asarray(1.0 / (1.0 + np.exp(-x * (BOWLING[0] + BOWLING[1] * x * x))))
 
 
 BLOCK = 65_536  # points looked up at once: they stay in the cache
-BAND_M = 0.005  # that a pose or a sensor may be off, as far as a taxel beside a press is looked up
+BAND_M = 0.005  # m that a pose or a sensor may be off: taxels this far beside a press are looked up
 
 
 class Nearby(NamedTuple):
-    """Taxels at or near a press, (P,) each, in single precision: all that is looked up is."""
+    """Taxels at or near a press, (P,) each, in single precision as all looked-up values."""
 
-    row: Index  # sensor and pose that it is of
+    row: Index  # row of the sensor and pose
     taxel: Index
-    depth: Grid  # as a share of full scale; below 0 where the taxel is not reached
-    gx: Grid  # by which the depth grows with the sensor's x in the object's frame [1/m]: only of
-    gy: Grid  # those looked up about a press, which come first
+    depth: Grid  # share of full scale; below 0 where the taxel is not reached
+    # slope of the depth over the sensor's x in the object's frame [1/m]; only for the first taxels,
+    # looked up about a press
+    gx: Grid
+    gy: Grid  # slope of the depth over the sensor's y, for the same taxels [1/m]
 
 
 class GridTables(NamedTuple):
-    """What a taxel's depth is looked up in, as flat arrays."""
+    """Flat tables in which a taxel's depth is looked up."""
 
     slices: Grid  # signed distances of all heights [m]
-    pressed: Bools  # (cells,) that count, of a taxel,
-    about: Bools  # with BAND_M about a press,
-    reach: Bools  # and of the link's axis
-    place: Grid  # (3, P) x, y [m] and 1: taxels stand in columns
-    taxel: Index  # (P, most) taxels there, −1 where there are fewer
-    offset: Index  # (P, most) where the slice of each begins
+    pressed: Bools  # (cells,) cells in which a taxel is pressed
+    about: Bools  # (cells,) cells in which a taxel is pressed or within BAND_M of it
+    reach: Bools  # (cells,) cells of the link's axis at which the link reaches the object
+    place: Grid  # (3, P) x, y [m] and 1 of each place, as columns
+    taxel: Index  # (P, most) taxels at the place, −1 where there are fewer
+    offset: Index  # (P, most) where each taxel's slice begins
 
 
 class ObservationModel:
@@ -150,14 +155,15 @@ class ObservationModel:
         )
 
     def pressed(self, poses: Floats) -> tuple[Index, Grid]:
-        """The taxels that poses (N, 3) of the object in the sensor frame press: flat indices into
-        (N, M) and their h > 0."""
+        """The taxels pressed by the object at poses (N, 3) in the sensor frame: flat indices (P,)
+        into (N, M), and their h > 0 (P,)."""
         near = self._near(*axis_in_object(poses), -poses[:, 2], 0)
         return near.row * len(self.layout) + near.taxel, np.minimum(near.depth, 1.0)
 
     def pressed_from(self, sensors: Floats, poses: Floats, about: int = 0) -> Nearby:
-        """The same of sensors (K, 3) and objects (N, 3), both in the world; rows are of (K · N). Of
-        the first `about` sensors also the taxels within BAND_M of being pressed."""
+        """The taxels pressed at sensor poses (K, 3) by objects (N, 3), both in the world; rows
+        index (K · N). For the first `about` sensors also the taxels within BAND_M of being
+        pressed."""
         return self._near(*_in_object(sensors, poses), about * len(poses))
 
     def activation(self, poses: Floats) -> Floats:
@@ -168,8 +174,8 @@ class ObservationModel:
         return h
 
     def _near(self, x: Floats, y: Floats, turn: Floats, about: int) -> Nearby:
-        """`pressed_from`, the sensor at (x, y) and turned by `turn`, in the object's frame: all
-        (N,), of which the first `about` with the taxels about a press."""
+        """`pressed_from` for sensors at (x, y) in the object's frame, turned by `turn`, each (N,);
+        for the first `about` also the taxels near a press."""
         scene = self.scene
         x, y = (x - scene.origin[0]) / scene.cell, (y - scene.origin[1]) / scene.cell
         reached = np.flatnonzero(self.grid.reach.take(self._cell(x, y)))
@@ -183,8 +189,8 @@ class ObservationModel:
         return Nearby(*(np.concatenate(part) for part in zip(*blocks, strict=True)))
 
     def _cell(self, u: Reals, v: Reals) -> Index:
-        """The grid's cells that hold points, in cells from the grid's origin: one look at the
-        sensor's axis tells whether the link reaches."""
+        """The grid's cells that hold points (u, v), both in cells from the grid's origin. One look
+        at the sensor's axis tells whether the link reaches the object."""
         ny, nx = self.scene.silhouette.shape
         column = np.minimum(np.maximum(u, 0.0), nx - 1.001).astype(np.int32)
         row = np.minimum(np.maximum(v, 0.0), ny - 1.001).astype(np.int32)
@@ -209,11 +215,11 @@ class ObservationModel:
         v -= np.floor(v)
         cell = cell.take(at)[:, None] + self.grid.offset.take(place, axis=0)
         d00, d01, d10, d11 = (self.grid.slices.take(cell + step) for step in (0, 1, nx, nx + 1))
-        d01 -= d00  # along x, on either side
+        d01 -= d00  # difference along x, on either side
         d11 -= d10
         d00 += d01 * u
         d10 += d11 * u
-        d10 -= d00  # along y
+        d10 -= d00  # difference along y
         d00 += d10 * v  # the distance itself
         taxel = self.grid.taxel.take(place, axis=0)
         counts = taxel >= 0
@@ -234,7 +240,8 @@ class ObservationModel:
 
 
 def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
-    """Sensors (K, 3) as seen from objects (N, 3), both in the world: x, y and turn, (K · N,)."""
+    """Sensors (K, 3) as seen from objects (N, 3), both in the world: x, y and turn, (K · N,)
+    each."""
     c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
     x, y = sensors[:, :1] - poses[:, 0], sensors[:, 1:2] - poses[:, 1]
     turn = sensors[:, 2:] - poses[:, 2]
@@ -242,7 +249,7 @@ def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def _touched(silhouette: NDArray[np.float32], band_m: float) -> Bools:
-    """Cells of the grid with a corner so near the object that a taxel there counts."""
+    """(cells,) cells of the grid with a corner so near the object that a taxel there counts."""
     inside = silhouette < band_m
     near = np.zeros_like(inside)
     near[:-1, :-1] = inside[:-1, :-1] | inside[:-1, 1:] | inside[1:, :-1] | inside[1:, 1:]

@@ -1,4 +1,4 @@
-"""The one interface of all samplers of poses that explain a touch."""
+"""The interface of all samplers of poses that explain a touch."""
 
 from typing import Protocol
 

@@ -1,53 +1,55 @@
-"""What a taxel reads at a depth, in shares of its own full scale, and the depth back from that.
+"""A taxel's reading at a depth, both in shares of its own full scale, and its inverse.
 
 A taxel's curve is r(h) = h + bend·h(1 − h) + onset·d(h): the bend is common, the onset its own. The
-deviation d rises at once and falls slowly; of recordings of an insole it is what most taxels differ
-by (docs/physics.md). Beyond full depth the curve is the line r = h.
+deviation d rises at once and falls slowly: taxels of a recorded insole differ mostly by it
+(docs/physics.md). Beyond full depth the curve is the line r = h.
 """
 
 import numpy as np
 
 from taxeld.arrays import Floats, Index
 
-ONSET = 0.15  # of full depth: within about so much a taxel's own deviation has risen
-GRID = np.linspace(0.0, 1.0, 257)  # of depths, at which a curve is inverted
-STEPS = 128  # of readings, between which the depth is interpolated
+ONSET = 0.15  # share of full depth within which a taxel's own deviation has risen
+GRID = np.linspace(0.0, 1.0, 257)  # depths at which a curve is inverted
+STEPS = 128  # steps of reading between which the depth is interpolated
 _END = -np.expm1(-1.0 / ONSET)
-_SLOPE = 1.0 / (ONSET * _END) - 1.0  # of the rise at 0: d begins with a slope of 1
+_SLOPE = 1.0 / (ONSET * _END) - 1.0  # slope at 0: d begins with a slope of 1
 
 
 def bow(h: Floats) -> Floats:
-    """h(1 − h) within full depth, 0 beyond it."""
+    """h(1 − h) within full depth, 0 beyond it, for depths h of any shape; → the same shape."""
     h = np.clip(h, 0.0, 1.0)
     return np.asarray(h * (1.0 - h))
 
 
 def deviation(h: Floats) -> Floats:
-    """d at depths h (any shape): 0 at 0 and from 1 on, with a slope of 1 at 0."""
+    """d at depths h (any shape), → the same shape: 0 at 0 and from 1 on, with a slope of 1 at 0."""
     h = np.clip(h, 0.0, 1.0)
     return np.asarray((-np.expm1(-h / ONSET) / _END - h) / _SLOPE)
 
 
 def response(h: Floats, bend: float | Floats, onset: Floats) -> Floats:
-    """Readings at depths h, both in shares of full scale; shapes broadcast."""
+    """Readings at depths h, both in shares of full scale. All of h, bend and onset have shapes that
+    broadcast, such as (N, M) and (M,)."""
     return np.asarray(h + bend * bow(h) + onset * deviation(h))
 
 
 class Inverse:
-    """Depths of M taxels from their readings, both in shares of full scale: a table, as a scan has
-    no time for more."""
+    """Depths of M taxels from their readings, both in shares of full scale, by a table: a scan has
+    little time."""
 
     def __init__(self, bend: float, onset: Floats) -> None:
         """`onset` (M,). A curve that falls somewhere is read at its running maximum."""
         rising = np.maximum.accumulate(response(GRID, bend, onset[:, None]), axis=1)
         at = np.linspace(0.0, 1.0, STEPS + 1)
-        # a tiny slope of its own makes a level stretch invertible
+        # A tiny slope makes a level stretch invertible.
         rows = [np.interp(at, row / row[-1] + 1e-9 * (GRID - 1.0), GRID) for row in rising]
         self._table = np.stack(rows).ravel()
         self._first: Index = np.arange(len(onset)) * (STEPS + 1)
 
     def __call__(self, reading: Floats) -> Floats:
-        """(M,) in 0..1, of readings clipped to that; of full scale 1 exactly: saturated."""
+        """Depths (M,) in 0..1 for readings (M,), which are clipped to 0..1. A reading of full scale
+        gives exactly 1: saturated."""
         place = np.clip(reading, 0.0, 1.0) * STEPS
         step = np.minimum(place.astype(np.intp), STEPS - 1)
         at = self._first + step

@@ -1,7 +1,7 @@
 """A scene: an object as the skin meets it, K signed distance grids and nothing more.
 
 The object never tips, so only the heights where taxels are matter. Each slice holds horizontal
-signed distance [m], negative inside; slices are filled, since a skin is pressed from outside and
+signed distances [m], negative inside; slices are filled, since a skin is pressed from outside and
 gives way past a thin wall. The object frame is the mesh file's own (x, y, yaw).
 """
 
@@ -17,8 +17,8 @@ from taxeld.layout.layout import Layout
 from taxeld.model import se2
 
 CONTINUOUS = 0  # the `symmetry` of an object of revolution
-HEIGHT_TOLERANCE_M = 0.006  # a taxel is served by the slice this near; slices stand 10 mm apart
-FINEST_M, FARTHEST_M = 1e-5, 10.0  # of a grid's spacing, and of all lengths
+HEIGHT_TOLERANCE_M = 0.006  # a slice serves taxels within this height; slices stand 10 mm apart
+FINEST_M, FARTHEST_M = 1e-5, 10.0  # m: least grid spacing, and limit of all lengths
 MOST_TURNS = 360  # the highest order of a symmetry
 
 
@@ -28,13 +28,13 @@ class Scene:
 
     slices: Grid  # (K, ny, nx) signed distance at each of the skin's heights
     silhouette: Grid  # (ny, nx) signed distance to the union of the slices
-    heights: Floats  # (K,) in the sensor frame
+    heights: Floats  # (K,) heights of the slices in the sensor frame
     origin: Floats  # (2,) position of grid point [0, 0]
     cell: float  # grid spacing
     outline: Floats  # (P, 2) points on the silhouette, in order
     surface: Floats  # (Q, 3) points on the object's surface at the skin's heights, for ADD
     symmetry: int  # order of the geometric rotation symmetry; CONTINUOUS, or 1 for none
-    centre: Floats  # (2,) of that symmetry
+    centre: Floats  # (2,) centre of that symmetry
 
     def __post_init__(self) -> None:
         shapes = {
@@ -55,7 +55,7 @@ class Scene:
 
     @property
     def extent(self) -> tuple[Floats, Floats]:
-        """Lower and upper corner of the grid."""
+        """Lower and upper corner of the grid, (2,) each."""
         ny, nx = self.silhouette.shape
         return self.origin, self.origin + self.cell * np.array([nx - 1, ny - 1])
 
@@ -92,8 +92,8 @@ class Scene:
         return np.asarray(gap.argmin(axis=1))
 
     def clearance(self, x: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
-        """Signed distance of points to the silhouette, and its unit gradient's x and y. Outside the
-        grid the nearest border value stands."""
+        """Signed distance of points (x, y) to the silhouette, and its unit gradient's x and y. All
+        arrays are (N,). Outside the grid the nearest border value is used."""
         ny, nx = self.silhouette.shape
         flat = self.silhouette.ravel()
         u = np.clip((x - self.origin[0]) / self.cell, 0.0, nx - 1.001)
@@ -112,7 +112,7 @@ class Scene:
 
 
 def _check(name: str, array: object, shape: tuple[int | None, ...]) -> None:
-    """Raises SetupError unless it is an array of lengths and of this shape, whose None is any."""
+    """Raise SetupError unless `array` holds lengths in this shape; None in a shape allows any."""
     if not isinstance(array, np.ndarray) or array.dtype.kind != "f" or array.ndim != len(shape):
         raise SetupError(f"scene: {name} is no array of {len(shape)} dimensions of lengths")
     for size, wanted in zip(array.shape, shape, strict=True):

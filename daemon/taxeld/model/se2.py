@@ -11,15 +11,15 @@ Angles = TypeVar("Angles", np.float64, NDArray[np.float64])
 
 IDENTITY: Poses = np.zeros(3)
 TURN = 2.0 * np.pi
-MANY = 500  # angles
-JUMP_M = 1.0  # a sensor that moved farther between two poses, or two scans, did not
+MANY = 500  # angles from which the faster way pays
+JUMP_M = 1.0  # m: a sensor cannot have moved farther between two poses or two scans
 
 
 def wrap(angle: Angles) -> Angles:
-    """Angles brought into [−π, π)."""
+    """Angles of any shape brought into [−π, π)."""
     from_back = angle + np.pi
     if from_back.size >= MANY and from_back.min() >= -TURN and from_back.max() < 2.0 * TURN:
-        # the same to the last bit, without a division's rest, which takes long to find
+        # equal to the last bit, without the slow remainder of a division
         from_back = from_back - TURN * (from_back >= TURN) + TURN * (from_back < 0.0)
     else:
         from_back = from_back % TURN
@@ -27,7 +27,8 @@ def wrap(angle: Angles) -> Angles:
 
 
 def compose(a: Poses, b: Poses) -> Poses:
-    """a ∘ b: the pose b, given in the frame a, in the frame that a is given in."""
+    """a ∘ b for poses (..., 3) that broadcast: the pose b, given in the frame a, in the outer frame
+    of a."""
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     x = a[..., 0] + c * b[..., 0] - s * b[..., 1]
     y = a[..., 1] + s * b[..., 0] + c * b[..., 1]
@@ -35,7 +36,7 @@ def compose(a: Poses, b: Poses) -> Poses:
 
 
 def inverse(a: Poses) -> Poses:
-    """The pose of the outer frame as seen from a."""
+    """The pose (..., 3) of the outer frame as seen from a (..., 3)."""
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     x = -c * a[..., 0] - s * a[..., 1]
     y = s * a[..., 0] - c * a[..., 1]
@@ -43,7 +44,7 @@ def inverse(a: Poses) -> Poses:
 
 
 def apply(pose: Poses, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (N, 2) given in the frame `pose` (3,), in the frame that it is given in."""
+    """Points (N, 2) given in the frame `pose` (3,), in the outer frame of `pose`."""
     c, s = np.cos(pose[2]), np.sin(pose[2])
     return np.asarray(points @ np.array([[c, s], [-s, c]]) + pose[:2])
 

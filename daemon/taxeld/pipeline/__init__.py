@@ -1,4 +1,4 @@
-"""From scans and sensor poses to estimates, in one pure object; what makes an estimate valid.
+"""From scans and sensor poses to estimates, in one pure object, and whether an estimate is valid.
 
-The daemon, the replay and the harness run this same code. It is handed its clock, if it has one.
+The daemon, the replay and the harness run this same code. Its clock, if any, is given to it.
 """

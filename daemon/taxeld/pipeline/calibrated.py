@@ -1,4 +1,4 @@
-"""What a calibration changes in a configuration, and what is told of it."""
+"""A configuration with a calibration's values, and the report on that calibration."""
 
 from dataclasses import asdict, replace
 from typing import Any
@@ -9,8 +9,8 @@ from taxeld.skin.calibration import DAY_S, Calibration
 
 
 def calibrated(config: Config, calibration: Calibration | None) -> Config:
-    """The configuration with what was measured in place of defaults: full scale, and the filter's
-    noise and gain spread where the user has set no other."""
+    """The configuration with measured values in place of defaults: full scale, and the filter's
+    noise and gain spread where the user has set no others."""
     if calibration is None:
         return config
     usual, own = FilterConfig(), config.filter
@@ -24,8 +24,8 @@ def calibrated(config: Config, calibration: Calibration | None) -> Config:
 
 
 def told(calibration: Calibration | None, doubt: CalibrationDoubt, now: float) -> dict[str, Any]:
-    """For health: whether one is in use, how old it is at the Unix time `now`, and what touches say
-    against it, or against what is configured in its place."""
+    """The calibration's part of health: whether one is in use, its age at the Unix time `now`, and
+    the doubt that touches raise about it, or about the configured values in its place."""
     return {
         "used": calibration is not None,
         "age_s": 0.0 if calibration is None else calibration.age_days(now) * DAY_S,

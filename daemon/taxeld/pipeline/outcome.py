@@ -1,4 +1,4 @@
-"""What becomes of scans: what each led to, and what was not used."""
+"""Outcomes of scans: the result of each, and counts of scans that were not used."""
 
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -14,15 +14,15 @@ Dated = TypeVar("Dated", Scan, Activation, Estimate, SkinState)
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What one scan led to, and the time each stage took [ns]."""
+    """The result of one scan, and the time that each stage took [ns]."""
 
     estimate: Estimate
-    activation: Activation | None = None  # None while the baseline is learned, or not used
-    sensor: Poses | None = None  # (3,) in the world; None where it is not known
+    activation: Activation | None = None  # None: baseline not known, or scan not used
+    sensor: Poses | None = None  # (3,) sensor's pose in the world; None where not known
     skin_ns: int = 0
     propose_ns: int = 0
     filter_ns: int = 0
-    is_afterthought: bool = False  # it was told before, and may have been bettered since
+    is_afterthought: bool = False  # this estimate was reported before, and may have improved since
 
     @property
     def is_used(self) -> bool:
@@ -32,17 +32,17 @@ class Outcome:
 
 @dataclass(slots=True)
 class InputCounters:
-    """Since start."""
+    """Counters of the inputs, since start."""
 
-    scans_old: int = 0  # that arrived when older than their limit, not used
-    scans_from_the_future: int = 0  # later than now, or of no time at all, not used
-    scans_without_pose: int = 0  # for which no sensor pose near in time came, not used
-    scans_waited: int = 0  # for a pose at or after their time
-    scans_put_off: int = 0  # to the next tick, as the time of this one was up
-    scans_crowded_out: int = 0  # by too many that waited, not used
-    clock_steps: int = 0  # of the Unix clock
+    scans_old: int = 0  # scans older than their limit when they arrived, not used
+    scans_from_the_future: int = 0  # scans later than now, or without a time, not used
+    scans_without_pose: int = 0  # scans without a sensor pose near in time, not used
+    scans_waited: int = 0  # scans that waited for a pose at or after their time
+    scans_put_off: int = 0  # scans left to the next tick, because the time of this one was up
+    scans_crowded_out: int = 0  # scans dropped because too many waited, not used
+    clock_steps: int = 0  # steps of the Unix clock
 
 
 def later(dated: Dated, by: float) -> Dated:
-    """The same, of a time that is later by so much."""
+    """The same at a time that is later by `by` seconds."""
     return replace(dated, t=dated.t + by) if by else dated

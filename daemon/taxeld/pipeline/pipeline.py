@@ -1,8 +1,8 @@
 """From scans to estimates: skin, sensor pose and estimator in one pure object.
 
-The daemon's loop and the replay of a session run this same code. What arrives is handed in with the
-time of its arrival, so the same arrivals lead to the same estimates, byte for byte. Durations are
-measured by the ladder's clock, if it has one.
+The daemon's loop and the replay of a session run this same code. Arrivals are handed in with their
+times, so the same arrivals give the same estimates, byte for byte. Durations are measured by the
+ladder's clock, if it has one.
 """
 
 import math
@@ -26,19 +26,18 @@ from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
 
-FUTURE_S = 0.1  # a scan that is stamped later than now by more was stamped wrongly
-WAITING_MAX = 64  # scans; of more the oldest are dropped
-SILENT_PERIODS = 3.0  # without a scan of it for so long, a hub is silent
-PART_KEPT = 0.95  # of what the longest part took, with each touch
-SCAN_SHARE = 0.8  # of the time until the next scan, for the work on one
+FUTURE_S = 0.1  # a scan stamped farther in the future was stamped wrongly
+WAITING_MAX = 64  # scans that may wait; beyond, the oldest are dropped
+SILENT_PERIODS = 3.0  # scan periods after which a hub without a scan is silent
+PART_KEPT = 0.95  # decay of the longest part's time, with each touch
+SCAN_SHARE = 0.8  # share of the time until the next scan that work on one scan may take
 
 
 class Pipeline:
     """Scans and sensor poses in, outcomes out.
 
-    Times are Unix times outside, and so are those of the sensor's poses. Skin, estimator and the
-    scans that wait have a time that goes on as if the Unix clock had never been set: `_stepped_s`
-    less.
+    Times are Unix times outside, also those of the sensor's poses. The skin, the estimator and
+    waiting scans use a time without the steps of the Unix clock: Unix time less `_stepped_s`.
     """
 
     def __init__(
@@ -49,7 +48,7 @@ class Pipeline:
         on_pose: OnPose | None = None,
         calibration: Calibration | None = None,
     ) -> None:
-        """`on_pose` hears every sensor pose (t, x, y, θ) that is taken, as the robot tells it.
+        """`on_pose` is called with every accepted sensor pose (t, x, y, θ), as the robot sends it.
         `calibration`: of the skin and its mount on the robot."""
         config = calibrated(config, calibration)
         self.config = config
@@ -70,23 +69,22 @@ class Pipeline:
         self.freshness = Freshness(config.loop.stale_s, config.filter.centre_m, square)
         self.estimate = self.freshness.judged(self.estimator.estimate)
         self.inputs = InputCounters()
-        self.ends_ns = math.inf  # the time for a call, on the ladder's clock
-        self.degrades = False  # samples are saved where the next scan would come too soon
-        self.tells_early = False  # an estimate comes before the thoughts that may better it
-        self._waiting: deque[tuple[float, Scan]] = deque()  # with the time of arrival
-        self._work: Work | None = None  # on a scan that was begun
-        self._part_ns = 0.0  # the longest part of touches of late
-        self._is_put_off = False  # whether one waits for nothing but time
-        self._stepped_s = 0.0  # by how much the Unix clock was set since the start
+        self.ends_ns = math.inf  # end of the time for a call, on the ladder's clock [ns]
+        self.degrades = False  # whether to save samples where the next scan would come too soon
+        self.tells_early = False  # whether an estimate is yielded before work that may improve it
+        self._waiting: deque[tuple[float, Scan]] = deque()  # scans with their times of arrival
+        self._work: Work | None = None  # unfinished work on a scan
+        self._part_ns = 0.0  # longest part of recent touches [ns]
+        self._is_put_off = False  # whether a scan waits for time alone
+        self._stepped_s = 0.0  # total steps of the Unix clock since start [s]
 
     def advance(self, scans: Iterable[Scan], now: float) -> Iterator[Outcome]:
-        """Take the scans that have arrived by `now`, after the sensor poses that have; → what they,
-        and those that had been waiting, led to.
+        """Take the scans that have arrived by `now`; the sensor poses that have are already added.
+        → outcomes of these scans, and of scans that had been waiting.
 
-        A scan waits for a pose that tells where the sensor was at its time, which may be on its
-        way, but no longer than `sensor_pose.wait_s`. Where the time for a call (`ends_ns`) is too
-        short for another part of the work on a scan, it is left there, and others wait for the next
-        call.
+        A scan waits for a pose at or after its time, which may be on its way, but no longer than
+        `sensor_pose.wait_s`. Where the time for a call (`ends_ns`) is too short for another part of
+        the work on a scan, the work stops there, and other scans wait for the next call.
         """
         by, self._is_put_off = self._stepped_s, False
         for scan in scans:
@@ -107,40 +105,40 @@ class Pipeline:
             self.inputs.scans_crowded_out += 1
 
     def flush(self) -> Iterator[Outcome]:
-        """What the scans that still wait led to, as nothing more will come."""
+        """Outcomes of the scans that still wait, as nothing more will come."""
         while self._work or self._waiting:
             yield from self._next()
 
     @property
     def is_at_work(self) -> bool:
-        """Whether the work on a scan was left before its estimate was there, or another waits for
-        it."""
+        """Whether work on a scan stopped before its estimate was made, or another scan waits for
+        that work."""
         return self._is_put_off or (self._work is not None and not self._work.is_told)
 
     @property
     def is_busy(self) -> bool:
-        """Whether a scan has come that is not through."""
+        """Whether a scan that has come is not finished."""
         return self._work is not None or bool(self._waiting)
 
     @property
     def has_waiting(self) -> bool:
-        """Whether a scan waits, for a pose or for time."""
+        """Whether a scan waits for a pose or for time."""
         return bool(self._waiting)
 
     def clock_stepped(self, by: float) -> None:
-        """The Unix clock was set forward by so many seconds.
+        """The Unix clock was set forward by `by` seconds.
 
-        The sensor's poses are forgotten, as the robot's clock may have been set with this one or
-        not.
+        The sensor's poses are forgotten, because the robot's clock may or may not have been set as
+        well.
         """
         self.inputs.clock_steps += 1
         self._stepped_s += by
         self.poses.clear()
-        if self.estimate.t:  # it is of a scan
+        if self.estimate.t:  # the estimate is of a scan
             self.estimate = later(self.estimate, by)
 
     def input_counts(self) -> dict[str, int]:
-        """What became of scans and poses before they were used; what waits has no count yet."""
+        """Counts of scans and poses before their use; waiting ones are not counted yet."""
         return {
             **asdict(self.inputs),
             "scans_waiting": len(self._waiting),
@@ -167,19 +165,19 @@ class Pipeline:
         }
 
     def skin_state(self) -> SkinState | None:
-        """What the skin has learned so far, of Unix time; None before there is anything."""
+        """The skin's learned state in Unix time; None before there is any."""
         state = self.skin.state()
         return None if state is None else later(state, self._stepped_s)
 
     def tare(self) -> None:
         """Learn the idle baseline anew; the skin must not be touched. The status is STARTING until
-        that is done."""
+        the baseline is learned."""
         self.skin.tare()
         self.freshness.starting()
         self.estimate = self.freshness.judged(self.estimate)
 
     def reset(self) -> None:
-        """Forget all touches, and one that is half done with them."""
+        """Forget all touches, also an unfinished one."""
         if self._work is not None:
             self._work.give_up()
         self.estimator.reset()
@@ -191,7 +189,7 @@ class Pipeline:
         return waited or has_pose or len(self._waiting) > WAITING_MAX
 
     def _is_late(self, need_ns: float = 0.0) -> bool:
-        """Whether there is no time, or not for what takes so long."""
+        """Whether the time is up, or too short for work of `need_ns`."""
         return self.ladder.clock() + need_ns >= self.ends_ns
 
     def _refused(self, age: float) -> Outcome:
@@ -204,7 +202,7 @@ class Pipeline:
         return Outcome(self.estimate)
 
     def _next(self) -> Iterator[Outcome]:
-        """Go on with the scan that is begun, or with the next."""
+        """Go on with the scan under way, or with the next one."""
         if self._work is None:
             unused = self._begin(self._waiting.popleft()[1])
             if unused is not None:
@@ -213,8 +211,8 @@ class Pipeline:
             yield from self._go_on(self._work)
 
     def _begin(self, scan: Scan) -> Outcome | None:
-        """Take a scan; the sensor's poses up to its time have been added. → what it led to; None
-        where the estimator has work on it."""
+        """Take a scan; the sensor's poses up to its time have been added. → its outcome; None where
+        the estimator has work on it."""
         clock = self.ladder.clock
         start = clock()
         activation = self.skin.on_scan(scan)
@@ -237,12 +235,12 @@ class Pipeline:
         return None
 
     def _go_on(self, work: Work) -> Iterator[Outcome]:
-        """→ what the scan led to, if the time is long enough for that."""
+        """Do the work as far as time allows; → the scan's outcome, if that was enough."""
         while not work.go_on():
             if self.tells_early and work.has_estimate and not work.is_told:
                 yield self._told(work)
                 work.is_told = True
-                return  # thoughts can wait
+                return  # improving the estimate can wait
             if self._is_late(max(work.longest_ns, self._part_ns)):
                 return
         if work.parts > 1:
@@ -260,12 +258,12 @@ class Pipeline:
         )  # fmt: skip
 
     def _unused(self, scan: Scan, skin_ns: int) -> Outcome:
-        """Of a scan that the estimator was not given."""
+        """The outcome of a scan that did not reach the estimator."""
         t = scan.t + self._stepped_s
         self.estimate = self.freshness.judged(replace(self.estimate, t=t))
         return Outcome(self.estimate, skin_ns=skin_ns)
 
 
 def _reach_m(model: ObservationModel) -> float:
-    """How far from the square that it may be in an object that is felt in it may lie."""
+    """How far outside its square an object may lie that is felt inside [m]."""
     return float(np.hypot(*model.scene.outline.T).max()) + model.layout.radius_m

@@ -1,7 +1,7 @@
-"""What is wrong with the robot's poses, told from when they come and what they say.
+"""Faults of the robot's poses, from their times of arrival and their contents.
 
 A robot that is not heard, another clock and another unit all end in scans without a pose; each has
-a cure of its own. Every message of the topic is looked at, whether its pose is used or not.
+its own cure. Every message of the topic is looked at, whether its pose is used or not.
 """
 
 import math
@@ -11,16 +11,16 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any
 
-LOOKS = 5  # over so many looks, of a second each, the rate is taken
-OFFSET_S = 0.05  # between the robot's clock and this one
-UPTIME_S = 3.2e8  # ten years: a smaller time counts from a start, not from 1970
+LOOKS = 5  # looks, a second each, over which the rate is taken
+OFFSET_S = 0.05  # s between the robot's clock and this one
+UPTIME_S = 3.2e8  # ten years: a smaller time counts from the robot's start, not from 1970
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-SPREAD = 1.5  # a factor within which a time is one of these
-SLOW = 0.9  # of the scans' rate: fewer poses are too few
-STOPPED_S = 1.0  # without a pose for so long, they have stopped
-FAR_WIDTHS = 10.0  # half widths of the square that the object may be in
-FAR_M = 10.0  # but no less than so
-NEVER_S = -1.0  # the age of what never came
+SPREAD = 1.5  # factor within which a time matches one of these units
+SLOW = 0.9  # share of the scans' rate: fewer poses are too few
+STOPPED_S = 1.0  # s without a pose after which they have stopped
+FAR_WIDTHS = 10.0  # half widths of the object's square: a farther pose is in a wrong unit
+FAR_M = 10.0  # least distance that counts as too far
+NEVER_S = -1.0  # age reported before the first pose
 
 
 class PoseFault(IntEnum):
@@ -28,34 +28,34 @@ class PoseFault(IntEnum):
 
     NONE = 0
     UNCONNECTED = 1  # nobody serves the endpoint
-    REFUSED = 2  # who serves it does not take us in, or is no ZeroMQ publisher
-    OTHER_TOPIC = 3  # connected; something comes, and no pose
+    REFUSED = 2  # the peer refuses this client, or is no ZeroMQ publisher
+    OTHER_TOPIC = 3  # connected; messages of other topics come, and no pose
     UNHEARD = 4  # connected; nothing comes
     MALFORMED = 5  # messages of the topic are no poses
-    UPTIME = 6  # times that count from the robot's start
-    UNIT = 7  # times in ms, µs or ns
-    CLOCK = 8  # clocks that differ
-    FAR = 9  # as if in millimetres
+    UPTIME = 6  # times count from the robot's start
+    UNIT = 7  # times are in ms, µs or ns
+    CLOCK = 8  # the clocks differ
+    FAR = 9  # poses are too far, as if in millimetres
     SLOW = 10  # fewer poses than scans
-    STOPPED = 11  # heard before, and no more
+    STOPPED = 11  # poses came before, and come no more
 
 
 @dataclass(slots=True)
 class PoseFigures:
-    """Of the last looks; part of health."""
+    """Figures of the last looks; part of health."""
 
     received: int = 0  # messages of the topic, since start
     rate_hz: float = 0.0
-    age_s: float = NEVER_S  # since the last came
-    offset_s: float = 0.0  # of their times behind this clock, the least of the last second
-    reach_m: float = 0.0  # from where the object may be, the least of the last second
+    age_s: float = NEVER_S  # time since the last pose
+    offset_s: float = 0.0  # least delay of the poses' times behind this clock in the last second
+    reach_m: float = 0.0  # least distance from the object's possible places in the last second
     connected: bool = False
-    other_topics: int = 0  # that were heard while there was no pose
+    other_topics: int = 0  # other topics heard while there was no pose
     fault: int = PoseFault.NONE
 
 
 class PoseWatch:
-    """Poses as they come, and once a second what they show."""
+    """Follows poses as they come, and sums them up once a second."""
 
     def __init__(
         self, centre_m: tuple[float, float], half_width_m: float, scan_period_s: float
@@ -65,10 +65,10 @@ class PoseWatch:
         self._far_m = max(FAR_M, FAR_WIDTHS * half_width_m)
         self._scans_hz = 1.0 / scan_period_s
         self._came_s = math.nan
-        self._t = math.nan  # of the last pose
-        self._nearest_s = self._nearest_m = math.inf  # since the last look
+        self._t = math.nan  # time of the last pose
+        self._nearest_s = self._nearest_m = math.inf  # least offset and reach since a look
         self._malformed = 0
-        self._found = PoseFault.NONE  # at the last look
+        self._found = PoseFault.NONE  # fault at the last look
         self._looks: deque[tuple[float, int]] = deque(maxlen=LOOKS)
 
     def add(self, t: float, x: float, y: float, now: float) -> None:
@@ -82,7 +82,7 @@ class PoseWatch:
         )
 
     def clock_stepped(self) -> None:
-        """What was measured is of another clock."""
+        """Forget the measurements: they are of another clock."""
         self._looks.clear()
         self._nearest_s = math.inf
         self._came_s = math.nan
@@ -90,7 +90,7 @@ class PoseWatch:
     def look(
         self, now: float, malformed: int, *, connected: bool, refused: bool, topics: int
     ) -> PoseFigures:
-        """The figures `now`, a Unix time; the rest is what the socket knows."""
+        """The figures at the Unix time `now`; the other arguments are from the socket."""
         figures = self.figures
         figures.connected, figures.other_topics = connected, topics
         figures.age_s = NEVER_S if math.isnan(self._came_s) else max(now - self._came_s, 0.0)
@@ -101,7 +101,7 @@ class PoseWatch:
             figures.offset_s, figures.reach_m = self._nearest_s, self._nearest_m
         is_other = malformed > self._malformed or (malformed > 0 and not figures.received)
         found = self._judge(now, is_malformed=is_other, is_refused=refused)
-        if found is self._found:  # twice: a robot may start after the daemon
+        if found is self._found:  # seen twice in a row: a robot may start after the daemon
             figures.fault = found
         self._found = found
         self._malformed = malformed
@@ -135,7 +135,7 @@ class PoseWatch:
 
 
 def unit_of(t: float, now: float) -> str:
-    """In which unit a time t would be now; empty where in seconds, or none that is known."""
+    """The unit in which a time t would be now; empty for seconds and unknown units."""
     for factor, name in UNITS.items():
         if factor * now / SPREAD < t < factor * now * SPREAD:
             return name
@@ -146,8 +146,8 @@ def line(
     inputs: Mapping[str, Any], t: float, endpoint: str, topics: Iterable[str] = (),
     scans_hz: float = 0.0,
 ) -> str:  # fmt: skip
-    """The fault of `health.inputs` of Unix time t in words, with its cure; empty where there is
-    none. `topics`: what else was heard, where that is known."""
+    """The fault in `health.inputs` of Unix time t in words, with its cure; empty without a fault.
+    `topics`: other topics heard, where known."""
     offset_s, at = inputs["poses_offset_s"], endpoint or "the endpoint"
     try:
         fault = PoseFault(inputs["poses_fault"])

@@ -1,5 +1,5 @@
-"""The sensor's pose over time, at the moment of a scan: between two poses, or a little after the
-last one, as the sensor went on."""
+"""The sensor's pose at the time of a scan: between two poses, or extrapolated shortly after the
+last one."""
 
 import math
 from bisect import bisect_right
@@ -12,9 +12,9 @@ from taxeld.arrays import Poses
 from taxeld.model import se2
 
 KEPT = 512  # poses: five seconds at 100 Hz
-FUTURE_S = 0.1  # a pose that is stamped later than now by more was stamped wrongly
-REACH_PERIODS = 2.0  # of the poses: so far after the last one the sensor goes on as it did
-BACK_MAX = 10  # poses in a row from before the last, in order: the robot's clock was set back
+FUTURE_S = 0.1  # a pose stamped farther in the future was stamped wrongly
+REACH_PERIODS = 2.0  # pose periods after the last pose for which its motion is taken to go on
+BACK_MAX = 10  # ordered poses in a row before the last one: the robot's clock was set back
 
 OnPose = Callable[[float, float, float, float], None]
 
@@ -30,20 +30,21 @@ class PoseTrack:
         mount: Poses | None = None,
         extrapolate_s: float = 0.0,
     ) -> None:
-        """`within_m`: |x| and |y|, at most; `extrapolate_s`: after the last pose, for how long the
-        two before tell the next, at most; `on_pose` is given every pose (t, x, y, θ) that is
-        taken, as it came; `mount` (3,): the sensor's frame in the one that the poses are of."""
+        """`within_m`: limit of |x| and |y|. `extrapolate_s`: longest time after the last pose for
+        which the motion of the last two is taken to go on. `on_pose` is called with every accepted
+        pose (t, x, y, θ), as it came. `mount` (3,): the sensor's frame in the frame of the
+        poses."""
         self._mount = mount
         self.max_age_s = max_age_s
         self._within_m = within_m
         self._extrapolate_s = extrapolate_s
         self._on_pose = on_pose
         self.taken = 0
-        self.rejected = 0  # not finite, not later than the one before, or one of the next two
+        self.rejected = 0  # not finite, not later than the one before, far, or in the future
         self.far = 0  # beyond `within_m`
         self.from_the_future = 0
-        self.begun_again = 0  # times that the robot's clock was seen to be set back
-        self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last of them
+        self.begun_again = 0  # times the robot's clock was seen to be set back
+        self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last time
         self._t: deque[float] = deque(maxlen=KEPT)
         self._pose: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
 
@@ -52,12 +53,11 @@ class PoseTrack:
         return self._t[-1] if self._t else -np.inf
 
     def reaches(self, t: float) -> bool:
-        """Whether the pose at time t is known, or as good as known: no later one need be waited
-        for."""
+        """Whether the pose at time t is known well enough that no later one is needed."""
         return self.latest_t >= t or self._goes_on(t)
 
     def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:
-        """Take a pose that has arrived `now`; times must increase, but for a clock that was set
+        """Take a pose that has arrived at `now`; times must increase, unless a clock was set
         back."""
         if not self._is_fit(t, x, y, theta, now):
             self.rejected += 1
@@ -72,7 +72,7 @@ class PoseTrack:
     def _is_fit(self, t: float, x: float, y: float, theta: float, now: float) -> bool:
         if not all(map(math.isfinite, (t, x, y, theta))):
             return False
-        if t > now + FUTURE_S:  # taken, it would keep out all that come before its time
+        if t > now + FUTURE_S:  # it would keep out all poses before its time
             self.from_the_future += 1
             return False
         if max(abs(x), abs(y)) > self._within_m:
@@ -86,7 +86,7 @@ class PoseTrack:
         self._pose.clear()
 
     def _is_set_back(self, t: float) -> bool:
-        """Whether this pose from the past is the last of so many that they are the present."""
+        """Whether enough poses from the past came in a row that they are the present."""
         self._back = self._back + 1 if t > self._back_t else 1
         self._back_t = t
         if self._back < BACK_MAX:
@@ -96,13 +96,13 @@ class PoseTrack:
         return True
 
     def at(self, t: float) -> Poses | None:
-        """The sensor's pose (3,) at time t: interpolated, or at the speed of the last two, or the
-        last one while it is young enough; None where nothing that near in time is known."""
+        """The sensor's pose (3,) at time t: interpolated, extrapolated at the speed of the last
+        two, or the last one while it is young enough; None where no pose is near enough in time."""
         came = self._came(t)
         return came if came is None or self._mount is None else se2.compose(came, self._mount)
 
     def _came(self, t: float) -> Poses | None:
-        """The same, of what the poses are of."""
+        """The pose (3,) at time t of the frame that the robot sends."""
         i = bisect_right(self._t, t)
         if i == 0:
             return None
@@ -117,18 +117,18 @@ class PoseTrack:
         return self._between(i - 1, t)
 
     def _goes_on(self, t: float) -> bool:
-        """Whether the last two poses tell the one at time t, which is after them."""
+        """Whether the last two poses tell the pose at the later time t."""
         if len(self._t) < 2 or not self._extrapolate_s:
             return False
         ahead_s, period_s = t - self._t[-1], self._t[-1] - self._t[-2]
         return 0.0 < ahead_s <= min(self._extrapolate_s, REACH_PERIODS * period_s, self.max_age_s)
 
     def _between(self, i: int, t: float) -> Poses:
-        """On the line through two poses, or on its way on from the second."""
+        """The pose (3,) on the line through two poses, or beyond the second."""
         before, after = self._pose[i], self._pose[i + 1]
         share = (t - self._t[i]) / (self._t[i + 1] - self._t[i])
         x, y, turn = (b - a for a, b in zip(before, after, strict=True))
-        if math.hypot(x, y) > se2.JUMP_M:  # one of them is wrong, as is all between
+        if math.hypot(x, y) > se2.JUMP_M:  # one of the two is wrong, and so is everything between
             return np.array(before if share < 0.5 else after)
         theta = se2.wrap(np.float64(before[2] + share * se2.wrap(np.float64(turn))))
         return np.array([before[0] + share * x, before[1] + share * y, theta])
@@ -142,7 +142,7 @@ class StandingStill:
     latest_t = np.inf
 
     def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:
-        """There is no robot whose poses could be of use."""
+        """Ignored: there is no robot."""
 
     @staticmethod
     def reaches(t: float) -> bool:  # noqa: ARG004
@@ -152,4 +152,5 @@ class StandingStill:
         """There is nothing to forget."""
 
     def at(self, t: float) -> Poses:  # noqa: ARG002
+        """The origin (3,)."""
         return se2.IDENTITY

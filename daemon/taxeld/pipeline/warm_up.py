@@ -1,4 +1,4 @@
-"""Touches of the object before the first real one, so that code and memory are there."""
+"""Touches of the object before the first real one, to load code and memory."""
 
 import numpy as np
 
@@ -13,7 +13,7 @@ TOUCHES = 5
 
 
 def warm_up(model: ObservationModel, ladder: Ladder, config: FilterConfig) -> None:
-    """Have another estimator take a few touches; then the ladder knows what a touch costs."""
+    """Let another estimator take a few touches; then the ladder knows the cost of a touch."""
     rng = np.random.default_rng(0)
     radius_m, depth_m = model.layout.radius_m, model.depth_max_m
     poses = contacts.synthesise(model.scene, radius_m, depth_m, 8 * TOUCHES, rng).pose

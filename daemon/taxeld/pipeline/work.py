@@ -1,5 +1,4 @@
-"""The estimator's work on one scan, which may be left after each of its parts and taken up
-again."""
+"""The estimator's work on one scan, which may pause after each of its parts."""
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import Config
@@ -11,7 +10,7 @@ from taxeld.proposals.ladder import Ladder
 
 
 class Work:
-    """On the activation of a scan, at the sensor's pose (3,) in the world."""
+    """Work on the activation of a scan, at the sensor's pose (3,) in the world."""
 
     def __init__(
         self,
@@ -21,13 +20,14 @@ class Work:
         sensor: Poses,
         skin_ns: int = 0,
     ) -> None:
-        """`skin_ns`: what the skin took for it."""
+        """`sensor` (3,): sensor's pose in the world; `skin_ns`: time that the skin took for the
+        scan."""
         self.activation = activation
         self.sensor = sensor
         self.skin_ns = skin_ns
-        self.own_ns = 0  # so far, on the ladder's clock; without the time between parts
-        self.parts = self.longest_ns = 0  # of it
-        self.is_told = False  # whether its estimate has been made known
+        self.own_ns = 0  # time so far on the ladder's clock, without pauses between parts
+        self.parts = self.longest_ns = 0  # number of parts, and the longest
+        self.is_told = False  # whether the estimate has been reported
         self._estimator = estimator
         self._before = estimator.estimate
         self._ladder = ladder
@@ -37,21 +37,21 @@ class Work:
 
     @property
     def estimate(self) -> Estimate:
-        """The scan's, or the one before it."""
+        """The scan's estimate, or the one before it."""
         return self._estimator.estimate
 
     @property
     def has_estimate(self) -> bool:
-        """Whether it is the scan's; thoughts that follow may better it."""
+        """Whether `estimate` is the scan's; later parts may improve it."""
         return self.estimate is not self._before
 
     @property
     def propose_ns(self) -> int:
-        """Of the time, what proposals took."""
+        """The part of the time that proposals took."""
         return self._ladder.spent_ns - self._proposed_ns
 
     def go_on(self) -> bool:
-        """Do the next part; → whether it was the last, or all was forgotten."""
+        """Do the next part; → whether it was the last, or everything was forgotten."""
         begin = self._ladder.clock()
         if self._left_ns is not None:
             self._ladder.paused(begin - self._left_ns)
@@ -69,11 +69,11 @@ class Work:
         return False
 
     def give_up(self) -> None:
-        """The estimator is about to forget all."""
+        """Stop: the estimator is about to forget everything."""
         self._parts.close()
         self._ladder.given_up()
 
 
 def estimator_of(model: ObservationModel, ladder: Ladder, config: Config) -> Estimator:
-    """As configured."""
+    """The configured estimator."""
     return Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)

@@ -10,16 +10,16 @@ from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 
-ROUNDS = 1000  # of drawing contacts, at most; `check_contacts` has found that some land
-DRAWS, LEAST_FELT = 5000, 10  # of so many contacts so many must be felt
+ROUNDS = 1000  # most rounds of drawing contacts; `check_contacts` has found that some land
+DRAWS, LEAST_FELT = 5000, 10  # contacts drawn by `check_contacts`, and the fewest that must be felt
 NO_CONTACT = "scene: no contact with this skin can be made; build the bundle again"
 
 
 def check_contacts(model: ObservationModel) -> None:
-    """Whether contacts can be drawn: else whatever draws them would never be done.
+    """Check that contacts can be drawn: otherwise drawing them would never end.
 
     Raises:
-        SetupError: hardly any lands on the object, or is felt.
+        SetupError: hardly any land on the object, or are felt.
     """
     rng = np.random.default_rng(0)
     radius_m = model.layout.radius_m
@@ -30,7 +30,7 @@ def check_contacts(model: ObservationModel) -> None:
 
 
 class Projection:
-    """The paper's uninformed baseline: contact poses that do not look at the activations."""
+    """The paper's uninformed baseline: contact poses that ignore the activations."""
 
     name = "projection"
 
@@ -38,6 +38,7 @@ class Projection:
         self._model = model
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
+        """z (M,), live (M,) → contact poses (n, 3), whatever the activations."""
         model = self._model
         found = np.empty((0, 3))
         for _ in range(ROUNDS):
@@ -64,10 +65,11 @@ class Manifold:
         ahead, behind = np.roll(outline, -1, axis=0), np.roll(outline, 1, axis=0)
         tangent = ahead - behind
         area = np.sum(outline[:, 0] * ahead[:, 1] - ahead[:, 0] * outline[:, 1])
-        outwards = -np.pi / 2 if area > 0 else np.pi / 2  # of the tangent's direction
+        outwards = -np.pi / 2 if area > 0 else np.pi / 2  # tangent → normal
         self._facing = np.arctan2(tangent[:, 1], tangent[:, 0]) + outwards
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
+        """z (M,), live (M,) → object poses (n, 3) in the sensor frame."""
         model = self._model
         scene, radius_m = model.scene, model.layout.radius_m
         pressed = np.where(live, z, 0.0)
@@ -117,6 +119,7 @@ class Table:
         self._pose = _turned(poses, -2.0 * np.pi * turn / len(layout.turns))
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
+        """z (M,), live (M,) → object poses (n, 3) in the sensor frame."""
         layout = self._layout
         turn = int(layout.sector[np.where(live, z, -1.0).argmax()])
         taxels = layout.turns[turn]
@@ -135,5 +138,7 @@ def _turned(poses: Poses, angle: Floats) -> Poses:
 
 
 ANALYTIC: dict[str, Callable[[ObservationModel], Proposal]] = {
-    "projection": Projection, "manifold": Manifold, "table": Table,
-}  # fmt: skip
+    "projection": Projection,
+    "manifold": Manifold,
+    "table": Table,
+}

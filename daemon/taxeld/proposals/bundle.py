@@ -1,4 +1,4 @@
-"""Scene bundles: a directory with the scene, its samplers, and what is known about them."""
+"""Scene bundles: a directory with the scene, its samplers, and their description."""
 
 import contextlib
 import math
@@ -15,6 +15,7 @@ from taxeld.model.proposal import Proposal
 from taxeld.proposals import manifest, scene_file, seal
 from taxeld.proposals.analytic import ANALYTIC, Table, check_contacts
 from taxeld.proposals.ladder import Ladder, Rung, Step
+from taxeld.proposals.manifest import Manifest, SamplerEntry
 from taxeld.proposals.sampler import Sampler
 
 
@@ -23,15 +24,16 @@ class Bundle:
     """A validated bundle that belongs to the configured layout."""
 
     path: Path
-    info: dict[str, Any]  # bundle.json as it stands
-    files: dict[str, bytes]  # beside it, as they were when it was built
+    manifest: Manifest
+    info: dict[str, Any]  # the whole content of bundle.json
+    files: dict[str, bytes]  # name → content of each file beside bundle.json
     model: ObservationModel
 
     def resolve(self, name: str, sampler: str = "") -> str:
-        """The analytic proposal or the sampler that the configuration names.
+        """The analytic proposal or the sampler named by the configuration.
 
-        An analytic proposal is taken by its name, a `sampler` by its own, a kind of sampler
-        (`density`, `ddpm`) as the bundle's first of that kind, and `auto` as the bundle's first
+        An analytic proposal is named by itself, a `sampler` by its own name. A kind of sampler
+        (`density`, `ddpm`) is the bundle's first of that kind, and `auto` the bundle's first
         choice, whatever it costs on this machine.
 
         Raises:
@@ -46,37 +48,38 @@ class Bundle:
         if name == "auto":
             return self.order[0]
         for entry in samplers.values():
-            if entry["kind"] == name:
-                return str(entry["name"])
+            if entry.kind == name:
+                return entry.name
         raise SetupError(f"filter.proposal: {self.path.name} holds no {name} sampler; use auto")
 
     @property
     def order(self) -> list[str]:
         """Proposals by preference, the first choice of `auto` first."""
-        return self.info["auto"] or [Table.name]
+        return self.manifest.auto or [Table.name]
 
     @property
     def choices(self) -> list[str]:
-        """What `auto` may come to, on whatever machine. A sampler of more operations than one that
-        is preferred to it is left out: it would not be faster."""
+        """All proposals that `auto` may choose on any machine. A sampler with more operations than
+        one preferred to it is left out: it would not be faster."""
         return self._lighter(math.inf)
 
     def cheaper(self, name: str) -> list[str]:
-        """Samplers of fewer operations than the sampler `name`, by preference, each of fewer than
-        the one before."""
+        """Samplers with fewer operations than the sampler `name`, by preference, each with fewer
+        than the one before."""
         samplers = self._samplers()
-        most = samplers[name]["flops"] if name in samplers else 0.0
+        most = samplers[name].flops if name in samplers else 0.0
         return [n for n in self._lighter(most) if n in samplers]
 
     def _lighter(self, most: float) -> list[str]:
-        """Of `order`, samplers that each have fewer operations, and analytic proposals."""
+        """Proposals of `order`: analytic ones, and samplers that each have fewer operations than
+        the one before, below `most`."""
         samplers = self._samplers()
         kept = []
         for name in self.order:
             if name in samplers:
-                if samplers[name]["flops"] >= most:
+                if samplers[name].flops >= most:
                     continue
-                most = samplers[name]["flops"]
+                most = samplers[name].flops
             kept.append(name)
         return kept
 
@@ -89,19 +92,19 @@ class Bundle:
         if name in ANALYTIC:
             return ANALYTIC[name](self.model)
         entry = self._samplers()[name]
-        file = entry["file"]
-        return Sampler(self.files[file], self.model.layout, entry["kind"], self.path / file)
+        path = self.path / entry.file
+        return Sampler(self.files[entry.file], self.model.layout, entry.kind, path)
 
     def proposal(self, name: str, sampler: str = "") -> Proposal:
-        """The proposal that the configuration names, as `resolve`."""
+        """The proposal named by the configuration, by the rules of `resolve`."""
         return self.open(self.resolve(name, sampler))
 
     def untimed(self, config: FilterConfig) -> Ladder:
-        """The configured proposal alone, read by no clock: the same samples on any machine."""
+        """The configured proposal alone, without a clock: the same samples on any machine."""
         return Ladder([Rung(Step.CHOSEN, self.proposal(config.proposal, config.sampler))])
 
-    def _samplers(self) -> dict[str, dict[str, Any]]:
-        return {sampler["name"]: sampler for sampler in self.info["samplers"]}
+    def _samplers(self) -> dict[str, SamplerEntry]:
+        return {sampler.name: sampler for sampler in self.manifest.samplers}
 
 
 def is_shipped(name: str) -> bool:
@@ -111,10 +114,11 @@ def is_shipped(name: str) -> bool:
 
 
 def find(name: str) -> Path:
-    """The directory of a shipped bundle's name or a path."""
+    """The directory of a shipped bundle's name or of a path."""
     shipped = _shipped()
     for path in (shipped / name, Path(name)):
-        with contextlib.suppress(OSError, ValueError):  # no path at all, or not ours to see
+        # the name may not be a path, or lie where this user may not look
+        with contextlib.suppress(OSError, ValueError):
             if (path / manifest.NAME).is_file():
                 return path
     names = ", ".join(sorted(p.name for p in shipped.glob("*") if (p / manifest.NAME).is_file()))
@@ -135,26 +139,23 @@ def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
         SetupError: it is missing, damaged, or of another layout or depth.
     """
     path = find(name)
-    info = manifest.parse(seal.read(path / manifest.NAME), path / manifest.NAME)
-    theirs = info["layout"]
-    if theirs["digest"] != layout.digest:
+    found, info = manifest.parse(seal.read(path / manifest.NAME), path / manifest.NAME)
+    if found.layout.digest != layout.digest:
         raise SetupError(
-            f"scene.bundle: {path.name} is for the layout {theirs['name']} "
-            f"({theirs['digest']}), not for {layout.name} ({layout.digest}); build it again for "
+            f"scene.bundle: {path.name} is for the layout {found.layout.name} "
+            f"({found.layout.digest}), not for {layout.name} ({layout.digest}); build it again for "
             "this one ('taxeld-train build --skin'), or name the other in skin.layout"
         )
-    if abs(info["depth_max_m"] - depth_max_m) > 1e-6:
+    if abs(found.depth_max_m - depth_max_m) > 1e-6:
         raise SetupError(
             f"skin.full_scale_depth_m: is {depth_max_m:g}, but {path.name} was built for "
-            f"{info['depth_max_m']:g}; set it to that"
+            f"{found.depth_max_m:g}; set it to that"
         )
-    files = seal.unbroken(path, info["files"])
-    for entry in info["samplers"]:
-        Sampler.check(files[entry["file"]], layout, path / entry["file"])
+    files = seal.unbroken(path, found.files)
     scene = scene_file.parse(files[manifest.SCENE], path / manifest.SCENE)
     try:
         model = ObservationModel(scene, layout, depth_max_m)
         check_contacts(model)
     except SetupError as error:
         raise SetupError(f"{path / manifest.SCENE}: {error}") from None
-    return Bundle(path, info, files, model)
+    return Bundle(path, found, info, files, model)

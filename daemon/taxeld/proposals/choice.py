@@ -14,15 +14,15 @@ from taxeld.proposals.analytic import Table
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.ladder import ClockNs, Cost, Ladder, Rung, Step
 
-TIMED_CALLS = 5  # whose median is the cost of a proposal
-SHARES = (0.5, 0.25)  # of the samples, where the cheapest sampler is too slow for all of them
+TIMED_CALLS = 5  # calls whose median is the cost of a proposal
+SHARES = (0.5, 0.25)  # shares of the samples, if the cheapest sampler is too slow for all
 
 
-Opened = dict[str, Proposal]  # by name
+Opened = dict[str, Proposal]  # proposals by name
 
 
 def ladder(bundle: Bundle, config: Config, clock: ClockNs) -> Ladder:
-    """The configured proposal and what stands in for it where time is short; `clock` is in ns.
+    """The configured proposal and its substitutes for when time is short; `clock` is in ns.
 
     Raises:
         SetupError: one of them cannot be used.
@@ -34,7 +34,7 @@ def ladder(bundle: Bundle, config: Config, clock: ClockNs) -> Ladder:
 
 
 def open_all(bundle: Bundle, config: FilterConfig) -> Opened:
-    """All proposals that a run may draw from, on whatever machine.
+    """All proposals that a run may use, on any machine.
 
     Raises:
         SetupError: the bundle has none of the configured name, or one cannot be used.
@@ -45,7 +45,7 @@ def open_all(bundle: Bundle, config: FilterConfig) -> Opened:
 
 
 def choose(bundle: Bundle, opened: Opened, config: FilterConfig, budget_ms: float) -> str:
-    """The name of the proposal that the configuration names.
+    """The name of the configured proposal.
 
     `auto` is the first of the bundle's choices whose CPU time for the samples of a touch is at most
     `budget_ms`, or the cheapest where none is.
@@ -62,8 +62,8 @@ def choose(bundle: Bundle, opened: Opened, config: FilterConfig, budget_ms: floa
 
 
 def rungs(bundle: Bundle, opened: Opened, chosen: str, samples: int) -> list[Rung]:
-    """The chosen proposal, cheaper samplers in the bundle's order of preference, fewer samples of
-    the last of them, the table if it is cheaper still, and no samples."""
+    """The chosen proposal, cheaper samplers by the bundle's preference, fewer samples of the last
+    of them, the table if it is cheaper still, and no samples."""
 
     def rung(step: Step, name: str, share: float = 1.0) -> Rung:
         ms = cpu_ms(opened[name], bundle.model, max(round(share * samples), 1))
@@ -83,7 +83,7 @@ def rungs(bundle: Bundle, opened: Opened, chosen: str, samples: int) -> list[Run
 
 
 def cpu_ms(proposal: Proposal, model: ObservationModel, samples: int) -> float:
-    """Median CPU time of a call [ms], the first left out."""
+    """Median CPU time of a call [ms], without the first call."""
     rng = np.random.default_rng(0)
     taxels = len(model.layout)
     z, live = np.eye(1, taxels)[0], np.ones(taxels, dtype=bool)

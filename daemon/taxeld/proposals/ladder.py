@@ -1,8 +1,8 @@
 """A proposal that keeps to a deadline: the first of several that fits into the time left.
 
 The rungs, from the top: the chosen sampler, cheaper samplers, fewer samples, the table, no samples.
-Every call begins at the top, so with enough time the next one is whole again. The cost of a rung is
-measured at start and followed while it is used. A rung that is skipped for its cost moves back
+Every call begins at the top, so with enough time the next call is whole again. The cost of a rung
+is measured at start and followed while it is used. A rung that is skipped for its cost moves back
 towards its cost at start, so that it is tried again. Where no rung ever fits, the last one with
 samples is still used now and then: late samples are better than none.
 """
@@ -16,13 +16,13 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model.proposal import Proposal
 
-MARGIN = 1.25  # times the expected cost: the time that must be left
-DEVIATIONS = 2.0  # the expected cost lies so many mean absolute deviations over the mean
+MARGIN = 1.25  # times the expected cost: time that must be left
+DEVIATIONS = 2.0  # mean absolute deviations over the mean: the expected cost
 GAIN = 0.25  # weight of a new cost in the running mean
-SURPRISE = 3.0  # times the mean: the part of a cost beyond it is taken for another process's work
+SURPRISE = 3.0  # times the mean: any cost beyond it is taken for another process's work
 PATIENCE = 5  # calls in a row that may bring no samples
-FORGET = 0.05  # share of the way back to the cost at start, with each call that skips a rung
-OVERHEAD = 100  # the filter's fixed cost of samples is that of so many samples
+FORGET = 0.05  # share of the way back to the cost at start, at each call that skips a rung
+OVERHEAD = 100  # samples that cost the filter as much as its fixed work
 
 ClockNs = Callable[[], int]
 
@@ -35,15 +35,16 @@ class Step(IntEnum):
     """How far down the ladder a call went."""
 
     CHOSEN = 0
-    CHEAPER = 1  # another sampler
-    FEWER = 2  # samples, of the cheapest sampler
+    CHEAPER = 1  # another, cheaper sampler
+    FEWER = 2  # fewer samples of the cheapest sampler
     TABLE = 3
     NONE = 4  # no samples this time
 
 
 @dataclass(slots=True)
 class Cost:
-    """A running mean and mean absolute deviation of a duration [ns], as TCP has of round trips."""
+    """A running mean and mean absolute deviation of a duration [ns], as TCP keeps of round
+    trips."""
 
     ns: float = 0.0
     deviation_ns: float = 0.0
@@ -69,7 +70,7 @@ class Cost:
 
 @dataclass(slots=True)
 class Rung:
-    """A proposal, the share of the samples that it is asked for, and the cost of a call."""
+    """A proposal, its share of the wanted samples, and the cost of a call."""
 
     step: Step
     proposal: Proposal | None = None  # None: no samples
@@ -79,7 +80,7 @@ class Rung:
 
 @dataclass(slots=True)
 class LadderCounters:
-    """Since start: calls, by how far down the ladder they went."""
+    """Counts of calls since start, by the rung that they reached."""
 
     chosen: int = 0
     cheaper: int = 0
@@ -98,22 +99,24 @@ class Ladder:
     def __init__(
         self, rungs: list[Rung], clock: ClockNs = no_clock, budget_ns: float = float("inf")
     ) -> None:
-        """`rungs`: from the chosen one down; `budget_ns`: for the proposal, without the filter."""
+        """`rungs`: from the chosen one down; `budget_ns`: time for the proposal, without the
+        filter."""
         self.rungs = rungs
         self.clock = clock
         self.budget_ns = budget_ns
-        self.deadline_ns = float("inf")  # on `clock`
-        self.spent_ns = 0  # in proposals, since start
-        self.step = Step.CHOSEN  # of the last call
+        self.deadline_ns = float("inf")  # time on `clock`
+        self.spent_ns = 0  # time in proposals, since start
+        self.step = Step.CHOSEN  # rung of the last call
         self.counters = LadderCounters()
-        self.name = rungs[0].proposal.name if rungs[0].proposal else ""  # of the last one used
-        self._each = Cost()  # of the filter's work on one sample
-        self._done_ns = 0  # when the samples of the last call were there
-        self._without = 0  # calls in a row that brought no samples
-        self._asked = 0  # samples of the last call
+        self.name = rungs[0].proposal.name if rungs[0].proposal else ""  # proposal used last
+        self._each = Cost()  # cost of the filter's work on one sample
+        self._done_ns = 0  # time at which the last call's samples were done
+        self._without = 0  # calls in a row without samples
+        self._asked = 0  # samples wanted at the last call
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
-        """As `Proposal.propose`, with as many samples as there is time for: (≤ n, 3)."""
+        """Like `Proposal.propose`, with as many samples as fit the time: z (M,), live (M,) → (≤ n,
+        3)."""
         start = self.clock()
         left_ns = self.deadline_ns - start
         rung = next(rung for rung in self.rungs if self._fits(rung, n, left_ns))
@@ -135,22 +138,22 @@ class Ladder:
         return poses
 
     def used(self) -> None:
-        """The filter is done with the samples of the last call: learn its cost for a sample."""
+        """The filter has finished the last call's samples: learn its cost of a sample."""
         if self._asked:
             self._each.took((self.clock() - self._done_ns) / (OVERHEAD + self._asked))
         self._asked = 0
 
     def paused(self, ns: int) -> None:
-        """The filter was left for so long with the samples of the last call."""
+        """The filter paused for `ns` with the last call's samples."""
         self._done_ns += ns
 
     def given_up(self) -> None:
-        """The filter will not be done with them."""
+        """The filter drops the last call's samples unfinished."""
         self._asked = 0
 
     def settle(self) -> None:
-        """The warm-up is over: counting begins, and the costs at start are the least so far, as
-        code that was cold and other processes only ever add to them."""
+        """End the warm-up: counting begins, and the costs at start become the least so far, because
+        cold code and other processes only ever add to them."""
         self.counters = LadderCounters()
         self.spent_ns = 0
         for cost in (self._each, *(rung.cost for rung in self.rungs)):
@@ -158,7 +161,7 @@ class Ladder:
             cost.deviation_ns = 0.0
 
     def _fits(self, rung: Rung, n: int, left_ns: float) -> bool:
-        """Whether a rung, and the filter's work on its samples, fit into the time left."""
+        """Whether a rung and the filter's work on its samples fit into `left_ns`."""
         if rung.proposal is None or left_ns == float("inf"):
             return True
         after_ns = self._each.expected_ns * (OVERHEAD + rung.share * n)

@@ -1,126 +1,100 @@
-"""`bundle.json`: what a bundle says of itself, checked before any of it is used."""
+"""`bundle.json`: the description of a bundle, checked before any of it is used."""
 
 import json
-import re
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, get_args, get_origin, get_type_hints
 
 from taxeld.errors import SetupError
+from taxeld.proposals import seal
 from taxeld.proposals.analytic import ANALYTIC
 
 NAME = "bundle.json"
 SCENE = "scene.npz"
-FORMAT = 3  # 2 had no digests
-KINDS = ("density", "ddpm")  # of samplers
-
-MAX_BYTES = 1_000_000
-MAX_SAMPLERS = 100
-MAX_TEXT = 500  # characters
-LARGEST = 1e18
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
-_DIGEST = re.compile(r"[0-9a-f]{64}")
+FORMAT = 3  # version 2 had no digests
+KINDS = ("density", "ddpm")  # kinds of samplers
+LARGEST = 1e18  # limit of numbers
 
 
-def parse(text: bytes, path: Path) -> dict[str, Any]:
-    """The content of `bundle.json`, which `path` names in messages.
+@dataclass(frozen=True, slots=True)
+class BuiltFor:
+    """The layout for which a bundle was built."""
+
+    name: str
+    digest: str
+
+
+@dataclass(frozen=True, slots=True)
+class SamplerEntry:
+    """A sampler of a bundle."""
+
+    name: str
+    kind: str  # one of KINDS
+    file: str
+    flops: float  # operations of one call
+
+
+@dataclass(frozen=True, slots=True)
+class Manifest:
+    """The keys of `bundle.json` that the daemon and the harness use. Lengths in metres."""
+
+    object: str
+    layout: BuiltFor
+    height_m: float
+    depth_max_m: float
+    files: dict[str, str]  # name → SHA-256 of each file beside bundle.json
+    samplers: list[SamplerEntry]
+    auto: list[str]  # proposals by preference
+    mesh: str = ""  # a file of the bundle with the mesh, where the object is not one of YCB's
+
+    def __post_init__(self) -> None:
+        """Raises ValueError where the values do not belong together."""
+        for name in (*self.files, self.mesh):
+            if Path(name).name != name:
+                raise ValueError(f"files, mesh: {name!r:.70} is no file's name")
+        for name in (SCENE, *(sampler.file for sampler in self.samplers)):
+            if name not in self.files:
+                raise ValueError(f"files has no SHA-256 of {name!r:.70}")
+        for sampler in self.samplers:
+            if sampler.kind not in KINDS:
+                raise ValueError(f"samplers: {sampler.kind!r:.70} is none of {', '.join(KINDS)}")
+        for name in self.auto:
+            if name not in {*ANALYTIC, *(sampler.name for sampler in self.samplers)}:
+                raise ValueError(f"auto: no such proposal or sampler: {name!r:.70}")
+
+
+def parse(text: bytes, path: Path) -> tuple[Manifest, dict[str, Any]]:
+    """The used keys of `bundle.json`, and its whole content; `path` names it in messages.
 
     Raises:
         SetupError: it is damaged, or of another format.
     """
     try:
-        return _parse(text)
+        info = json.loads(text)
+        found = info.get("format") if isinstance(info, dict) else None
+        if found != FORMAT:
+            raise ValueError(
+                f"is of format {found!r:.70}, not {FORMAT} ('taxeld-train seal' turns 2 into 3)"
+            )
+        return _checked(Manifest, info, ""), info
     except (ValueError, RecursionError) as error:
-        reason = "nested too deep" if isinstance(error, RecursionError) else error
-        raise SetupError(f"{path}: {reason}") from None
+        raise SetupError(f"{path}: {seal.reason(error)}; build the bundle again") from None
 
 
-def _parse(text: bytes) -> dict[str, Any]:
-    """Raises ValueError, with what is wrong."""
-    if len(text) > MAX_BYTES:
-        raise ValueError("is too large; build the bundle again")
-    try:
-        info = json.loads(text.decode("utf-8"), parse_constant=_no_number)
-    except ValueError as error:
-        raise ValueError(f"unreadable ({error}); build the bundle again") from None
-    if not isinstance(info, dict):
-        raise ValueError("is no map; build the bundle again")
-    found = info.get("format")
-    if found == FORMAT - 1:
-        raise ValueError(
-            f"is of bundle format {found}, without digests; build the bundle again, or run "
-            "'taxeld-train seal' on its directory"
-        )
-    if found != FORMAT:
-        raise ValueError(f"is not of bundle format {FORMAT}; build the bundle again")
-    if not _is_text(info.get("object")):
-        raise ValueError("object is missing or no line of text")
-    if not (info.get("attribution", "") is None or _is_text(info.get("attribution"))):
-        raise ValueError("attribution is missing or no line of text")
-    mesh = info.get("mesh")  # a file of the bundle, where the object is none of YCB's
-    if mesh is not None and not (isinstance(mesh, str) and _NAME.fullmatch(mesh)):
-        raise ValueError("mesh is no name of a file")
-    layout = info.get("layout")
-    if not isinstance(layout, dict) or not all(_is_text(layout.get(k)) for k in ("name", "digest")):
-        raise ValueError("layout needs a name and a digest")
-    for key in ("height_m", "depth_max_m"):
-        if not _is_number(info.get(key)):
-            raise ValueError(f"{key} is missing or no number")
-    _check_files(info.get("files"))
-    _check_samplers(info.get("samplers"), info["files"])
-    _check_auto(info.get("auto"), {sampler["name"] for sampler in info["samplers"]})
-    return info
-
-
-def _check_files(files: object) -> None:
-    if not isinstance(files, dict) or SCENE not in files or len(files) > MAX_SAMPLERS + 1:
-        raise ValueError(f"files needs the SHA-256 of {SCENE} and of each sampler")
-    for name, digest in files.items():
-        if not _is_name(name) or name == NAME:
-            raise ValueError(f"files: {name!r:.70} is no file's name")
-        if not isinstance(digest, str) or not _DIGEST.fullmatch(digest):
-            raise ValueError(f"files.{name} is no SHA-256")
-
-
-def _check_samplers(samplers: object, files: dict[str, str]) -> None:
-    if not isinstance(samplers, list) or len(samplers) > MAX_SAMPLERS:
-        raise ValueError("samplers is missing or no list")
-    names = set(ANALYTIC)
-    for i, sampler in enumerate(samplers):
-        at = f"samplers[{i}]"
-        if not isinstance(sampler, dict):
-            raise ValueError(f"{at} needs name, kind, file and flops")
-        if not _is_name(sampler.get("name")) or sampler["name"] in names:
-            raise ValueError(f"{at}.name is missing, no plain name, or taken")
-        names.add(sampler["name"])
-        if sampler.get("kind") not in KINDS:
-            raise ValueError(f"{at}.kind is none of {', '.join(KINDS)}")
-        if not _is_name(sampler.get("file")) or sampler["file"] not in files:
-            raise ValueError(f"{at}.file is missing or has no SHA-256 in files")
-        if not _is_number(sampler.get("flops")) or sampler["flops"] <= 0:
-            raise ValueError(f"{at}.flops is missing or no positive number")
-
-
-def _check_auto(auto: object, samplers: set[str]) -> None:
-    if not isinstance(auto, list):
-        raise ValueError("auto is missing or no list")
-    known = samplers.union(ANALYTIC)
-    for i, name in enumerate(auto):
-        if not isinstance(name, str) or name not in known or name in auto[:i]:
-            raise ValueError(f"auto: no such proposal or sampler, or twice: {name!r:.70}")
-
-
-def _no_number(constant: str) -> NoReturn:
-    raise ValueError(f"{constant} is no number")
-
-
-def _is_number(value: object) -> bool:
-    return type(value) in (int, float) and abs(value) < LARGEST  # type: ignore[arg-type]
-
-
-def _is_text(value: object) -> bool:
-    """Whether it is a short line that can be printed."""
-    return isinstance(value, str) and value.isprintable() and len(value) <= MAX_TEXT
-
-
-def _is_name(value: object) -> bool:
-    return isinstance(value, str) and _NAME.fullmatch(value) is not None
+def _checked(kind: Any, value: object, key: str) -> Any:
+    """A JSON value as `kind`; raises ValueError with its key. Maps may hold more keys."""
+    inner, origin = get_args(kind), get_origin(kind)
+    if hasattr(kind, "__dataclass_fields__") and isinstance(value, dict):
+        kinds, at = get_type_hints(kind), f"{key}." if key else ""
+        names = [f.name for f in fields(kind) if f.name in value or f.default is MISSING]
+        return kind(**{name: _checked(kinds[name], value.get(name), at + name) for name in names})
+    if origin is list and isinstance(value, list):
+        return [_checked(inner[0], one, f"{key}[{i}]") for i, one in enumerate(value)]
+    if origin is dict and isinstance(value, dict):
+        return {_checked(str, k, key): _checked(str, v, f"{key}.{k}") for k, v in value.items()}
+    if kind is str and isinstance(value, str) and value.isprintable():
+        return value
+    if kind is float and isinstance(value, int | float) and abs(value) < LARGEST:
+        return float(value)
+    words = {str: "line of text", float: "number", list: "list"}
+    raise ValueError(f"{key} is missing or no {words.get(origin or kind, 'map')}")

@@ -1,52 +1,54 @@
 """The inverse observation model at run time: an ONNX graph from touch and noise to poses."""
 
 import contextlib
+import json
 import os
+import re
+import threading
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
-from taxeld.errors import SetupError
+from taxeld.errors import SetupError, one_line
 from taxeld.layout.layout import Layout
-from taxeld.proposals import graph_file, seal
+from taxeld.proposals import seal
 
-os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # its wheels report home by default
+os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # the wheels send telemetry
 import onnxruntime as ort
 
 TRIED = 8  # samples of the trial call
+MOST_STEPS = 10_000  # limit on the steps of noise
+DEADLINE_S = 30.0  # s to open and try a sampler; the largest shipped one takes half a second
+MEMORY_BYTES = 512 << 20  # limit for all samplers together; the shipped ones take a few MB
+# A graph's node holds its operator's name as field 4: a tag, the length, the name.
+SUBGRAPH = re.compile(rb'"(?:\x04(?:Loop|Scan)|\x02If)')
 
 
 class Sampler:
     """Samples of p(pose | activations) by a trained graph.
 
-    The graph takes the touch as the skin has it, and turns it for itself. Its noise is an input, so
-    that a seed replays it.
+    The graph gets activations in the layout's order and turns them itself. Its noise is an input,
+    so that a seed repeats it.
     """
 
     def __init__(self, graph: bytes, layout: Layout, name: str, path: Path) -> None:
-        """`graph`: the content of the ONNX file that `path` names in messages.
+        """`graph`: the content of the ONNX file that messages name by `path`.
+
+        Ends the process, with a line, if opening takes longer than `DEADLINE_S`.
 
         Raises:
             SetupError: it is damaged, or no sampler for this skin.
         """
         self.name = name
-        with _told_of(path):
-            self._noise_steps = graph_file.noise_steps(graph, layout)
+        with _told_of(path), _by_deadline(path):
+            _check_content(graph)
             self._session = _session(graph)
+            self._noise_steps = _noise_steps(self._session, layout)
             self._try(len(layout))
-
-    @staticmethod
-    def check(graph: bytes, layout: Layout, path: Path) -> None:
-        """As far as can be told without opening it.
-
-        Raises:
-            SetupError: it is no sampler for this skin.
-        """
-        with _told_of(path):
-            graph_file.noise_steps(graph, layout)
 
     @classmethod
     def read(cls, path: Path, layout: Layout, name: str) -> Self:
@@ -54,6 +56,7 @@ class Sampler:
         return cls(seal.read(path), layout, name, path)
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
+        """z (M,), live (M,) → poses (n, 3)."""
         x, y, c, s = self._session.run(
             None,
             {
@@ -65,11 +68,42 @@ class Sampler:
         return np.column_stack([x, y, np.arctan2(s, c)])
 
     def _try(self, taxels: int) -> None:
-        """Raises ValueError unless a touch gets poses."""
+        """Raises ValueError unless a touch of `taxels` taxels gets poses."""
         touch = np.eye(1, taxels)[0]
         poses = self.propose(touch, np.ones(taxels, bool), TRIED, np.random.default_rng(0))
         if poses.shape != (TRIED, 3) or not np.isfinite(poses).all():
             raise ValueError("a touch gets no finite poses")
+
+
+def _check_content(graph: bytes) -> None:
+    """Raises ValueError for content that must not reach onnxruntime."""
+    # this key names weights in other files; onnxruntime up to 1.24 reads any file through it
+    if b"location" in graph:
+        raise ValueError("it names other files as its weights")
+    found = SUBGRAPH.search(graph)
+    if found:
+        raise ValueError(f"it has the operator {found[0][2:].decode()}, which no sampler needs")
+
+
+def _noise_steps(session: Any, layout: Layout) -> int:
+    """The steps of noise of a graph (z, live, noise) → poses for this skin.
+
+    Raises:
+        ValueError: it is not such a graph; the message says why.
+    """
+    theirs = json.loads(session.get_modelmeta().custom_metadata_map.get("layout", "null"))
+    if theirs not in (None, layout.digest):
+        raise ValueError(f"it is for the layout {theirs}, not for {layout.name} ({layout.digest})")
+    shapes = {given.name: given.shape for given in session.get_inputs()}
+    if shapes.keys() != {"z", "live", "noise"}:
+        raise ValueError("its inputs are not z, live and noise")
+    taxels = len(layout)
+    if shapes["z"] != [1, taxels] or shapes["live"] != [1, taxels]:
+        raise ValueError(f"it is not for a skin of {taxels} taxels")
+    match shapes["noise"]:
+        case [int(steps), str() | None, 4] if 0 < steps <= MOST_STEPS:
+            return steps
+    raise ValueError("its noise is not (steps, any number of samples, 4)")
 
 
 @contextlib.contextmanager
@@ -77,18 +111,56 @@ def _told_of(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # onnxruntime's own exceptions share no public base
-        raise SetupError(
-            f"{path}: unusable sampler ({seal.reason(error)}); build the bundle again"
-        ) from None
+        raise SetupError(_fault(path, seal.reason(error))) from None
+
+
+@contextlib.contextmanager
+def _by_deadline(path: Path) -> Iterator[None]:
+    """End the process where the block takes too long: nothing else interrupts onnxruntime."""
+
+    def end() -> None:
+        reason = f"it takes longer than {DEADLINE_S:g} s to open and try"
+        with contextlib.suppress(OSError):  # standard error may be closed
+            os.write(2, one_line(_fault(path, reason)).encode() + b"\n")
+        os._exit(2)
+
+    timer = threading.Timer(DEADLINE_S, end)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+def _fault(path: Path, reason: str) -> str:
+    return f"{path}: unusable sampler ({reason}); build the bundle again"
+
+
+@cache
+def _bound_memory() -> None:
+    """Let onnxruntime allocate within `MEMORY_BYTES` for all samplers of this process."""
+    place = ort.OrtMemoryInfo(
+        "Cpu", ort.OrtAllocatorType.ORT_ARENA_ALLOCATOR, 0, ort.OrtMemType.DEFAULT
+    )
+    ort.create_and_register_allocator(place, ort.OrtArenaCfg({"max_mem": MEMORY_BYTES}))
 
 
 def _session(graph: bytes) -> Any:
-    """One thread, no spinning: the loop's core is not to be fought over."""
+    """A session of one thread without spinning, which would compete for the loop's core."""
+    _bound_memory()
     options = ort.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.add_session_config_entry("session.load_model_format", "ONNX")  # else it is guessed
-    options.log_severity_level = 4  # what goes wrong is raised, and said once
+    options.add_session_config_entry("session.load_model_format", "ONNX")  # avoids a guess
+    options.add_session_config_entry("session.use_env_allocators", "1")
+    options.log_severity_level = 4  # faults are raised and reported once
     return ort.InferenceSession(
-        graph, options, providers=["CPUExecutionProvider"], enable_fallback=0
-    )  # which would print what went wrong, and try once more
+        graph,
+        options,
+        providers=["CPUExecutionProvider"],
+        # a fault would otherwise be printed, and the call repeated
+        enable_fallback=0,
+        # onnxruntime up to 1.26 folds without a memory limit, and no timer runs meanwhile
+        disabled_optimizers=["ConstantFolding"],
+    )

@@ -1,34 +1,20 @@
-"""The files of a bundle, whole and as they were when it was built.
+"""The files of a bundle, checked against the SHA-256 that `bundle.json` names.
 
-`bundle.json` names the SHA-256 of each file beside it. A file is read once: what was compared is
-what is parsed.
+A file is read once: the compared bytes are the ones that are parsed.
 """
 
 import hashlib
 from pathlib import Path
 
-from taxeld.errors import SetupError, one_line
-
-MAX_BYTES = 64 << 20  # a hundred times the largest file of a shipped bundle
-MAX_REASON = 200  # characters
+from taxeld.errors import SetupError
 
 
 def read(path: Path) -> bytes:
-    """An ordinary file's content.
-
-    Raises:
-        SetupError: it is missing, unreadable, too large, or something else than a file.
-    """
+    """Raises SetupError where the file is missing or unreadable."""
     try:
-        if not path.is_file():
-            raise SetupError(f"{path}: no such file; build the bundle again")
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
+        return path.read_bytes()
     except OSError as error:
-        raise SetupError(f"{path}: unreadable ({error.strerror})") from None
-    if len(data) > MAX_BYTES:
-        raise SetupError(f"{path}: is larger than {MAX_BYTES >> 20} MiB; build the bundle again")
-    return data
+        raise SetupError(f"{path}: {error.strerror}; build the bundle again") from None
 
 
 def digest(data: bytes) -> str:
@@ -39,7 +25,7 @@ def unbroken(path: Path, digests: dict[str, str]) -> dict[str, bytes]:
     """The content of the files {name: SHA-256} in a directory.
 
     Raises:
-        SetupError: one is missing, or is not what it was.
+        SetupError: one is missing, or has another digest.
     """
     files = {name: read(path / name) for name in digests}
     for name, data in files.items():
@@ -52,6 +38,5 @@ def unbroken(path: Path, digests: dict[str, str]) -> dict[str, bytes]:
 
 
 def reason(error: Exception) -> str:
-    """What a parser of another package said, as a part of one line."""
-    lines = str(error).splitlines() or [type(error).__name__]
-    return one_line(lines[0][:MAX_REASON])
+    """A parser's message, as a part of one line."""
+    return str(error).partition("\n")[0] or type(error).__name__

@@ -1,8 +1,7 @@
-"""The Unix clock, and whether somebody set it.
+"""The Unix clock, and steps of it.
 
 Scans and poses are stamped with the Unix time of their arrival. When NTP or an operator steps that
-clock, it gains or loses against the monotonic clock. Slewing and smaller steps are followed as
-they are.
+clock, it gains or loses against the monotonic clock. Slewing and smaller steps count as no step.
 """
 
 import time
@@ -14,7 +13,7 @@ Clock = Callable[[], float]
 
 
 def is_step(by: float) -> bool:
-    """Whether a clock that has gained so many seconds was set."""
+    """Whether a clock that has gained `by` seconds was stepped."""
     return abs(by) >= STEP_S
 
 
@@ -28,11 +27,11 @@ class WallClock:
         self._before = wall(), monotonic()
 
     def read(self) -> tuple[float, float]:
-        """Unix time, and by how much it was stepped since the last reading, 0 where it was not."""
+        """Unix time, and the step since the last reading [s]; 0 without a step."""
         before, wall, after = self._monotonic(), self._wall(), self._monotonic()
         was_wall, was_monotonic = self._before
         by = (wall - was_wall) - (before - was_monotonic)
-        # the process did not run for a while between the readings: they do not belong together
+        # the process was stopped between the readings, so they do not belong together
         if after - before >= STEP_S:
             return wall, 0.0
         self._before = wall, before

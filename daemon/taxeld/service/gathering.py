@@ -1,8 +1,8 @@
-"""When to look at a device that has begun to speak.
+"""When to read a device that has begun to send.
 
-A pass for each frame of a scan would cost more than all that it takes. Frames are left to gather,
-and the pass comes with a scan's last one. How many there are, and how far apart, the scans before
-have shown; meanwhile the device is not listened to for as long as the rest cannot be there.
+A pass for each frame of a scan would cost more than the work on the scan. So frames gather, and the
+pass comes with a scan's last frame. Earlier scans have shown how many frames there are and how far
+apart; the device is not waited on before the rest can have arrived.
 """
 
 import time
@@ -11,15 +11,15 @@ from typing import Protocol
 
 from taxeld.service.inputs import Ready
 
-REST_S = (0.0005, 0.004)  # for more that may come at any time: at first, and at most
-LEAST_S = 0.0002  # a shorter rest does not pay
-LATE_S = 0.001  # that the rest of a scan may be late, as where an adapter speaks once a millisecond
-MORE = 0.25  # of what a scan brought beyond the ones before: taken to be of the next as well
-LONGER, SHORTER = 1.05, 0.98  # by which the pace is followed: two of seven scans are heard early
+REST_S = (0.0005, 0.004)  # first and longest rest while the time of further frames is unknown
+LEAST_S = 0.0002  # shortest rest that pays
+LATE_S = 0.001  # delay allowed to the rest of a scan: adapters may send once a millisecond
+MORE = 0.25  # share of a scan's growth over the last ones that is expected of the next
+LONGER, SHORTER = 1.05, 0.98  # factors on the pace; with them two of seven scans are read early
 
 
 class Waits(Protocol):
-    """`inputs.Inputs`, as far as this goes."""
+    """The part of `inputs.Inputs` used here."""
 
     def wait(self, until_s: float) -> Ready: ...
 
@@ -27,26 +27,26 @@ class Waits(Protocol):
 
 
 class Gathering:
-    """Follows one device. Sizes are of what it counts by: frames, or bytes."""
+    """Follows one device. Sizes are in frames or bytes, as the device counts."""
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._whole = 0.0  # size of a scan
-        self._each_s = 0.0  # from one to the next
-        self._had = 0  # of this scan, in passes that were too early
-        self._held = 0  # more of it, that no pass has seen
-        self._first: tuple[float, int] | None = None  # when it was seen to begin, and how much
-        self._was_early = False  # whether it was heard after its time, and was not whole
-        self._looks = 0  # at this scan, in vain
+        self._each_s = 0.0  # time from one frame or byte to the next
+        self._had = 0  # size of this scan's part that early passes have taken
+        self._held = 0  # size of the part that no pass has taken
+        self._first: tuple[float, int] | None = None  # the scan's time and size when first seen
+        self._was_early = False  # whether the scan was late, and still not whole when read
+        self._looks = 0  # passes on this scan that were too early
 
     @property
     def has_begun(self) -> bool:
-        """Whether something is there that no pass has seen."""
+        """Whether something has arrived that no pass has taken."""
         return self._held > 0
 
     def heard(self, held: int) -> float:
-        """So much is there now that no pass has seen; → for how long the rest of the scan cannot
-        be; 0: it may be whole."""
+        """Take the size `held` of the arrivals that no pass has taken; → the time [s] before which
+        the rest of the scan cannot be there; 0: the scan may be whole."""
         now_s = self._clock()
         self._held, come = held, self._had + held
         if self._first is None:
@@ -60,22 +60,22 @@ class Gathering:
         return min(max(left_s, LEAST_S), REST_S[1])
 
     def gather(self, waits: Waits, hear: Callable[[], int], until_s: float) -> Ready:
-        """Until a scan may be whole, nothing more comes, or others do; `hear` takes what there is,
-        → how much that is by now. The device is to be looked at then."""
+        """Wait until a scan may be whole, frames stop, or another input is ready; the device is
+        then to be read. `hear` keeps the arrivals and returns their size."""
         rest_s, held = self.heard(hear()), 0
         while rest_s and held < self._held:
             held = self._held
             ready = waits.rest(min(until_s, self._clock() + rest_s))
-            if not (ready.robot or ready.peers):
+            if not ready.robot:
                 ready = waits.wait(min(until_s, self._clock() + LATE_S))
-            if ready.robot or ready.peers:
+            if ready.robot:
                 return ready._replace(device=True)
             rest_s = self.heard(hear())
         return Ready(device=True)
 
     def looked(self, scans: int) -> float:
-        """A pass has taken what was there: so many scans, or too little for one; → for how long the
-        device is left alone then."""
+        """A pass has taken the arrivals: `scans` whole scans, or 0; → the time [s] for which the
+        device is then left alone."""
         come, self._held = self._had + self._held, 0
         if scans:
             size = come / scans
@@ -91,8 +91,8 @@ class Gathering:
         return min(least_s * 2.0 ** min(self._looks - 1, 9), most_s)
 
     def _measure(self, took_s: float, come: int) -> None:
-        """The pace, as so much has come since the first of a scan was seen. Of one that was whole
-        when it was looked for, it shows only that it is no slower."""
+        """Update the pace: `come` arrived within `took_s` after the scan was first seen. For a scan
+        that was whole when read, this is only an upper bound of the time."""
         if come > 0:
             step = LONGER if self._was_early else SHORTER
             self._each_s = min(took_s / come, self._each_s * step or took_s / come)

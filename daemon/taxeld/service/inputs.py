@@ -1,80 +1,58 @@
-"""What the loop sleeps on: the device, the robot, and the peers of the streams and of control."""
+"""The inputs that the loop sleeps on: the device and, while a scan waits for a pose, the door."""
 
 import contextlib
 import select
 import time
-from collections.abc import Iterable
 from typing import NamedTuple, Protocol
 
-PEERS_S = 0.01  # those who come again and again are looked at so often
-IN, ONCE = select.EPOLLIN, select.EPOLLIN | select.EPOLLONESHOT
+IN = select.EPOLLIN
 
 
 class Readable(Protocol):
-    """What has a descriptor; negative: none that can be waited on."""
+    """An object with a descriptor; a negative one cannot be waited on."""
 
     def fileno(self) -> int: ...
 
 
 class Ready(NamedTuple):
-    """Who may have something to say."""
+    """The inputs that may have arrivals."""
 
     device: bool = False
     robot: bool = False
-    peers: bool = False
 
 
-NEVER_S = -1.0
-ALL = Ready(device=True, robot=True, peers=True)
+ALL = Ready(device=True, robot=True)
 
 
 class Inputs:
-    """One wait for all of them."""
+    """One wait for both inputs."""
 
-    def __init__(self, peers: Iterable[int]) -> None:
-        """`peers`: descriptors of the sockets that they come to."""
+    def __init__(self) -> None:
         self._epoll = select.epoll()
         self._device, self._robot = _Slot(self._epoll), _Slot(self._epoll)
-        self._peers = tuple(peers)
-        self._looked_s = NEVER_S  # when peers had come: so soon after that they do not wake it
-        for number in self._peers:
-            self._epoll.register(number, ONCE)
 
     def follow(self, device: Readable | None, robot: Readable | None) -> None:
-        """Wait on these from now on; either may be another one each time, or none."""
+        """Wait on these from now on; each may be another one every time, or none."""
         changed = [
             (slot, owner)
             for slot, owner in ((self._device, device), (self._robot, robot))
             if owner is not slot.owner
         ]
-        for slot, _ in changed:  # first, as the number of one may have become the other's
+        for slot, _ in changed:  # all leave first, as one's old number may be the other's new one
             slot.leave()
         for slot, owner in changed:
             slot.enter(owner)
 
     def wait(self, until_s: float) -> Ready:
-        """Sleep until something comes, but no longer; `until_s` is monotonic.
-
-        Peers who come are looked at at once, and once more after PEERS_S, for what a look has left.
-        """
-        if self._looked_s > 0.0:
-            until_s = min(until_s, self._looked_s + PEERS_S)
-        # not its own time-out, which is of whole milliseconds
+        """Sleep until an input is ready, at most until the monotonic time `until_s`."""
+        # epoll's own time-out has only whole milliseconds
         left_s = max(0.0, until_s - time.monotonic())
         found = select.select((self._epoll,), (), (), left_s)[0]
-        now_s = time.monotonic()
-        again = 0.0 < self._looked_s <= now_s - PEERS_S
-        if again:
-            for number in self._peers:
-                self._epoll.modify(number, ONCE)
-        numbers = {number for number, _ in self._epoll.poll(0)} if found or again else set()
-        come = not numbers.isdisjoint(self._peers)
-        if come or again:
-            self._looked_s = now_s if come else NEVER_S
-        return Ready(self._device.number in numbers, self._robot.number in numbers, come or again)
+        numbers = {number for number, _ in self._epoll.poll(0)} if found else set()
+        return Ready(self._device.number in numbers, self._robot.number in numbers)
 
     def rest(self, until_s: float) -> Ready:
-        """The same, while the device may go on speaking: it is not listened to."""
+        """The same without waiting on the device, which may go on sending."""
         self._device.listen(0)
         try:
             return self.wait(until_s)
@@ -86,7 +64,7 @@ class Inputs:
 
 
 class _Slot:
-    """A descriptor that may be another's one day."""
+    """A place for a descriptor, whose number may later belong to another object."""
 
     def __init__(self, epoll: select.epoll) -> None:
         self.number = -1
@@ -95,7 +73,7 @@ class _Slot:
 
     def leave(self) -> None:
         if self.number >= 0:
-            with contextlib.suppress(OSError):  # closed by now, and so no longer waited on
+            with contextlib.suppress(OSError):  # already closed, and so no longer waited on
                 self._epoll.unregister(self.number)
         self.owner, self.number = None, -1
 

@@ -1,118 +1,75 @@
-"""How long each stage of a tick took since start, in the form that `cyclictest --json` writes."""
+"""How long each stage of a scan took since start, in the form that `cyclictest --json` writes."""
 
+import math
 import os
 import platform
 import sys
 import time
-from array import array
-from math import ceil
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
 from taxeld import __version__
 
-BOUND_US = 50_000  # buckets of 1 µs; longer ones are counted, and known by their maximum
-QUANTILES = (0.5, 0.99)
-ADDED_MAX = 1000  # that wait to be sorted in
-
-
-class Histogram:
-    """Durations; neither adding one nor asking for a quantile searches or allocates."""
-
-    def __init__(self) -> None:
-        self.cycles = 0
-        self.overflow = 0  # of them: BOUND_US or more
-        self.max_us = 0.0
-        self._min_us = float("inf")
-        self._sum_us = 0.0
-        self._counts = array("Q", bytes(8 * BOUND_US))
-        self._ranks = [_Rank(quantile, self._counts) for quantile in QUANTILES]
-
-    def add(self, us: float) -> None:
-        self.cycles += 1
-        self._sum_us += us
-        self.max_us = max(self.max_us, us)
-        self._min_us = min(self._min_us, us)
-        bucket = int(us)
-        if bucket < BOUND_US:
-            self._counts[bucket] += 1
-        else:
-            self.overflow += 1
-        for rank in self._ranks:
-            rank.added(bucket, self.cycles)
-
-    @property
-    def min_us(self) -> float:
-        return self._min_us if self.cycles else 0.0
-
-    @property
-    def mean_us(self) -> float:
-        return self._sum_us / self.cycles if self.cycles else 0.0
-
-    def quantiles_us(self) -> list[float]:
-        """The QUANTILES, to a microsecond from above; in the overflow, the maximum."""
-        return [
-            min(rank.bucket + 1.0, self.max_us) if rank.bucket < BOUND_US else self.max_us
-            for rank in self._ranks
-        ]
-
-    def counts(self) -> dict[str, int]:
-        """Whole microseconds → how often; those that occurred."""
-        filled = np.frombuffer(self._counts, dtype=np.uint64)[: int(self.max_us) + 1]
-        return {str(us): int(filled[us]) for us in np.flatnonzero(filled)}
-
-
-class _Rank:
-    """The bucket of a quantile, which moves on as durations are added; BOUND_US is the overflow."""
-
-    def __init__(self, quantile: float, counts: "array[int]") -> None:
-        self.bucket = 0
-        self._quantile = quantile
-        self._counts = counts
-        self._below = 0  # durations in lower buckets
-
-    def added(self, bucket: int, cycles: int) -> None:
-        rank = ceil(self._quantile * cycles)
-        self._below += bucket < self.bucket
-        while self._below >= rank:
-            self.bucket -= 1
-            self._below -= self._counts[self.bucket]
-        while self.bucket < BOUND_US and self._below + self._counts[self.bucket] < rank:
-            self._below += self._counts[self.bucket]
-            self.bucket += 1
+BOUND_US = 50_000  # bins of 1 µs; longer durations are counted, and known by their maximum
+BLOCK = 250  # bins, which are counted together as well: a quantile is sought in few numbers
+WIDTH = BOUND_US + BLOCK  # bins of a stage; from BOUND_US on there is one, for longer durations
+QUANTILES = {"p50": 0.5, "p99": 0.99}
+ADDED_MAX = 1000  # scans that wait to be counted
 
 
 class Latencies:
-    """A histogram a stage. What is added is sorted in when it is asked for, or has become much:
-    not while a scan is under way, and for less when it is many at once."""
+    """A histogram for each stage. Durations are counted together when somebody asks, or when many
+    wait: once a second, and not while a scan is under way. There are two stages or more."""
 
     def __init__(self, stages: tuple[str, ...]) -> None:
-        self._added: list[dict[str, float]] = []
+        self.scans = 0  # counted in the histograms
+        self._stages = stages
         self._start = time.time()
-        self._stages = {stage: Histogram() for stage in stages}
+        self._added: list[dict[str, float]] = []
+        self._bins = np.zeros(len(stages) * WIDTH, dtype=np.int64)  # counts, stage by stage
+        self._blocks = np.zeros(len(self._bins) // BLOCK, dtype=np.int64)  # their sums
+        self._first = np.arange(len(stages)) * WIDTH  # bin of each stage
+        self._sum_us, self._max_us = np.zeros(len(stages)), np.zeros(len(stages))
 
     def add(self, us: dict[str, float]) -> None:
-        """Take durations, which are not changed any more."""
+        """Take a scan's duration of each stage, which is not changed any more."""
         self._added.append(us)
         if len(self._added) >= ADDED_MAX:
-            self._sort_in()
+            self._count()
 
     def percentiles(self) -> dict[str, dict[str, float]]:
-        """Since start; zeros where nothing was measured."""
-        self._sort_in()
-        found = {}
-        for stage, histogram in self._stages.items():
-            p50, p99 = histogram.quantiles_us()
-            found[stage] = {"p50": p50, "p99": p99, "max": histogram.max_us}
-        return found
+        """Since start, rounded up to a microsecond; zeros where nothing was measured."""
+        self._count()
+        ends_us = iter(self._ends_us())
+        return {
+            stage: {**{name: min(next(ends_us), longest) for name in QUANTILES}, "max": longest}
+            for stage, longest in zip(self._stages, self._max_us.tolist(), strict=True)
+        }
+
+    def _ends_us(self) -> list[float]:
+        """Where the bin of each quantile ends, stage by stage: one search finds all, as each stage
+        has a count for each scan."""
+        per_stage = [math.ceil(share * self.scans) for share in QUANTILES.values()]
+        stages = range(len(self._stages))
+        ranks = np.array([self.scans * k + rank for k in stages for rank in per_stage])
+        up_to = self._blocks.cumsum()
+        block = up_to.searchsorted(ranks)
+        inside = self._bins.reshape(-1, BLOCK)[block].cumsum(axis=1)  # (ranks, BLOCK)
+        missing = ranks - up_to[block] + self._blocks[block]
+        bins = block * BLOCK % WIDTH + (inside < missing[:, None]).sum(axis=1)
+        return [us + 1.0 if us < BOUND_US else math.inf for us in bins.tolist()]
 
     def as_cyclictest(self) -> dict[str, Any]:
-        """What `cyclictest --json --histogram=50000` writes: a stage stands where a thread does.
+        """The form of `cyclictest --json --histogram=50000`: a stage stands in place of a thread.
 
-        Counts are by whole microseconds; `cycles` beyond their sum went over the bound.
+        Counts are by whole microseconds; `cycles` beyond their sum took BOUND_US or longer.
         """
-        self._sort_in()
+        self._count()
+        system, cpus = platform.uname(), os.sched_getaffinity(0)
+        counts = self._bins.reshape(-1, WIDTH)  # (stages, WIDTH)
+        filled = [np.flatnonzero(each) for each in counts]
         return {
             "file_version": 1,
             "cmdline": " ".join(sys.argv),
@@ -120,41 +77,43 @@ class Latencies:
             "start_time": _date(self._start),
             "end_time": _date(time.time()),
             "return_code": 0,
-            "sysinfo": _sysinfo(),
+            "sysinfo": {
+                "sysname": system.system,
+                "release": system.release,
+                "version": system.version,
+                "machine": system.machine,
+                "realtime": int("PREEMPT_RT" in system.version),
+            },
             "num_threads": len(self._stages),
             "resolution_in_ns": 0,  # as cyclictest has it: microseconds
             "thread": {
-                str(number): {
+                str(k): {
                     "name": stage,
-                    "histogram": histogram.counts(),
-                    "cycles": histogram.cycles,
-                    "min": int(histogram.min_us),
-                    "max": int(histogram.max_us),
-                    "avg": round(histogram.mean_us, 2),
-                    "cpu": cpus.pop() if len(cpus := os.sched_getaffinity(0)) == 1 else -1,
+                    "histogram": {str(us): int(counts[k, us]) for us in filled[k] if us < BOUND_US},
+                    "cycles": self.scans,
+                    "min": int(filled[k][0]) if self.scans else 0,
+                    "max": int(self._max_us[k]),
+                    "avg": round(float(self._sum_us[k]) / max(self.scans, 1), 2),
+                    "cpu": next(iter(cpus)) if len(cpus) == 1 else -1,
                     "node": 0,
                 }
-                for number, (stage, histogram) in enumerate(self._stages.items())
+                for k, stage in enumerate(self._stages)
             },
         }
 
-    def _sort_in(self) -> None:
-        added, self._added = self._added, []
-        for stage, histogram in self._stages.items():
-            for us in added:
-                histogram.add(us[stage])
+    def _count(self) -> None:
+        """Count the durations that wait."""
+        if not self._added:
+            return
+        us = np.array(list(map(itemgetter(*self._stages), self._added)))  # (scans, stages)
+        self._added = []
+        self.scans += len(us)
+        self._sum_us += np.add.reduce(us)
+        self._max_us = np.maximum(self._max_us, np.maximum.reduce(us))
+        bins = np.minimum(us, BOUND_US).astype(np.int64) + self._first
+        np.add.at(self._bins, bins, 1)
+        np.add.at(self._blocks, bins // BLOCK, 1)
 
 
 def _date(t: float) -> str:
     return time.strftime("%a, %d %b %Y %H:%M:%S %z", time.localtime(t))
-
-
-def _sysinfo() -> dict[str, str | int]:
-    system = platform.uname()
-    return {
-        "sysname": system.system,
-        "release": system.release,
-        "version": system.version,
-        "machine": system.machine,
-        "realtime": int("PREEMPT_RT" in system.version),
-    }

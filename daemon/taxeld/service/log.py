@@ -1,73 +1,80 @@
 """The log: lines on standard error, written by a thread of their own.
 
-A reader of standard error that hangs costs lines, and never a tick. The journal is told how grave
-each line is, a terminal shows it in colour, and a file has the time of each.
+A reader of standard error that hangs costs lines, but neither a pass of the loop nor the end of the
+process. The journal is told how grave each line is, a terminal shows it in colour, and a file has
+the time of each.
 """
 
 import contextlib
 import logging
 import os
-import sys
+import threading
 from collections.abc import Iterator, Mapping
-from logging.handlers import QueueHandler, QueueListener
 from queue import SimpleQueue
-from typing import TextIO
 
+STDERR = 2  # by its number: the object holds a lock while it writes, also at the process' end
 MOST = 1000  # lines that wait to be written; more are dropped
-PRIORITY = {"DEBUG": 7, "INFO": 6, "WARNING": 4, "ERROR": 3, "CRITICAL": 2}  # sd-daemon(3)
-COLOUR = {"DEBUG": "2", "WARNING": "33", "ERROR": "31", "CRITICAL": "31;1"}  # of a terminal
+CLOSE_S = 2.0  # that the last lines may take
+JOURNAL = {"DEBUG": "<7>", "INFO": "<6>", "WARNING": "<4>", "ERROR": "<3>"}  # sd-daemon(3)
+COLOUR = {"DEBUG": "\x1b[2m", "WARNING": "\x1b[33m", "ERROR": "\x1b[31m"}  # of a terminal
 
 _ROOT = logging.getLogger("taxeld")
 
 
-class _Hand(QueueHandler):
-    """Hands a line to the thread, if it is not far behind."""
+class _Marked(logging.Formatter):
+    """A mark for the level stands before each line of a record, and another one behind it."""
 
-    queue: "SimpleQueue[logging.LogRecord]"
-
-    def enqueue(self, record: logging.LogRecord) -> None:
-        if self.queue.qsize() < MOST:
-            self.queue.put(record)
-
-
-class _Journal(logging.Formatter):
-    """The priority stands before each line of a record; the journal adds the time."""
+    marks: Mapping[str, str] = JOURNAL
+    end = ""
 
     def format(self, record: logging.LogRecord) -> str:
-        prefix = f"<{PRIORITY.get(record.levelname, 5)}>"
-        return "\n".join(prefix + line for line in super().format(record).split("\n"))
+        mark = self.marks.get(record.levelname, "")
+        end = self.end if mark else ""
+        return "\n".join(mark + line + end for line in super().format(record).split("\n"))
 
 
-class _Coloured(logging.Formatter):
-    def format(self, record: logging.LogRecord) -> str:
-        line, colour = super().format(record), COLOUR.get(record.levelname)
-        return f"\x1b[{colour}m{line}\x1b[0m" if colour else line
+class _Coloured(_Marked):
+    marks, end = COLOUR, "\x1b[0m"
+
+
+class _Hand(logging.Handler):
+    """Hands lines to the thread, if it is not far behind."""
+
+    def __init__(self, lines: SimpleQueue[str]) -> None:
+        super().__init__()
+        self._lines = lines
+
+    def emit(self, record: logging.LogRecord) -> None:
+        if self._lines.qsize() < MOST:
+            self._lines.put(self.format(record))
 
 
 @contextlib.contextmanager
 def written() -> Iterator[None]:
     """Meanwhile, what is logged is written; its level is as before afterwards."""
     level = _ROOT.level
-    lines: SimpleQueue[logging.LogRecord] = SimpleQueue()
-    hand, handler = _Hand(lines), logging.StreamHandler(sys.stderr)
-    handler.setFormatter(formatter(sys.stderr, os.environ))
-    listener = QueueListener(lines, handler)
-    _ROOT.addHandler(hand)
-    listener.start()
+    lines: SimpleQueue[str] = SimpleQueue()
+    hand = _Hand(lines)
+    hand.setFormatter(formatter(STDERR, os.environ))
+    thread = threading.Thread(target=_write, args=(lines,), name="log", daemon=True)
+    thread.start()
+    logging.getLogger().addHandler(hand)  # of all, as libraries would else write in the loop
     try:
         yield
     finally:
-        _ROOT.removeHandler(hand)
+        logging.getLogger().removeHandler(hand)
         _ROOT.setLevel(level)
-        listener.stop()
+        lines.put("")
+        thread.join(CLOSE_S)
 
 
-def formatter(stream: TextIO, environ: Mapping[str, str]) -> logging.Formatter:
-    """How lines look to who reads the stream."""
-    if _is_journal(stream, environ.get("JOURNAL_STREAM", "")):
-        return _Journal()
+def formatter(descriptor: int, environ: Mapping[str, str]) -> logging.Formatter:
+    """How lines look to the reader of an open file."""
+    found = os.fstat(descriptor)
+    if environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}":  # systemd.exec(5)
+        return _Marked()
     text = "%(asctime)s %(levelname)-7s %(message)s"
-    if stream.isatty():
+    if os.isatty(descriptor):
         dull = environ.get("NO_COLOR") or environ.get("TERM") == "dumb"
         return (logging.Formatter if dull else _Coloured)(text, "%H:%M:%S")
     return logging.Formatter(text, "%Y-%m-%dT%H:%M:%S%z")
@@ -78,10 +85,10 @@ def set_level(name: str) -> None:
     _ROOT.setLevel(name.upper())
 
 
-def _is_journal(stream: TextIO, where: str) -> bool:
-    """Whether the stream is the one that systemd says leads to the journal: DEVICE:INODE."""
-    try:
-        found = os.fstat(stream.fileno())
-    except (OSError, ValueError):  # no descriptor, as in a test
-        return False
-    return where == f"{found.st_dev}:{found.st_ino}"
+def _write(lines: SimpleQueue[str]) -> None:
+    """Until a line is empty, as none that is logged is."""
+    while line := lines.get():
+        rest = f"{line}\n".encode("utf-8", "replace")
+        with contextlib.suppress(OSError):  # the reader has gone, or the disk is full
+            while rest:
+                rest = rest[os.write(STDERR, rest) :]

@@ -1,8 +1,8 @@
 """The loop: it alone owns clocks, sockets and devices.
 
-It sleeps until something comes, or until its clock says so. A pass takes what has arrived, runs the
-pipeline on it and publishes what that led to. Where its time is short, the work on a scan is left
-after one of its parts, and goes on in the next pass.
+It sleeps until something arrives, or until its clock says so. A pass takes the arrivals, runs the
+pipeline on them and publishes the results. Where its time is short, the work on a scan pauses after
+one of its parts, and goes on in the next pass.
 """
 
 import contextlib
@@ -14,8 +14,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import zmq
-
 from taxeld.arrays import Poses
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
@@ -24,15 +22,15 @@ from taxeld.layout import read as layouts
 from taxeld.model.activation import Activation
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.pipeline.pose_watch import PoseWatch
+from taxeld.pipeline.pose_watch import PoseFigures, PoseWatch
 from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import bundle, choice
-from taxeld.service import calibration_file, health, metrics, realtime, state_file
+from taxeld.service import calibration_file, health, realtime, state_file
 from taxeld.service.clock import WallClock
+from taxeld.service.doorkeeper import Doorkeeper, settings_of
 from taxeld.service.gathering import Gathering
 from taxeld.service.inputs import ALL, Inputs, Ready
 from taxeld.service.latency import Latencies
-from taxeld.service.metrics import MetricsFile
 from taxeld.service.notices import Notices
 from taxeld.service.notify import Notifier
 from taxeld.service.state_file import StateFile
@@ -40,45 +38,55 @@ from taxeld.service.ticker import Ticker
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source
-from taxeld.stream import curve, messages
-from taxeld.stream.control import Control
-from taxeld.stream.pose_input import PoseInput
-from taxeld.stream.publisher import Publisher
+from taxeld.stream import messages
+from taxeld.stream.link import Link
 
-STAGES = messages.STAGES[:-1]  # all but their total
+STAGES = messages.STAGES[:-1]  # stages without their total
 PARTICLES_HZ = 20.0
 HEALTH_S = 1.0
-PUT_OFF_S = 0.1  # at most, for a pass that has more time
-BREATH_S = 0.0001  # between two passes of which the first has left work
-LOOK_S = 0.05  # between looks at peers who have not come, and at poses that no scan asks for
+PUT_OFF_S = 0.1  # longest wait for a pass that has more time
+BREATH_S = 0.0001  # pause between two passes, where the first has left work
+LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
 
 @dataclass(slots=True)
 class LoopCounters:
-    """Since start."""
+    """Counters of the loop, since start."""
 
     ticks: int = 0  # passes of the loop
-    overruns: int = 0  # periods that passed while it was at work, or its machine was
+    overruns: int = 0  # periods that passed while the loop worked, or while the machine held it up
     own_overruns: int = 0  # passes whose own CPU time was longer than a period
     scans: int = 0
 
 
 class Daemon:
-    """A configuration, running."""
+    """A configuration in operation."""
 
     def __init__(self, config: Config, recorder: Recorder | None = None) -> None:
-        """Open everything a run needs; `recorder` gets what skin and robot send.
+        """Open everything that a run needs; `recorder` gets the input from skin and robot.
 
         Raises:
-            SetupError: something of it cannot be used.
+            SetupError: a part of it cannot be used.
         """
         recorded, is_replay = Path(config.source.path), config.source.kind == "replay"
         self._replays_poses = is_replay and session.has_poses(recorded)
-        if self._replays_poses:  # whatever the endpoint
+        if self._replays_poses:  # a recorded robot replaces the configured endpoint
             where = replace(config.sensor_pose, endpoint=config.source.path)
             config = replace(config, sensor_pose=where)
         self.config = config
         self.stopping = False
+        robot = "" if self._replays_poses else config.sensor_pose.endpoint
+        with contextlib.ExitStack() as opened:
+            # the door's process starts while the slow parts here load
+            self.door = opened.enter_context(
+                contextlib.closing(Doorkeeper(settings_of(config, robot)))
+            )
+            self._prepare(config, recorder)
+            self._open(opened, config)
+            self._opened = opened.pop_all()
+
+    def _prepare(self, config: Config, recorder: Recorder | None) -> None:
+        """Build everything except devices and files."""
         self.counters = LoopCounters()
         self.layout = layouts.load(config.skin.layout)
         scene = bundle.load(config.scene.bundle, self.layout, config.skin.full_scale_depth_m)
@@ -97,70 +105,46 @@ class Daemon:
         self._budget_us = {s: 1e3 * getattr(config.budget, f"{s}_ms") for s in STAGES}
         self.over_budget = dict.fromkeys(STAGES, 0)
         self.realtime = realtime.RealTime()
-        self._began_ns = 0  # with what is published next, after so long in passes before;
-        self._before_us = self._publish_us = 0.0  # and sending what was published last took this
+        self._began_ns = 0  # when work on the next estimate began, on `perf_counter_ns`
+        # time of earlier passes on the next estimate, and of sending the last one [µs]
+        self._before_us = self._publish_us = 0.0
         self._seq = 0
         self.start_s = time.monotonic()
-        self.pipeline.freshness.came(self.start_s)  # as if a scan had come at the start
+        self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
         self._next_health_s = self._next_particles_s = self._next_estimate_s = 0.0
         self._estimate_s = 1.0 / config.publish.rate_hz
-        self._next_look_s = self._next_poses_s = 0.0
-        self._told: Estimate | None = None  # what was published last
+        self._next_look_s = 0.0
+        self._told: Estimate | None = None  # the estimate published last
         self._notices = Notices(scene.path, self.pipeline.ladder.name)
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
         digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
         self._info = messages.info(self.layout, scene.model.scene, scene.info, digest)
-        with contextlib.ExitStack() as opened:
-            opened.callback(self.kept.close)
-            self._metrics = MetricsFile(metrics.place(config.metrics))
-            opened.callback(self._metrics.close)
-            if recorder:
-                opened.enter_context(recorder)
-            self.source: Source = open_source(
-                config.source, self.layout, recorder, self.pipeline.poses.add, wait=True
-            )
-            opened.callback(self.source.close)
-            self._open_streams(opened)
-            self._opened = opened.pop_all()
+        self._watch = _watch_of(config)
+        changes = {"tare": self.pipeline.tare, "reset": self.pipeline.reset}
+        self.link = Link(self._info, self._on_pose, changes)
 
-    def _open_streams(self, opened: contextlib.ExitStack) -> None:
-        config = self.config
-        context: zmq.Context[Any] = opened.enter_context(zmq.Context())
-        scans_hz = 1000.0 / config.source.period_ms
-        # about a second
-        queue = round(max(config.loop.rate_hz, config.publish.rate_hz + 2.0 * scans_hz))
-        self.publisher = Publisher(context, queue, self._info)
-        opened.callback(self.publisher.close)
-        self.publisher.bind(config.publish.endpoints, "publish.endpoints")
-        self.pose_input: PoseInput | None = None
-        keys, endpoint = curve.robot_keys(config), config.sensor_pose.endpoint
-        if endpoint and not self._replays_poses:
-            place, period_s = config.filter, config.source.period_ms / 1000.0
-            watch = PoseWatch(place.centre_m, place.half_width_m, period_s)
-            self.pose_input = PoseInput(context, endpoint, self.pipeline.poses.add, keys, watch)
-            opened.callback(self.pose_input.close)
-        self.control: Control | None = None
-        if config.control.endpoint:
-            handlers = {
-                "status": self.state,
-                "info": lambda: {"info": self._info},
-                "tare": self._on_tare,
-                "reset": self._on_reset,
-            }
-            self.control = Control(context, config.control.endpoint, "control.endpoint", handlers)
-            opened.callback(self.control.close)
+    def _open(self, opened: contextlib.ExitStack, config: Config) -> None:
+        opened.callback(self.link.detach)
+        opened.callback(self.kept.close)
+        if self.recorder:
+            opened.enter_context(self.recorder)
+        self.source: Source = open_source(
+            config.source, self.layout, self.recorder, self.pipeline.poses.add, wait=True
+        )
+        opened.callback(self.source.close)
+        self.door.wait(self.link)
 
     def stop(self) -> None:
         """End `run` after this pass."""
         self.stopping = True
 
     def run(self, between: Callable[[], None] = lambda: None) -> None:
-        """Go on until `stop`, or to the end of a replayed session; `between` is called between two
+        """Run until `stop`, or to the end of a replayed session; `between` is called between two
         passes.
 
         Raises:
-            SetupError: nothing that the source hears can be used.
+            SetupError: the source reports that no scan can ever be used.
         """
         notifier = Notifier()
         try:
@@ -178,8 +162,7 @@ class Daemon:
     def _loop(self, notifier: Notifier, between: Callable[[], None]) -> None:
         ticker = Ticker(self.config.loop.rate_hz, 1.0 / self.config.publish.rate_hz)
         collector = realtime.Collector()
-        peers = self.publisher.filenos() + ([self.control.fileno()] if self.control else [])
-        with contextlib.closing(Inputs(peers)) as inputs:
+        with contextlib.closing(Inputs()) as inputs:
             gathering = Gathering()
             ready = ALL
             while not self.stopping:
@@ -200,30 +183,29 @@ class Daemon:
                 ready = self._wait(ticker, inputs, gathering, rest_s)
 
     def _wait(self, ticker: Ticker, inputs: Inputs, gathering: Gathering, rest_s: float) -> Ready:
-        """Until the next pass is due: when something has come, or by the clock. The device is left
-        alone for `rest_s`, and while the frames of a scan gather."""
+        """Wait until the next pass is due, by an arrival or by the clock. The device is left alone
+        for `rest_s`, and while the frames of a scan gather."""
         pipeline, source = self.pipeline, self.source
-        robot = self.pose_input.socket if self.pose_input and pipeline.has_waiting else None
-        inputs.follow(source.device, robot)
+        inputs.follow(source.device, self.link.end if pipeline.has_waiting else None)
         until_s = ticker.until(busy=pipeline.is_busy or source.is_busy)
         now_s = time.monotonic()
-        if pipeline.is_at_work:  # a moment, for others on this processor
+        if pipeline.is_at_work:  # a moment for others on this processor
             ready = inputs.wait(min(until_s, now_s + BREATH_S))
             is_early = ready.device and gathering.heard(source.gather()) > 0.0
             return ready._replace(device=False) if is_early else ready
         if rest_s:
             ready = inputs.rest(min(until_s, now_s + rest_s))
-            if ready.robot or ready.peers:
+            if ready.robot:
                 return ready
         if not gathering.has_begun:
             ready = inputs.wait(until_s)
-            if not ready.device or ready.robot or ready.peers:
+            if not ready.device or ready.robot:
                 return ready
         return gathering.gather(inputs, source.gather, until_s)
 
     def tick(self, now_s: float, left_s: float = math.inf, ready: Ready = ALL) -> None:
-        """One pass: inputs, pipeline, outputs. `now_s` is monotonic; there is time for `left_s`;
-        `ready`: what has something to say."""
+        """One pass: inputs, pipeline, outputs. `now_s` is monotonic; the pass has time for
+        `left_s`; `ready` names the inputs that may have arrivals."""
         start, cpu = time.perf_counter_ns(), time.thread_time_ns()
         self._began_ns = start
         self.counters.ticks += 1
@@ -233,39 +215,42 @@ class Daemon:
         if stepped:
             self.pipeline.clock_stepped(stepped)
             self.source.clock_stepped(stepped)
-            if self.pose_input is not None:
-                self.pose_input.clock_stepped()
+            self._watch.clock_stepped()
         scans = self.source.poll(now_s, hear=ready.device)
         self.counters.scans += len(scans)
-        self._take_poses(now_s, asked=ready.robot or bool(scans) or self.pipeline.has_waiting)
+        self._look_at_door(now_s, asked=ready.robot or bool(scans) or self.pipeline.has_waiting)
         source_us = (time.perf_counter_ns() - start) / 1000.0
         self.over_budget["source"] += source_us > self._budget_us["source"]
-        # stamped while they were polled, so not older than now
+        # scans are stamped while polled, so the time must be read after that
         for outcome in self.pipeline.advance(scans, time.time() if scans else wall_s):
             self.pipeline.freshness.came(now_s)
             self._publish(outcome, source_us, now_s)
-            source_us = 0.0  # it is of the first alone
+            source_us = 0.0  # the time counts for the first scan alone
         self.kept.keep(now_s)
         took_s = (time.perf_counter_ns() - start) / 1e9
         self._publish_due(now_s, is_late=took_s * self.config.loop.rate_hz > 0.5)
-        self._attend(now_s, ready)
         if self.pipeline.is_at_work:
             self._before_us += (time.perf_counter_ns() - self._began_ns) / 1000.0
         own_s = (time.thread_time_ns() - cpu) / 1e9
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
 
-    def _take_poses(self, now_s: float, *, asked: bool) -> None:
-        """Of the robot; where no scan asks for them, now and then."""
-        if self.pose_input is not None and (asked or now_s >= self._next_poses_s):
-            self._next_poses_s = now_s + LOOK_S
-            self.pose_input.poll()
+    def _look_at_door(self, now_s: float, *, asked: bool) -> None:
+        """Take poses, subscriptions and changes; while no scan needs poses, only now and then."""
+        if asked or now_s >= self._next_look_s:
+            self._next_look_s = now_s + LOOK_S
+            self.door.look(self.link, now_s)
+
+    def _on_pose(self, t: float, x: float, y: float, theta: float) -> None:
+        now = time.time()
+        self.pipeline.poses.add(t, x, y, theta, now)
+        self._watch.add(t, x, y, now)
 
     def close(self) -> None:
-        """Stop the skin and free what is held."""
+        """Stop the skin and free everything that is open."""
         self._opened.close()
 
     def _publish(self, outcome: Outcome, source_us: float, now_s: float) -> None:
-        """What a scan led to."""
+        """Publish the outcome of a scan."""
         if outcome.is_afterthought:
             self._publish_bettered(outcome, now_s)
             return
@@ -274,7 +259,7 @@ class Daemon:
             "skin": outcome.skin_ns / 1000.0,
             "propose": outcome.propose_ns / 1000.0,
             "filter": outcome.filter_ns / 1000.0,
-            "publish": self._publish_us,  # of the one before: this one is not over yet
+            "publish": self._publish_us,  # time of the publication before: this one is not over yet
         }
         begin = time.perf_counter_ns()
         lat_us["total"] = self._before_us + (begin - self._began_ns) / 1000.0 + self._publish_us
@@ -289,8 +274,7 @@ class Daemon:
             self.over_budget[stage] += lat_us[stage] > self._budget_us[stage]
 
     def _publish_bettered(self, outcome: Outcome, now_s: float) -> None:
-        """What thoughts have made of an estimate that was sent, if they have changed it. They are
-        on no scan's way."""
+        """Publish an estimate again that later work has improved. No scan waits for this work."""
         took_us = {
             "propose": outcome.propose_ns / 1000.0,
             "filter": outcome.filter_ns / 1000.0,
@@ -322,22 +306,22 @@ class Daemon:
             degraded=int(self.pipeline.ladder.step),
             lat_us=lat_us,
         )
-        self.publisher.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
+        self.link.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
 
     def _send_activation(self, activation: Activation, sensor: Poses | None, now_s: float) -> None:
-        t, publisher = activation.t, self.publisher
-        if publisher.wants(messages.TAXELS):
-            publisher.send(messages.TAXELS, messages.taxels(activation, sensor, self._seq), t)
+        t, link = activation.t, self.link
+        if link.wants(messages.TAXELS):
+            link.send(messages.TAXELS, messages.taxels(activation, sensor, self._seq), t)
         due = self.pipeline.estimate.contact and now_s >= self._next_particles_s
-        if due and publisher.wants(messages.PARTICLES):
+        if due and link.wants(messages.PARTICLES):
             self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
             belief = self.pipeline.estimator.rule.belief
             cloud = messages.particles(t, self._seq, belief.pose, belief.weight)
-            publisher.send(messages.PARTICLES, cloud, t)
+            link.send(messages.PARTICLES, cloud, t)
 
     def _publish_due(self, now_s: float, *, is_late: bool) -> None:
-        """What is sent though no scan brought it: an estimate whose status has changed, or whose
-        time has come, and health, in a pass that is not late already."""
+        """Publish without a scan: an estimate whose status has changed or whose time has come, and
+        health, in a pass that is not late already."""
         estimate = self._estimate(now_s)
         if self._is_news(estimate) or now_s >= self._next_estimate_s:
             self._send_estimate(estimate, dict.fromkeys(messages.STAGES, 0.0), now_s)
@@ -346,23 +330,14 @@ class Daemon:
             wall_s = time.time()
             self._next_health_s = now_s + HEALTH_S
             self._health_sent = health.of(self, self._seq, now_s, wall_s)
-            self.publisher.send(messages.HEALTH, self._health_sent, wall_s)
-            self._metrics.offer(self._health_sent)
+            self.link.send(messages.HEALTH, self._health_sent, wall_s)
             scans_hz = 1000.0 / self.config.source.period_ms
             wiring = self.pipeline.skin.wiring
             self._notices.inputs(self._health_sent, self._sensor_pose(), wiring, scans_hz, now_s)
-
-    def _attend(self, now_s: float, ready: Ready) -> None:
-        """To those who subscribe and ask."""
-        if not ready.peers and now_s < self._next_look_s:
-            return
-        self._next_look_s = now_s + LOOK_S
-        self.publisher.greet(now_s, time.time())
-        if self.control is not None:
-            self.control.poll(now_s)
+            self.link.tell({"waits_for": self.source.waits_for, "sensor_pose": self._sensor_pose()})
 
     def _estimate(self, now_s: float) -> Estimate:
-        """As it is published at the time `now_s`."""
+        """The estimate as published at the time `now_s`."""
         return self.pipeline.freshness.judged(self.pipeline.estimate, now_s)
 
     def _status_line(self, now_s: float) -> str:
@@ -375,7 +350,7 @@ class Daemon:
         )
 
     def state(self) -> dict[str, Any]:
-        """What was last published of the estimate and of health, and what must come."""
+        """The estimate and health published last, and the input that is waited for."""
         return {
             "estimate": self._estimate_sent,
             "health": self._health_sent,
@@ -384,13 +359,20 @@ class Daemon:
         }
 
     def _sensor_pose(self) -> dict[str, Any]:
-        topics = self.pose_input.topics if self.pose_input else []
+        topics = self.link.report.robot.topics
         return {"endpoint": self.config.sensor_pose.endpoint, "topics": topics}
 
-    def _on_tare(self) -> dict[str, Any]:
-        self.pipeline.tare()
-        return {}
+    def pose_figures(self, t: float) -> PoseFigures:
+        """Figures of the robot's poses at the Unix time t; to be called once a second."""
+        if not self.config.sensor_pose.endpoint or self._replays_poses:
+            return PoseFigures()
+        line = self.link.report.robot
+        return self._watch.look(
+            t, line.malformed, connected=line.connected, refused=line.refused,
+            topics=len(line.topics),
+        )  # fmt: skip
 
-    def _on_reset(self) -> dict[str, Any]:
-        self.pipeline.reset()
-        return {}
+
+def _watch_of(config: Config) -> PoseWatch:
+    place, period_s = config.filter, config.source.period_ms / 1000.0
+    return PoseWatch(place.centre_m, place.half_width_m, period_s)

@@ -1,7 +1,7 @@
-"""What the log says of a daemon at work: when it is ready, and each change once.
+"""The lines that a daemon at work logs: that it is ready, and each change once.
 
-A change of status is said as it comes; the rest is looked at once a second. Each subject has a
-ration of lines, so that what flickers neither fills the log nor hides another subject.
+A change of status is logged when it comes; poses and modules are looked at once a second. Each of
+the two has a ration of lines, so that a change that repeats neither fills the log nor hides others.
 """
 
 import logging
@@ -15,7 +15,7 @@ from taxeld.pipeline import pose_watch
 from taxeld.skin.channels import Wiring, mismatch
 
 GRAVE = (Status.STALE, Status.BLIND, Status.INCONSISTENT)
-MODULES_LOOKS = 3  # without another module, before some are said to be missing
+MODULES_LOOKS = 3  # seconds without another module, after which some are said to be missing
 
 log = logging.getLogger(__name__)
 
@@ -24,7 +24,7 @@ class Ration:
     """How many lines a subject may have: `burst` at once, and one more in each `every_s`."""
 
     def __init__(self, burst: int = 10, every_s: float = 30.0) -> None:
-        self.left_out = 0  # lines since the last that was let through
+        self.left_out = 0  # lines that were not allowed; whoever says how many sets it to 0
         self._burst = self._left = burst
         self._every_s = every_s
         self._next_s = 0.0
@@ -45,25 +45,24 @@ class Notices:
     """Of one daemon."""
 
     def __init__(self, bundle: Path, proposal: str) -> None:
-        self._drawn = f"{proposal or 'no samples'} of {bundle}"
-        self._status: tuple[Status, bool] | None = None  # that was said last, and whether valid
-        self._poses_fault = 0  # that was said last
-        self._modules = ""
+        self._samples = f"{proposal or 'no samples'} of {bundle}"
+        self._status: tuple[Status, bool] | None = None  # the last status, and whether valid
+        self._poses_fault = 0  # the last fault
+        self._modules = ""  # the last line on missing modules
         self._hubs: dict[int, list[int]] = {}
         self._looks = 0  # since another module came
         self._of_status = Ration(burst=10, every_s=5.0)
         self._of_inputs = Ration()
 
     def ready(self, config: Config, info: Mapping[str, Any], waits_for: str) -> None:
-        """All is open and warm; `info`: what subscribers are told, `waits_for`: the source's."""
+        """All is open and warm; `info`: the message to subscribers, `waits_for`: the source's."""
         source, poses = config.source, config.sensor_pose.endpoint
         where = source.path if source.kind == "replay" else source.channel
-        state = "not there yet" if waits_for else "open"
         parts = [
             f"skin {info['layout']['name']}, {info['layout']['taxels']} taxels",
             f"object {info['object']}",
-            f"samples by {self._drawn}",
-            f"source {source.kind} {where}, {state}",
+            f"samples by {self._samples}",
+            f"source {source.kind} {where}, {'not there yet' if waits_for else 'open'}",
             f"sensor poses {f'from {poses}' if poses else 'none: it stands still'}",
             f"streams at {', '.join(config.publish.endpoints) or 'nowhere'}",
             f"control at {config.control.endpoint or 'nowhere'}",
@@ -71,57 +70,52 @@ class Notices:
         log.info("ready: %s", "; ".join(parts))
 
     def estimate(self, estimate: Estimate, valid: bool, now_s: float) -> None:
-        """One is published; it is said where its status, or whether it is valid, has changed."""
-        status = estimate.status
+        """Log a published estimate if its status, or whether it is valid, has changed."""
+        status, left_out = estimate.status, self._of_status.left_out
         if (status, valid) == self._status:
             return
         self._status = status, valid
-        left_out = self._of_status.left_out
         if not self._of_status.allows(now_s):
             return
         self._of_status.left_out = 0
         x, y, yaw = estimate.map
-        pose = f", x {x:.4f} m, y {y:.4f} m, yaw {yaw:.3f} rad" if valid else ""
-        more = f" ({left_out} changes before were not logged)" if left_out else ""
-        log.log(
-            logging.WARNING if status in GRAVE else logging.INFO,
-            "status: %s, %s, %d contacts%s%s",
-            status.name.lower(), "valid" if valid else "not valid", estimate.contacts, pose, more,
-        )  # fmt: skip
+        line = f"{status.name.lower()}, {'valid' if valid else 'not valid'}"
+        line += f", {estimate.contacts} contacts"
+        line += f", x {x:.4f} m, y {y:.4f} m, yaw {yaw:.3f} rad" if valid else ""
+        line += f" ({left_out} changes before were not logged)" if left_out else ""
+        log.log(logging.WARNING if status in GRAVE else logging.INFO, "status: %s", line)
 
     def inputs(
-        self, health: Mapping[str, Any], sensor_pose: Mapping[str, Any], wiring: Wiring,
-        scans_hz: float, now_s: float,
-    ) -> None:  # fmt: skip
-        """What is wrong with the robot's poses, and the modules that the hubs have."""
+        self,
+        health: Mapping[str, Any],
+        sensor_pose: Mapping[str, Any],
+        wiring: Wiring,
+        scans_hz: float,
+        now_s: float,
+    ) -> None:
+        """Log what has changed of the modules that the hubs have, and of the robot's poses."""
         self._look_at_modules(wiring, health["modules"]["match"], now_s)
-        line = pose_watch.line(
-            health["inputs"], health["t"], sensor_pose["endpoint"], sensor_pose["topics"], scans_hz
-        )
-        fault = health["inputs"]["poses_fault"]
-        if fault != self._poses_fault:
-            self._poses_fault = fault
-            if line:
-                self._say(logging.WARNING, f"sensor_pose: {line}", now_s)
-            else:
-                self._say(logging.INFO, "sensor_pose: poses come as they should", now_s)
+        poses = health["inputs"]
+        if poses["poses_fault"] != self._poses_fault:
+            self._poses_fault = poses["poses_fault"]
+            endpoint, topics = sensor_pose["endpoint"], sensor_pose["topics"]
+            line = pose_watch.line(poses, health["t"], endpoint, topics, scans_hz)
+            self._say("sensor_pose", line, "poses come as they should", now_s)
 
     def _look_at_modules(self, wiring: Wiring, match: bool, now_s: float) -> None:
         for hub, suis in wiring.hubs.items():
             if self._hubs.get(hub) != suis:
                 self._looks, self._hubs[hub] = 0, suis
                 known = len(set(suis) & set(wiring.suis))
-                line = f"hub {hub} sends: {len(suis)} modules, {known} of them in the layout"
-                self._say(logging.INFO, line, now_s)
+                line = f"{len(suis)} modules, {known} of them in the layout"
+                self._say(f"hub {hub} sends", "", line, now_s)
         self._looks += 1
         line = mismatch(wiring.lacking, len(wiring.suis), len(wiring.foreign), match)
         if self._hubs and self._looks > MODULES_LOOKS and line != self._modules:
             self._modules = line
-            if line:
-                self._say(logging.WARNING, f"skin.layout: {line}", now_s)
-            else:
-                self._say(logging.INFO, "skin.layout: all its modules are there", now_s)
+            self._say("skin.layout", line, "all its modules are there", now_s)
 
-    def _say(self, level: int, line: str, now_s: float) -> None:
+    def _say(self, subject: str, fault: str, fine: str, now_s: float) -> None:
+        """Warn of a fault; `fine` is logged where there is none."""
         if self._of_inputs.allows(now_s):
-            log.log(level, "%s", line)
+            log.log(logging.WARNING if fault else logging.INFO, "%s: %s", subject, fault or fine)

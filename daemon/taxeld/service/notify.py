@@ -1,6 +1,6 @@
 """Messages to systemd: ready, alive, a line of status, stopping (sd_notify(3)).
 
-Datagrams to $NOTIFY_SOCKET that are never waited for. Without a service manager nothing is sent.
+They are datagrams to $NOTIFY_SOCKET that nothing waits for. Without a service manager none is sent.
 """
 
 import contextlib
@@ -9,16 +9,16 @@ import socket
 from collections.abc import Callable, Mapping
 
 STATUS_S = 1.0
-WATCHDOG_SHARE = 0.5  # of the time-out, at most between two signs of life
+WATCHDOG_SHARE = 0.5  # share of the manager's time-out: the longest time between two signs of life
 MICRO = 1e-6
 
 
 class Notifier:
-    """Called by the main loop alone, so that a loop that hangs sends nothing."""
+    """Sends the messages; only the main loop calls it, so that a hanging loop sends nothing."""
 
     def __init__(self, environ: Mapping[str, str] = os.environ) -> None:
         self._address = environ.get("NOTIFY_SOCKET", "")
-        if self._address.startswith("@"):  # in the abstract name space
+        if self._address.startswith("@"):  # the abstract name space
             self._address = "\0" + self._address[1:]
         self.watchdog_s = _watchdog_s(environ)
         self._socket: socket.socket | None = None
@@ -28,7 +28,7 @@ class Notifier:
         self._next_status_s = self._next_watchdog_s = float("-inf")
 
     def ready(self) -> None:
-        """All is open and warm, and the loop is about to tick."""
+        """The start is complete, and the loop is about to tick."""
         self._send("READY=1")
 
     def tick(self, now_s: float, status: Callable[[float], str]) -> None:
@@ -49,7 +49,8 @@ class Notifier:
             self._socket = None
 
     def _send(self, message: str) -> bool:
-        """Whether it went out; where the manager is busy, the next tick tries again."""
+        """Send a message; → whether it was sent. If the manager is busy, the next tick tries
+        again."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.sendto(message.encode(), self._address)
@@ -58,7 +59,7 @@ class Notifier:
 
 
 def _watchdog_s(environ: Mapping[str, str]) -> float:
-    """The manager's time-out; 0 where it keeps no watch on this process."""
+    """The manager's time-out [s]; 0 where it does not watch this process."""
     usec, pid = environ.get("WATCHDOG_USEC", ""), environ.get("WATCHDOG_PID", "")
     watched = usec.isdecimal() and pid in ("", str(os.getpid()))
     return int(usec) * MICRO if watched else 0.0

@@ -1,6 +1,6 @@
-"""What makes a loop keep its time: no collector, memory that stays, a scheduler that comes first.
+"""Settings that keep a loop in time: no collector, memory that stays, a priority scheduler.
 
-What is not permitted is not an error: `/taxeld/health` says what was granted.
+A setting that is not permitted is not an error: `/taxeld/health` reports the granted ones.
 """
 
 import contextlib
@@ -14,13 +14,13 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 COLLECT_S = 60.0
-SWITCH_S = 0.0005  # another thread gives the interpreter back after that long
+SWITCH_S = 0.0005  # time after which another thread gives the interpreter back
 MCL_CURRENT, MCL_FUTURE, MCL_ONFAULT = 1, 2, 4  # mlockall(2)
 
 
 @dataclass(frozen=True, slots=True)
 class RealTime:
-    """What was granted."""
+    """The granted settings."""
 
     fifo: int = 0  # SCHED_FIFO priority; 0: not permitted, or not asked for
     locked: bool = False  # memory stays in RAM once it has been touched
@@ -29,10 +29,10 @@ class RealTime:
 
 
 class Collector:
-    """The cyclic collector, run when that disturbs nobody.
+    """The cyclic collector, run when it disturbs nothing.
 
-    What a tick does makes no cycles, but drivers do when a device is opened, in vain or not:
-    python-can leaves some 36 objects an attempt.
+    The work of a tick makes no cycles, but drivers make some when a device is opened or fails to
+    open: python-can leaves about 36 objects an attempt.
     """
 
     def __init__(self) -> None:
@@ -40,7 +40,8 @@ class Collector:
         self._next_s = -math.inf
 
     def tick(self, now_s: float, attempts: int, *, pressed: bool) -> bool:
-        """Whether it has run. `attempts`: to open the device, since start; `pressed`: the skin."""
+        """Run the collector if due; → whether it ran. `attempts`: to open the device, since start;
+        `pressed`: whether the skin is touched."""
         if attempts == self._attempts and (pressed or now_s < self._next_s):
             return False
         self._attempts = attempts
@@ -50,16 +51,16 @@ class Collector:
 
 
 def trim() -> None:
-    """Give the system back what loading has left free; to be done before memory is warmed up."""
-    with contextlib.suppress(AttributeError):  # another C library
+    """Return memory freed after loading to the system; to be called before the warm-up."""
+    with contextlib.suppress(AttributeError):  # the C library has no malloc_trim
         ctypes.CDLL(None).malloc_trim(0)
 
 
 @contextlib.contextmanager
 def thread(priority: int) -> Iterator[RealTime]:
-    """Make the calling thread, warmed up, a real-time one; → what was granted.
+    """Make the calling thread, already warmed up, a real-time thread; → the granted settings.
 
-    `priority` is of SCHED_FIFO, 1..99; with 0 the scheduler and memory are left as they are. The
+    `priority` is of SCHED_FIFO, 1..99; with 0 the scheduler and memory are left unchanged. The
     cyclic collector does not run by itself meanwhile (see `Collector`).
     """
     gc.collect()
@@ -93,7 +94,7 @@ def _schedule(policy: int, priority: int) -> bool:
 
 
 def _lock() -> bool:
-    """Only where no limit is set, behind which memory could no longer be had at all."""
+    """Lock memory, unless a limit is set: allocation beyond it would fail."""
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if limit != resource.RLIM_INFINITY and os.geteuid() != 0:
         return False

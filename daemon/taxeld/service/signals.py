@@ -1,19 +1,22 @@
-"""Signals: each is noted when it comes and acted upon between two ticks; none kills unawares.
+"""Signals: each is noted when it comes, and acted upon between two passes of the loop.
 
-TERM, INT and QUIT end the daemon, HUP reads the configuration anew, USR1 logs what the daemon knows
-and where it is, which is written before the tick has ended, so that it shows where a loop hangs.
-XCPU comes to a real-time thread that does not pause (`LimitRTTIME=`), and ABRT from a watchdog that
-waits in vain: either says where the process is, and ends it. The others that would end a process
-are logged and ignored.
+TERM, INT and QUIT end the daemon, HUP reads the configuration anew, and USR1 logs what the daemon
+knows. USR1 also logs at once where each thread is, which shows where a loop hangs. XCPU comes to a
+real-time thread that does not pause (`LimitRTTIME=`), and ABRT from a watchdog that waits in vain:
+both say where the process is, and end it. USR2, which is soon typed for USR1, and ALRM are ignored.
+All others do as ever.
 
 All handlers are Python's own, which run between two of its steps. `faulthandler.register` and
 `enable` are not used: they look at stacks that may be half made, and give all handlers a small
 stack of their own, which a few signals at once overflow; either ends the process.
 """
 
+import contextlib
 import faulthandler
 import json
 import logging
+import os
+import select
 import signal
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -25,13 +28,8 @@ from taxeld.config.tables import Config
 from taxeld.config.toml_tables import ConfigError
 from taxeld.service import log as service_log
 
-STDERR = 2  # by its number: Python may be without the object
 STOP = (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
-IGNORED = (
-    *(signal.SIGUSR2, signal.SIGALRM, signal.SIGVTALRM, signal.SIGPROF),
-    *(signal.SIGPOLL, signal.SIGPWR, signal.SIGSTKFLT),
-    *range(signal.SIGRTMIN, signal.SIGRTMAX + 1),
-)
+END_S = 1.0  # that standard error may take for the last lines
 
 log = logging.getLogger(__name__)
 
@@ -44,10 +42,9 @@ class Signals:
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
-        for number in (signal.SIGHUP, signal.SIGUSR1, *IGNORED):
-            self._before[number] = signal.signal(number, self._note)
-        for number in (signal.SIGXCPU, signal.SIGABRT):
-            self._before[number] = signal.signal(number, _end)
+        self._handle(self._note, signal.SIGHUP, signal.SIGUSR1)
+        self._handle(_end, signal.SIGXCPU, signal.SIGABRT)
+        self._handle(signal.SIG_IGN, signal.SIGUSR2, signal.SIGALRM)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -55,25 +52,24 @@ class Signals:
             signal.signal(number, handler)
 
     def stop_by(self, stop: Callable[[], None]) -> None:
-        """From now on, who ends the process has `stop` called, which only takes note."""
-        for number in STOP:
-            self._before[number] = signal.signal(number, lambda *_: stop())
+        """From now on, a signal that ends the process calls `stop`, which only takes note."""
+        self._handle(lambda *_: stop(), *STOP)
 
     def serve(self, actions: Mapping[int, Callable[[], None]]) -> None:
-        """Act upon what has come since, once each; what has no action is logged."""
+        """Act upon the signals that have come since, once each."""
         while self._noted:
-            number = self._noted.pop(0)
-            if number in actions:
-                actions[number]()
-            else:
-                log.warning("signal %s: ignored", _name(number))
+            actions.get(self._noted.pop(0), lambda: None)()
+
+    def _handle(self, handler: Any, *numbers: int) -> None:
+        for number in numbers:
+            self._before[number] = signal.signal(number, handler)
 
     def _note(self, number: int, _: FrameType | None) -> None:
         if number in self._noted:
             return
         self._noted.append(number)
         if number == signal.SIGUSR1:
-            faulthandler.dump_traceback(STDERR, all_threads=True)
+            log.warning("%s", _stacks(all_threads=True).rstrip())
 
 
 def reload(path: Path, config: Config, level: str | None = None) -> None:
@@ -102,14 +98,21 @@ def dump(state: Mapping[str, object]) -> None:
 
 
 def _end(number: int, _: FrameType | None) -> None:
-    """Say where the process is, and have it end by the signal."""
-    faulthandler.dump_traceback(STDERR, all_threads=True)
+    """Say where the process is, if standard error takes it, and have it end by the signal."""
+    text = _stacks(all_threads=False).encode()[: select.PIPE_BUF]
+    with contextlib.suppress(OSError):
+        if select.select([], [service_log.STDERR], [], END_S)[1]:
+            os.write(service_log.STDERR, text)
     signal.signal(number, signal.SIG_DFL)
     signal.raise_signal(number)
 
 
-def _name(number: int) -> str:
+def _stacks(*, all_threads: bool) -> str:
+    """Where this thread is, or all are. It goes by way of memory: nothing waits for a reader."""
     try:
-        return signal.Signals(number).name
-    except ValueError:
-        return str(number)
+        with os.fdopen(os.memfd_create("stacks"), "w+b") as file:
+            faulthandler.dump_traceback(file, all_threads=all_threads)
+            file.seek(0)
+            return file.read().decode("utf-8", "replace").strip() + "\n"
+    except OSError as error:  # no descriptor is left
+        return f"the stacks cannot be shown ({error.strerror})\n"

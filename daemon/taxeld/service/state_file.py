@@ -5,14 +5,15 @@ one, whole; the directory is not synced, as an older baseline is no loss. Whatev
 the disk or the file is counted, warned of once, and costs a fresh capture at most.
 """
 
-import contextlib
 import logging
 import os
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
 
+from taxeld.config.file import opened
 from taxeld.config.tables import Config
 from taxeld.service import state_format
 from taxeld.skin.skin import Skin
@@ -63,10 +64,11 @@ class StateFile:
         self._max_age_s = max_age_s
         self._captures = skin.captures
         self._next_s = -1.0
-        self._slot: SkinState | None = None  # the newest that is not written yet
-        self._change = threading.Condition()
-        self._closed = False
-        self._thread: threading.Thread | None = None
+        self._waiting: SimpleQueue[SkinState | None] = SimpleQueue()  # None: no more will come
+        # a disk that hangs must not keep the daemon from ending
+        self._thread = threading.Thread(
+            target=self._run, args=(self._path,), name="skin state", daemon=True
+        )
 
     def restore(self, now: float) -> None:
         """Give the skin what is stored; `now` is Unix time."""
@@ -85,8 +87,9 @@ class StateFile:
         self._skin.restore(state)
 
     def keep(self, now_s: float) -> None:
-        """Hand the state to the thread when it is time to; `now_s` is monotonic. Never blocks."""
-        if self._path is None:
+        """Hand the state to the thread when it is time to, unless one waits there already; `now_s`
+        is monotonic. Never blocks."""
+        if self._path is None or not self._waiting.empty():
             return
         fresh = self._skin.captures != self._captures
         if fresh or (now_s >= self._next_s and not self._skin.touched):
@@ -95,22 +98,20 @@ class StateFile:
 
     def close(self) -> None:
         """Write the last state, unless the disk does not take it in time."""
-        if self._path is None or self._closed:
+        if self._path is None:
             return
         self._offer(self._state())
-        with self._change:
-            self._closed = True
-            self._change.notify()
-        if self._thread is not None:
+        self._path = None
+        if self._thread.is_alive():
+            self._waiting.put(None)
             self._thread.join(CLOSE_S)
 
     def _load(self, path: Path, now: float) -> SkinState:
         """Raises OSError and ValueError, with what is wrong."""
-        if path.stat().st_size > MAX_BYTES or not path.is_file():
-            raise ValueError("it is no state file")
-        layout = self._skin.layout
-        modules = self._skin.modules
-        state = state_format.parse(path.read_bytes(), self._skin.digest, len(layout), modules)
+        with opened(path, MAX_BYTES) as file:
+            text = file.read(MAX_BYTES)
+        skin = self._skin
+        state = state_format.parse(text, skin.digest, len(skin.layout), skin.modules)
         age = now - state.t
         if age > self._max_age_s:
             raise ValueError(f"it is {age / 3600.0:.1f} h old")
@@ -119,40 +120,33 @@ class StateFile:
         return state
 
     def _offer(self, state: SkinState | None) -> None:
-        if state is None:
-            return
-        with self._change:
-            self._slot = state
-            self._change.notify()
-        if self._thread is None:
-            # a disk that hangs must not keep the daemon from ending
-            self._thread = threading.Thread(target=self._run, name="skin state", daemon=True)
-            self._thread.start()
+        if state is not None:
+            self._waiting.put(state)
+            if self._thread.ident is None:  # it has not been started
+                self._thread.start()
 
-    def _run(self) -> None:
-        while True:
-            with self._change:
-                self._change.wait_for(lambda: self._slot is not None or self._closed)
-                state, self._slot = self._slot, None
-            if state is None:
-                return
-            self._write(state)
+    def _run(self, path: Path) -> None:
+        while (state := self._waiting.get()) is not None:
+            try:
+                _write(path, state_format.dump(state))
+            except OSError as error:
+                self.counters.failed += 1
+                if self.counters.failed == 1:
+                    log.warning("%s: not written (%s)", path, error.strerror)
+            else:
+                self.counters.saved += 1
 
-    def _write(self, state: SkinState) -> None:
-        assert self._path is not None  # noqa: S101  (else there is no thread)
-        beside = self._path.with_suffix(".new")
-        try:
-            self._path.parent.mkdir(parents=True, exist_ok=True)
-            with beside.open("wb") as file:
-                file.write(state_format.dump(state))
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(self._path)
-        except OSError as error:
-            self.counters.failed += 1
-            if self.counters.failed == 1:
-                log.warning("%s: not written (%s)", self._path, error.strerror)
-            with contextlib.suppress(OSError):
-                beside.unlink(missing_ok=True)
-            return
-        self.counters.saved += 1
+
+def _write(path: Path, content: bytes) -> None:
+    """In place of a file, or of a link, which is not followed. Raises OSError."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(".new")
+    beside.unlink(missing_ok=True)
+    try:
+        with beside.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)

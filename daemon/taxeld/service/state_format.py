@@ -14,22 +14,23 @@ COUNT_MAX = 0xFFFF
 TIME_MAX = 1e15
 
 
+ARRAYS = {  # digits, least, most, whether nan is allowed (null in the file)
+    "baseline": (2, 0.0, COUNT_MAX, True),
+    "noise": (2, 0.0, COUNT_MAX, False),
+    "coefficient": (5, -100.0, 100.0, False),
+    "leak": (5, 0.0, 1.0, False),
+    "t0": (2, -COUNT_MAX, COUNT_MAX, True),
+}
+OF_TAXELS = ("baseline", "noise")  # the others are of modules
+
+
 def dump(state: SkinState) -> bytes:
     """As JSON, in one line."""
-    return json.dumps(
-        {
-            "version": VERSION,
-            "t": round(state.t, 3),
-            "digest": state.digest,
-            "baseline": _list(state.baseline, 2),
-            "noise": _list(state.noise, 2),
-            "coefficient": _list(state.coefficient, 5),
-            "leak": _list(state.leak, 5),
-            "t0": _list(state.t0, 2),
-        },
-        separators=(",", ":"),
-        allow_nan=False,
-    ).encode()
+    data: dict[str, Any] = {"version": VERSION, "t": round(state.t, 3), "digest": state.digest}
+    for name, (digits, *_) in ARRAYS.items():
+        values = np.round(getattr(state, name), digits).tolist()
+        data[name] = [None if math.isnan(value) else value for value in values]
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
 
 
 def parse(text: bytes, digest: str, taxels: int, modules: int) -> SkinState:
@@ -41,7 +42,7 @@ def parse(text: bytes, digest: str, taxels: int, modules: int) -> SkinState:
     try:
         data = json.loads(text)
     except (ValueError, RecursionError):
-        raise ValueError("it is damaged") from None
+        data = None
     if not isinstance(data, dict) or "version" not in data:
         raise ValueError("it is damaged")
     if data["version"] != VERSION:
@@ -51,31 +52,19 @@ def parse(text: bytes, digest: str, taxels: int, modules: int) -> SkinState:
     t = data.get("t")
     if not isinstance(t, int | float) or not abs(t) < TIME_MAX:
         raise ValueError("its time is damaged")
-    return SkinState(
-        t=float(t),
-        digest=digest,
-        baseline=_array(data, "baseline", taxels, 0.0, COUNT_MAX, gaps=True),
-        noise=_array(data, "noise", taxels, 0.0, COUNT_MAX),
-        coefficient=_array(data, "coefficient", modules, -100.0, 100.0),
-        leak=_array(data, "leak", modules, 0.0, 1.0),
-        t0=_array(data, "t0", modules, -COUNT_MAX, COUNT_MAX, gaps=True),
-    )
+    arrays = {
+        name: _array(data.get(name), name, taxels if name in OF_TAXELS else modules)
+        for name in ARRAYS
+    }
+    return SkinState(t=float(t), digest=digest, **arrays)
 
 
-def _list(values: Floats, digits: int) -> list[float | None]:
-    rounded = np.round(values, digits).tolist()
-    return [None if math.isnan(value) else value for value in rounded]
-
-
-def _array(
-    data: dict[str, Any], name: str, size: int, low: float, high: float, *, gaps: bool = False
-) -> Floats:
-    """A list of numbers in low..high, null for nan where it may have gaps."""
-    values = data.get(name)
-    if not isinstance(values, list) or len(values) != size:
+def _array(values: Any, name: str, size: int) -> Floats:
+    _, low, high, gaps = ARRAYS[name]
+    is_list = isinstance(values, list) and len(values) == size
+    if not is_list or not all(
+        low <= value <= high if isinstance(value, int | float) else gaps and value is None
+        for value in values
+    ):
         raise ValueError(f"its {name} is damaged")
-    for value in values:
-        number = isinstance(value, int | float) and low <= value <= high
-        if not number and not (gaps and value is None):
-            raise ValueError(f"its {name} is damaged")
     return np.array(values, dtype=np.float64)

@@ -1,16 +1,16 @@
-"""When the loop makes its next pass, where nothing wakes it before."""
+"""Times of the loop's passes, where nothing wakes it before."""
 
 import math
 import time
 from collections.abc import Callable
 
-IDLE_S = 0.05  # between passes, at most
+IDLE_S = 0.05  # longest time between passes
 
 
 class Ticker:
-    """Passes of a loop on a monotonic clock: a tick after the one before while something is under
-    way, else later. Ticks are accumulated, so their rate does not drift; those that have passed
-    meanwhile are skipped and counted, never made up for."""
+    """Passes of a loop on a monotonic clock: one tick after the last pass while it is busy, else
+    later. Ticks are accumulated, so their rate does not drift; missed ticks are skipped and
+    counted, never made up for."""
 
     def __init__(
         self,
@@ -18,9 +18,9 @@ class Ticker:
         idle_s: float = IDLE_S,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`rate_hz`: of the ticks; `idle_s`: between passes while nothing is under way."""
+        """`rate_hz`: rate of the ticks; `idle_s`: time between passes while idle."""
         self.period_s = 1.0 / rate_hz
-        self.missed = 0  # ticks, for work that took longer or a machine that was late
+        self.missed = 0  # ticks missed by long work or a late machine
         self._tick_s = min(self.period_s, IDLE_S)
         self._idle_s = min(idle_s, IDLE_S)
         self._clock = clock
@@ -28,20 +28,22 @@ class Ticker:
         self._was_woken = False
 
     def until(self, *, busy: bool) -> float:
-        """The pass is over: when the next one is due. `busy`: whether something is under way."""
+        """A pass is over; → the time when the next one is due. `busy`: whether work or input is
+        pending."""
         now = self._clock()
         late = math.floor((now - self._began_s) / self.period_s)
         self.missed += late
         self._began_s += late * self.period_s
         if busy:
             self._until_s = self._began_s + self._tick_s
-        else:  # what comes at that very pace is given a tick to come by itself
+        else:
+            # After an arrival the wait is a tick longer, so that input at this pace wakes the loop.
             slack_s = self._tick_s if self._was_woken else 0.0
             self._until_s = self._began_s + max(self._idle_s, self._tick_s) + slack_s
         return self._until_s
 
     def begin(self) -> float:
-        """A pass begins, at its time or as something has come; → the time."""
+        """A pass begins, at its time or at an arrival; → the time."""
         now = self._clock()
         self._was_woken = now < self._until_s
         self._began_s = now
@@ -52,5 +54,5 @@ class Ticker:
         return now
 
     def left_s(self) -> float:
-        """Of the time for this pass; negative where it is over."""
+        """Time left of this pass [s]; negative where it is over."""
         return self._began_s + self.period_s - self._clock()

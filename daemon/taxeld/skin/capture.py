@@ -10,31 +10,32 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index
 
-PATIENCE = 5  # times that the capture begins again
-MOVED_SIGMAS = 10.0  # a wider window is no noise: 20 normal readings span 3.7 ± 0.7
-SD_OF_STEP = 1.4826 / np.sqrt(2.0)  # median size of a scan's change → sd of a reading
-NOISE_MAX = 0.05  # of full scale: with more noise a taxel is of no use
+PATIENCE = 5  # restarts of the capture before touched taxels are left out
+MOVED_SIGMAS = 10.0  # a wider window is not noise: 20 normal readings span 3.7 ± 0.7
+SD_OF_STEP = 1.4826 / np.sqrt(2.0)  # median step between scans → sd of a reading
+NOISE_MAX = 0.05  # share of full scale: a noisier taxel is of no use
 NONE = np.empty(0, dtype=np.intp)
 
 
 class Idle:
-    """Windows of readings, taxel by taxel, until each has been quiet for one."""
+    """Windows of readings for each taxel, until each has been quiet for one window."""
 
     def __init__(self, taxels: int, scans: int, full_scale: float, floor: float) -> None:
-        """`scans` of a window; `floor` [counts]: a narrower window is never a touch."""
+        """`scans`: length of a window; `floor`: a window narrower than this [counts] is never a
+        touch."""
         self.known: Bools = np.zeros(taxels, dtype=bool)
         self.mean: Floats = np.zeros(taxels)
-        self.noise: Floats = np.zeros(taxels)  # sd of a reading
+        self.noise: Floats = np.zeros(taxels)  # (M,) sd of a reading [counts]
         self.begun_again = 0
         self._noise_max = NOISE_MAX * full_scale
         self._floor = floor
-        self._low = np.full(taxels, np.inf)  # the lowest level so far
+        self._low = np.full(taxels, np.inf)  # the lowest level so far [counts]
         self._n = np.zeros(taxels, dtype=np.intp)
         self._window = np.zeros((scans, taxels), dtype=np.uint16)
 
     def on_scan(self, taxels: Index, counts: Floats, busy: Bools) -> Index:
-        """Valid counts of some taxels, and which of all (M,) are near a touch or were so lately;
-        → the taxels whose baseline has become known."""
+        """Take valid counts (n,) of taxels (n,); `busy` (M,): near a touch now or shortly before; →
+        the taxels whose baseline became known."""
         wanted = ~self.known[taxels]
         if not wanted.any():
             return NONE

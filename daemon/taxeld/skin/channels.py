@@ -1,4 +1,4 @@
-"""Which channel of a hub's scan is which taxel of the layout, and which a module's temperature."""
+"""Maps of a hub's channels: to the layout's taxels, and to the modules' temperatures."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -10,18 +10,18 @@ from taxeld.layout.layout import Layout
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.modules import ABSENT_UID
 
-NAMED = 8  # modules at most, in a line
-TEMPERATURE = 0  # name of the temperature channel, the low nibble of its UID
+NAMED = 8  # modules that one message names at most
+TEMPERATURE = 0  # name of the temperature channel, in the low nibble of its UID
 
 
 class Wired(NamedTuple):
-    """A hub's channels by what they read."""
+    """A hub's channels by their use."""
 
-    channels: Index  # that are taxels,
-    taxels: Index  # which, in their order
-    places: Index | slice  # the same, shorter where they are all that the skin has
-    t0_channels: Index  # that are temperatures,
-    t0_modules: Index  # of which modules
+    channels: Index  # channels of taxels
+    taxels: Index  # taxels of these channels, in the same order
+    places: Index | slice  # `taxels`, as a slice where the hub has the whole skin
+    t0_channels: Index  # channels of temperatures
+    t0_modules: Index  # modules of these channels, in the same order
 
 
 class Wiring:
@@ -29,22 +29,24 @@ class Wiring:
 
     def __init__(self, layout: Layout) -> None:
         suis, module = np.unique(layout.uid >> 4, return_inverse=True)
-        self.suis: list[int] = suis.tolist()  # of each module
-        self.module: Index = module.astype(np.intp)  # (M,) of each taxel
+        self.suis: list[int] = suis.tolist()  # serial number of each module
+        self.module: Index = module.astype(np.intp)  # (M,) module of each taxel
         self._taxel = {int(uid): i for i, uid in enumerate(layout.uid)}
-        # an iCub taxel may have the name of a temperature; what the layout has is a taxel
+        # An iCub taxel may have the name of a temperature; the layout then decides that it is a
+        # taxel.
         self._t0 = {
             sui << 4 | TEMPERATURE: m
             for m, sui in enumerate(self.suis)
             if sui << 4 | TEMPERATURE not in self._taxel
         }
         self._maps: dict[int, tuple[int, Wired]] = {}
-        self.hubs: dict[int, list[int]] = {}  # of each the modules that it told of last
-        self.lacking: tuple[int, ...] = tuple(self.suis)  # modules of the layout never told of,
-        self.foreign: tuple[int, ...] = ()  # and of hubs, that the layout has not
+        self.hubs: dict[int, list[int]] = {}  # hub → serial numbers of its modules
+        self.lacking: tuple[int, ...] = tuple(self.suis)  # modules on no hub
+        self.foreign: tuple[int, ...] = ()  # modules that hubs declared and the layout lacks
         self._suis = set(self.suis)
 
     def of(self, scan: Scan) -> Wired:
+        """The map for this scan's module table."""
         version, wired = self._maps.get(scan.ihb, (None, None))
         if wired is None or version != scan.table_version:
             uids = [uid for module in scan.table for uid in module.uids]
@@ -57,14 +59,15 @@ class Wiring:
         return wired
 
     def _note(self, hub: int, suis: set[int]) -> None:
-        """Modules with taxels. One that has gone since is not lacking: its taxels are dead."""
+        """Record a hub's modules with taxels. A module that has gone since is not lacking: its
+        taxels are dead."""
         self.hubs[hub] = sorted(suis)
         self.lacking = tuple(sui for sui in self.lacking if sui not in suis)
         self.foreign = tuple(sorted({*self.foreign, *suis} - self._suis))
 
 
 def _pairs(uids: list[int], index: dict[int, int]) -> tuple[Index, Index]:
-    """Channels whose UIDs are in the index, and what they are there."""
+    """Channels whose UIDs are in the index, and the index's numbers for them."""
     pairs = [(channel, index[uid]) for channel, uid in enumerate(uids) if uid in index]
     pairs.sort(key=lambda pair: pair[1])
     channels, found = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
@@ -72,7 +75,7 @@ def _pairs(uids: list[int], index: dict[int, int]) -> tuple[Index, Index]:
 
 
 def mismatch(lacking: Sequence[int], of_layout: int, foreign: int, match: bool) -> str:
-    """How the hubs' modules differ from the layout's, with the cure; empty where they do not."""
+    """How the hubs' modules differ from the layout's, with the cure; empty where they agree."""
     parts = []
     if lacking:
         named = ", ".join(map(str, lacking[:NAMED])) + (", …" if len(lacking) > NAMED else "")

@@ -9,41 +9,43 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index
 
-BELOW_SLICES = 2  # in a row below the threshold: the baseline is too high
-BACK_SLICES = 3  # in a row with all taxels back: the readings had only dipped
-BACK_SHARE = 0.25  # of the threshold: so near to the old reading is back; no press brings all there
+BELOW_SLICES = 2  # slices in a row below the threshold that show a baseline too high
+BACK_SLICES = 3  # slices in a row with all taxels back that show a mere dip
+# share of the threshold: a reading this near to the old one is back; no press brings all there
+BACK_SHARE = 0.25
 
 
 class Dips:
     """The lowered baselines of M taxels."""
 
     def __init__(self, taxels: int) -> None:
-        self.lowered = 0  # taxels, since start
-        self.raised = 0  # of them: those that had only dipped
-        self._below = np.zeros(taxels, dtype=np.int64)  # slices in a row
-        self._by = np.zeros(taxels)  # by how much each was lowered [counts]
-        self._group = np.zeros(taxels, dtype=np.int64)  # which were lowered together
-        self._back: dict[int, int] = {}  # slices in a row with a whole group back
+        self.lowered = 0  # baselines lowered, since start
+        self.raised = 0  # lowered baselines that were raised again after a dip
+        self._below = np.zeros(taxels, dtype=np.int64)  # (M,) slices in a row below the threshold
+        self._by = np.zeros(taxels)  # (M,) amount by which each was lowered [counts]
+        self._group = np.zeros(taxels, dtype=np.int64)  # (M,) number of the group lowered together
+        self._back: dict[int, int] = {}  # group → slices in a row with the whole group back
 
     def forget(self, taxels: Index) -> None:
-        """These taxels have a new baseline."""
+        """Taxels (n,) have a new baseline."""
         self._below[taxels] = 0
         self._by[taxels] = 0.0
 
     def lower(self, gap: Floats, below: Bools) -> Bools:
-        """How far the baselines (M,) are above the slice's mean [counts], and which of them by more
-        than the threshold; → those to be lowered to the mean."""
+        """`gap` (M,): baselines over the slice's mean [counts]; `below` (M,): whether by more than
+        the threshold; → (M,) baselines to be lowered to the mean."""
         self._below = np.where(below, self._below + 1, 0)
         wrong: Bools = self._below >= BELOW_SLICES
         if wrong.any():
             self._by[wrong] += gap[wrong]
-            self._group[wrong] = self.lowered + 1  # a number that no other group has
+            self._group[wrong] = self.lowered + 1  # number of a new group
             self._below[wrong] = 0
             self.lowered += int(wrong.sum())
         return wrong
 
     def rise(self, over: Floats, usable: Bools, threshold: Floats) -> Floats:
-        """The slice's mean over the baselines (M,) [counts]; → by how much to raise these."""
+        """`over` (M,): the slice's mean over the baselines [counts]; `usable` (M,); `threshold`
+        (M,) [counts]; → (M,) by how much to raise the baselines [counts]."""
         risen = np.zeros_like(self._by)
         lowered = self._by > 0.0
         if not lowered.any():

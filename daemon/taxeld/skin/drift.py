@@ -1,8 +1,8 @@
 """The baseline follows drift, and never a touch.
 
-The scans of about a second are a slice. A taxel is free in it when neither it nor one near it was
-touched then or shortly before. The baselines of free taxels follow the slice's mean, at a bounded
-rate. The drift that a module's temperature explains is followed at all times.
+The scans of about a second form a slice. A taxel is free in a slice when neither it nor a taxel
+near it was touched then or shortly before. The baselines of free taxels follow the slice's mean, at
+a bounded rate. Drift that a module's temperature explains is followed at all times.
 """
 
 import numpy as np
@@ -16,16 +16,16 @@ from taxeld.skin.temperature import Temperature
 
 SLICE_S = 1.0
 GAP_S = 5.0  # a longer pause between two scans begins a new slice
-NEAR_M = 0.025  # a press changes the readings of its neighbours, also below their thresholds
-HOLD_OFF_S = 3.0  # after a release, while the foam recovers
-RATE_MAX = 0.005 / 60.0  # of full scale a second: 100 of 20 000 counts a minute
+NEAR_M = 0.025  # a press changes its neighbours' readings, also below their thresholds
+HOLD_OFF_S = 3.0  # time after a release in which the foam recovers
+RATE_MAX = 0.005 / 60.0  # share of full scale a second: 100 of 20 000 counts a minute
 
 
 class Slice:
-    """Sums of what M taxels and K temperatures read in the scans of about a second."""
+    """Sums of the readings of M taxels and K temperatures over the scans of about a second."""
 
     def __init__(self, taxels: int, modules: int) -> None:
-        self.scans: NDArray[np.int64] = np.zeros(taxels, dtype=np.int64)  # valid readings
+        self.scans: NDArray[np.int64] = np.zeros(taxels, dtype=np.int64)  # (M,) valid readings
         self.changed: Bools = np.zeros(taxels, dtype=bool)
         self._sum = np.zeros(taxels)
         self._squares = np.zeros(taxels)
@@ -41,8 +41,8 @@ class Slice:
     def add(
         self, t: float, taxels: Index | slice, counts: Floats, valid: Bools | int, changed: Bools
     ) -> bool:
-        """Counts of some taxels, 0 where not valid, and whether they have changed since the scan
-        before; → whether the slice is full."""
+        """Take counts (n,) of n taxels, 0 where not valid, with `valid` and `changed` since the
+        scan before, each (n,); → whether the slice is full."""
         if not self.end <= t < self.end + GAP_S:
             self.begin(t)
         self.end = t
@@ -53,33 +53,33 @@ class Slice:
         return t - self.start >= SLICE_S
 
     def add_t0(self, modules: Index, counts: Floats, valid: Bools | int) -> None:
-        """Counts of some modules' temperatures, 0 where not valid."""
+        """Take temperatures (n,) of n modules [counts], 0 where not `valid` (n,)."""
         self._t0_sum[modules] += counts
         self._t0_n[modules] += valid
 
     @property
     def mean(self) -> Floats:
-        """(M,) counts; 0 without a scan."""
+        """(M,) mean [counts]; 0 without a scan."""
         return np.asarray(self._sum / np.maximum(self.scans, 1))
 
     @property
     def variance(self) -> Floats:
-        """(M,) counts², about the slice's own mean; 0 of a single scan."""
+        """(M,) variance [counts²] within the slice; 0 of a single scan."""
         n = self.scans
         spread = self._squares - n * self.mean**2
         return np.maximum(spread, 0.0) / np.maximum(n - 1, 1)
 
     @property
     def t0(self) -> Floats:
-        """(K,) counts; nan without a scan."""
+        """(K,) mean temperature [counts]; nan without a scan."""
         return np.where(self._t0_n > 0, self._t0_sum / np.maximum(self._t0_n, 1), np.nan)
 
 
 class Drift:
-    """The baselines of M taxels on K modules, and what moves them."""
+    """The baselines of M taxels on K modules, and everything that moves them."""
 
     def __init__(self, layout: Layout, wiring: Wiring, full_scale: float, drift_s: float) -> None:
-        """`drift_s`: the time constant of following."""
+        """`drift_s`: time constant at which baselines follow."""
         taxels = len(layout)
         self.baseline: Floats = np.zeros(taxels)
         self.temperature = Temperature(len(wiring.suis), full_scale)
@@ -88,39 +88,40 @@ class Drift:
         self._modules = len(wiring.suis)
         self._drift_s = drift_s
         self._rate_max = RATE_MAX * full_scale
-        self._zero = np.zeros(taxels)  # the baseline that drift is counted from
+        self._zero = np.zeros(taxels)  # (M,) baseline from which drift is counted
         self._busy_until = np.full(taxels, -np.inf)
         x, y, z = (axis[:, None] - axis for axis in layout.position_m.T.astype(np.float32))
         self._near: Bools = x * x + y * y + z * z <= NEAR_M**2
 
     @property
     def followed(self) -> Floats:
-        """By how much the baseline has moved since it was captured (M,) [counts]."""
+        """(M,) motion of the baseline since it was captured [counts]."""
         return self.baseline - self._zero
 
     def take(self, taxels: Index, counts: Floats) -> None:
-        """New baselines of some taxels."""
+        """Set new baselines (n,) of taxels (n,) [counts]."""
         self.baseline[taxels] = self._zero[taxels] = counts
         self.dips.forget(taxels)
         self.temperature.forget_drift()
 
     def touched(self, t: float, taxels: Bools) -> None:
-        """These taxels (M,) are touched at time t."""
+        """Taxels in the mask (M,) are touched at time t."""
         at = np.flatnonzero(taxels)
         if len(at):
             self._busy_until[self._near[at].any(axis=0)] = t + HOLD_OFF_S
 
     def busy(self, t: float) -> Bools:
-        """Taxels (M,) that are near a touch, or were so lately."""
+        """(M,) whether a taxel is near a touch, or was so shortly before."""
         return self._busy_until > t
 
     def release(self) -> None:
-        """Nothing is touched, whatever was before."""
+        """End all touches."""
         self._busy_until[:] = -np.inf
 
     def on_slice(self, part: Slice, usable: Bools, threshold: Floats) -> Bools:
-        """A full slice; `usable` taxels (M,) have a baseline and can be believed; → which of them
-        were at rest: free, and within their thresholds of their baselines."""
+        """Take a full slice. `usable` (M,): taxels with a baseline that can be believed;
+        `threshold` (M,) [counts]; → (M,) taxels at rest: free, and within their thresholds of their
+        baselines."""
         usable = usable & (part.scans > 0)
         over = np.where(usable, part.mean - self.baseline, 0.0)
         press = self._by_module(np.where(over > threshold, over, 0.0))
@@ -135,13 +136,13 @@ class Drift:
         return free & (np.abs(over) <= threshold)
 
     def _learn_temperature(self, mean: Floats, free: Bools, usable: Bools) -> None:
-        """From the common drift of the modules whose taxels are all free."""
+        """Learn from the common drift of modules whose taxels are all free."""
         number = self._by_module(usable)
         common = self._by_module(np.where(usable, mean - self._zero, 0.0)) / np.maximum(number, 1.0)
         self.temperature.learn(common, (number > 0) & (self._by_module(free) == number))
 
     def _correct(self, mean: Floats, below: Bools, usable: Bools, threshold: Floats) -> None:
-        """Lower the baselines that are too high, and raise those of taxels that had only dipped."""
+        """Lower baselines that are too high, and raise those of taxels that had only dipped."""
         wrong = self.dips.lower(self.baseline - mean, below)
         self._zero[wrong] += mean[wrong] - self.baseline[wrong]
         self.baseline[wrong] = mean[wrong]
@@ -150,5 +151,5 @@ class Drift:
         self._zero += risen
 
     def _by_module(self, values: NDArray[np.generic]) -> Floats:
-        """Sums over each module's taxels (K,)."""
+        """(K,) sums of values (M,) over each module's taxels."""
         return np.bincount(self._module, values, minlength=self._modules).astype(np.float64)

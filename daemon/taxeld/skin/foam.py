@@ -1,28 +1,28 @@
-"""Foam that was pressed recovers slowly: what it still reads after a release is no touch.
+"""Pressed foam recovers slowly: its reading after a release is no touch.
 
 How much stays, and for how long, differs from taxel to taxel and from press to press, so it is
-followed and not predicted. A press that has fallen to a share of its own peak is over. What is read
-from then on is the foam's, as long as it only falls; what rises above that is the next press.
+followed and not predicted. A press that has fallen to a share of its own peak is over. From then on
+the reading is the foam's, as long as it only falls; a rise above that is the next press.
 """
 
 import numpy as np
 
 from taxeld.arrays import Floats
 
-KEPT = 0.4  # of a press: what is read after its release is less
+KEPT = 0.4  # share of a press's peak: a lower reading is of a released press
 
 
 class Residue:
     """The last presses of M taxels."""
 
     def __init__(self, taxels: int) -> None:
-        self.level = np.zeros(taxels)  # (M,) counts over baseline that presses have left
+        self.level = np.zeros(taxels)  # (M,) counts over baseline left by presses
         self.pressed = np.zeros(taxels, dtype=np.bool_)  # (M,)
-        self.is_none = True  # nothing is pressed, and nothing is left
-        self._peak = np.zeros(taxels)  # of the press under way
+        self.is_none = True  # no taxel is pressed, and no press has left anything
+        self._peak = np.zeros(taxels)  # (M,) peak of the press under way [counts]
 
     def on_scan(self, over: Floats, threshold: Floats) -> None:
-        """Counts (M,) over baseline; what rises by `threshold` (M,) is a press."""
+        """Take counts (M,) over baseline; a rise by `threshold` (M,) is a press."""
         level, pressed = self.level, self.pressed
         if self.is_none and not (over > threshold).any():
             self._peak = over

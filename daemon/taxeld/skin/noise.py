@@ -1,7 +1,7 @@
 """The idle noise of each taxel: from the capture, and then from every second out of contact.
 
-The capture's twenty readings give a standard deviation to about a sixth. Of hundreds of taxels some
-would then have a threshold of four sigmas in place of six.
+The capture's twenty readings give a standard deviation to about a sixth. Among hundreds of taxels
+some would then have a threshold of four sigmas in place of six.
 """
 
 import numpy as np
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Index
 
-MEMORY = 2000  # scans that the running variance weighs at most
-LEAST = 8  # scans of a slice: of fewer the spread is not used
-GROWTH = 2.0  # times the known noise: a larger spread within one slice is no noise but a motion
+MEMORY = 2000  # most scans that the running variance weighs
+LEAST = 8  # scans: the spread of a shorter slice is not used
+GROWTH = 2.0  # factor on the known noise: a larger spread within one slice is motion
 
 
 class IdleNoise:
@@ -19,15 +19,16 @@ class IdleNoise:
 
     def __init__(self, taxels: int) -> None:
         self.sd: Floats = np.zeros(taxels)
-        self._scans = np.zeros(taxels)  # that it rests on
+        self._scans = np.zeros(taxels)  # (M,) scans behind each value
 
     def take(self, taxels: Index, sd: Floats, scans: int) -> None:
-        """The noise of some taxels, from so many scans."""
+        """Set the noise `sd` (n,) [counts] of taxels (n,), measured over `scans` scans."""
         self.sd[taxels] = sd
         self._scans[taxels] = scans
 
     def on_slice(self, variance: Floats, scans: NDArray[np.int64], at_rest: Bools) -> None:
-        """The variance within a slice of so many scans (M,), used of taxels that were `at_rest`."""
+        """Take the variances (M,) [counts²] within a slice of `scans` (M,) readings; only taxels
+        `at_rest` (M,) are used."""
         used = np.where(at_rest & (scans >= LEAST), scans, 0)
         variance = np.minimum(variance, (GROWTH * self.sd) ** 2 + 1.0)
         share = used / np.maximum(self._scans + used, 1)

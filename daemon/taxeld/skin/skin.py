@@ -1,8 +1,8 @@
-"""Counts → activations: what each taxel reads over its idle baseline, and which can be believed.
+"""Counts → activations: each taxel's reading over its idle baseline, and which can be believed.
 
-CySkin counts have 16 bits and rise with pressure. Noise differs by three decades between patches:
-every taxel has a threshold of its own, learned while nothing touches the skin (`capture`). Then the
-baseline follows drift (`drift`). What has been learned can be kept over a restart (`state`).
+CySkin counts have 16 bits and rise with pressure. Noise differs by three decades between patches,
+so every taxel has its own threshold, learned while nothing touches the skin (`capture`). Then the
+baseline follows drift (`drift`). The learned state can be kept over a restart (`state`).
 docs/skin.md has the rules.
 """
 
@@ -26,40 +26,40 @@ from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
 
 INVALID_FROM = 43_000  # public tools treat counts of 0 and from here on as invalid
-SILENT_S = 0.5  # readings of a hub's last scan hold for so long
+SILENT_S = 0.5  # time for which the readings of a hub's last scan hold
 
 
 @dataclass(slots=True)
 class SkinCounters:
-    """Since start; channels are counted once a scan."""
+    """Counters since start; channels are counted once a scan."""
 
     scans: int = 0
     invalid_counts: int = 0
-    unmapped: int = 0  # scans of a module table that names no taxel of the layout
+    unmapped: int = 0  # scans whose module table names no taxel of the layout
     learning: int = 0  # scans before any taxel had a baseline
     hubs_silent: int = 0  # times that a hub sent no scan for too long while others did
     states_believed: int = 0  # stored baselines that the first scans confirmed
-    states_refused: int = 0  # and those that they did not
+    states_refused: int = 0  # stored baselines that the first scans refuted
 
 
 class Reading(NamedTuple):
-    """What a hub's channels say: counts, 0 where not valid."""
+    """A hub's readings: counts, 0 where not valid."""
 
-    counts: Floats  # of its taxels
-    valid: Bools | int  # 1: all are
-    t0: Floats  # of its modules
+    counts: Floats  # (n,) counts of the hub's taxels
+    valid: Bools | int  # (n,), or 1 where all are valid
+    t0: Floats  # (k,) counts of the hub's temperatures
     t0_valid: Bools | int
 
 
 class Marks(NamedTuple):
-    """What presses have left, as an activation has it."""
+    """The remains of presses, in the form of an activation."""
 
     floor: Floats
     residue: Floats
 
 
 class Skin:
-    """Activations of one skin, from scans of all hubs that its taxels hang on."""
+    """Activations of one skin, from scans of all its hubs."""
 
     def __init__(
         self,
@@ -68,40 +68,40 @@ class Skin:
         silent_s: float = SILENT_S,
         calibration: Calibration | None = None,
     ) -> None:
-        """`silent_s`: for so long a hub's readings hold without a new scan of it. `calibration`
-        takes the place of the configured full scale."""
+        """`silent_s`: time for which a hub's readings hold without a new scan. `calibration`
+        replaces the configured full scale."""
         taxels = len(layout)
         self.layout = layout
         self.config = config
         self.counters = SkinCounters()
         self.digest = skin_state.digest(layout)
         self.captures = 0  # times that taxels got a baseline
-        self.live: Bools | None = None  # of the last activation
-        self.touched = False  # whether the last activation is of a touch
+        self.live: Bools | None = None  # (M,) of the last activation
+        self.touched = False  # whether the last activation is a touch
         self.threshold: Floats = np.zeros(taxels)
-        self.over: Floats = np.zeros(taxels)  # counts over baseline of the last activation
+        self.over: Floats = np.zeros(taxels)  # (M,) counts over baseline of the last activation
         self._silent_s = silent_s
         self._scale = Scale.used(config.full_scale_counts, calibration)
         self._floor = FLOOR * self._scale.full_scale_counts
         self.wiring = Wiring(layout)
-        self._counts: Floats = np.zeros(taxels)  # of each taxel's last scan, 0 where not valid
+        self._counts: Floats = np.zeros(taxels)  # (M,) of each taxel's last scan, 0 where not valid
         self._saturated: Bools = np.zeros(taxels, dtype=bool)
-        self._usable: Bools = np.zeros(taxels, dtype=bool)  # has a baseline, and is not frozen
+        self._usable: Bools = np.zeros(taxels, dtype=bool)  # (M,) has a baseline, and is not frozen
         self._last_scans: dict[
             int, tuple[float, Index | slice]
-        ] = {}  # by hub: when, and its taxels
+        ] = {}  # hub → time of its last scan, and its taxels
         self._t = -np.inf
-        self._state: SkinState | None = None  # stored, and not yet confirmed where
+        self._state: SkinState | None = None  # stored, and not confirmed for `_pending` taxels
         self._pending = np.zeros(taxels, dtype=bool)
         self._slice = Slice(taxels, len(self.wiring.suis))
         self._drift = Drift(layout, self.wiring, self._scale.full_scale_counts, config.drift_s)
         self._rest = Rest(taxels, calibration)
         self._residue = Residue(taxels)
-        self._marks: Marks | None = None  # where nothing is left, with the thresholds as they are
+        self._marks: Marks | None = None  # marks without presses, at the current thresholds
         self.tare()
 
     def tare(self) -> None:
-        """Forget the baseline; the next `baseline_scans` scans, untouched, make a new one."""
+        """Forget the baseline; the next `baseline_scans` untouched scans make a new one."""
         config = self.config
         self._idle = Idle(
             len(self.layout), config.baseline_scans, self._scale.full_scale_counts, self._floor
@@ -114,22 +114,22 @@ class Skin:
 
     @property
     def counts(self) -> Floats:
-        """(M,) of each taxel's last scan, 0 where it was not valid."""
+        """(M,) counts of each taxel's last scan, 0 where not valid."""
         return self._counts
 
     @property
     def baseline(self) -> Floats:
-        """(M,) counts; of no meaning where it is not known."""
+        """(M,) counts; meaningless where the baseline is not known."""
         return self._drift.baseline
 
     @property
     def modules(self) -> int:
-        """How many modules the taxels hang on."""
+        """The number of modules with taxels of the layout."""
         return len(self.wiring.suis)
 
     @property
     def hubs(self) -> int:
-        """How many hubs have sent a scan of late."""
+        """The number of hubs that have sent a scan lately."""
         return len(self._last_scans)
 
     @property
@@ -168,14 +168,14 @@ class Skin:
         return activation
 
     def restore(self, state: SkinState) -> None:
-        """Use what was learned before a restart, where the first scans confirm it."""
+        """Use a state from before a restart, where the first scans confirm it."""
         self._state = state
         self._pending = ~np.isnan(state.baseline)
         self._drift.temperature.coefficient = state.coefficient.copy()
         self._drift.temperature.set_leak(state.leak)
 
     def state(self) -> SkinState | None:
-        """What has been learned so far, to be kept; None before there is anything."""
+        """The learned state, to be kept; None before anything was learned."""
         if not self.is_ready:
             return None
         temperature = self._drift.temperature
@@ -190,7 +190,7 @@ class Skin:
         )
 
     def faults(self) -> dict[str, list[int]]:
-        """Taxels that cannot be believed, by what is wrong with them."""
+        """Fault → taxels that cannot be believed for it."""
         live = self.live
         return {
             "dead_taxels": [] if live is None else np.flatnonzero(~live).tolist(),
@@ -201,7 +201,7 @@ class Skin:
         }
 
     def figures(self) -> dict[str, float]:
-        """The idle capture and drift in numbers."""
+        """Figures of the idle capture and of drift."""
         drift, temperature = self._drift, self._drift.temperature
         return {
             "begun_again": self._idle.begun_again,
@@ -214,9 +214,9 @@ class Skin:
         }
 
     def _read(self, counts: tuple[int, ...], wired: Wired) -> Reading:
-        """What the channels of a hub say."""
+        """A hub's channels as readings of taxels and temperatures."""
         channels = np.array(counts, dtype=np.float64)
-        if min(counts) > 0 and max(counts) < INVALID_FROM:  # as nearly always
+        if min(counts) > 0 and max(counts) < INVALID_FROM:  # the usual case: all are valid
             self._saturated[wired.places] = False
             return Reading(channels[wired.channels], 1, channels[wired.t0_channels], 1)
         found, t0 = channels[wired.channels], channels[wired.t0_channels]
@@ -226,7 +226,7 @@ class Skin:
         return Reading(np.where(valid, found, 0.0), valid, np.where(t0_valid, t0, 0.0), t0_valid)
 
     def _age(self, hub: int, t: float, taxels: Index | slice) -> None:
-        """A hub has sent a scan at time t; the readings of hubs that sent none for too long end."""
+        """A hub has sent a scan at time t. Readings of hubs that have been silent too long end."""
         self._t = max(self._t, t)  # hubs end their scans in any order
         self._last_scans[hub] = self._t, taxels
         for other, (last, silent) in list(self._last_scans.items()):
@@ -236,7 +236,7 @@ class Skin:
                 self.counters.hubs_silent += 1
 
     def _judge(self, state: SkinState, wired: Wired, counts: Floats, t0: Floats) -> None:
-        """Use what is stored of a hub's taxels, or none of it, by its first scan."""
+        """Use or refuse the stored state of a hub's taxels, by its first scan."""
         taxels = wired.taxels
         asked = self._pending[taxels]
         answered = asked & (counts > 0)
@@ -261,20 +261,20 @@ class Skin:
             self._state = None
 
     def _capture(self, taxels: Index, counts: Floats) -> None:
-        """Learn the baseline of those that have none yet."""
+        """Learn the baselines of taxels that have none yet."""
         found = self._idle.on_scan(taxels, counts, self._drift.busy(self._t))
         if len(found):
             self._know(found, self._idle.mean[found], self._idle.noise[found])
 
     def _know(self, taxels: Index, baseline: Floats, noise: Floats) -> None:
-        """These taxels have a baseline now [counts], and a noise."""
+        """Set the baselines and noise (n,) of taxels (n,) [counts]."""
         self.captures += 1
         self._drift.take(taxels, baseline)
         self._rest.take(taxels, noise, self.config.baseline_scans)
         self.threshold[taxels] = self._threshold(self._rest.noise[taxels])
         self._marks = None
         self._usable = self._idle.known & ~self._rest.frozen
-        self._slice.begin(self._t)  # the readings before may be those of a touch
+        self._slice.begin(self._t)  # earlier readings may be a touch
 
     def _threshold(self, noise: Floats) -> Floats:
         return np.maximum(self.config.threshold_sigmas * noise, self._floor)
@@ -289,7 +289,7 @@ class Skin:
             return Activation(self._t, np.zeros(len(live)), live, *self._unmarked())
         pressed = live & residue.pressed
         self.touched = bool(pressed.any())
-        if not residue.level.any():  # the first press, for a long time
+        if not residue.level.any():  # the first press for a long time
             self._drift.touched(self._t, pressed)
             marks = self._unmarked()
         else:
@@ -299,7 +299,7 @@ class Skin:
         return Activation(self._t, np.where(pressed, scale.activation(over), 0.0), live, *marks)
 
     def _unmarked(self) -> Marks:
-        """Where presses have left nothing."""
+        """Marks where presses have left nothing."""
         if self._marks is None:
             floor, nothing = self._scale.activation(self.threshold), np.zeros(len(self.threshold))
             self._marks = Marks(floor, self._scale.activation(nothing))

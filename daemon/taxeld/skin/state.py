@@ -1,8 +1,8 @@
-"""What has been learned about a skin, to be kept while the daemon is not running.
+"""The learned state of a skin, to be kept while the daemon is not running.
 
 A stored baseline is used when the first scan after the restart confirms it: at least half of the
-taxels that answer read within their thresholds of it. So a touch that is held over the restart is
-noticed at once; a skin that has drifted too far, or is another, is captured anew.
+taxels that answer read within their thresholds of it. So a touch held over the restart is noticed
+at once, and a skin that has drifted too far, or is another one, is captured anew.
 """
 
 import hashlib
@@ -13,28 +13,29 @@ import numpy as np
 from taxeld.arrays import Bools, Floats
 from taxeld.layout.layout import Layout
 
-CONFIRMING = 0.5  # share of the taxels that must read within their thresholds of the stored values
+CONFIRMING = 0.5  # share of answering taxels that must read within their thresholds
 
 
 @dataclass(frozen=True, slots=True)
 class SkinState:
-    """M taxels and K modules, at Unix time t."""
+    """State of M taxels and K modules at Unix time t [s]."""
 
     t: float
-    digest: str  # of the taxels' places and UIDs
-    baseline: Floats  # (M,) counts, nan where it is not known
+    digest: str  # digest of the taxels' places and UIDs
+    baseline: Floats  # (M,) counts, nan where not known
     noise: Floats  # (M,) counts
     coefficient: Floats  # (K,) counts of drift a count of T0
-    leak: Floats  # (K,) share of a press that T0 sees
+    leak: Floats  # (K,) counts of T0 a count of press: the part of a press that T0 reads
     t0: Floats  # (K,) counts, nan where there is none
 
 
 def digest(layout: Layout) -> str:
-    """16 hex digits that name the places of the taxels and their UIDs."""
+    """16 hex digits that identify the taxels' places and UIDs."""
     text = layout.digest.encode() + layout.uid.astype("<i8").tobytes()
     return hashlib.sha256(text).hexdigest()[:16]
 
 
 def is_confirmed(over: Floats, threshold: Floats, answered: Bools) -> bool:
-    """Whether stored baselines hold; `over` (M,): counts over them, of taxels that `answered`."""
+    """Whether stored baselines hold. `over` (M,): counts over them; `threshold` (M,) [counts];
+    `answered` (M,): taxels that answered."""
     return bool((np.abs(over[answered]) <= threshold[answered]).mean() >= CONFIRMING)

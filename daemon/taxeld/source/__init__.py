@@ -1,4 +1,4 @@
-"""Where scans come from: devices, the protocols on them, bring-up, and recorded sessions.
+"""Sources of scans: devices, the protocols on them, bring-up, and recorded sessions.
 
-Here bytes become scans. What they mean for a skin or an object is not known here.
+Here bytes become scans. Their meaning for a skin or an object is not known here.
 """

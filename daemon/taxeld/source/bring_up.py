@@ -5,8 +5,8 @@ modules out of their bootloader → discovery, DECLARE and DETAILS again → per
 
 Pure: packets and the time in, requests out. Requests are broadcast, so that they never cut into the
 fragments that a hub is sending under its own id. When scans stop, the whole sequence runs again,
-which serves a hub that rebooted as well as one plugged in late; hubs that speak meanwhile are not
-told to stop.
+for a hub that rebooted as well as for one plugged in late; hubs that speak meanwhile are not told
+to stop.
 """
 
 import math
@@ -18,25 +18,25 @@ from taxeld_protocol.cyskin import ALL_MODULES, BROADCAST, LEAVE_BOOTLOADER, Com
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import is_of_bootloader
 
-RETRY_S = 0.5  # that the answers to a step may take
-SILENCE_S = 1.0  # without a scan for so long, the hubs are asked anew;
-SILENT_PERIODS = 3  # where scans are rare, after so many of them
-OTHERS_RETRY_S = 5.0  # where only some of the hubs are silent
-STARTING_TRIES = 3  # to hear channels declared: modules take time to leave their bootloader
-STUCK_S = 10.0  # that no module takes
-SHORT_IDS = 254  # that can be given
+RETRY_S = 0.5  # time for the answers to a step
+SILENCE_S = 1.0  # time without a scan after which the hubs are asked anew
+SILENT_PERIODS = 3  # scan periods of silence before hubs are asked anew, if longer than SILENCE_S
+OTHERS_RETRY_S = 5.0  # time between rounds where only some of the hubs are silent
+STARTING_TRIES = 3  # tries to hear channels declared: modules take time to leave their bootloader
+STUCK_S = 10.0  # time in the bootloader after which a hub is reported: no module needs as long
+SHORT_IDS = 254  # short ids that can be given
 
 Request = tuple[int, bytes]
 
 
 class Step(IntEnum):
-    """Of a round; what is asked, and what ends it."""
+    """Steps of a round: the requests sent, and the answers that end the step."""
 
-    REST = 0  # nothing is asked
-    FIND = 1  # leave the bootloader, discovery: until all that answer have their short ids
-    ASK = 2  # DECLARE, DETAILS: until all have answered, be it from the bootloader
-    START = 3  # auto sync off, modules' applications, discovery: until all have answered
-    ASK_AGAIN = 4  # until the channels of all are known
+    REST = 0  # nothing is sent
+    FIND = 1  # leave the bootloader, discovery: until all hubs that answer have their short ids
+    ASK = 2  # DECLARE, DETAILS: until all hubs have answered, also from the bootloader
+    START = 3  # auto sync off, modules' applications, discovery: until all hubs have answered
+    ASK_AGAIN = 4  # DECLARE, DETAILS: until all channels are known
     STREAM = 5  # period, auto sync on: until scans come
 
 
@@ -46,38 +46,38 @@ class BringUp:
     waits_for = ""
 
     def __init__(self, decoder: Decoder, period_ms: int) -> None:
-        self.waits_for = ""  # what must come before all scans can, in a line
+        self.waits_for = ""  # a line on missing answers without which not all scans come; or empty
         self._decoder = decoder
         self._period_ms = period_ms
         self._patience_s = SILENT_PERIODS * period_ms / 1000.0
-        self._scan_s: dict[int, float] = {}  # short id → its last scan
-        self._short_ids: dict[int, int] = {}  # hub UID → the id it was given
-        self._unsure: set[int] = set()  # ids that were given and not yet acknowledged
-        self._misnamed: set[int] = set()  # ids whose tables may be another hub's, once all are sure
+        self._scan_s: dict[int, float] = {}  # short id → time of its last scan
+        self._short_ids: dict[int, int] = {}  # hub UID → its short id
+        self._unsure: set[int] = set()  # ids that were given and are not acknowledged yet
+        self._misnamed: set[int] = set()  # ids whose tables may be another hub's
         self._step = Step.REST
-        self._until_s = -math.inf  # when the step is given up
-        self._anew = True  # whether no hub spoke when the round began
-        self._tries = 0  # left
-        self._found: set[int] = set()  # ids of the hubs that discovery found in this round,
-        self._answered: set[int] = set()  # of those that answered discovery in this step,
-        self._told: set[int] = set()  # and that answered DECLARE in this step
-        self._cold: dict[int, float] = {}  # id of a hub in its bootloader → since when
+        self._until_s = -math.inf  # time when the step is given up
+        self._anew = True  # whether no hub was sending when the round began
+        self._tries = 0  # tries left
+        self._found: set[int] = set()  # ids of the hubs that discovery found in this round
+        self._answered: set[int] = set()  # ids of the hubs that answered discovery in this step
+        self._told: set[int] = set()  # ids of the hubs that answered DECLARE in this step
+        self._cold: dict[int, float] = {}  # id of a hub in its bootloader → time since when
         self._news: list[str] = []
         self._now_s = -math.inf
 
     def restart(self) -> None:
-        """Begin again at once: the device was opened again."""
+        """Begin again at once, because the device was opened again."""
         self._scan_s.clear()
         self._begin()
 
     def news(self) -> list[str]:
-        """What has happened since last asked, a line each."""
+        """Lines on events since the last call."""
         news, self._news = self._news, []
         return news
 
     def on_packet(self, packet: Packet) -> list[Request]:
-        """Take a packet. A hub that answers discovery is given its short id, as the vendor's
-        library does, whatever id it has."""
+        """Take a packet. A hub that answers discovery gets its short id, whatever id it has, as in
+        the vendor's library."""
         if packet.command == Command.DISCOVERY_RECV_ID and not packet.payload:
             self._is_named(packet.ihb)
         elif packet.command == Command.DECLARE and packet.payload and packet.ihb != BROADCAST:
@@ -99,7 +99,7 @@ class BringUp:
             if speaking and speaking >= {*self._scan_s, *self._found, *self._unsure}:
                 self._step = Step.REST
                 return []
-            if not speaking and not self._anew:  # those that spoke have fallen silent too
+            if not speaking and not self._anew:  # the hubs that were sending have fallen silent too
                 self._begin()
         if now_s < self._until_s and not self._is_done():
             return []
@@ -115,11 +115,11 @@ class BringUp:
         return {ihb for ihb, last_s in self._scan_s.items() if self._now_s - last_s < silence_s}
 
     def _begin(self) -> None:
-        """A round, at once."""
+        """Begin a round at once."""
         self._step, self._until_s = Step.REST, -math.inf
 
     def _is_done(self) -> bool:
-        """Whether a step has what it was for."""
+        """Whether a step has reached its end."""
         match self._step:
             case Step.FIND | Step.START:
                 return bool(self._found) and self._found <= self._answered and not self._unsure
@@ -131,12 +131,12 @@ class BringUp:
         return False
 
     def _is_known(self, ihb: int) -> bool:
-        """Whether a hub has declared its channels in this step, and told whose they are."""
+        """Whether a hub has declared its channels in this step, and the modules they belong to."""
         table = self._decoder.table(ihb)
         return ihb in self._told and table.complete and not table.in_bootloader
 
     def _next(self) -> Step:
-        """What follows a step that is done, or that took too long."""
+        """The step after one that is done, or that took too long."""
         match self._step:
             case Step.FIND if self._found:
                 return Step.ASK
@@ -146,7 +146,7 @@ class BringUp:
                 return Step.ASK_AGAIN
             case Step.ASK_AGAIN if self._is_done() or not self._tries:
                 if any(map(self._is_known, self._told)):
-                    return Step.STREAM  # the others are asked again in the next round
+                    return Step.STREAM  # the other hubs are asked again in the next round
             case Step.ASK_AGAIN if self._told:
                 return Step.ASK_AGAIN
         in_vain = self._step in (Step.FIND, Step.ASK_AGAIN)
@@ -173,7 +173,7 @@ class BringUp:
         self._step, self._until_s = step, self._now_s + wait_s
 
     def _requests(self) -> list[Request]:
-        """What a step begins with."""
+        """The first requests of a step."""
         find = _request(Command.DISCOVERY_PING)
         match self._step:
             case Step.FIND:
@@ -194,11 +194,11 @@ class BringUp:
     def _name(self, packet: Packet) -> list[Request]:
         """Give a short id to a hub that answered discovery."""
         fields = commands.parse_answer(packet.command, packet.payload)
-        if fields is None:  # the request, as another host sent it
+        if fields is None:  # a request from another host
             return []
         uid = fields["uid"]
         if uid not in self._short_ids and len(self._short_ids) >= SHORT_IDS:
-            return []  # no id is left for it
+            return []  # no id is left for this hub
         short_id = self._short_ids.setdefault(uid, len(self._short_ids) + 1)
         self._found.add(short_id)
         self._answered.add(short_id)
@@ -206,14 +206,14 @@ class BringUp:
             self._misnamed |= {packet.ihb, short_id}
         else:
             self._is_named(short_id)
-            if self._step in (Step.REST, Step.STREAM):  # it was another host that asked
+            if self._step in (Step.REST, Step.STREAM):  # another host asked
                 return []
         self._unsure.add(short_id)
         return [_request(Command.DISCOVERY_RECV_ID, uid=uid, short_id=short_id)]
 
     def _is_named(self, short_id: int) -> None:
-        """A hub has its id. Once all have, what was declared under ids that changed hands is
-        forgotten, with all that was on its way then, and asked for anew."""
+        """A hub has its id. Once all have theirs, tables declared under ids that changed hands are
+        dropped with the packets then on their way, and asked for anew."""
         self._unsure.discard(short_id)
         if self._unsure or not self._misnamed:
             return
@@ -238,7 +238,7 @@ class BringUp:
             )
 
     def _stuck(self) -> str:
-        """A line on a hub that stays in its bootloader; empty where none does."""
+        """A line on a hub that stays in its bootloader; empty without one."""
         for ihb, since_s in self._cold.items():
             if self._now_s - since_s >= STUCK_S:
                 return (

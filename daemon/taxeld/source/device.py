@@ -1,4 +1,4 @@
-"""What a device is to the source that reads it."""
+"""The interface of a device to the source that reads it."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -14,53 +14,54 @@ class LostError(Exception):
 
 
 class AwayError(SetupError):
-    """A device that is missing or busy: it may be had later."""
+    """A device that is missing or busy now, and may be opened later."""
 
 
 class BusyError(AwayError):
-    """Another process has it."""
+    """A device that another process has open."""
 
 
 @dataclass(slots=True)
 class Noticed:
-    """What a device has noticed of itself."""
+    """Faults that a device has noticed since they were last taken."""
 
     noise: int = 0  # reads that could not be decoded
-    foreign: int = 0  # frames that are no classic data frames
-    refused: int = 0  # lines that an SLCAN adapter refused,
-    silences: int = 0  # and times that it fell silent
-    lines: list[str] = field(default_factory=list)  # for the log
+    foreign: int = 0  # frames that are not classic data frames
+    refused: int = 0  # lines that an SLCAN adapter refused
+    silences: int = 0  # times that an SLCAN adapter fell silent
+    lines: list[str] = field(default_factory=list)  # lines for the log
 
 
 class Device(Protocol):
     """An open CAN interface or serial line."""
 
-    noticed: Noticed  # since its reader has put another in its place
+    noticed: Noticed  # faults so far; the reader takes them and leaves a fresh object
 
     @property
     def waits_for(self) -> str:
-        """What must come before anything can, in a line; empty where nothing must."""
+        """A line on why nothing comes; empty where nothing is amiss."""
         ...
 
     def fileno(self) -> int:
-        """Readable when something has arrived; negative: this one cannot be waited on."""
+        """A descriptor that is readable when something has arrived; negative where there is
+        none."""
         ...
 
     def read(self) -> list[Frame] | list[Chunk]:
-        """What has arrived. Raises LostError."""
+        """The frames of a bus, or the bytes of a line, that have arrived. Raises LostError."""
         ...
 
     def tend(self, now_s: float) -> None:
-        """Do what the device needs beside requests; `now_s` is monotonic. Raises LostError."""
+        """Do work beside requests; `now_s` is monotonic. Raises LostError."""
 
     def pack(self, command: int, payload: bytes) -> list[Unit]:
-        """A request, to be broadcast."""
+        """A request as units for a broadcast."""
         ...
 
     def put(self, unit: Unit) -> Unit | None:
-        """As `outbox.Taker` says."""
+        """Hand over a unit, by the rules of `outbox.Taker`."""
         ...
 
     def close(self, wait_s: float = 0.0) -> None:
-        """Close; what was written last may take `wait_s` to get out, and is lost then."""
+        """Close. The last written bytes have `wait_s` to leave, and are lost after that."""
         ...

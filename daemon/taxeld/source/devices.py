@@ -1,4 +1,4 @@
-"""Devices that a skin hangs on: a CAN interface, or a serial line."""
+"""Devices that connect a skin: a CAN interface, or a serial line."""
 
 from taxeld.config.tables import SourceConfig
 from taxeld.source.device import Device
@@ -13,12 +13,12 @@ def open_device(config: SourceConfig, to_frames: ToFrames) -> Device:
 
     Raises:
         AwayError: it is missing or busy.
-        SetupError: it can never be opened so.
+        SetupError: it can never be opened with this configuration.
     """
     if config.kind == "can" and config.interface == "socketcan":
         return SocketCanDevice(config, to_frames)
     if config.kind == "can" and config.interface != "slcan":
-        # python-can is a tenth of the time to start and of the memory: who needs none has none
+        # python-can takes a tenth of the start's time and memory, so it is imported only if needed
         from taxeld.source.can_device import CanDevice  # noqa: PLC0415
 
         return CanDevice(config, to_frames)

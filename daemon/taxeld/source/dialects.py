@@ -1,4 +1,4 @@
-"""The skins' protocols: for each, what reads its frames, what starts it and how requests travel."""
+"""The skins' protocols: for each, its decoder, its bring-up, and the form of its requests."""
 
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -21,7 +21,7 @@ from taxeld_protocol.icub_decoder import IcubDecoder
 class Starter(Protocol):
     """A bring-up: decides what to send to get scans and to keep them coming."""
 
-    waits_for: str  # what the skin must do before all of it is there, in a line; or empty
+    waits_for: str  # a line on what the skin must still do; empty where nothing is missing
 
     def restart(self) -> None: ...
 
@@ -45,14 +45,14 @@ class Dialect(NamedTuple):
     decoder: ScanDecoder
     bring_up: Starter | None  # None: never send
     to_frames: ToFrames  # a request as CAN frames
-    listening: Listening | None = None  # to a skin that something else starts
+    listening: Listening | None = None  # set where something else starts the skin
 
 
 def live(config: SourceConfig, layout: Layout) -> Dialect:
-    """The configured dialect for a skin that is there.
+    """The configured dialect for a live skin.
 
     Raises:
-        SetupError: the layout needs more boards than are configured, or nothing can tell them.
+        SetupError: the layout needs more boards than are configured, or their order is unknown.
     """
     if config.dialect == "icub":
         if config.listen_only:
@@ -66,17 +66,17 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
     if config.listen_only:
         decoder = Decoder(module_order.given(config, layout).of, config.period_ms / 1000.0)
         return Dialect(decoder, None, to_frames, Listening(decoder))
-    # who asks the hubs for their modules must not guess them
+    # a bring-up asks the hubs for their modules, so the decoder must not guess them
     decoder = Decoder(period_s=config.period_ms / 1000.0)
     return Dialect(decoder, BringUp(decoder, config.period_ms), to_frames)
 
 
 def replayed(config: SourceConfig, layout: Layout, items: Items, what: str) -> ScanDecoder:
-    """The decoder of the configured dialect for a recording, which `what` names. CySkin's raises
-    SetupError while it decodes, where nothing tells the modules.
+    """The decoder of the configured dialect for a recording, named by `what`. CySkin's decoder
+    raises SetupError while it decodes, where the modules are unknown.
 
     Raises:
-        SetupError: the layout needs more boards than are configured, or nothing tells them.
+        SetupError: the layout needs more boards than are configured, or their order is unknown.
     """
     if config.dialect == "icub":
         return icub_part.replayed(config, layout, items, what)
@@ -85,10 +85,10 @@ def replayed(config: SourceConfig, layout: Layout, items: Items, what: str) -> S
 
 
 def check_recording(config: SourceConfig, layout: Layout, items: Items, what: str) -> None:
-    """Whether `replayed` can decode the first scan of a recording.
+    """Check that `replayed` can decode the first scan of a recording.
 
     Raises:
-        SetupError: nothing tells how.
+        SetupError: the modules or boards are unknown.
     """
     replayed(config, layout, items, what)
     if config.dialect == "cyskin":

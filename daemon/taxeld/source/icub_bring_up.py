@@ -1,10 +1,10 @@
 """Bring-up of iCub skin boards: found by asking, configured, their triangles enabled, started.
 
-Pure: the time and what the decoder has heard in, requests out. A request is the board's number and
-the command to it. After its first bring-up a board that sends is left alone, as configuring it
+Pure: the time and the decoder's state in, requests out. A request is the board's number and the
+command to it. After its first bring-up a board that sends is left alone, because configuring it
 makes it calibrate itself anew: under a touch, that would hide the touch.
 
-Commands to a board are spaced out: of those that wait, an MTB obeys the last first.
+Commands to a board are spaced out, because an MTB obeys the last of several waiting commands first.
 """
 
 import math
@@ -18,11 +18,11 @@ from taxeld_protocol.cyskin import Packet
 from taxeld_protocol.icub import Answer
 from taxeld_protocol.icub_decoder import IcubDecoder
 
-SETTLE_S = 1.0  # no further board may answer for so long before those that did are the part's
-ANSWER_S = 0.3  # that an answer may take
-PAUSE_S = 0.05  # after a command
-CALIBRATION_S = 0.4  # and two periods: what a board takes over triangles
-PATIENCE_S = 3.0  # silence is spoken of after so long; a board's, beyond its bring-up
+SETTLE_S = 1.0  # time without a further answer after which all boards of the part are found
+ANSWER_S = 0.3  # time for an answer
+PAUSE_S = 0.05  # pause after a command
+CALIBRATION_S = 0.4  # time of a board's calibration of triangles, beside two periods
+PATIENCE_S = 3.0  # silence that is reported; a board's counts from the end of its bring-up
 
 CURE = (
     "see that they have power and are on this bus; those behind an Ethernet board (EMS) cannot be "
@@ -34,26 +34,26 @@ Step = tuple[bytes, float]  # a command, and the pause after it
 
 @dataclass(slots=True)
 class _Board:
-    """A board's bring-up: the step that is next, and when."""
+    """A board's bring-up: its next step, and when."""
 
     number: int
-    steps: list[Step]  # the first asks
-    at: int = 0  # beyond the last: it is listened to
+    steps: list[Step]  # the first step asks
+    at: int = 0  # number of the next step; beyond the last the board only sends
     due_s: float = -math.inf
-    heard: int = 0  # halves, when last looked
-    heard_s: float = -math.inf  # when there were new ones, or when it was begun
-    answer: Answer | None = None  # to the last asking
+    heard: int = 0  # half scans when last looked
+    heard_s: float = -math.inf  # time of the last new half, or of the bring-up's start
+    answer: Answer | None = None  # answer to the last question
     heard_at_asking: int = 0
     is_set_up: bool = False  # all steps were taken before
-    # without an answer: it may be too old for the question, or have come up amidst the steps
+    # The board gives no answer: it may be too old for the question, or have started amid the steps.
     is_blind: bool = False
 
     def is_silent(self, now_s: float) -> bool:
-        """For longer than its steps take."""
+        """Whether it has been silent for longer than its steps take."""
         return now_s >= self.heard_s + PATIENCE_S + sum(pause_s for _, pause_s in self.steps)
 
     def listen(self, now_s: float) -> None:
-        """It speaks: leave it alone for as long as it does."""
+        """The board sends: leave it alone for as long as it does."""
         self.at, self.heard_s, self.due_s = len(self.steps), now_s, now_s + SILENCE_S
 
 
@@ -68,38 +68,39 @@ class IcubBringUp:
         period_ms: int,
         skin_type: int = icub.SKIN_TYPE,
     ) -> None:
-        """`boards`: the part's, in its order; none: those that answer, ascending."""
-        self.waits_for = ""  # what must come before all taxels can, in a line
+        """`boards`: the part's, in its order; empty to take the boards that answer, ascending."""
+        self.waits_for = ""  # a line on what must come before all taxels can; or empty
         self._decoder = decoder
         self._part = part
         self._named = tuple(boards)
         self._head = [(icub.ASK, ANSWER_S), (icub.set_board(period_ms, skin_type), PAUSE_S)]
         self._calibration_s = CALIBRATION_S + 2 * period_ms / 1000.0
         self._boards: list[_Board] = []
-        self._answered: tuple[int, ...] = ()  # so far, while they are being found
-        self._begun_s = self._found_s = math.inf  # asking began; another board answered
+        self._answered: tuple[int, ...] = ()  # boards that have answered so far
+        # times when asking began, and when the last board answered
+        self._begun_s = self._found_s = math.inf
         self._next_s = -math.inf
         if self._named:
             self._begin(self._named)
 
     def restart(self) -> None:
-        """Begin again at once: the device was opened anew."""
+        """Begin again at once, because the device was opened again."""
         for board in self._boards:
             board.at, board.due_s, board.heard_s = 0, -math.inf, -math.inf
         self._next_s = -math.inf
 
     @staticmethod
     def on_packet(_: Packet) -> list[Request]:
-        """These boards send none."""
+        """Return nothing: these boards send no packets."""
         return []
 
     @staticmethod
     def news() -> list[str]:
-        """Nothing: what is silent shows in the counters."""
+        """Return nothing: silent boards show in the counters."""
         return []
 
     def on_scan(self, ihb: int, now_s: float) -> None:
-        """Not needed: `due` looks at what the decoder has had from each board."""
+        """Do nothing: `due` looks at the decoder's counts of each board."""
 
     def due(self, now_s: float) -> list[Request]:
         """The requests to send now."""
@@ -116,7 +117,7 @@ class IcubBringUp:
         return [(board.number, icub.STOP) for board in self._boards]
 
     def _begin(self, boards: Sequence[int]) -> None:
-        """Take these for the part's. Those that have none of its triangles are left alone."""
+        """Take these boards for the part's. Boards without its triangles are left alone."""
         self._decoder.assign(boards)
         self._boards = [
             _Board(number, [*self._head, *self._triangles(mask), (icub.START, SILENCE_S)])
@@ -131,7 +132,7 @@ class IcubBringUp:
         ]
 
     def _find(self, now_s: float) -> list[Request]:
-        """Ask at all addresses, until as many boards as the part has answer, and no more."""
+        """Ask at all addresses, until exactly as many boards answer as the part has."""
         self._begun_s = min(self._begun_s, now_s)
         answered = tuple(sorted(a.board for a in self._decoder.answered.values() if a.is_skin))
         if answered != self._answered:
@@ -144,7 +145,7 @@ class IcubBringUp:
         return []
 
     def _step(self, board: _Board, now_s: float) -> list[Request]:
-        """What to send to one board, if anything."""
+        """The requests to send to one board."""
         heard = self._decoder.heard(board.number)
         speaks, board.heard = heard > board.heard, heard
         if math.isinf(board.heard_s):
@@ -178,7 +179,7 @@ class IcubBringUp:
         return [(board.number, command)]
 
     def _not_found(self, now_s: float) -> str:
-        """Why the part's boards are not known yet; nothing while they still may answer."""
+        """A line on why the part's boards are not known yet; empty while they still may answer."""
         if now_s < self._begun_s + PATIENCE_S:
             return ""
         if not self._answered:
@@ -188,7 +189,7 @@ class IcubBringUp:
         return f"source.boards: {self._part.mismatch(self._answered)}"
 
     def _silent(self, now_s: float) -> str:
-        """Which boards send nothing, though they were brought up."""
+        """A line on boards that send nothing after their bring-up; empty without one."""
         silent = [board for board in self._boards if board.is_silent(now_s)]
         if not silent:
             return ""

@@ -1,7 +1,7 @@
 """The part of an iCub that a layout describes: its boards, their triangles, their taxels.
 
-A part's boards are named in the configuration, in the order of the positions file; or they are
-those that answer, ascending, if they are as many as the part has.
+A part's boards are named in the configuration, in the order of the positions file. Otherwise they
+are the boards that answer, ascending, if these are as many as the part has.
 """
 
 from collections.abc import Sequence
@@ -19,14 +19,14 @@ from taxeld_protocol.icub_decoder import IcubDecoder
 
 
 class Part(NamedTuple):
-    """What of a part's boards the layout has taxels on."""
+    """The boards and triangles of a part that have taxels in the layout."""
 
-    name: str  # the layout's
-    triangles: tuple[int, ...]  # of each board, in the positions file's order: bit k for triangle k
-    taxels: dict[int, int]  # by SUI: bit k for channel k
+    name: str  # name of the layout
+    triangles: tuple[int, ...]  # each board's, in the file's order: bit k for triangle k
+    taxels: dict[int, int]  # SUI → its taxels: bit k for channel k
 
     def named(self, boards: tuple[int, ...]) -> tuple[int, ...]:
-        """Those of the configured boards that the taxels hang on; none if none is configured.
+        """The configured boards that carry the taxels; empty where none are configured.
 
         Raises:
             SetupError: they are too few.
@@ -40,14 +40,14 @@ class Part(NamedTuple):
         return boards[:needed]
 
     def untold(self, why: str) -> str:
-        """That nothing tells which boards these are, and what to do about it."""
+        """A line for unknown boards, with the cure; `why` gives the reason."""
         return (
             f"source.boards: must name the {len(self.triangles)} boards of {self.name}, in the "
             f"order of its positions file: {why}"
         )
 
     def mismatch(self, boards: Sequence[int]) -> str:
-        """That so many boards answer, and what to do about it."""
+        """A line for a wrong number of answering boards, with the cure."""
         return (
             f"{listing(boards)} answer{'s' * (len(boards) == 1)}, but {self.name} has the triangles"
             f" of {len(self.triangles)}; name the part's, in the order of its positions file"
@@ -79,7 +79,7 @@ def listened(config: SourceConfig, layout: Layout) -> IcubDecoder:
     """The decoder for boards that something else starts.
 
     Raises:
-        SetupError: the configuration does not tell which they are.
+        SetupError: the configuration does not name the boards.
     """
     part = of(layout)
     boards = part.named(config.boards)
@@ -91,10 +91,10 @@ def listened(config: SourceConfig, layout: Layout) -> IcubDecoder:
 def replayed(
     config: SourceConfig, layout: Layout, recorded: Sequence[Frame | Chunk], what: str
 ) -> IcubDecoder:
-    """The decoder for a recording, which `what` names.
+    """The decoder for a recording, named by `what`.
 
     Raises:
-        SetupError: neither the configuration nor an answer in it tells which the boards are.
+        SetupError: neither the configuration nor an answer in the recording names the boards.
     """
     part = of(layout)
     boards = part.named(config.boards) or _answering(config, recorded)
@@ -106,7 +106,7 @@ def replayed(
 
 
 def _answering(config: SourceConfig, recorded: Sequence[Frame | Chunk]) -> tuple[int, ...]:
-    """The skin boards whose answers a recording has."""
+    """The skin boards that answer in a recording."""
     skin = IcubDecoder()
     wire = Wire(config, skin)
     for item in recorded:

@@ -1,4 +1,4 @@
-"""A serial line, held alone while it is open; and a hub's own link on one. Nothing here waits."""
+"""A serial line, locked while it is open; and a hub's own link on one. Nothing here waits."""
 
 import contextlib
 import os
@@ -8,10 +8,9 @@ import time
 import serial
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source import holders
 from taxeld.source.device import LostError, Noticed
 from taxeld.source.dialects import ToFrames
-from taxeld.source.opening import busy, unopened
+from taxeld.source.opening import unopened
 from taxeld.source.outbox import Unit
 from taxeld.source.session import Chunk
 from taxeld_protocol import serial_link
@@ -22,7 +21,7 @@ SPEEDS = range(1200, 12_000_001)  # bit/s
 
 
 def line_speed(text: str) -> int | None:
-    """A line speed [bit/s] as a user writes it; None where it is none."""
+    """A line speed [bit/s] as a user writes it; None where the text is none."""
     digits = text.isdecimal() and len(text) <= len(str(SPEEDS[-1]))
     return int(text) if digits and int(text) in SPEEDS else None
 
@@ -36,14 +35,6 @@ class SerialLine:
             self._port = serial.Serial(where, baud, timeout=0, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
             raise unopened(where, error) from None
-        try:
-            claimed = holders.claim(self._port.fileno(), where)
-        except OSError as error:
-            self._port.close()
-            raise unopened(where, error) from None
-        if not claimed:
-            self._port.close()
-            raise busy(where)
 
     def fileno(self) -> int:
         return int(self._port.fileno())
@@ -57,16 +48,15 @@ class SerialLine:
     def close(self, wait_s: float = 0.0) -> None:
         with contextlib.suppress(OSError, termios.error):
             self._drain(wait_s)
-            if self._port.out_waiting:  # else the kernel waits for it up to 30 s
+            if self._port.out_waiting:  # otherwise the kernel waits for these up to 30 s
                 self._port.reset_output_buffer()
-        holders.release(self._port.fileno())
         with contextlib.suppress(OSError):
             self._port.close()
 
     def _receive(self) -> bytes:
         try:
             data = os.read(self._port.fileno(), BYTES_PER_POLL)
-            # asked even when none wait: that is how a line that was unplugged shows
+            # asks even when no bytes wait, because an unplugged line shows only then
             return data or bytes(self._port.read(1))
         except BlockingIOError:
             return b""
@@ -74,9 +64,9 @@ class SerialLine:
             raise LostError from error
 
     def _write(self, data: bytes) -> int:
-        """→ how much of it the line has taken."""
+        """Write without waiting; → the number of bytes taken."""
         try:
-            # not pyserial's `write`, which either waits or, told not to, spins while all is full
+            # pyserial's `write` either waits or, told not to, spins while the line is full
             return os.write(self._port.fileno(), data)
         except BlockingIOError:
             return 0
@@ -84,14 +74,14 @@ class SerialLine:
             raise LostError from error
 
     def _drain(self, wait_s: float) -> None:
-        """What was written may take so long to get out."""
+        """Give written bytes `wait_s` to leave."""
         deadline = time.monotonic() + wait_s
         while self._port.out_waiting and time.monotonic() < deadline:
             time.sleep(wait_s / 20.0)
 
 
 class SerialDevice(SerialLine):
-    """A hub's own link."""
+    """A hub's own link on a serial line."""
 
     waits_for = ""
 
@@ -103,11 +93,11 @@ class SerialDevice(SerialLine):
         return [Chunk(time.time(), data)] if data else []
 
     def tend(self, now_s: float) -> None:
-        """A hub is asked by its bring-up."""
+        """Do nothing: the bring-up asks a hub for everything."""
 
     @staticmethod
     def pack(command: int, payload: bytes) -> list[Unit]:
-        # a recording of a line holds what was read from it alone
+        # a recording of a line holds only the bytes read from it
         if command == LEAVE_BOOTLOADER:  # a hub that speaks this link runs its application
             return []
         return [Unit(None, serial_link.encode(command, payload, ihb=BROADCAST))]

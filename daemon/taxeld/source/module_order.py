@@ -1,8 +1,8 @@
-"""Which modules a CySkin hub streams, and in which order, where its DECLARE was not heard.
+"""The modules of a CySkin hub in streaming order, where its DECLARE was not heard.
 
-A hub has an order of its own, which is not that of serial numbers, and no layout tells it. With a
-guess nearly all taxels would lie in the wrong place. So the order is `source.modules`, or is what a
-recording tells somewhere, or there is none.
+A hub has its own order, which is not by serial number, and no layout knows it. With a guess nearly
+all taxels would lie in the wrong place. So the order comes from `source.modules`, or from anywhere
+in a recording, or is unknown.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +17,7 @@ from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import Module, listed
 
 FILE = "modules.toml"
-UNPLACED_S = 2.0  # that a hub may stream before a listener hears of its modules
+UNPLACED_S = 2.0  # time for which a hub may stream before a listener hears of its modules
 CURE = (
     f"list them as [SUI, mask] in the order in which the hub sends them: 'taxeld record' and "
     f"'taxeld-hil accept' write that list ({FILE}) where they start the skin themselves"
@@ -25,7 +25,7 @@ CURE = (
 
 
 class Given:
-    """The modules that `source.modules` lists, by hub; a list without hubs is of one hub, the
+    """The modules listed by `source.modules`, by hub. A list without hubs belongs to one hub: the
     first that asks."""
 
     def __init__(self, entries: Iterable[Sequence[int]]) -> None:
@@ -37,27 +37,27 @@ class Given:
         return bool(self._by_hub)
 
     def of(self, ihb: int) -> list[Module]:
-        """Those of a hub; empty where it is not in the list."""
+        """The modules of a hub; empty where it is not in the list."""
         if None in self._by_hub:
             self._by_hub = {ihb: self._by_hub[None]}
         return listed(self._by_hub.get(ihb, ()))
 
 
 class Recorded:
-    """The modules that a recording tells, or that `source.modules` lists."""
+    """The modules found in a recording, or listed by `source.modules`."""
 
     def __init__(self, config: SourceConfig, items: Items, what: str) -> None:
-        """`what`: the recording's name, for a message."""
+        """`what`: name of the recording in messages."""
         self._config, self._items, self._what = config, items, what
         self._given = Given(config.modules)
         self._told: dict[int, list[Module]] | None = None
 
     def of(self, ihb: int) -> list[Module]:
-        """Those of a hub that has not told them before it streamed; empty where this hub's are not
-        known, and others' are.
+        """The modules of a hub that streams before it has declared them; empty where only other
+        hubs' modules are known.
 
         Raises:
-            SetupError: no hub's are known.
+            SetupError: no hub's modules are known.
         """
         if self._told is None:
             self._told = self._search()
@@ -67,10 +67,10 @@ class Recorded:
         return found
 
     def check(self) -> None:
-        """Whether the first scan can be decoded.
+        """Check that the first scan can be decoded.
 
         Raises:
-            SetupError: nothing tells how.
+            SetupError: the modules are unknown.
         """
         wire = Wire(self._config, Decoder(self.of))
         for item in self._items:
@@ -86,10 +86,10 @@ class Recorded:
 
 
 def given(config: SourceConfig, layout: Layout) -> Given:
-    """What `source.modules` lists.
+    """The modules listed by `source.modules`.
 
     Raises:
-        SetupError: none of it is in the layout.
+        SetupError: none of them is in the layout.
     """
     known = {int(uid) >> 4 for uid in layout.uid}
     if config.modules and not any(sui in known for sui, *_ in config.modules):
@@ -102,15 +102,15 @@ def given(config: SourceConfig, layout: Layout) -> Given:
 
 
 class Listening:
-    """Whether anything that a listener hears can be placed."""
+    """Whether a listener can place the data that it hears."""
 
     def __init__(self, decoder: Decoder) -> None:
         self._decoder = decoder
-        self._since_s: float | None = None  # when what cannot be placed was first seen
+        self._since_s: float | None = None  # time when data without a place were first seen
         self._can = False
 
     def fault(self, now_s: float) -> str:
-        """What makes all that comes useless, in a line; empty where nothing does."""
+        """A line on why no scan can be used; empty where some can."""
         counters = self._decoder.counters
         if self._can or not (counters.undeclared or counters.scans):
             return ""
@@ -123,18 +123,18 @@ class Listening:
 
 
 def complete(decoder: Decoder) -> dict[int, list[Module]]:
-    """The modules of the hubs that told all of them, by short id."""
+    """Short id → modules, for the hubs that declared all of theirs."""
     return {ihb: hub.table.modules for ihb, hub in decoder.hubs.items() if hub.table.detailed}
 
 
 def _told(decoder: Decoder) -> dict[int, list[Module]]:
-    """The modules of the hubs that told any: one that is silent about itself is without taxels."""
+    """Short id → modules, for the hubs that declared any; an undeclared module has no taxels."""
     tables = {ihb: hub.table.modules for ihb, hub in decoder.hubs.items()}
     return {ihb: t for ihb, t in tables.items() if any(m.sui is not None for m in t)}
 
 
 def missing(hub: str) -> str:
-    """One line on a hub that streams what nobody can place."""
+    """A line for a hub that streams data without a known place."""
     return (
         f"source.modules: {hub} streams, but its answers to DECLARE and MODULE_DETAILS were not "
         f"heard, so which taxel is which is not known; {CURE}"
@@ -142,12 +142,13 @@ def missing(hub: str) -> str:
 
 
 def write(path: Path, tables: Mapping[int, Sequence[Module]]) -> None:
-    """The list of these hubs' modules, ready for `[source]`. Raises OSError."""
-    path.write_text(text(tables), encoding="utf-8")
+    """Write the list of the hubs' modules to a new file, ready for `[source]`. Raises OSError."""
+    with path.open("x", encoding="utf-8") as file:
+        file.write(text(tables))
 
 
 def text(tables: Mapping[int, Sequence[Module]]) -> str:
-    """The same as TOML."""
+    """The list of the hubs' modules as TOML."""
     columns = "[SUI, mask, hub]" if len(tables) > 1 else "[SUI, mask]"
     lines = [
         f"# {columns} in the order in which the modules send: for [source] of a configuration that",

@@ -1,15 +1,14 @@
-"""Why a device cannot be opened, in a line, with the cure."""
+"""Lines on why a device cannot be opened, with the cure."""
 
 import errno
 import os
 
 from taxeld.errors import SetupError
-from taxeld.source import holders
 from taxeld.source.device import AwayError, BusyError
 
 ABSENT = "it is not there; is it plugged in?"
 DENIED = "permission denied; is this user in the group that owns it?"
-REASONS = {  # in place of what the system calls them
+REASONS = {  # words in place of the system's own
     errno.ENOENT: ABSENT,
     errno.ENODEV: ABSENT,
     errno.ENXIO: ABSENT,
@@ -19,11 +18,12 @@ REASONS = {  # in place of what the system calls them
     errno.EISDIR: "it is a directory",
 }
 BUSY = {errno.EAGAIN, errno.EBUSY}
-FOR_A_PERSON = {errno.EACCES, errno.EPERM, errno.ENOTTY, errno.EISDIR}  # no waiting mends these
+# faults that waiting does not cure
+FOR_A_PERSON = {errno.EACCES, errno.EPERM, errno.ENOTTY, errno.EISDIR}
 
 
 def unopened(where: str, error: Exception) -> SetupError:
-    """What to raise when opening a device at `where` has raised `error`."""
+    """The exception for `error` when opening a device at `where`."""
     number = _errno(error)
     if number in BUSY:
         return busy(where)
@@ -34,10 +34,11 @@ def unopened(where: str, error: Exception) -> SetupError:
 
 
 def busy(where: str) -> BusyError:
-    """Another process has the device at `where`."""
-    holder = holders.holder(where)
-    reason = f"another process has it open{': ' if holder else ''}{holder}; stop that first"
-    return BusyError(f"source.channel: cannot open {where} ({reason})")
+    """The exception for a device at `where` that another process has open."""
+    return BusyError(
+        f"source.channel: cannot open {where} (another process has it open; stop that first, "
+        f"'fuser {where}' tells which)"
+    )
 
 
 def first_line(error: Exception) -> str:

@@ -9,26 +9,26 @@ from typing import NamedTuple, Protocol
 from taxeld.source.bring_up import Request
 from taxeld_protocol.frames import Frame
 
-MOST = 128  # requests that wait; an iCub bus is asked by 14
-PATIENCE_S = 0.5  # of a request: by then the bring-up has asked anew
+MOST = 128  # requests that wait; an iCub bring-up sends 14 at a time
+PATIENCE_S = 0.5  # a request that waited longer is dropped: the bring-up asks again
 
 
 class Unit(NamedTuple):
-    """What a device takes at a time."""
+    """A part of a request that a device takes at once: a frame, or bytes of a serial line."""
 
-    frame: Frame | None  # on a bus
-    line: bytes = b""  # as a serial line carries it
+    frame: Frame | None  # None on a serial line
+    line: bytes = b""  # empty on a bus
 
 
 class Taker(Protocol):
-    """A device, as far as requests go."""
+    """The part of a device that takes requests."""
 
     def pack(self, command: int, payload: bytes) -> list[Unit]:
-        """A request, as the device takes it."""
+        """A request as the units of this device."""
         ...
 
     def put(self, unit: Unit) -> Unit | None:
-        """Hand over a unit; → what was not taken of it.
+        """Hand over a unit; → the rest of it that was not taken, None if all was.
 
         Raises:
             BlockingIOError: the device takes nothing now.
@@ -40,15 +40,15 @@ class Taker(Protocol):
 class Outbox:
     """A bounded queue with a deadline for each request.
 
-    A request of which a part went out is always finished: half a line or half a packet would spoil
-    the next one.
+    A request that is partly sent is always finished: half a line or half a packet would spoil the
+    next one.
     """
 
     def __init__(self, device: Taker) -> None:
-        self.dropped = 0  # requests that were too old or too many, since last taken
+        self.dropped = 0  # requests that were too old or too many; its reader sets it to 0
         self._device = device
-        self._waiting: deque[tuple[float, Request]] = deque()  # with the time that each may wait to
-        self._begun: deque[Unit] = deque()
+        self._waiting: deque[tuple[float, Request]] = deque()  # (deadline, request)
+        self._begun: deque[Unit] = deque()  # units of a request that is partly sent
 
     def __bool__(self) -> bool:
         return bool(self._begun or self._waiting)
@@ -60,12 +60,12 @@ class Outbox:
         self._waiting.append((now_s + PATIENCE_S, request))
 
     def add_all(self, requests: Iterable[Request], now_s: float) -> None:
-        """Queue some, in their order."""
+        """Queue several requests in their order."""
         for request in requests:
             self.add(request, now_s)
 
     def clear(self) -> None:
-        """Drop what has not begun."""
+        """Drop all requests but one that is partly sent."""
         while self._waiting:
             self._drop()
 

@@ -1,8 +1,10 @@
-"""Writes a session as it comes: taken without waiting, and written by a thread of its own.
+"""Writes a session as it comes: records are taken without waiting, and written by a thread.
 
-Files are only ever appended to, whole records at a time, the bytes of a line before the rows that
-date them. Whatever ends a recording, `session.read` finds all but its last moment. A disk that is
-slow costs records, which are counted, and one that is full ends the recording: never the caller.
+The files are made when the first record comes, each of them anew: a file or a link of that name is
+never written to. Files are only appended to, whole records at a time; the bytes of a serial line
+come before the rows that date them. However a recording ends, `session.read` finds all but its last
+moment. A slow disk costs records, which are counted; a full one ends the recording, never the
+caller.
 """
 
 import contextlib
@@ -32,12 +34,17 @@ from taxeld.source.session import (
 )
 from taxeld_protocol.frames import Frame, format_log_line
 
-PAUSE_S = 0.25  # between two writings: short, so that none holds the interpreter for long
-SYNC_S = 5.0  # what a power cut may cost
-CLOSE_S = 5.0  # that the last writing may take
-BATCH = 500  # records that are formatted and written at once
-WAITING_BYTES = 16_000_000  # that may wait for the disk: 10 s of a full bus
-RECORD_BYTES = 200  # of memory that a record takes beside its data, roughly
+PAUSE_S = 0.25  # pause between two writings: short, so that none holds the interpreter for long
+SYNC_S = 5.0  # time that a power cut may cost
+CLOSE_S = 5.0  # time for the last writing
+BATCH = 500  # records formatted and written at once
+WAITING_BYTES = 16_000_000  # bytes that may wait for the disk: 10 s of a full bus
+RECORD_BYTES = 200  # memory of a record beside its data, roughly
+HEADERS = {
+    ABOUT: f"version = {VERSION}\n",
+    POSES: ",".join(POSE_COLUMNS) + "\n",
+    SERIAL_TIMES: ",".join(SERIAL_COLUMNS) + "\n",
+}
 
 Item = Frame | Chunk | PoseRow
 
@@ -46,20 +53,17 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class RecordCounters:
-    """What was written, and what was not, since the start."""
+    """Counts of written and lost records, since start."""
 
     frames: int = 0
-    bytes: int = 0  # of a serial line
+    bytes: int = 0  # bytes of a serial line
     poses: int = 0
     dropped: int = 0  # records of any kind that the disk did not take, or not in time
     failed: bool = False  # the disk took no more, and the recording has ended
 
 
 class Recorder:
-    """Writes a session directory while it is entered.
-
-    A recording into which nothing came leaves nothing behind.
-    """
+    """Writes a session directory while it is entered; nothing if no record comes."""
 
     def __init__(
         self,
@@ -69,55 +73,46 @@ class Recorder:
         config: Path | None = None,
         calibration: Path | None = None,
     ) -> None:
-        """`moves`: whether a robot tells where the sensor is; `config` is kept with the session,
-        and so is the `calibration` that it names, where it lies beside it.
+        """`moves`: whether a robot sends the sensor's pose. `config` is kept with the session,
+        together with its `calibration` if that lies beside it.
 
         Raises:
-            SetupError: the directory holds a session already.
+            SetupError: the directory cannot be written to, or has a file of a session already.
         """
-        for name in (ABOUT, FRAMES, SERIAL, SERIAL_TIMES, POSES):
-            if (directory / name).exists():
-                raise SetupError(f"{directory}: holds a session already; name another directory")
         self._directory = directory
         self._moves = moves
-        self._config = config
-        self._calibration = calibration
+        self._beside = _beside(config, calibration)
+        _check_free(directory, [ABOUT, FRAMES, SERIAL, SERIAL_TIMES, POSES, *self._beside])
         self._waiting: deque[Item] = deque()
-        self._offered = self._taken = 0  # bytes: the caller's count, and the thread's
-        self._refused = self._lost = 0  # records, likewise
+        self._came = self._refused = 0  # records taken so far, and records refused
+        self._came_bytes = self._taken_bytes = 0  # bytes put by the caller, and taken
+        self._frames = self._chunks = self._bytes = self._poses = 0  # counts of what is written
         self._failed = False
         self._closing = threading.Event()
+        # a hanging disk must not keep the process from ending
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
 
     @property
     def counters(self) -> RecordCounters:
-        """As far as has been written."""
-        files = self._files
-        return RecordCounters(
-            files.frames, files.bytes, files.poses, self._refused + self._lost, self._failed
-        )
-
-    def take(self, item: Frame | Chunk) -> None:
-        """A CAN frame, either way; or bytes that came on a serial line."""
-        self._offer(item, RECORD_BYTES + len(item.data))
+        """The counts as far as written."""
+        unwritten = self._came - self._frames - self._chunks - self._poses
+        dropped = self._refused + (unwritten if self._failed else 0)
+        return RecordCounters(self._frames, self._bytes, self._poses, dropped, self._failed)
 
     def pose(self, t: float, x: float, y: float, theta: float) -> None:
-        """A sensor pose in the world."""
-        self._offer((t, x, y, theta), RECORD_BYTES)
+        """Record a sensor pose in the world."""
+        self.take((t, x, y, theta))
+
+    def take(self, item: Item) -> None:
+        """Record a CAN frame of either direction, bytes of a serial line, or a sensor pose."""
+        if self._failed or self._came_bytes - self._taken_bytes > WAITING_BYTES:
+            self._refused += 1
+            return
+        self._came += 1
+        self._came_bytes += _size(item)
+        self._waiting.append(item)
 
     def __enter__(self) -> Self:
-        """Raises SetupError where the directory cannot be made or written to."""
-        try:
-            self._files = SessionFiles(
-                self._directory,
-                moves=self._moves,
-                config=self._config,
-                calibration=self._calibration,
-            )
-        except OSError as error:
-            reason = error.strerror
-            raise SetupError(f"{self._directory}: cannot be made ({reason})") from None
-        # a disk that hangs must not keep the process from ending
-        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
         return self
 
@@ -127,187 +122,135 @@ class Recorder:
         if self._thread.is_alive():
             self._fail(f"the disk did not take the last of it within {CLOSE_S:g} s")
 
-    def _offer(self, item: Item, size: int) -> None:
-        if self._failed or self._offered - self._taken > WAITING_BYTES:
-            self._refused += 1
-            return
-        self._offered += size
-        self._waiting.append(item)
-
-    def _run(self) -> None:
-        next_sync_s = time.monotonic()
-        with contextlib.closing(self._files) as files:
-            try:
-                closing = False
-                while not closing:
-                    closing = self._closing.wait(PAUSE_S)
-                    for _ in range(0, len(self._waiting), BATCH):
-                        self._write_some()
-                    if time.monotonic() >= next_sync_s:
-                        files.sync()
-                        next_sync_s = time.monotonic() + SYNC_S
-                files.end(self._refused)
-            except OSError as error:
-                self._fail(error.strerror or str(error))
-                self._lost += len(self._waiting)
-                self._waiting.clear()
-
-    def _write_some(self) -> None:
-        batch = [self._waiting.popleft() for _ in range(min(BATCH, len(self._waiting)))]
-        try:
-            self._files.write(batch)
-        except OSError:
-            self._lost += len(batch)
-            raise
-        for item in batch:
-            self._taken += RECORD_BYTES
-            if isinstance(item, Frame | Chunk):
-                self._taken += len(item.data)
-
     def _fail(self, reason: str) -> None:
         self._failed = True
         log.warning(
             "%s: the recording has ended (%s); it replays up to here", self._directory, reason
         )
 
+    def _run(self) -> None:
+        with contextlib.closing(_Files(self._directory)) as files:
+            try:
+                self._write_all(files)
+            except OSError as error:
+                self._fail(error.strerror or str(error))
+                self._waiting.clear()
 
-class SessionFiles:
-    """The files of a session, appended to. All of it raises OSError."""
+    def _write_all(self, files: "_Files") -> None:
+        """Write records until the caller leaves. Raises OSError."""
+        next_sync_s = time.monotonic()
+        closing = has_begun = False
+        while not closing:
+            closing = self._closing.wait(PAUSE_S)
+            if self._waiting and not has_begun:
+                self._begin(files)
+                has_begun = True
+            for _ in range(0, len(self._waiting), BATCH):
+                batch = [self._waiting.popleft() for _ in range(min(BATCH, len(self._waiting)))]
+                self._write(files, batch)
+                self._taken_bytes += sum(map(_size, batch))
+            if closing or time.monotonic() >= next_sync_s:
+                files.sync()
+                next_sync_s = time.monotonic() + SYNC_S
+        if has_begun:
+            files.append(ABOUT, self._totals().encode())
+            files.sync()
 
-    def __init__(
-        self, directory: Path, *, moves: bool, config: Path | None, calibration: Path | None = None
-    ) -> None:
-        self.frames = self.chunks = self.bytes = self.poses = 0
-        self._directory = directory
-        self._open: dict[str, FileIO] = {}
-        self._unsynced_names = True
-        self._made = [path for path in (directory, *directory.parents) if not path.exists()]
-        try:
-            directory.mkdir(parents=True, exist_ok=True)
-            _append(self._file(ABOUT), f"version = {VERSION}\n".encode())
-            if config is not None and not self._is_own(config):
-                _append(self._file(CONFIG), config.read_bytes())
-                self._keep_beside(config, calibration)
-            if moves:
-                self._table(POSES, POSE_COLUMNS)
-        except OSError:
-            self._discard()
-            raise
+    def _begin(self, files: "_Files") -> None:
+        files.append(ABOUT, b"")
+        for name, content in self._beside.items():
+            files.append(name, content)
+        if self._moves:
+            files.append(POSES, b"")
 
-    def write(self, items: list[Item]) -> None:
-        """Append records."""
+    def _write(self, files: "_Files", items: list[Item]) -> None:
         line, rows, frames, poses = bytearray(), bytearray(), bytearray(), bytearray()
-        counts = [0, 0, 0]
+        chunks = 0
         for item in items:
             if isinstance(item, Frame):
                 frames += format_log_line(item).encode() + b"\n"
-                counts[0] += 1
             elif isinstance(item, Chunk):
-                rows += b"%.6f,%d\n" % (item.t, self.bytes + len(line))
+                rows += b"%.6f,%d\n" % (item.t, self._bytes + len(line))
                 line += item.data
-                counts[1] += 1
+                chunks += 1
             else:
                 t, x, y, theta = item
                 poses += f"{t:.6f},{x!r},{y!r},{theta!r}\n".encode()
-                counts[2] += 1
-        if line:
-            if SERIAL not in self._open:
-                self._table(SERIAL_TIMES, SERIAL_COLUMNS)
-            _append(self._file(SERIAL), line)
-            _append(self._file(SERIAL_TIMES), rows)
+        if chunks:
+            files.append(SERIAL_TIMES, b"")  # each line needs a file that dates it
+            files.append(SERIAL, line)
+            files.append(SERIAL_TIMES, rows)
         if frames:
-            _append(self._file(FRAMES), frames)
+            files.append(FRAMES, frames)
         if poses:
-            _append(self._file(POSES), poses)
-        self.frames += counts[0]
-        self.chunks += counts[1]
-        self.bytes += len(line)
-        self.poses += counts[2]
+            files.append(POSES, poses)
+        self._chunks += chunks
+        self._bytes += len(line)
+        self._frames += frames.count(b"\n")
+        self._poses += poses.count(b"\n")
+
+    def _totals(self) -> str:
+        return (
+            f"dropped = {self._refused}\nframes = {self._frames}\nchunks = {self._chunks}\n"
+            f"bytes = {self._bytes}\nposes = {self._poses}\n"
+        )
+
+
+class _Files:
+    """The files of a session, made anew in the directory as they are first appended to."""
+
+    def __init__(self, directory: Path) -> None:
+        self._directory = directory
+        self._open: dict[str, FileIO] = {}
+
+    def append(self, name: str, data: bytes | bytearray) -> None:
+        """Append all of the data, after the header in a new file. Raises OSError."""
+        if name not in self._open:
+            self._directory.mkdir(parents=True, exist_ok=True)
+            # "x" opens with O_EXCL, which follows no link
+            self._open[name] = FileIO(self._directory / name, "x")
+            data = HEADERS.get(name, "").encode() + data
+        rest = memoryview(data)
+        while rest:  # a nearly full disk takes a part, and then refuses the rest
+            rest = rest[self._open[name].write(rest) :]
 
     def sync(self) -> None:
-        """Onto the disk."""
+        """Flush the files to the disk. Raises OSError."""
         for file in self._open.values():
             os.fsync(file.fileno())
-        if self._unsynced_names:
-            self._unsynced_names = False
-            for path in (self._directory, *(path.parent for path in self._made)):
-                _sync_directory(path)
-
-    def end(self, dropped: int) -> None:
-        """Nothing more will come."""
-        if not (self.frames or self.bytes or self.poses):
-            self._discard()
-            return
-        self.sync()
-        counted = {
-            "dropped": dropped,
-            "frames": self.frames,
-            "chunks": self.chunks,
-            "bytes": self.bytes,
-            "poses": self.poses,
-        }
-        text = "".join(f"{name} = {count}\n" for name, count in counted.items())
-        _append(self._open[ABOUT], text.encode())
-        os.fsync(self._open[ABOUT].fileno())
 
     def close(self) -> None:
         for file in self._open.values():
             with contextlib.suppress(OSError):
                 file.close()
 
-    def _file(self, name: str) -> FileIO:
-        if name not in self._open:
-            path = self._directory / name
-            if not path.exists():
-                self._made.insert(0, path)
-            self._open[name] = FileIO(path, "w")
-            self._unsynced_names = True
-        return self._open[name]
 
-    def _table(self, name: str, columns: list[str]) -> None:
-        _append(self._file(name), ",".join(columns).encode() + b"\n")
-
-    def _is_own(self, config: Path) -> bool:
-        """Whether that is the session's own configuration already."""
-        path = self._directory / CONFIG
-        return path.exists() and path.samefile(config)
-
-    def _keep_beside(self, config: Path, calibration: Path | None) -> None:
-        """A calibration that the configuration names by a path beside its own: at that path beside
-        the session's."""
-        if calibration is None or not calibration.is_file():
-            return
-        try:
-            name = str(calibration.relative_to(config.parent))
-        except ValueError:
-            return
-        if ".." in Path(name).parts or (self._directory / name).exists():
-            return
-        made = (self._directory / name).parent
-        if made != self._directory:
-            self._made[:0] = [p for p in (made, *made.parents) if not p.exists()]
-            made.mkdir(parents=True, exist_ok=True)
-        _append(self._file(name), calibration.read_bytes())
-
-    def _discard(self) -> None:
-        """Take away what was made, unless somebody else has put something there."""
-        self.close()
-        for path in self._made:
-            with contextlib.suppress(OSError):
-                path.rmdir() if path.is_dir() else path.unlink()
+def _size(item: Item) -> int:
+    return RECORD_BYTES + (len(item.data) if isinstance(item, Frame | Chunk) else 0)
 
 
-def _append(file: FileIO, data: bytes | bytearray) -> None:
-    """All of it: a disk that is nearly full takes a part, and refuses the rest."""
-    rest = memoryview(data)
-    while rest:
-        rest = rest[file.write(rest) :]
+def _beside(config: Path | None, calibration: Path | None) -> dict[str, bytes]:
+    """Files kept with a session: the configuration, and a calibration beside it. Raises
+    SetupError."""
+    try:
+        kept = {} if config is None else {CONFIG: config.read_bytes()}
+        is_beside = config and calibration and calibration.parent == config.parent
+        # a daemon may run without a calibration file
+        if calibration and is_beside and calibration.is_file():
+            kept.setdefault(calibration.name, calibration.read_bytes())
+    except OSError as error:
+        raise SetupError(f"{error.filename}: cannot be read ({error.strerror})") from None
+    return kept
 
 
-def _sync_directory(path: Path) -> None:
-    with contextlib.suppress(OSError):  # not every file system can
-        descriptor = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
+def _check_free(directory: Path, names: list[str]) -> None:
+    """Check that these files can be made in the directory. Raises SetupError."""
+    try:
+        there = next(path for path in (directory, *directory.parents) if path.exists())
+        taken = [path for name in names if (path := directory / name).is_symlink() or path.exists()]
+    except OSError as error:
+        raise SetupError(f"{directory}: cannot be made ({error.strerror})") from None
+    if taken:
+        raise SetupError(f"{taken[0]}: is there already; name another directory for the recording")
+    if not (there.is_dir() and os.access(there, os.W_OK | os.X_OK)):
+        raise SetupError(f"{directory}: cannot be made, as {there} cannot be written to")

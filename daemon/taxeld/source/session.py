@@ -1,22 +1,23 @@
-"""A recorded session: a directory with what the skin and the robot sent.
+"""A recorded session: a directory with the data that the skin and the robot sent.
 
-`frames.log` (candump -L text), or `serial.bin` with `serial.csv` (t, offset: the byte at `offset`
-and those up to the next row's were read at t); `sensor_pose.csv`; `config.toml`; and, from the
-harness, `truth.csv`. `session.toml` has the version of all that and, once the recording has ended,
-how much it holds; a session without it is of version 1.
+`frames.log` (candump -L text), or `serial.bin` with `serial.csv` (t, offset: the bytes from
+`offset` to the next row's were read at t); `sensor_pose.csv`; `config.toml`; and, from the harness,
+`truth.csv`. `session.toml` has the version of the format and, once the recording has ended, the
+counts of its records; a session without it is of version 1.
 
-A recording may end anywhere: what follows the last whole record is left out. Anything else that is
-damaged is an error.
+A recording may end anywhere: an incomplete last record is left out. Any other damage is an error.
 """
 
 import logging
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from taxeld.config import toml_tables
+from taxeld.config.file import opened
 from taxeld.errors import SetupError
 from taxeld_protocol.frames import Frame, parse_log_line
 
@@ -25,6 +26,9 @@ SERIAL, SERIAL_TIMES, ABOUT = "serial.bin", "serial.csv", "session.toml"
 POSE_COLUMNS, SERIAL_COLUMNS = ["t", "x", "y", "theta"], ["t", "offset"]
 VERSION = 1
 COUNT_MAX = 1 << 63
+LINE_MAX = 4096  # bytes; the longest line that a recorder writes has about a hundred
+ABOUT_LINES = 100  # lines of `session.toml`, which has six
+SERIAL_MAX = 1 << 30  # bytes of a serial line, all held at once: hours of a full line
 
 PoseRow = tuple[float, float, float, float]  # t, x, y, θ
 
@@ -42,7 +46,7 @@ Items = list[Frame] | list[Chunk]
 
 
 def joined(items: Items) -> Items:
-    """Bytes that were read one after the other as one piece, of the time when it began."""
+    """Bytes that were read one after the other as one chunk with the time of its beginning."""
     chunks = [item for item in items if isinstance(item, Chunk)]
     return [Chunk(chunks[0].t, b"".join(c.data for c in chunks))] if len(chunks) > 1 else items
 
@@ -56,12 +60,12 @@ class Session:
 
 
 def has_poses(directory: Path) -> bool:
-    """Whether a robot was recorded, so that these poses are used and no others."""
+    """Whether a robot was recorded, whose poses are then used in place of others."""
     return (directory / POSES).exists()
 
 
 def begun(directory: Path) -> float:
-    """When a session began, in Unix seconds; nan of one that holds nothing. Raises SetupError."""
+    """Unix time at which a session began [s]; nan for an empty session. Raises SetupError."""
     if (directory / SERIAL).exists() and not (directory / FRAMES).exists():
         rows = _table(_Lines(directory / SERIAL_TIMES), SERIAL_COLUMNS)
         return rows[0][0] if rows else math.nan
@@ -70,7 +74,7 @@ def begun(directory: Path) -> float:
 
 
 def read(directory: Path) -> Session:
-    """A session, up to its last whole record; that it was cut is said in the log.
+    """A session, up to its last whole record; a cut session is logged.
 
     Raises:
         SetupError: there is none, it is of a newer version, or damaged, with the line.
@@ -108,31 +112,36 @@ def read_poses(path: Path) -> list[PoseRow]:
 
 
 class _Lines:
-    """The lines of a file, of which the last may be cut: what does not end is no line."""
+    """The lines of a file whose last line may be cut: a line without its end is left out."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self.cut = False  # whether a line was begun that does not end; known after the last
+        self.cut = False  # whether the last line was cut; known after the last line
 
     def __iter__(self) -> Iterator[str]:
+        number = 0
         try:
-            with self.path.open(encoding="ascii", errors="replace", newline="\n") as file:
-                for text in file:
-                    if text[-1] != "\n":
+            with opened(self.path) as file:
+                while line := file.readline(LINE_MAX):
+                    number += 1
+                    if line[-1:] != b"\n":
+                        if len(line) == LINE_MAX and b"\0" not in line:  # power cuts leave zeros
+                            fault = f"line {number} is longer than {LINE_MAX} bytes"
+                            raise SetupError(f"{self.path}: damaged ({fault})")
                         self.cut = True
                         return
-                    yield text.rstrip("\r\n")
+                    yield line.decode("ascii", "replace").rstrip("\r\n")
         except OSError as error:
             raise SetupError(f"{self.path}: unreadable ({error.strerror})") from None
 
 
 def _about(directory: Path) -> dict[str, Any] | None:
-    """What `session.toml` counts, nothing before the recording has ended; None without the file."""
+    """The counts of `session.toml`, empty before the recording has ended; None without the file."""
     path = directory / ABOUT
     if not path.exists():
         return None
     try:
-        found = toml_tables.loads("\n".join(_Lines(path)))
+        found = toml_tables.loads("\n".join(islice(_Lines(path), ABOUT_LINES)))
     except ValueError as error:
         raise SetupError(f"{path}: damaged ({error})") from None
     if not all(type(count) is int and 0 <= count < COUNT_MAX for count in found.values()):
@@ -161,17 +170,18 @@ def _chunks(directory: Path, about: dict[str, Any] | None) -> tuple[list[Chunk],
     """The bytes of a line as they came, and whether they were cut.
 
     A recorder writes bytes before the rows that date them, but a power cut may keep either. Rows
-    without bytes are left out, and so are the bytes of a last row whose end no other row tells.
+    without bytes are left out, and so are the bytes of a last row whose end no other row gives.
     """
     path, lines = directory / SERIAL, _Lines(directory / SERIAL_TIMES)
     rows = _table(lines, SERIAL_COLUMNS)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise SetupError(f"{path}: unreadable ({error.strerror})") from None
     offsets = [int(offset) for _, offset in rows]
     if offsets and (offsets[0] != 0 or offsets != sorted(offsets)):
         raise SetupError(f"{lines.path}: its offsets do not begin at 0, or fall")
+    try:
+        with opened(path, SERIAL_MAX) as file:
+            data = file.read(SERIAL_MAX)
+    except OSError as error:
+        raise SetupError(f"{path}: unreadable ({error.strerror}); record it in parts") from None
     every_row = not lines.cut if about is None else about.get("chunks") == len(rows)
     if every_row:
         offsets.append(len(data) if about is None else about.get("bytes", 0))

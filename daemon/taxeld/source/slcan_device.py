@@ -1,6 +1,12 @@
-"""An SLCAN adapter on a serial line, with the bus behind it. Neither reading nor writing waits."""
+"""An SLCAN adapter on a serial line, with the bus behind it. Neither reading nor writing waits.
+
+Its channel is opened step by step: the next command is sent when the last one was answered, or
+after ANSWER_S, as some adapters answer nothing. A channel without frames is closed and opened
+again, whatever closed it: another process, a supply that failed, another bit rate.
+"""
 
 import contextlib
+import math
 import os
 import termios
 import time
@@ -14,26 +20,36 @@ from taxeld.source.outbox import Unit
 from taxeld.source.session import Chunk
 from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.slcan_adapter import CLOSE, Adapter
 
-ADAPTER_BAUD = 115_200  # of an SLCAN adapter whose channel names no other: /dev/ttyACM0@921600
-SILENCE_S = 1.0  # from an adapter: then its channel is opened again
-SILENT_PERIODS = 2.5  # … at least, where the skin's scans are that far apart
-LEAVE_S = 0.02  # for the last requests to leave an adapter, before its channel is closed
-REFUSALS = {  # lines of an adapter's host, by their first letter: why, and what to do
+ADAPTER_BAUD = 115_200  # speed where the channel names none, unlike /dev/ttyACM0@921600
+ANSWER_S = 0.2  # time for an answer; an adapter on USB needs about 0.02
+SILENCE_S = 1.0  # time without a frame after which the channel is opened again
+SILENT_PERIODS = 2.5  # scan periods of silence before reopening, if longer than SILENCE_S
+LEAVE_S = 0.02  # time for the last requests to leave an adapter, before its channel is closed
+
+CLOSE = b"C\r"
+CLOSE_TWICE = 2 * CLOSE  # the first CLOSE may only end an unfinished line of an earlier host
+OPEN = b"O\r"
+LISTEN = b"L\r"  # opens to listen only; CANable's firmware does not know it
+SILENT, NORMAL = b"M1\r", b"M0\r"  # CANable's: whether the next OPEN listens only
+# A channel may be closed already, and not every adapter knows M0 and L.
+MAY_BE_REFUSED = (CLOSE_TWICE, LISTEN, NORMAL)
+REFUSALS = {  # first letter of a refused line → reason and cure
     b"S": "it knows no such bit rate: source.bitrate must be one that it does",
     b"O": "its channel does not open; is the bit rate one that it knows?",
     b"M": "it cannot listen only: set source.listen_only = false, or use another",
     b"t": "its channel is closed, or its buffer full",
     b"T": "its channel is closed, or its buffer full",
 }
+FRAMES = (b"t", b"T", b"r", b"R", b"d", b"D", b"b", b"B")  # first letters of a frame's line
+SHORTEST = 5  # bytes of a frame's line
 
 
 def adapter_line(channel: str) -> tuple[str, int]:
-    """The device and line speed that an SLCAN `channel` names.
+    """The device and line speed in an SLCAN `channel`.
 
     Raises:
-        SetupError: what follows its @ is no line speed.
+        SetupError: the text after its @ is no line speed.
     """
     path, at, baud = channel.partition("@")
     speed = line_speed(baud) if at else ADAPTER_BAUD
@@ -45,27 +61,38 @@ def adapter_line(channel: str) -> tuple[str, int]:
 
 
 class SlcanDevice(SerialLine):
-    """An SLCAN adapter: of kind can a bus, whose frames are recorded; of kind serial a line, whose
-    bytes are."""
+    """An SLCAN adapter. As source.kind can it is a bus, whose frames are recorded; as kind serial a
+    line, whose bytes are recorded."""
 
     def __init__(self, config: SourceConfig, to_frames: ToFrames) -> None:
+        """Raises SetupError where the line cannot be opened."""
         self._is_bus = config.kind == "can"
         line = adapter_line(config.channel) if self._is_bus else (config.channel, config.baud)
         super().__init__(*line)
         self._where = line[0]
-        silence_s = max(SILENCE_S, SILENT_PERIODS * config.period_ms / 1000.0)
-        self._adapter = Adapter(config.bitrate, listen_only=config.listen_only, silence_s=silence_s)
         self._to_frames = to_frames
         self._reader = slcan.SlcanReader()
-        self._commands = b""  # that the line has not taken yet
-        self._begun = b""  # a request of which it has taken a part: no command may cut into it
-        self._now_s = 0.0
+        rate = slcan.BITRATES[config.bitrate] + slcan.CR
+        self._listen_only = config.listen_only
+        self._opening = [CLOSE_TWICE, rate, *((LISTEN, SILENT) if self._listen_only else (NORMAL,))]
+        self._opening.append(OPEN)
+        self._steps = list(self._opening)  # commands still to be sent
+        self._unsent = b""  # rest of a command that the line has not taken yet
+        self._line = b""  # command sent last: an answer is taken to be for it
+        self._answer: bool | None = None  # whether a command was accepted; None: not answered yet
+        self._cut = False  # whether the line has taken only a part of a request
+        self._step_s = -math.inf  # monotonic time of the last command
+        self._heard_s = math.inf  # monotonic time of the last frame, or of the last command
+        self._silence_s = max(SILENCE_S, SILENT_PERIODS * config.period_ms / 1000.0)
+        self._frame_came = False  # whether a frame came since the last `tend`
+        self._is_silent = False
+        self._complained: set[bytes] = set()  # first letters of refused lines that were logged
 
     @property
     def waits_for(self) -> str:
-        if not self._adapter.is_silent:
+        if not self._is_silent:
             return ""
-        every = f"{self._adapter.silence_s:g} s"
+        every = f"{self._silence_s:g} s"
         return (
             f"source.channel: nothing has come from {self._where} for {every}; "
             f"its channel is opened again every {every}"
@@ -74,8 +101,15 @@ class SlcanDevice(SerialLine):
     def read(self) -> list[Frame] | list[Chunk]:
         data, now = self._receive(), time.time()
         lines = self._reader.lines(data)
-        self._adapter.hear(lines)
-        if not self._is_bus:  # the bytes are parsed where those of a recording are
+        for line in lines:
+            if line in slcan.ACCEPTED:
+                self._answer = True
+            elif line[-1:] == slcan.BEL:
+                self._answer = False
+                self._refused()
+            elif len(line) >= SHORTEST and line.startswith(FRAMES):
+                self._frame_came = True
+        if not self._is_bus:  # the wire parses the bytes, as it does for a recording
             return [Chunk(now, data)] if data else []
         counters = self._reader.counters
         noise, foreign = counters.noise, counters.foreign
@@ -85,54 +119,64 @@ class SlcanDevice(SerialLine):
         return frames
 
     def tend(self, now_s: float) -> None:
-        """Open the channel, and open it again once nothing comes from it."""
-        self._now_s = now_s
-        if due := self._adapter.due(now_s):
-            self._add(due)
-        if self._commands and not self._begun:
-            self._commands = self._commands[self._write(self._commands) :]
-        if self._adapter.refused or self._adapter.silences:
-            self._notice()
+        """Open the channel, and open it again when frames stop."""
+        if self._frame_came:
+            self._frame_came = self._is_silent = False
+            self._heard_s = now_s
+        if now_s >= self._heard_s + self._silence_s:
+            self.noticed.silences += not self._is_silent
+            self._is_silent = True
+            self._set_line()
+            self._steps, self._unsent = list(self._opening), b""
+            self._line, self._answer = b"", None
+            self._step_s, self._heard_s = -math.inf, now_s
+        if self._steps and not self._unsent and self._may_go_on(now_s):
+            self._line = self._unsent = self._steps.pop(0)
+            self._answer = None
+            self._step_s = self._heard_s = now_s
+        if self._unsent and not self._cut:
+            self._unsent = self._unsent[self._write(self._unsent) :]
 
     def pack(self, command: int, payload: bytes) -> list[Unit]:
         frames = self._to_frames(command, payload)
         return [Unit(f if self._is_bus else None, slcan.encode(f)) for f in frames]
 
     def put(self, unit: Unit) -> Unit | None:
-        if not self._begun and (self._commands or not self._adapter.is_open):
+        if not self._cut and (self._steps or self._unsent):
             raise BlockingIOError
         rest = super().put(unit)
-        line = self._begun or unit.line
-        if rest is None:
-            self._adapter.sent(line, self._now_s)
-        self._begun = b"" if rest is None else line
+        self._line, self._cut = unit.line, rest is not None
         return rest
 
     def close(self, wait_s: float = 0.0) -> None:
         with contextlib.suppress(OSError, termios.error):
             self._drain(wait_s)
             time.sleep(min(wait_s, LEAVE_S))
-            os.write(self._port.fileno(), self._adapter.closing())
+            os.write(self._port.fileno(), CLOSE + NORMAL if self._listen_only else CLOSE)
         super().close(wait_s)
 
-    def _add(self, commands: bytes) -> None:
-        if commands.startswith(CLOSE):
-            self._set_line()
-            self._commands = b""  # of an opening that the line has not taken
-        self._commands += commands
+    def _may_go_on(self, now_s: float) -> bool:
+        """Whether the next step may be taken; the last answer ends the steps."""
+        if self._line == CLOSE_TWICE or self._answer is None:
+            return now_s >= self._step_s + ANSWER_S
+        if (self._line == LISTEN and self._answer) or (self._line == SILENT and not self._answer):
+            self._steps.clear()  # it listens, or it cannot listen only and stays closed
+        return bool(self._steps)
 
-    def _notice(self) -> None:
-        adapter, noticed = self._adapter, self.noticed
-        noticed.refused += adapter.refused
-        noticed.silences += adapter.silences
-        adapter.refused = adapter.silences = 0
-        for line in adapter.complaints:
-            cure = REFUSALS.get(line[:1], "is it another kind of adapter?")
-            noticed.lines.append(f"source.channel: {self._where} refused {line.decode()} ({cure})")
-        adapter.complaints.clear()
+    def _refused(self) -> None:
+        """Count a refused line, and log the first of its kind."""
+        line, kind = self._line, self._line[:1]
+        if not line or line in MAY_BE_REFUSED:
+            return
+        self.noticed.refused += 1
+        if kind not in self._complained:
+            self._complained.add(kind)
+            name = line.removesuffix(slcan.CR).decode()
+            cure = REFUSALS.get(kind, "is it another kind of adapter?")
+            self.noticed.lines.append(f"source.channel: {self._where} refused {name} ({cure})")
 
     def _set_line(self) -> None:
-        """Whoever closed the channel may have set the line otherwise as well."""
+        """Set the line again: another process that closed the channel may have changed it."""
         try:
             self._port.baudrate = self._port.baudrate
         except (OSError, termios.error) as error:

@@ -1,8 +1,8 @@
-"""Sources of scans: CAN through python-can, a serial line, or a recorded session.
+"""Sources of scans: a CAN interface, a serial line, or a recorded session.
 
-A source is polled at every pass of the loop and never blocks. A device that goes away, or is not
-there yet, is opened again with growing pauses, and the skin on it is brought up anew; what arrives
-damaged is counted.
+A source is polled at every pass of the loop and never blocks. A device that is gone, or not there
+yet, is opened again with growing pauses, and the skin on it is brought up anew; damaged input is
+counted.
 """
 
 import contextlib
@@ -24,44 +24,43 @@ from taxeld.source.devices import open_device
 from taxeld.source.dialects import Dialect, ToFrames
 from taxeld.source.outbox import Outbox
 from taxeld.source.recorder import Recorder
-from taxeld.source.reserve import Reserve
 from taxeld.source.session import Chunk, Items, Session, joined
 from taxeld.source.wire import Heard, Wire
 from taxeld_protocol.decoder import Scan
 
 OnPose = Callable[[float, float, float, float], None]
 
-REOPEN_S = (0.2, 1.0)  # the first pause before a lost device is opened again, and the longest
-CLOSE_S = 0.2  # that the last requests may take to get out
-LOG_BURST = 10  # lines on a device that comes and goes, and then
-LOG_S = 30.0  # one in so long
+REOPEN_S = (0.2, 1.0)  # first and longest pause before a lost device is opened again
+CLOSE_S = 0.2  # time for the last requests to leave the device
+LOG_BURST = 10  # lines that may be logged at once about a device that comes and goes
+LOG_S = 30.0  # time for each further line after such a burst
 
 log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
 class SourceCounters:
-    """Since start."""
+    """Counters of a source, since start."""
 
-    lost: int = 0  # times the device went away
+    lost: int = 0  # times the device was lost
     reopened: int = 0
     unopened: int = 0  # attempts to open it that failed
     unsent: int = 0  # requests that the device did not take in time
     noise: int = 0  # reads that python-can could not decode
     refused: int = 0  # commands and frames that an SLCAN adapter refused
-    silences: int = 0  # times that such an adapter fell silent, and its channel was opened again
+    silences: int = 0  # times that an SLCAN adapter fell silent and was opened again
 
 
 class Source(Protocol):
-    """What the loop asks of a source."""
+    """A source as the loop sees it."""
 
     wire: Wire
     counters: SourceCounters
-    device: Device | None  # that is open now, for who waits on it
+    device: Device | None  # the open device; the loop waits on its descriptor
 
     @property
     def is_busy(self) -> bool:
-        """Whether it must be polled at every tick, as nothing would wake who waits."""
+        """Whether the source must be polled at every tick, as no descriptor would wake the loop."""
         ...
 
     @property
@@ -71,26 +70,26 @@ class Source(Protocol):
 
     @property
     def waits_for(self) -> str:
-        """What must come before anything can, in a line; empty where nothing must."""
+        """A line on why no scans come; empty where nothing is amiss."""
         ...
 
     @property
     def fault(self) -> str:
-        """What makes all that comes useless, in a line; empty where nothing does."""
+        """A line on why no scan can ever be used; empty where nothing is amiss."""
         ...
 
     def gather(self) -> int:
-        """Take what the device has to say, for the next `poll` that hears it; → how much is there
-        for that, in frames, or bytes of a line."""
+        """Read the device and keep the items for the next `poll` with `hear`; → the number of
+        frames, or of bytes of a line, now kept."""
         ...
 
     def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:
-        """Scans that have arrived; `now_s` is monotonic. Without `hear` the device, which has
-        nothing to say, is tended alone."""
+        """Scans that have arrived; `now_s` is monotonic. Without `hear` the device is not read:
+        only its channel and the requests to the skin are served."""
         ...
 
     def clock_stepped(self, by: float) -> None:
-        """The Unix clock was set forward by so many seconds."""
+        """The Unix clock was set forward by `by` seconds."""
         ...
 
     def close(self) -> None: ...
@@ -104,9 +103,9 @@ def open_source(
     *,
     wait: bool = False,
 ) -> Source:
-    """The configured source; `recorder` is given all that goes over its wire, `on_pose` the sensor
-    poses (t, x, y, θ) of a recorded session. With `wait` a device that is missing or busy is opened
-    once it can be.
+    """The configured source. `recorder` gets all frames or bytes of the wire, `on_pose` the sensor
+    poses (t, x, y, θ) of a recorded session. With `wait`, a missing or busy device is opened as
+    soon as possible, instead of raising.
 
     Raises:
         SetupError: the device or session cannot be opened.
@@ -121,7 +120,7 @@ def open_source(
 
 
 class LiveSource:
-    """A device that may go and come, and the bring-up of the skin behind it."""
+    """A device that may go and come back, and the bring-up of the skin behind it."""
 
     finished = False
 
@@ -143,17 +142,15 @@ class LiveSource:
         self._listening = dialect.listening
         self.device: Device | None = None
         self._outbox: Outbox | None = None
-        self._held: Items = []  # that it has said, and nobody has heard
-        self._size = 0  # of that
-        self._failed: LostError | None = None  # after it
+        self._held: Items = []  # items read from the device and not decoded yet
+        self._size = 0  # size of the held items, in frames or bytes
+        self._failed: LostError | None = None  # loss of the device, after the held items
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
-        self._reserve = Reserve()
         self._lines, self._next_line_s = LOG_BURST, 0.0
         try:
             self._take(self._open())
         except SetupError as error:
             if not (wait and isinstance(error, AwayError)):
-                self._reserve.close()
                 raise
             self._wait(str(error), -math.inf)
 
@@ -185,7 +182,7 @@ class LiveSource:
             return []
 
     def clock_stepped(self, by: float) -> None:
-        """A device stamps anew whatever comes."""
+        """Do nothing: each read takes the time anew."""
 
     def close(self) -> None:
         if self.device is not None and self._outbox is not None:
@@ -193,7 +190,6 @@ class LiveSource:
             self._stop(self._outbox)
             self.device.close(CLOSE_S)
             self.device = None
-        self._reserve.close()
 
     def _take(self, device: Device) -> None:
         self.device, self._outbox, self._failed = device, Outbox(device), None
@@ -223,7 +219,7 @@ class LiveSource:
         return scans
 
     def _follow(self, device: Device, outbox: Outbox, now_s: float) -> None:
-        """Count and say what the device has noticed."""
+        """Count and log the faults noticed by the device."""
         noticed, device.noticed = device.noticed, Noticed()
         self.counters.noise += noticed.noise
         self.counters.refused += noticed.refused
@@ -233,10 +229,10 @@ class LiveSource:
         for line in noticed.lines:
             self._say(logging.WARNING, line, now_s)
         if noticed.silences:
-            outbox.clear()  # what still streams behind it is not to be set up anew
+            outbox.clear()  # a skin that still streams behind it must not be set up anew
 
     def _hear(self) -> list[Heard]:
-        if not self._held:  # else what has come since wakes who waits
+        if not self._held:  # the descriptor wakes the loop for later items
             self.gather()
         items, self._held, self._size = joined(self._held), [], 0
         if self._failed is not None and not items:
@@ -256,7 +252,7 @@ class LiveSource:
             outbox.dropped = 0
 
     def _stop(self, outbox: Outbox) -> None:
-        """Tell the skin to stop, if its device takes that in time."""
+        """Tell the skin to stop, if its device takes the request in time."""
         now_s = time.monotonic()
         for request in self._bring_up.stop() if self._bring_up else []:
             outbox.add(request, now_s)
@@ -279,8 +275,7 @@ class LiveSource:
             return
         waited_for = self.waits_for
         try:
-            with self._reserve.lent():
-                self._take(self._open())
+            self._take(self._open())
         except SetupError as error:
             self._wait(str(error), now_s)
             return
@@ -298,7 +293,7 @@ class LiveSource:
             self._say(logging.WARNING, f"{reason}; waiting for it", now_s)
 
     def _heed(self, line: str, now_s: float) -> None:
-        """Say what is missing, once, and that it has come."""
+        """Log what is missing, once, and when it has come."""
         if line == self.waits_for:
             return
         before, self.waits_for = self.waits_for, line
@@ -308,7 +303,7 @@ class LiveSource:
             self._say(logging.INFO, f"no longer: {before}", now_s)
 
     def _say(self, level: int, line: str, now_s: float) -> None:
-        """Log a line, unless there were too many of late."""
+        """Log a line, unless there were too many lately."""
         if now_s >= self._next_line_s:
             self._lines = min(self._lines + 1, LOG_BURST)
             self._next_line_s = now_s + LOG_S
@@ -318,16 +313,16 @@ class LiveSource:
 
 
 class ReplaySource:
-    """A recorded session at the pace it was recorded, its times moved to now."""
+    """A recorded session at its own pace, its times moved to now."""
 
     waits_for = fault = ""
     device: Device | None = None
-    is_busy = True  # its pace is that of the ticks
+    is_busy = True  # ticks give its pace
 
     def __init__(self, recorded: Session, wire: Wire, on_pose: OnPose | None) -> None:
         self.wire = wire
         self.counters = SourceCounters()
-        self._shift_s: float | None = None  # recorded time → Unix time, known from the first poll
+        self._shift_s: float | None = None  # Unix time less recorded time, from the first poll
         self._items = recorded.items
         self._at = 0
         self._poses = deque(recorded.poses if on_pose else [])
@@ -363,4 +358,4 @@ class ReplaySource:
             self._shift_s += by
 
     def close(self) -> None:
-        """Nothing is held open."""
+        """Do nothing: no device is open."""

@@ -1,4 +1,4 @@
-"""What a skin sends → packets and scans: the one way for live sources, recordings and replays."""
+"""From frames or bytes to packets and scans: the same for live sources, recordings and replays."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -14,7 +14,7 @@ from taxeld_protocol.slcan import SlcanReader
 
 
 class Heard(NamedTuple):
-    """A packet that came whole, if one did, and the scans that it ended."""
+    """A packet, if one is complete, and the scans that it ended."""
 
     packet: Packet | None
     scans: list[Scan]
@@ -33,13 +33,14 @@ class Wire:
         return Heard(*self.decoder.feed(frame))
 
     def take(self, item: Frame | Chunk, t: float) -> list[Heard]:
-        """Take either, stamped with `t`."""
+        """Take a frame or a chunk, stamped with `t`."""
         if isinstance(item, Frame):
             return [self.frame(item if item.t == t else item._replace(t=t))]
         return self.data(item.data, t)
 
     def take_all(self, items: Sequence[Frame | Chunk]) -> list[Heard]:
-        """Take what a device has read, as it is stamped; frames that end nothing are left out."""
+        """Take the items read from a device with their own stamps; frames that end nothing are left
+        out."""
         heard: list[Heard] = []
         feed = self.decoder.feed
         for item in items:
@@ -56,7 +57,7 @@ class Wire:
         that end nothing are left out.
 
         Raises:
-            SetupError: a dialect that has no packets is configured for a line that carries them.
+            SetupError: the dialect has no packets, but the line carries packets.
         """
         if self._slcan is not None:
             foreign = self._slcan.counters.foreign
@@ -79,7 +80,7 @@ class Wire:
             "bytes_used": line.used,
             "bytes_dropped": line.bytes - line.used - reader.pending,
         }
-        if isinstance(line, SerialCounters) and line.bytes:  # that link checks packets itself
+        if isinstance(line, SerialCounters) and line.bytes:  # the serial link checks packets itself
             stats["packets"] = line.packets
             stats["crc_errors"] = line.crc_errors
             stats["length_errors"] = line.length_errors

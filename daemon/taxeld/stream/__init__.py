@@ -1,5 +1,4 @@
-"""What goes to other processes and comes from them: messages, sockets (the loop's
-own, and ZeroMQ's), control, keys.
+"""Messages, the pair that joins the loop to the door, and clients of a running daemon.
 
-Nothing here estimates; a peer's bad message is a counter.
+A peer's bad message is a counter. The loop imports nothing here that needs ZeroMQ.
 """

@@ -1,4 +1,4 @@
-"""Asking a running daemon over its control socket, or its relay's."""
+"""Asking a running daemon over its control endpoint."""
 
 import time
 from pathlib import Path

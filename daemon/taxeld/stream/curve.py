@@ -1,11 +1,12 @@
 """CURVE: which endpoints take keys, and the keys themselves.
 
-`curve.directory` holds certificates in the form of `zmq.auth`: `server.key_secret`, the own pair of
-daemon and relay; `clients/*.key`, the public keys of those who may subscribe and ask at the relay;
+`curve.directory` holds certificates in the form of `zmq.auth`: `server.key_secret`, the door's own
+pair; `clients/*.key`, the public keys of those who may subscribe and ask over TCP;
 and `robot.key`, where sensor poses come from beyond this machine. They are read once, at start.
 """
 
 import struct
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,6 @@ from zmq.auth import load_certificate
 from zmq.utils import z85
 
 from taxeld.config import endpoints
-from taxeld.config.tables import Config, CurveConfig
 from taxeld.errors import SetupError
 
 KEY = "curve.directory"
@@ -24,7 +24,7 @@ OWN, CLIENTS, ROBOT = "server.key_secret", "clients", "robot.key"
 
 @dataclass(frozen=True, slots=True)
 class RobotKeys:
-    """The daemon's own pair, and the robot's public key; Z85."""
+    """The door's own pair, and the robot's public key; Z85."""
 
     public: bytes
     secret: bytes
@@ -33,42 +33,41 @@ class RobotKeys:
 
 @dataclass(frozen=True, slots=True)
 class RelayKeys:
-    """The relay's secret key, and the public ones of its clients; Z85."""
+    """The door's secret key, and the public ones of its clients; Z85."""
 
     secret: bytes
     clients: frozenset[bytes]
 
 
-def takes_keys(endpoint: str, curve: CurveConfig) -> bool:
-    return endpoint.startswith(endpoints.TCP) and (
-        curve.loopback or not endpoints.is_local(endpoint)
-    )
+def takes_keys(endpoint: str, loopback: bool) -> bool:
+    """Whether an endpoint takes keys where there are any; `loopback`: those of this machine do."""
+    return endpoint.startswith(endpoints.TCP) and (loopback or not endpoints.is_local(endpoint))
 
 
-def robot_keys(config: Config) -> RobotKeys | None:
-    """What the robot's poses take; None where they come plainly.
-
-    Raises:
-        SetupError: a key is missing, damaged or open to others.
-    """
-    own = _own(config.curve)
-    if own is None or not takes_keys(config.sensor_pose.endpoint, config.curve):
-        return None
-    return RobotKeys(*own, public_key(Path(config.curve.directory) / ROBOT))
-
-
-def relay_keys(config: Config) -> RelayKeys | None:
-    """What the relay's endpoints take; None where all of them are plain.
+def robot_keys(directory: str, endpoint: str, loopback: bool) -> RobotKeys | None:
+    """The keys for the robot's poses; None where they come plainly. `directory` is empty where no
+    keys are used.
 
     Raises:
         SetupError: a key is missing, damaged or open to others.
     """
-    own = _own(config.curve)
-    served = (*config.relay.publish, config.relay.control)
-    if own is None or not any(takes_keys(endpoint, config.curve) for endpoint in served):
+    own = _own(directory)
+    if own is None or not takes_keys(endpoint, loopback):
         return None
-    directory = Path(config.curve.directory)
-    clients = [public_key(path) for path in sorted((directory / CLIENTS).glob("*.key"))]
+    return RobotKeys(*own, public_key(Path(directory) / ROBOT))
+
+
+def relay_keys(directory: str, served: Iterable[str], loopback: bool) -> RelayKeys | None:
+    """The keys for the endpoints that are served over TCP; None where all of them are plain.
+
+    Raises:
+        SetupError: a key is missing, damaged or open to others.
+    """
+    own = _own(directory)
+    if own is None or not any(takes_keys(endpoint, loopback) for endpoint in served):
+        return None
+    place = Path(directory) / CLIENTS
+    clients = [public_key(path) for path in sorted(place.glob("*.key"))]
     if not clients:
         raise SetupError(
             f"{KEY}: no {CLIENTS}/*.key in {directory}; copy the public keys of those "
@@ -99,9 +98,9 @@ def as_client(socket: zmq.Socket[Any], server: bytes, public: bytes, secret: byt
     socket.setsockopt(zmq.CURVE_SECRETKEY, secret)
 
 
-def _own(curve: CurveConfig) -> tuple[bytes, bytes] | None:
+def _own(directory: str) -> tuple[bytes, bytes] | None:
     """The own pair, which a directory that is named must hold, whoever asks for keys."""
-    return secret_key(Path(curve.directory) / OWN) if curve.directory else None
+    return secret_key(Path(directory) / OWN) if directory else None
 
 
 def _certificate(path: Path, asked_by: str) -> tuple[bytes, bytes | None]:

@@ -16,15 +16,26 @@ from taxeld.model.activation import Activation
 from taxeld.model.scene import Scene
 from taxeld.pipeline.pose_watch import PoseFault
 from taxeld.proposals.ladder import Step
+from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, PARTICLES, SENSOR_POSE, TAXELS, TOPICS
+
+__all__ = [
+    "ESTIMATE",
+    "HEALTH",
+    "INFO",
+    "PARTICLES",
+    "SENSOR_POSE",
+    "STAGES",
+    "TAXELS",
+    "TOPICS",
+    "VERSION",
+    "estimate",
+    "health",
+    "info",
+    "particles",
+    "taxels",
+]
 
 VERSION = 1  # of the stream: `v` in every message
-
-ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO = (
-    b"/taxeld/estimate", b"/taxeld/particles", b"/taxeld/taxels", b"/taxeld/health",
-    b"/taxeld/info",
-)  # fmt: skip
-TOPICS = (ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO)
-SENSOR_POSE = b"/robot/sensor_pose"
 
 STAGES = ("source", "skin", "propose", "filter", "publish", "total")
 

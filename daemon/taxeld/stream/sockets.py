@@ -1,9 +1,9 @@
 """What all sockets of ZeroMQ's share: options, reading a bounded number of frames, hanging up."""
 
+import errno
 import os
 import socket as kernel
 import struct
-from collections.abc import Iterator
 from typing import Any
 
 import msgpack
@@ -13,10 +13,13 @@ from taxeld.errors import SetupError
 
 FRAMES_MAX = 8  # a message of more frames is none of ours, and none is read any further
 HANDSHAKE_MS = 5000  # a peer that has not said who it is by then is let go
+CREDENTIALS = struct.Struct("3i")
 KEEPALIVE_S = 10  # the kernel asks a silent peer beyond this machine, and lets a dead one go
 KEEPALIVE_TRIES = 3
 # as plain numbers: pyzmq takes long over its enumerations
-EVENTS, WAITING, AT_ONCE = (int(x) for x in (zmq.EVENTS, zmq.POLLIN, zmq.NOBLOCK))
+EVENTS, WAITING, AT_ONCE, MORE = (
+    int(x) for x in (zmq.EVENTS, zmq.POLLIN, zmq.NOBLOCK, zmq.RCVMORE)
+)
 
 
 def open_socket(
@@ -71,27 +74,30 @@ def is_waiting(socket: zmq.Socket[Any]) -> bool:
     return bool(int(socket.get(EVENTS)) & WAITING)
 
 
-def messages(socket: zmq.Socket[Any], most: int) -> Iterator[list[bytes] | None]:
-    """At most so many of the messages that have arrived, each whole.
+def frames(socket: zmq.Socket[Any]) -> list[zmq.Frame] | None:
+    """The next message, whole; None: it has too many frames, and was not read to its end.
 
-    The last is None where one has too many frames: reading on would take a tick or many, so the
-    socket must be closed, which frees them at once.
+    To read on could take seconds. The socket must be closed, which frees the rest at once.
+
+    Raises:
+        zmq.Again: none is there.
     """
-    if not is_waiting(socket):
-        return
-    for _ in range(most):
-        try:
-            frame = socket.recv(AT_ONCE, copy=False)  # which knows whether more follow
-        except zmq.Again:
-            return
-        parts = [frame.bytes]
-        while frame.more:
-            if len(parts) == FRAMES_MAX:
-                yield None
-                return
-            frame = socket.recv(AT_ONCE, copy=False)
-            parts.append(frame.bytes)
-        yield parts
+    parts = [socket.recv(AT_ONCE, copy=False)]
+    while parts[-1].more:
+        if len(parts) == FRAMES_MAX:
+            return None
+        parts.append(socket.recv(AT_ONCE, copy=False))
+    return parts
+
+
+def contents(socket: zmq.Socket[Any]) -> list[bytes] | None:
+    """The same without who sent it, for a third of the time; something must be waiting."""
+    parts: list[bytes] = [socket.recv(AT_ONCE)]
+    while socket.get(MORE):
+        if len(parts) == FRAMES_MAX:
+            return None
+        parts.append(socket.recv(AT_ONCE))
+    return parts
 
 
 def connection_of(frame: zmq.Frame) -> int | None:
@@ -104,18 +110,31 @@ def connection_of(frame: zmq.Frame) -> int | None:
 
 def hang_up(frame: zmq.Frame) -> bool:
     """Disconnect the peer that sent `frame`; → whether it was still there."""
-    number = connection_of(frame)
-    if number is None:
-        return False
     try:
-        with borrowed(number) as connection:
-            # ZeroMQ may have closed it, and its number may be another connection's by now
-            if str(frame.get("Peer-Address")) != _peer(connection):
-                return False
+        with sender(frame) as connection:
             connection.shutdown(kernel.SHUT_RDWR)
     except OSError:
         return False
     return True
+
+
+def sender(frame: zmq.Frame) -> kernel.socket:
+    """The connection of the peer that sent `frame`, to be closed without closing ZeroMQ's own.
+
+    Raises:
+        OSError: ZeroMQ has closed it, and its number may be another connection's by now.
+    """
+    number = connection_of(frame)
+    if number is None:
+        raise OSError(errno.ENOTCONN, "ZeroMQ's own")
+    connection = borrowed(number)
+    try:
+        if str(frame.get("Peer-Address")) != _peer(connection):
+            raise OSError(errno.ENOTCONN, "another connection")
+    except OSError:
+        connection.close()
+        raise
+    return connection
 
 
 def borrowed(number: int) -> kernel.socket:
@@ -136,7 +155,12 @@ def _peer(connection: kernel.socket) -> str:
     """Who is at the other end, as ZeroMQ writes it."""
     if connection.family != kernel.AF_UNIX:
         return str(connection.getpeername()[0])
-    size = struct.calcsize("3i")
-    credentials = connection.getsockopt(kernel.SOL_SOCKET, kernel.SO_PEERCRED, size)
-    pid, uid, gid = struct.unpack("3i", credentials)
+    pid, uid, gid = credentials(connection)
     return f"localhost:{uid}:{gid}:{pid}"
+
+
+def credentials(connection: kernel.socket) -> tuple[int, int, int]:
+    """Process, user and group at the other end of a Unix socket, when it connected."""
+    packed = connection.getsockopt(kernel.SOL_SOCKET, kernel.SO_PEERCRED, CREDENTIALS.size)
+    pid, uid, gid = CREDENTIALS.unpack(packed)
+    return pid, uid, gid

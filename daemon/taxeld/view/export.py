@@ -25,12 +25,13 @@ TYPES = {
 
 
 def export(directory: Path, out: Path, config: Path | None = None) -> dict[str, int]:
-    """Replay a session and write what it led to; → how many messages of each topic.
+    """Replay a session and write what it led to; → the number of messages by topic.
 
     The file is whole or not there: it is written beside `out`, which it then replaces.
 
     Raises:
-        SetupError: the session cannot be used, holds nothing to export, or `out` not be written.
+        SetupError: the session cannot be used or holds nothing to export, or `out` cannot be
+            written.
     """
     recording = Recording(directory, config)
     beside = out.with_name(out.name + ".new")
@@ -49,7 +50,7 @@ def export(directory: Path, out: Path, config: Path | None = None) -> dict[str, 
 
 def _write(recording: Recording, writer: Writer) -> dict[str, int]:
     schemas = {
-        name: writer.register_msgdef(f"{name.replace('/', '/msg/')}", definition(name))
+        name: writer.register_msgdef(name.replace("/", "/msg/"), definition(name))
         for name in TYPES.values()
     }
     written: dict[str, int] = {}
@@ -68,14 +69,14 @@ def _made(stage: Stage, message: Message) -> Iterator[tuple[str, dict[str, Any]]
     """A message of the streams as those of ROS 2, with their topics."""
     topic, m = message
     if topic == messages.ESTIMATE:
-        yield "/taxeld/status", ros.diagnostics(stage, m)
+        yield "/taxeld/status", ros.diagnostics(m["t"], "taxeld", m, hardware=stage.layout)
         if m["valid"]:
             yield "/taxeld/pose", ros.pose_with_covariance(m)
             yield "/taxeld/modes", ros.pose_array(m["t"], m["modes"])
     elif topic == messages.TAXELS:
         if m["placed"]:
             yield "/tf", ros.transform(m)
-        yield "/taxeld/taxels", ros.point_cloud(stage, m)
+        yield "/taxeld/taxels", ros.point_cloud(m, stage.position_m)
         if stage.truth is not None:
             yield "/taxeld/truth", ros.pose_stamped(m["t"], stage.truth)
     elif topic == messages.PARTICLES:

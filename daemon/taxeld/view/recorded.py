@@ -9,16 +9,15 @@ from taxeld.arrays import Poses
 from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config import file as config_file
 from taxeld.errors import SetupError
-from taxeld.pipeline.pipeline import Pipeline
 from taxeld.source import session
 from taxeld.stream import messages
-from taxeld.view.stage import Message, Stage, of_scene
+from taxeld.view.stage import Message, of_scene
 
 PARTICLES_S = 0.05  # between two clouds, as the daemon sends them
 
 
 class Recording:
-    """A session that is opened to be looked at, once."""
+    """A session, to be replayed once."""
 
     def __init__(self, directory: Path, config: Path | None = None) -> None:
         """`config`: in place of the session's own.
@@ -35,14 +34,15 @@ class Recording:
         self.directory = directory
         loaded = config_file.load(path)
         self._pipeline = open_pipeline(directory, loaded)
-        skin, scene = self._pipeline.skin.layout, self._pipeline.estimator.model.scene
-        self.stage: Stage = of_scene(
-            skin.name, skin.position_m, skin.radius_m, scene, Path(loaded.scene.bundle).name,
+        self.stage = of_scene(
+            self._pipeline.skin.layout,
+            self._pipeline.estimator.model.scene,
+            Path(loaded.scene.bundle).name,
             truth_of(directory / session.TRUTH),
-        )  # fmt: skip
+        )
 
     def __iter__(self) -> Iterator[Message]:
-        """Of each scan: taxels, estimate, particles, those that it has.
+        """Of each scan: taxels, estimate, particles, as far as it has them.
 
         Raises:
             SetupError: the session is damaged.
@@ -58,16 +58,13 @@ class Recording:
             yield messages.ESTIMATE, messages.estimate(estimate, seq=seq, valid=valid)
             if estimate.contact and not estimate.t < next_s < estimate.t + 1.0:
                 next_s = estimate.t + PARTICLES_S
-                yield messages.PARTICLES, _particles(pipeline, estimate.t, seq)
-
-
-def _particles(pipeline: Pipeline, t: float, seq: int) -> dict[str, object]:
-    belief = pipeline.estimator.rule.belief
-    return messages.particles(t, seq, belief.pose, belief.weight)
+                belief = pipeline.estimator.rule.belief
+                cloud = messages.particles(estimate.t, seq, belief.pose, belief.weight)
+                yield messages.PARTICLES, cloud
 
 
 def truth_of(path: Path) -> Poses | None:
-    """Where the object stood last; None where nobody wrote it down. Raises SetupError."""
+    """(3,) where the object stood last; None where nobody wrote it down. Raises SetupError."""
     if not path.exists():
         return None
     rows = session.read_poses(path)

@@ -1,6 +1,8 @@
-"""What does not change while one looks: the skin's taxels, the link, the object's shape."""
+"""The still part of a picture: the skin's taxels, the link and the object's shape."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,8 @@ import numpy as np
 from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
@@ -18,45 +20,44 @@ from taxeld.stream import messages
 
 Message = tuple[bytes, dict[str, Any]]  # a topic, and its map as docs/stream.md has it
 
-UNKNOWN = "unknown"  # the name of a number that a newer daemon sends
-
 
 @dataclass(frozen=True)
 class Stage:
-    """Of one daemon or session. Lengths in metres."""
+    """Skin and object of one daemon or session. Lengths in metres."""
 
     object: str
     layout: str
     position_m: Floats  # (M, 3) taxels in the sensor frame
     radius_m: float  # of the link
     slices: tuple[tuple[float, Floats], ...]  # height in the sensor frame, closed line (P, 2)
-    scene: Scene | None = None  # None: only the streams are known
+    scene: Scene | None = None  # None where only the streams are known
     truth: Poses | None = None  # (3,) where the object truly stands
-    names: dict[str, dict[str, str]] = field(default_factory=dict)  # as in /taxeld/info
 
     def error_mm(self, estimate: dict[str, Any]) -> float | None:
-        """Symmetry-aware ADD of the heaviest mode; None where it cannot be told."""
+        """Symmetry-aware ADD of the heaviest mode; None without scene, truth or valid estimate."""
         if self.scene is None or self.truth is None or not estimate["valid"]:
             return None
         return 1e3 * add_m(self.scene, pose_of(estimate["map"]), self.truth)[1]
 
-    def name(self, kind: str, number: int) -> str:
-        """Of a `status` or `proposal`."""
-        return self.names.get(kind, {}).get(str(number), UNKNOWN)
+
+def pose_of(planar: dict[str, float]) -> Poses:
+    """(3,) of `x`, `y`, `theta`."""
+    return np.array([planar["x"], planar["y"], planar["theta"]])
 
 
-def pose_of(map_: dict[str, float]) -> Poses:
-    return np.array([map_["x"], map_["y"], map_["theta"]])
+def name_of(kind: type[IntEnum], number: int) -> str:
+    """The name of a status or proposal; a newer daemon may send one that is not known here."""
+    names = {int(one): one.name.lower() for one in kind}
+    return names.get(number, f"unknown ({number})")
 
 
 def from_info(info: dict[str, Any]) -> Stage:
-    """Of `/taxeld/info`, which has the object's outline and no slices: it stands for all heights.
+    """Stage of `/taxeld/info`, whose outline stands for the object at all heights.
 
     Raises:
-        SetupError: the message is of another version of the stream, or lacks what it must have.
+        SetupError: the message lacks what it must have.
     """
     try:
-        check_version(info)
         layout = info["layout"]
         position = np.array(layout["position_m"], dtype=float).reshape(-1, 3)
         line = _closed(np.array(info["outline"], dtype=float).reshape(-1, 2))
@@ -67,7 +68,6 @@ def from_info(info: dict[str, Any]) -> Stage:
             position_m=position,
             radius_m=float(layout["radius_m"]),
             slices=tuple((float(height), line) for height in heights),
-            names={kind: dict(info[kind]) for kind in ("status", "proposal", "degraded")},
         )
     except (KeyError, TypeError, ValueError) as error:
         raise SetupError(
@@ -76,48 +76,21 @@ def from_info(info: dict[str, Any]) -> Stage:
         ) from None
 
 
-def from_config(config: Config, truth: Poses | None = None) -> Stage:
-    """Of a configuration, with the object as its bundle has it.
+def from_config(config: Config, truth: Sequence[float] | None = None) -> Stage:
+    """Stage of a configuration, with the object's slices from its bundle. `truth`: x, y, yaw.
 
     Raises:
         SetupError: what the configuration names cannot be used.
     """
     skin = layouts.load(config.skin.layout)
     loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
-    return of_scene(skin.name, skin.position_m, skin.radius_m, loaded.model.scene,
-                    Path(str(loaded.info["object"])).name, truth)  # fmt: skip
+    name = Path(str(loaded.info["object"])).name
+    return of_scene(skin, loaded.model.scene, name, None if truth is None else np.array(truth))
 
 
-def of_scene(
-    layout: str, position_m: Floats, radius_m: float, scene: Scene, name: str, truth: Poses | None
-) -> Stage:
-    return Stage(
-        object=name,
-        layout=layout,
-        position_m=position_m,
-        radius_m=radius_m,
-        slices=_slices(scene),
-        scene=scene,
-        truth=truth,
-        names={
-            "status": {str(int(s)): s.name.lower() for s in Status},
-            "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
-        },
-    )
-
-
-def check_version(message: dict[str, Any]) -> None:
-    """Raises SetupError where a message is of another version of the stream, or of none."""
-    found = message.get("v")
-    if type(found) is not int:
-        raise SetupError(
-            "what comes is no stream of a taxeld daemon; is the endpoint another program's?"
-        )
-    if found != messages.VERSION:
-        raise SetupError(
-            f"the stream is of version {found}, where this taxeld reads {messages.VERSION}; "
-            "use the taxeld of the daemon"
-        )
+def of_scene(skin: Layout, scene: Scene, name: str, truth: Poses | None) -> Stage:
+    slices = _slices(scene)
+    return Stage(name, skin.name, skin.position_m, skin.radius_m, slices, scene, truth)
 
 
 def _slices(scene: Scene) -> tuple[tuple[float, Floats], ...]:

@@ -1,20 +1,46 @@
-"""`taxeld watch`: a daemon's streams as one page in a terminal, refreshed in place."""
+"""`taxeld watch`: a daemon's streams as one page of a terminal of 80 by 24 characters."""
 
+import contextlib
+import math
 import sys
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
-from rich.console import Console
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console, Group
 from rich.live import Live
+from rich.style import Style
+from rich.text import Text
 
+from taxeld.arrays import Floats
 from taxeld.commands.unanswered import unanswered
 from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
+from taxeld.stream import messages
+from taxeld.view.colour import plasma
 from taxeld.view.live import Streams
-from taxeld.view.terminal import SILENT_S, Page
+from taxeld.view.stage import Message, Stage, from_info, name_of
 
 REFRESH_S = 0.1
+SILENT_S = 2.0  # without a message, after which the page is called old
 LOOK_S = 1.0  # between looks at why nothing comes
+RATE_S = 3.0  # over which rates are counted
+COLUMNS, ROWS, MODES = 24, 8, 5  # of the skin's map, and modes shown
+CELL = 3  # characters a taxel
+ALIKE_M, ALIKE_RAD = 0.001, 0.01  # taxels as near in height or angle stand in one row or column
+COLOURS = {
+    Status.STARTING: "cyan",
+    Status.SEARCHING: "cyan",
+    Status.AMBIGUOUS: "yellow",
+    Status.CONVERGED: "green",
+    Status.BLIND: "magenta",
+    Status.STALE: "red",
+    Status.INCONSISTENT: "red",
+}
 
 
 def watch(endpoint: str, keys: Path | None, stopping: Callable[[], bool]) -> None:
@@ -28,11 +54,10 @@ def watch(endpoint: str, keys: Path | None, stopping: Callable[[], bool]) -> Non
             "watch: needs a terminal to draw on; 'taxeld status' prints lines, and "
             "examples/clients/subscribe.py reads the streams"
         )
-    page, looked_s = Page(endpoint), float("-inf")
-    console = Console()
+    page, looked_s = Page(endpoint), -math.inf
     with (
-        Streams(endpoint, keys) as streams,
-        Live(console=console, screen=True, auto_refresh=False) as live,
+        contextlib.closing(Streams(endpoint, keys)) as streams,
+        Live(console=Console(), screen=True, auto_refresh=False) as live,
     ):
         while not stopping():
             end_s = time.monotonic() + REFRESH_S
@@ -43,3 +68,152 @@ def watch(endpoint: str, keys: Path | None, stopping: Callable[[], bool]) -> Non
             if now_s - page.heard_s > SILENT_S and now_s - looked_s > LOOK_S:
                 page.waits, looked_s = unanswered(endpoint), now_s
             live.update(page.render(now_s), refresh=True)
+
+
+class Page:
+    """The last message of each topic, and how it looks. Times are monotonic, in seconds."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.waits = ""  # why nothing is heard
+        self.heard_s = -math.inf
+        self._endpoint = endpoint
+        self._object = ""
+        self._map: SkinMap | None = None
+        self._last: dict[bytes, dict[str, Any]] = {}
+        self._lat_us: dict[str, float] = {}  # of the last scan
+        self._seen: dict[bytes, deque[float]] = {}
+
+    def take(self, message: Message, now_s: float) -> None:
+        """Raises SetupError for an info that is none."""
+        topic, m = message
+        if topic == messages.INFO:
+            stage = from_info(m)
+            self._object, self._map = f"{stage.object}  ", SkinMap(stage)
+        if topic == messages.ESTIMATE and m["lat_us"].get("skin"):
+            self._lat_us = m["lat_us"]
+        self._last[topic], self.heard_s = m, now_s
+        self._seen.setdefault(topic, deque(maxlen=1000)).append(now_s)
+
+    def render(self, now_s: float) -> Group:
+        lines = [self._title(now_s)]
+        if self._map is not None:
+            lines += self._map.lines(self._last.get(messages.TAXELS))
+        if messages.ESTIMATE in self._last:
+            lines += [*self._belief(self._last[messages.ESTIMATE]), *self._running(now_s)]
+        return Group(*lines)
+
+    def _title(self, now_s: float) -> Text:
+        text = Text("taxeld ", style="bold").append(self._object, style="default")
+        if not self._last:
+            return text.append(f"waiting: {self.waits or self._endpoint}", style="yellow")
+        silent_s = now_s - self.heard_s
+        if silent_s > SILENT_S:
+            return text.append(f"nothing for {silent_s:.0f} s: {self.waits}", style="red")
+        return text.append(self._endpoint, style="dim")
+
+    def _belief(self, e: dict[str, Any]) -> list[Text]:
+        touch = "touching" if e["contact"] else "not touching"
+        head = Text("status  ", style="dim")
+        colour = COLOURS.get(e["status"], "default")
+        head.append(name_of(Status, e["status"]).upper(), style=f"bold {colour}")
+        head.append(f", {'valid' if e['valid'] else 'not valid'}, {touch}, ")
+        head.append(f"{e['contacts']} contacts, {e['ess']:.0f} effective particles")
+        lines = [head, Text("mode     x [mm]    y [mm]   yaw [°]  weight", style="dim")]
+        for number, mode in enumerate(e["modes"][:MODES], 1):
+            x_mm, y_mm, yaw = 1e3 * mode["x"], 1e3 * mode["y"], math.degrees(mode["theta"])
+            row = f"{number:4d} {x_mm:10.1f}{y_mm:10.1f}{yaw:10.1f}{mode['weight']:8.0%}  "
+            lines.append(Text(row).append("█" * round(20 * mode["weight"]), "blue"))
+        lines += [Text("")] * (MODES - len(e["modes"]))  # the lines below stay where they are
+        x, y, yaw = (math.sqrt(max(e["cov"][k][k], 0.0)) for k in range(3))
+        spread = f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(yaw):.1f}°"
+        return [*lines, _row("spread", f"{spread} (1 sd of all particles)")]
+
+    def _running(self, now_s: float) -> list[Text]:
+        e, health = self._last[messages.ESTIMATE], self._last.get(messages.HEALTH)
+        scans, estimates = (
+            sum(now_s - s <= RATE_S for s in self._seen.get(topic, ())) / RATE_S
+            for topic in (messages.TAXELS, messages.ESTIMATE)
+        )
+        rates = _row("rates", f"{scans:.1f} scans/s, {estimates:.1f} estimates/s")
+        age = _row("age", f"{e['age_us'] / 1e3:.1f} ms since the scan")
+        if health is None:
+            return [rates, age, _row("health", "not heard yet; it comes once a second")]
+        inputs = health["inputs"]
+        old_s = inputs.get("poses_age_s", -1.0)  # negative where none came
+        pose = "without sensor poses" if old_s < 0.0 else f"sensor pose {1e3 * old_s:.0f} ms old"
+        stale = [kind for kind in ("scans", "poses") if inputs.get(f"{kind}_stale")]
+        age.append(f", {pose}" + (f"; STALE {', '.join(stale)}" if stale else ""))
+        stages = [s for s in messages.STAGES if s in health["lat_us"]]
+        p99 = {s: health["lat_us"][s]["p99"] for s in stages}
+        dropped = sum(health["source"].get("dropped", {}).values())
+        counts = f"{health['loop']['overruns']} overruns, {dropped} frames dropped, "
+        return [
+            rates,
+            age,
+            _row("latency", "".join(f"{stage:>10s}" for stage in stages) + "   [ms]"),
+            _row("  now", _in_ms(self._lat_us, stages)),
+            _row("  99 %", _in_ms(p99, stages)),
+            _row("health", counts + f"{len(health['dead_taxels'])} dead taxels"),
+        ]
+
+
+class SkinMap:
+    """Where each taxel stands on the unrolled skin, in rows and columns of characters."""
+
+    def __init__(self, stage: Stage) -> None:
+        x, y, z = stage.position_m.T
+        self._column, columns = _places(np.arctan2(y, x) % (2.0 * np.pi), ALIKE_RAD, COLUMNS)
+        row, rows = _places(z, ALIKE_M, ROWS)
+        self._row = rows - 1 - row  # the highest above
+        self._shape = rows, columns
+        self._edges = {rows - 1: f"{1e3 * z.min():+.0f}mm", 0: f"{1e3 * z.max():+.0f}mm"}
+
+    def lines(self, taxels: dict[str, Any] | None) -> list[Text]:
+        """A line a row; a digit is tenths of full scale, `·` not pressed, `x` dead."""
+        z, live = np.full(self._shape, -1.0), np.zeros(self._shape, dtype=bool)
+        if taxels is not None and len(taxels["z"]) == len(self._row):
+            np.maximum.at(z, (self._row, self._column), np.array(taxels["z"], dtype=float))
+            np.logical_or.at(live, (self._row, self._column), np.array(taxels["live"], dtype=bool))
+        rows, columns = self._shape
+        lines = []
+        for r in range(rows):
+            text = Text(f"{self._edges.get(r, ''):>5s} ", style="dim")
+            for c in range(columns):
+                text.append(*_cell(float(z[r, c]), bool(live[r, c])))
+            lines.append(text)
+        under = " " * 6 + f"{'0°':<{columns * CELL // 2}s}180°"
+        return [*lines, Text(under + "   0..9: tenths of full scale", style="dim")]
+
+
+def _places(values: Floats, alike: float, most: int) -> tuple[NDArray[np.intp], int]:
+    """The place of each value (n,), and how many places there are: one for values that are alike;
+    where these are too many, `most` even parts."""
+    order = np.argsort(values)
+    steps = np.diff(values[order], prepend=values[order[0]]) > alike
+    place = np.empty(len(values), dtype=np.intp)
+    place[order] = np.cumsum(steps)
+    if place.max() < most:
+        return place, int(place.max()) + 1
+    share = (values - values.min()) / np.ptp(values)
+    return np.minimum((share * most).astype(np.intp), most - 1), most
+
+
+def _cell(z: float, live: bool) -> tuple[str, Style]:
+    if z < 0.0:  # no taxel stands there, or nothing was heard
+        return " " * CELL, Style()
+    if not live:
+        return f"{'x':^{CELL}s}", Style(color="red")
+    if z == 0.0:
+        return f"{'·':^{CELL}s}", Style(dim=True)
+    r, g, b = plasma(np.array([z]))[0]
+    ink = "black" if z > 0.5 else "white"
+    return f"{min(int(10 * z), 9):^{CELL}d}", Style.parse(f"{ink} on rgb({r},{g},{b})")
+
+
+def _row(name: str, text: str) -> Text:
+    made = Text(f"{name:8s}", style="dim", no_wrap=True, overflow="ellipsis")
+    return made.append(text, "default")
+
+
+def _in_ms(us: dict[str, float], stages: list[str]) -> str:
+    return "".join(f"{us.get(stage, 0.0) / 1e3:10.2f}" for stage in stages)

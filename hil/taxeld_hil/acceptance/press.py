@@ -1,160 +1,94 @@
-"""Acceptance: presses by hand on one module after the other, and which module answered to each."""
+"""Presses by hand: one on each module that is named, and which module felt it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from taxeld.arrays import Bools, Floats, Index
+from taxeld.arrays import Bools, Floats
 from taxeld.layout.layout import Layout
-from taxeld_hil.acceptance.values import CheckResult, Finding, Press, Received, listed
+from taxeld.skin.channels import Wiring
+from taxeld.source.sources import Source
+from taxeld_hil.acceptance.received import Press, Received, Say, scans
+from taxeld_protocol.decoder import MISSING
 
+PRESS_S = 20.0  # to find a module and press it
+TRIES = 2  # a press may miss its module
 PRESS_SCANS = 2  # in a row: a single one may be a disturbance
-RELEASED_S = 0.3
-WEAK = 0.1  # of full scale; a taxel's strongest on a real skin is 0.43 of it (median)
-STRONG = 1.5  # of full scale: presses that read the same, as activations end at 1
+RELEASED_S = 0.3  # that the skin must be free before a press is over
 
 
-class PressDetector:
-    """Follows presses: one begins when a skin that was free is touched, and ends when it is free
-    again. The skin is taken to be free at the start, as its idle level was just measured."""
-
-    def __init__(self, level: Floats, threshold: Floats, usable: Bools) -> None:
-        """Idle levels and thresholds [counts] of M taxels; those not `usable` are passed over."""
-        self._level, self._threshold, self._usable = level, threshold, usable
-        self._over: Floats = np.zeros(len(level))
-        self._free = True
-        self.begin()
-
-    def begin(self) -> None:
-        """Wait for the next press."""
-        self.peak: Floats = np.zeros(len(self._level))
-        self.pressed = self.done = False
-        self._scans_over, self._over_s = 0, -math.inf
-
-    def on_counts(self, t: float, taxels: Index, counts: Floats) -> None:
-        """Counts of some taxels, nan where lost, as a scan brought them at time t."""
-        over = np.where(self._usable[taxels], counts - self._level[taxels], 0.0)
-        self._over[taxels] = np.where(np.isfinite(over), over, self._over[taxels])
-        if not (self._over > self._threshold).any():
-            self._scans_over = 0
-            self._free = self._free or t - self._over_s > RELEASED_S
-            self.done = self.pressed and self._free
-            return
-        self._over_s = t
-        self._scans_over += 1
-        if self._free and self._scans_over >= PRESS_SCANS:
-            self.pressed, self._free = True, False
-        if self.pressed:
-            self.peak = np.maximum(self.peak, self._over)
-
-    def answer(self, module: Index) -> int | None:
-        """Which module was pressed most, by each taxel's module (M,); None: there was no press."""
-        if not self.pressed:
-            return None
-        pressed = np.where(self.peak > self._threshold, self.peak, 0.0)
-        return int(np.bincount(module, pressed).argmax())
+def ask(source: Source, received: Received, say: Say) -> list[Press]:
+    """A press on every module that has a usable taxel; Ctrl-C ends them early, and those that are
+    left are not answered."""
+    idle, wiring = received.idle, Wiring(received.layout)
+    usable, serial = idle.usable & ~idle.noisy, received.layout.uid >> 4
+    modules = np.unique(serial[usable]).tolist()
+    if not modules:
+        return []
+    say(f"press {len(modules)} modules with a finger, one after the other; Ctrl-C ends")
+    level = np.where(usable, idle.level, np.inf)  # the others are never pressed
+    over: Floats = np.zeros(len(level))
+    found = {asked: Press(asked, None, np.zeros(len(level))) for asked in modules}
+    try:
+        for number, asked in enumerate(modules, 1):
+            where = f"module {asked} ({_place(received.layout, serial == asked)})"
+            for _ in range(TRIES):
+                say(f"{number}/{len(modules)} press {where}")
+                free = not (over > idle.threshold).any()
+                peak = pressed(_follow(source, wiring, level, over), idle.threshold, free=free)
+                if peak is None:
+                    say("  nothing was felt")
+                    break
+                felt = np.where(peak > idle.threshold, peak, 0.0)
+                answered = max(modules, key=lambda sui: float(felt[serial == sui].sum()))
+                found[asked] = Press(asked, answered, peak)
+                say(f"  module {answered} answered, {peak.max():.0f} counts")
+                if answered == asked:
+                    break
+    except KeyboardInterrupt:
+        say("  ended early")
+    return list(found.values())
 
 
-def place(layout: Layout, module: int) -> str:
-    """Where the operator finds a module, as the layout has it."""
-    own = np.unique(layout.uid >> 4, return_inverse=True)[1] == module
+def pressed(
+    readings: Iterable[tuple[float, Floats]], threshold: Floats, *, free: bool
+) -> Floats | None:
+    """The most counts (M,) that a press reads; None where none begins.
+
+    A press begins when a skin that was free is touched, and ends when it is free again.
+    `readings`: times [s] and counts over the idle level (M,); `threshold`: counts (M,) that are a
+    touch; `free`: whether nothing is touched at first."""
+    peak, last_s, scans_over = None, -math.inf, 0
+    for t, over in readings:
+        if not (over > threshold).any():
+            scans_over, free = 0, free or t - last_s > RELEASED_S
+            if peak is not None and free:
+                break
+            continue
+        last_s, scans_over = t, scans_over + 1
+        if free and scans_over >= PRESS_SCANS:
+            peak, free = np.zeros(len(over)), False
+        if peak is not None:
+            peak = np.maximum(peak, over)
+    return peak
+
+
+def _follow(
+    source: Source, wiring: Wiring, level: Floats, over: Floats
+) -> Iterator[tuple[float, Floats]]:
+    """When scans come in the time for a press, and `over` (M,), the newest counts over `level`."""
+    for scan in scans(source, PRESS_S):
+        wired = wiring.of(scan)
+        counts = np.array(scan.counts, dtype=np.float64)[wired.channels]
+        came = counts != MISSING
+        over[wired.taxels[came]] = np.maximum(counts - level[wired.taxels], 0.0)[came]
+        yield scan.t, over
+
+
+def _place(layout: Layout, own: Bools) -> str:
+    """Where the operator finds some taxels (M,), as the layout has them."""
     x, y, z = layout.position_m[own].mean(axis=0)
     if math.isinf(layout.radius_m):
         return f"x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"
     return f"{math.degrees(math.atan2(y, x)) % 360:.0f}° about the axis, z {1e3 * z:.0f} mm"
-
-
-def press(received: Received) -> CheckResult:
-    """Each module answers where the layout has it, as strongly as the daemon expects."""
-    name, presses = "press", received.presses
-    if presses is None:
-        return CheckResult(name, "not asked for (--press)", checked=False)
-    if not presses:
-        return CheckResult(name, "no module that can be pressed", checked=False)
-    serials, notes = received.serials, []
-    findings = _unanswered(received, presses) + _weak(received, presses)
-    strongest = max(float(p.peak.max()) for p in presses)
-    full_scale = received.full_scale_counts
-    if strongest > STRONG * full_scale:
-        notes.append(
-            f"the strongest press is {strongest / full_scale:.1f} times full scale; where such "
-            f"presses are to be told apart, raise full_scale_counts towards {strongest:.0f}"
-        )
-    right = sum(p.asked == p.answered for p in presses)
-    return CheckResult(
-        name,
-        f"{right} of {len(presses)} modules answered where they are; strongest {strongest:.0f} "
-        f"counts, {100 * strongest / full_scale:.0f} % of full scale",
-        findings,
-        notes,
-        {
-            str(serials[p.asked]): {
-                "answered": None if p.answered is None else serials[p.answered],
-                "peak_counts": float(p.peak.max()),
-            }
-            for p in presses
-        },
-    )
-
-
-def _unanswered(received: Received, presses: Sequence[Press]) -> list[Finding]:
-    """Modules that did not answer, or for which another one did."""
-    serials, places = received.serials, received.places
-    answers = {p.asked: p.answered for p in presses}
-    findings = []
-    for one in presses:
-        sui = serials[one.asked]
-        if one.answered is None:
-            findings.append(
-                Finding(
-                    f"module {sui} ({places.get(sui, 'no hub')})",
-                    "nothing was felt when it was to be pressed",
-                    "press harder, on the module that was named; if nothing is felt again, check "
-                    "its cable, and that its serial number is the one the layout has there",
-                )
-            )
-        elif one.answered != one.asked:
-            findings += _elsewhere(one.asked, one.answered, answers, serials)
-    return findings
-
-
-def _elsewhere(
-    asked: int, answered: int, answers: dict[int, int | None], serials: Sequence[int]
-) -> list[Finding]:
-    """What is wrong where another module answered; a swapped pair is one finding, not two."""
-    here, there = serials[asked], serials[answered]
-    if answers.get(answered) == asked:
-        if asked > answered:
-            return []
-        return [
-            Finding(
-                f"modules {here} and {there}",
-                "answer for each other: they are swapped",
-                "exchange the two on the link, or their serial numbers in the layout file",
-            )
-        ]
-    return [
-        Finding(
-            f"module {here}",
-            f"module {there} answered when it was pressed",
-            "press once more to be sure; then correct the serial numbers in the layout file",
-        )
-    ]
-
-
-def _weak(received: Received, presses: Sequence[Press]) -> list[Finding]:
-    serials, limit = received.serials, WEAK * received.full_scale_counts
-    weak = [p for p in presses if p.answered is not None and p.peak.max() < limit]
-    if not weak:
-        return []
-    names = listed([str(serials[p.asked]) for p in weak])
-    most = max(float(p.peak.max()) for p in weak)
-    return [
-        Finding(
-            f"module{'s' * (len(weak) > 1)} {names}",
-            f"felt {most:.0f} counts at most, under {100 * WEAK:.0f} % of full scale",
-            "press harder and run once more; if it stays so, set skin.full_scale_counts of the "
-            "daemon to what a firm press reads, or see whether the dielectric has hardened",
-        )
-    ]

@@ -2,31 +2,37 @@
 
 import json
 import textwrap
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 
-from taxeld.arrays import Floats
 from taxeld.source import module_order
-from taxeld_hil.acceptance.readings import IdleReadings
-from taxeld_hil.acceptance.values import CheckResult, Received, Verdict
+from taxeld_hil.acceptance.checks import CHECKS, Outcome
+from taxeld_hil.acceptance.received import Received
 
 WIDTH = 100
 INDENT = " " * 6
 VERSION = 1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Report:
     """What an acceptance run found."""
 
     target: str
     when: str
     received: Received
-    readings: IdleReadings
-    checks: Sequence[CheckResult]
+
+    @cached_property
+    def checks(self) -> dict[str, Outcome]:
+        """The outcome of each check, by its name."""
+        return {name: check(self.received) for name, check in CHECKS.items()}
+
+    @property
+    def failed(self) -> list[str]:
+        """Names of the checks that failed."""
+        return [name for name, check in self.checks.items() if check.verdict == "failed"]
 
     @property
     def seconds(self) -> float:
@@ -35,96 +41,78 @@ class Report:
         return round(end - start, 3)
 
     @property
-    def passed(self) -> bool:
-        return not any(check.verdict is Verdict.FAILED for check in self.checks)
-
-    @property
     def text(self) -> str:
         """The page."""
-        layout = self.received.layout
-        failed = sum(check.verdict is Verdict.FAILED for check in self.checks)
-        verdict = "PASSED" if self.passed else f"FAILED, {failed} of {len(self.checks)} checks"
+        got, total = self.received, len(self.checks)
+        modules = len({*(got.layout.uid >> 4).tolist()})
+        verdict = f"FAILED, {len(self.failed)} of {total} checks" if self.failed else "PASSED"
         lines = [
             f"skin acceptance: {verdict}",
             f"target {self.target}, {self.when}, {self.seconds:.0f} s untouched",
-            f"layout {layout.name}: {len(layout)} taxels on {len(self.received.serials)} modules",
+            f"layout {got.layout.name}: {len(got.layout)} taxels on {modules} modules",
             "",
         ]
-        for check in self.checks:
-            lines += _lines(check)
+        for name, check in self.checks.items():
+            head = f"{name:<13}{check.verdict.replace('failed', 'FAILED'):<13}"
+            lines += _wrapped(check.summary, head, " " * len(head))
+            for where, what, cure in check.findings:
+                lines += _wrapped(f"{where}: {what}", INDENT + "✗ ", INDENT + "  ")
+                lines += _wrapped(cure, INDENT + "  → ", INDENT + "    ")
+            for note in check.notes:
+                lines += _wrapped(f"note: {note}", INDENT, INDENT + "  ")
         return "\n".join(lines) + "\n"
 
     @property
     def modules(self) -> str:
         """The hubs' modules in their order, as `source.modules`; empty where not all are known."""
         tables = self.received.tables
-        told = all(m.sui is not None for table in tables.values() for m in table if m.channels)
-        return module_order.text(tables) if tables and told else ""
+        known = all(m.sui is not None for table in tables.values() for m in table if m.channels)
+        return module_order.text(tables) if tables and known else ""
 
     @property
     def json(self) -> str:
         """The same for machines, with a row for each taxel."""
-        layout, got = self.received.layout, self.readings
-        peak = strongest(self.received)
-        rows = [
-            {
-                "uid": int(layout.uid[i]),
-                "level": _number(got.level[i]),
-                "noise": _number(got.noise[i]),
-                "zero_share": _number(got.zero[i]),
-                "saturated_share": _number(got.saturated[i]),
-                "press_counts": None if peak is None else _number(peak[i]),
-            }
-            for i in range(len(layout))
-        ]
+        got, idle = self.received, self.received.idle
+        none = np.full(len(got.layout), np.nan)
+        columns = {
+            "level": idle.level,
+            "noise": idle.noise,
+            "zero_share": idle.zero,
+            "saturated_share": idle.saturated,
+            "press_counts": none if got.peak is None else got.peak,
+        }
         value = {
             "v": VERSION,
-            "passed": self.passed,
+            "passed": not self.failed,
             "target": self.target,
             "when": self.when,
             "seconds": self.seconds,
-            "layout": {"name": layout.name, "digest": layout.digest},
-            "period_ms": self.received.period_ms,
-            "full_scale_counts": self.received.full_scale_counts,
-            "checks": [_map(check) for check in self.checks],
-            "taxels": rows,
+            "layout": {"name": got.layout.name, "digest": got.layout.digest},
+            "period_ms": got.period_ms,
+            "full_scale_counts": got.full_scale_counts,
+            "checks": [
+                {
+                    "name": name,
+                    "verdict": check.verdict.replace(" ", "_"),
+                    "summary": check.summary,
+                    "findings": [finding._asdict() for finding in check.findings],
+                    "notes": check.notes,
+                    "figures": check.figures,
+                }
+                for name, check in self.checks.items()
+            ],
+            "taxels": [
+                {"uid": int(uid)} | {name: _number(column[i]) for name, column in columns.items()}
+                for i, uid in enumerate(got.layout.uid)
+            ],
         }
         return json.dumps(value, indent=1) + "\n"
-
-
-def strongest(received: Received) -> Floats | None:
-    """Most counts over idle that each taxel (M,) read in any press; None without presses."""
-    if not received.presses:
-        return None
-    return np.asarray(np.max([press.peak for press in received.presses], axis=0))
-
-
-def _lines(check: CheckResult) -> list[str]:
-    head = f"{check.name:<13}{check.verdict.value:<13}"
-    lines = _wrapped(check.summary, head, " " * len(head))
-    for finding in check.findings:
-        lines += _wrapped(f"{finding.where}: {finding.what}", INDENT + "✗ ", INDENT + "  ")
-        lines += _wrapped(finding.cure, INDENT + "  → ", INDENT + "    ")
-    for note in check.notes:
-        lines += _wrapped(f"note: {note}", INDENT, INDENT + "  ")
-    return lines
 
 
 def _wrapped(text: str, first: str, rest: str) -> list[str]:
     return textwrap.wrap(
         text, WIDTH, initial_indent=first, subsequent_indent=rest, break_on_hyphens=False
     )
-
-
-def _map(check: CheckResult) -> dict[str, Any]:
-    return {
-        "name": check.name,
-        "verdict": check.verdict.name.lower(),
-        "summary": check.summary,
-        "findings": [finding._asdict() for finding in check.findings],
-        "notes": list(check.notes),
-        "figures": dict(check.figures),
-    }
 
 
 def _number(value: float) -> float | None:

@@ -11,7 +11,7 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.slcan_device import ADAPTER_BAUD
 from taxeld.source.sources import Source, open_source
 
-_CURES = {
+CURES = {
     "can": "bring it up: ip link set {channel} up type can bitrate {bitrate}",
     "slcan": "is it plugged in, and may you use it?",
     "serial": "is it plugged in, and may you use it?",
@@ -43,20 +43,20 @@ def source_of(target: str, period_ms: int) -> SourceConfig:
     return SourceConfig(kind="can", interface=interface, channel=channel, period_ms=period_ms)
 
 
-def opened(target: str, config: SourceConfig, placed: Layout, recorder: Recorder) -> Source:
+def opened(target: str, config: SourceConfig, layout: Layout, recorder: Recorder) -> Source:
     """The source of a target.
 
     Raises:
         SetupError: it cannot be opened, or another process has it.
     """
     try:
-        return open_source(config, placed, recorder)
+        return open_source(config, layout, recorder)
     except SetupError as error:
         said = str(error).partition(": ")[2]  # without the key of a configuration: there is none
-        if isinstance(error, BusyError):  # which says what to do
-            raise SetupError(f"TARGET {target}: {said}") from None
-        cure = _CURES.get(
-            target.partition(":")[0], "is the adapter plugged in, and its driver installed?"
+        cure = CURES.get(
+            target.partition(":")[0], "is the adapter plugged in, its driver installed?"
         )
-        cure = cure.format(channel=config.channel, bitrate=config.bitrate)
-        raise SetupError(f"TARGET {target}: {said}; {cure}") from None
+        cure = "; " + cure.format(channel=config.channel, bitrate=config.bitrate)
+        if isinstance(error, BusyError):  # which says what to do
+            cure = ""
+        raise SetupError(f"TARGET {target}: {said}{cure}") from None

@@ -1,4 +1,4 @@
-"""`taxeld-hil physics`: the estimator's model compared with a simulated soft skin.
+"""Measurements of many runs: `taxeld-hil matrix`, `touches` and `calibration`.
 
-What is measured here is written as JSON and as a picture; nothing is graded.
+Their runs are jobs of `taxeld_hil.jobs`; figures are written as JSON and as a table.
 """

@@ -1,18 +1,18 @@
-"""One skin, calibrated and then used: what a calibration finds, what it buys, and what is noticed.
+"""One skin: how well it is calibrated, how much that helps, and when a fault is noticed.
 
-A robot whose poses are off by a mount, a skin of a scenario, and a box that is pressed 20 times as
-`world.calibration_touches` has it; then the same skin touches an object that stands elsewhere.
+A robot whose poses are off by a mount presses a box 20 times (`world.calibration_touches`); then
+the same skin touches an object that stands elsewhere.
 """
 
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
-from taxeld.commands import calibrate
-from taxeld.commands.calibration_result import Result
-from taxeld.commands.hearing import Hearing, uncalibrated
 from taxeld.estimator.calibration_check import Suspect
 from taxeld.model import se2
 from taxeld.skin.calibration import Calibration
+from taxeld_hil.calibration import calibrate
+from taxeld_hil.calibration.calibrate import Result
+from taxeld_hil.calibration.observer import Observer
 from taxeld_hil.experiment import touch_runs
 from taxeld_hil.rig.rig import IDLE_S, Rig
 from taxeld_hil.run.fake_run import FakeRun
@@ -20,18 +20,17 @@ from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world import calibration_touches
 
 RATE_HZ = 40.0
-PRESSES = 20
-AFTER = (3, 6, 10)  # touches, errors are noted
-SEEN_S = 0.4  # after a touch has ended: its checks are done
+AFTER = (3, 6, 10)  # touches after which errors are noted
+SEEN_S = 0.4  # after the end of a touch, by when the daemon has checked it
 NO_FILTER = 'proposal = "manifold"\nparticles = 50\nparticles_max = 50\ninjected = 10'
 
 
 def mounted(rig: Rig, mount: Poses) -> None:
-    """Have the robot tell of a frame in which the sensor's is `mount` (3,)."""
-    told, back = rig.poses, se2.inverse(mount)
+    """Have the robot state the pose of a frame in which the sensor's is `mount` (3,)."""
+    true, back = rig.poses, se2.inverse(mount)
 
     def poses(t: float, now: float, wall: float) -> list[tuple[float, float, float, float]]:
-        rows = told(t, now, wall)
+        rows = true(t, now, wall)
         frames = [se2.compose(np.array(row[1:]), back).tolist() for row in rows]
         return [(row[0], x, y, yaw) for row, (x, y, yaw) in zip(rows, frames, strict=True)]
 
@@ -48,27 +47,27 @@ def swapped(rig: Rig, one: int, other: int) -> None:
 
 
 def calibrated(
-    scenario: Scenario, seed: int, mount: Poses, *, given: bool = True, presses: int = PRESSES
+    scenario: Scenario, seed: int, mount: Poses, *, given: bool = True
 ) -> tuple[Result, Floats]:
     """The result of pressing the scenario's object with its skin, and the counts (M,) that its
     taxels truly read at full depth.
 
     Raises:
-        SetupError: the presses do not tell.
+        SetupError: the presses do not suffice.
     """
     run = FakeRun(scenario, seed, rate_hz=RATE_HZ, filter_keys=NO_FILTER if given else "")
     rig, daemon = run.rig, run.daemon
     assert daemon is not None  # noqa: S101  (no fault kills it)
-    rig.path = calibration_touches.plan(rig.model, rig.world.truth, seed, presses).path
+    rig.path = calibration_touches.plan(rig.model, rig.world.truth, seed).path
     mounted(rig, mount)
-    hearing = Hearing(daemon.pipeline)
+    observer = Observer(daemon.pipeline)
     for k in range(round(rig.duration_s * RATE_HZ)):
         run.step(k / RATE_HZ)
         for outcome in daemon.outcomes:
-            hearing.on_outcome(outcome)
+            observer.on_outcome(outcome)
     placed = rig.world.truth if given else None
     full_scale: Floats = rig.world.physics.full_scale  # type: ignore[attr-defined]  # a soft skin
-    return calibrate.fit(hearing.heard(), uncalibrated(run.config), placed), full_scale
+    return calibrate.fitted(observer.observed(), run.config, placed), full_scale
 
 
 def errors_mm(
@@ -76,21 +75,21 @@ def errors_mm(
 ) -> list[float]:
     """Errors after so many touches of AFTER, the object elsewhere than it was calibrated."""
     run = FakeRun(scenario, seed, rate_hz=RATE_HZ, calibration=calibration)
-    rig = run.rig
     place = np.array([scenario.place_m, scenario.place_m, np.pi])
-    rig.world.truth = np.random.default_rng([seed, 7]).uniform(-place, place)
+    run.rig.world.truth = np.random.default_rng([seed, 7]).uniform(-place, place)
     run.judge = run.judging()
     plan = touch_runs.planned(scenario, run, seed + 1000)
-    rig.path = plan.path
-    mounted(rig, mount)
-    notes = [IDLE_S + plan.touches[n].begin_s for n in AFTER]
+    run.rig.path = plan.path
+    mounted(run.rig, mount)
     found: list[float] = []
-    for k in range(round((notes[-1] + 1.0) * RATE_HZ)):
-        if len(found) < len(notes) and notes[len(found)] <= k / RATE_HZ:
-            last = run.judge.last
-            assert last is not None  # noqa: S101  (a run has many estimates)
-            found.append(round(run.judge.error_mm(last.map), 3))
-        run.step(k / RATE_HZ)
+    k = 0
+    for note_s in (IDLE_S + plan.touches[n].begin_s for n in AFTER):
+        while k / RATE_HZ < note_s:
+            run.step(k / RATE_HZ)
+            k += 1
+        last = run.judge.last
+        assert last is not None  # noqa: S101  (a run has many estimates)
+        found.append(round(run.judge.error_mm(last.map), 3))
     return found
 
 
@@ -105,9 +104,8 @@ def noticed(
 ) -> tuple[int, str]:
     """After which touch a doubt is raised, and what about; 0 and nothing where none is. `factor`:
     of the full scale that the daemon has, to the skin's own."""
-    layout_taxels = len(Rig(scenario, seed).model.layout)
-    own = told(scenario, layout_taxels, factor)
-    run = FakeRun(scenario, seed, rate_hz=RATE_HZ, calibration=own)
+    assumed = uniform(scenario, len(Rig(scenario, seed).model.layout), factor)
+    run = FakeRun(scenario, seed, rate_hz=RATE_HZ, calibration=assumed)
     rig, daemon = run.rig, run.daemon
     assert daemon is not None  # noqa: S101  (no fault kills it)
     mounted(rig, mount)
@@ -124,11 +122,11 @@ def noticed(
     return 0, ""
 
 
-def told(scenario: Scenario, taxels: int, factor: float) -> Calibration:
-    """A calibration that has every taxel alike, and the full scale wrong by a factor."""
+def uniform(scenario: Scenario, taxels: int, factor: float) -> Calibration:
+    """A calibration in which all taxels are alike, and the full scale is wrong by a factor."""
     ones, zeros = np.ones(taxels), np.zeros(taxels)
     return Calibration(
-        t=0.0, digest="", object=scenario.bundle, presses=PRESSES, full_scale_depth_m=0.005,
+        t=0.0, digest="", object=scenario.bundle, presses=0, full_scale_depth_m=0.005,
         full_scale_counts=factor * scenario.full_scale_counts, full_scale_sd=0.0,
         bend=0.0, bend_sd=0.0, mount=np.zeros(3), mount_sd=np.zeros(3),
         noise_sigma=0.04, gain_cv=0.17, gain=ones, gain_sd=zeros, onset=zeros, onset_sd=zeros,

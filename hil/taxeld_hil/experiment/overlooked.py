@@ -1,8 +1,8 @@
-"""How much likelier the truth is than what the daemon believes, by the daemon's own likelihood.
+"""How much likelier the true pose is than the estimate, by the daemon's own likelihood.
 
-Where an object is not found this tells why. A truth that is far likelier was overlooked: a full
-scan of all poses would have found it. One that is not cannot be told from the touches so far,
-whatever searches: that is the limit of what was touched and of the model.
+Where an object is not found, this tells why. A true pose that is far likelier was overlooked: a
+search of all poses would have found it. If it is not likelier, no search could have told it from
+the estimate: the touches so far, or the model, do not suffice.
 """
 
 import numpy as np
@@ -11,15 +11,15 @@ from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
 
-OVERLOOKED_NATS = 3.0  # by which a pose is far likelier: 20 to 1
-AROUND = np.array([0.004, 0.004, 0.06])  # sd [m, m, rad] of poses tried about the best so far,
-SHARES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)  # times these, one after the other
-TRIED = 400  # poses each
+OVERLOOKED_NATS = 3.0  # a pose that is likelier by more is far likelier: 20 to 1
+AROUND = np.array([0.004, 0.004, 0.06])  # sd [m, m, rad] of the first poses tried around one
+SHARES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)  # the sd of each round, as shares of AROUND
+TRIED = 400  # poses a round
 
 
 def truth_nats(estimator: Estimator, truth: Poses) -> float | None:
-    """[nats] of the likeliest pose about the truth (3,), over the likeliest about the estimate;
-    None: the estimator's rule remembers no touches."""
+    """How much likelier [nats] the best pose around the truth (3,) is than the best pose around the
+    estimate; None: the estimator's rule remembers no touches."""
     if not isinstance(estimator.rule, Mixture):
         return None
     best = [_best(estimator.rule, pose) for pose in (truth, estimator.estimate.map)]
@@ -27,6 +27,7 @@ def truth_nats(estimator: Estimator, truth: Poses) -> float | None:
 
 
 def _best(rule: Mixture, pose: Poses) -> float:
+    """The log posterior [nats] of the best pose that is found around a pose (3,)."""
     rng = np.random.default_rng(0)
     best = float(_log_posterior(rule, pose[None])[0])
     for share in SHARES:
@@ -38,5 +39,5 @@ def _best(rule: Mixture, pose: Poses) -> float:
 
 
 def _log_posterior(rule: Mixture, poses: Poses) -> Floats:
-    """(N,) of poses (N, 3), but for a constant."""
+    """(N,) log posterior [nats] of poses (N, 3), up to a constant."""
     return np.asarray(rule.memory.explain(poses) @ rule.memory.share)

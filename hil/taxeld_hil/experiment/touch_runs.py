@@ -1,4 +1,4 @@
-"""One run of touches on the fake clock: what the daemon made of them, and felt in the air."""
+"""One run of touches on the fake clock: the errors of the estimate, and what the daemon felt."""
 
 from dataclasses import dataclass, field
 
@@ -19,30 +19,31 @@ from taxeld_hil.world.mesh_skin import MeshSkin
 from taxeld_hil.world.touches import Touch, Touches
 
 PRESSES = 10
-PAIRS = 4  # of a press and a light one, after them
-AFTER = (3, 6, 8, 10)  # touches, errors are noted
-RATE_HZ = 40.0  # ticks, where none is late: as the soak's
-FOUND_MM = 10.0  # an error below this
-SAME_S = 1e-4  # a reading and its truth are of one scan
+PAIRS = 4  # after the presses: a press and a light touch each
+AFTER = (3, 6, 8, 10)  # touches: errors are noted when so many have ended
+RATE_HZ = 40.0  # of the daemon's ticks, as in the soak
+FOUND_MM = 10.0  # with an error below this the object is found
+SAME_S = 1e-4  # times of a reading and of its truth that differ by less are of one scan
 
 
 @dataclass(slots=True)
 class TouchRun:
-    """Of one seed; `light` and `missed` count light touches, the rest is of the presses before."""
+    """The run of one seed. `light` and `missed` count the light touches at its end; all else is of
+    the presses before them."""
 
     object: str
     skin: str
     seed: int
     error_mm: list[float] = field(default_factory=list)  # after AFTER touches, up to symmetry
-    converged: list[bool] = field(default_factory=list)  # then
-    truth_nats: list[float | None] = field(default_factory=list)  # then, where it is not found
+    converged: list[bool] = field(default_factory=list)  # after AFTER touches
+    truth_nats: list[float | None] = field(default_factory=list)  # the same; None: it is found
     scans: int = 0
-    air: int = 0  # of them, in which the object pressed no taxel
-    felt_in_air: int = 0  # of those, in which the daemon felt one
-    contacts: int = 0  # that the daemon counted
+    air: int = 0  # scans in which the object pressed no taxel
+    felt_in_air: int = 0  # scans in which it pressed none, but the daemon felt one
+    contacts: int = 0  # counted by the daemon
     silent_episodes: int = 0  # valid, converged and more than 20 mm off
     light: int = 0
-    missed: int = 0  # of the light ones: no taxel that was pressed was felt in any scan of the hold
+    missed: int = 0  # light touches: no pressed taxel was felt in any scan of the hold
 
 
 @dataclass(slots=True)
@@ -50,7 +51,7 @@ class _Witness:
     """Physics that remember how deep each taxel was pressed in each scan."""
 
     inner: MeshPhysics
-    depth_m: dict[int, Floats] = field(default_factory=dict)  # by time, in SAME_S
+    depth_m: dict[int, Floats] = field(default_factory=dict)  # (M,) by time in units of SAME_S
 
     def press(self, seen: Poses, t: float) -> Floats:
         counts = self.inner.press(seen, t)
@@ -61,18 +62,17 @@ class _Witness:
         return self.inner.drift(t)
 
     def pressed(self, t: float) -> Bools:
-        """(M,) at the scan of time t."""
+        """(M,) whether each taxel was pressed in the scan at t [s]."""
         return self.depth_m[round(t / SAME_S)] > 0.0
 
 
-def play(scenario: Scenario, seed: int, filter_keys: str = "") -> TouchRun:
-    """The scenario's object and skin, touched by `touches.plan`; `filter_keys`: TOML for the
-    daemon's [filter].
+def play(scenario: Scenario, seed: int) -> TouchRun:
+    """The scenario's object and skin, touched by `touches.plan`.
 
     Raises:
-        SetupError: the object has no mesh here, or there are faults in `filter_keys`.
+        SetupError: the object has no mesh here.
     """
-    run = FakeRun(scenario, seed, rate_hz=RATE_HZ, filter_keys=filter_keys)
+    run = FakeRun(scenario, seed, rate_hz=RATE_HZ)
     rig, daemon = run.rig, run.daemon
     assert daemon is not None  # noqa: S101  (no fault kills it)
     assert isinstance(rig.world.physics, MeshPhysics)  # noqa: S101  (a soft skin)
@@ -106,7 +106,8 @@ def play(scenario: Scenario, seed: int, filter_keys: str = "") -> TouchRun:
 def planned(
     scenario: Scenario, run: FakeRun, seed: int, presses: int = PRESSES, pairs: int = PAIRS
 ) -> Touches:
-    """Touches of the scenario's object where it stands."""
+    """Touches of the scenario's object where it stands: presses, then pairs of a press and a light
+    touch."""
     model, truth = run.rig.model, run.rig.world.truth
     solid, radius_m = solid_of(scenario.bundle, model.layout), scenario.skin.taxel_radius_m
     skin = MeshSkin(solid, model.layout, radius_m, sags=False)
@@ -119,6 +120,7 @@ def planned(
 
 
 def _note(found: TouchRun, run: FakeRun) -> None:
+    """Add the error now."""
     last = run.judge.last
     assert last is not None  # noqa: S101  (a run has many estimates)
     assert run.daemon is not None  # noqa: S101  (no fault kills it)

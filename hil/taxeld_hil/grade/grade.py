@@ -150,7 +150,6 @@ def _fault_row(seen: Seen) -> dict[str, Any]:
         "within_s": flag.within_s if flag else None,
         "detected_s": seen.detected_s,
         "recovered_s": seen.recovered_s,
-        "found_again_s": seen.found_again_s,
         "doubted": seen.doubted,
         "overlapped": seen.overlapped,
     }

@@ -34,9 +34,9 @@ class Sample(NamedTuple):
     valid: bool
     contacts: int
     map: Poses  # (3,)
-    scan_t: float  # that it is of, by whatever clock; 0: none yet
+    scan_t: float  # time of its scan, by whatever clock; 0: there was none yet
     age_s: float  # of that scan
-    total_us: float = 0.0  # of the tick
+    total_us: float = 0.0  # time that the tick took
 
 
 @dataclass(slots=True)
@@ -48,15 +48,14 @@ class Seen:
     injected: bool = True
     detected_s: float | None = None  # after its beginning
     recovered_s: float | None = None  # after its end, to a usable estimate that no stop follows
-    found_again_s: float | None = None  # after its end, to a converged and right one
     close_s: float = 0.0  # until when it may recover
     doubted: bool = False  # at the end of its time the status was INCONSISTENT or BLIND
     overlapped: bool = False  # by another that is not over, or began before it could recover
     taxels: tuple[int, ...] = ()
     before: Health | None = None  # the last health without it
-    usable_s: float | None = None  # the first usable estimate after its end and the last stop
-    listed_s: float = 0.0  # after its end: the last health that lists its taxels, or the first line
-    # of the subscriber that was killed
+    usable_s: float | None = None  # after its end: the first usable estimate that no stop follows
+    # after its end: the last health that lists its taxels, or the killed subscriber's first line
+    listed_s: float = 0.0
 
     @property
     def recovery_s(self) -> float | None:
@@ -72,9 +71,9 @@ class Tally:
 
     estimates: int = 0
     valid: int = 0
-    silent: int = 0  # estimates that are silent failures,
-    silent_episodes: int = 0  # in so many uninterrupted sequences,
-    silent_at_s: list[float] = field(default_factory=list)  # which began at these times
+    silent: int = 0  # estimates that are silent failures
+    silent_episodes: int = 0  # uninterrupted sequences of silent failures
+    silent_at_s: list[float] = field(default_factory=list)  # when the first episodes began
     worst_silent_mm: float = 0.0
     ages: Counter[int] = field(default_factory=Counter)  # of each scan's first estimate
     ticks_us: Counter[int] = field(default_factory=Counter)
@@ -190,14 +189,10 @@ class Judge:
                 seen.detected_s = max(0.0, last.t + SILENCE_S - fault.at_s)
         if sample.t < fault.end_s:
             return
-        after = sample.t - fault.end_s
         if sample.status in STOPPED:
             seen.usable_s = None
         elif seen.usable_s is None and _is_usable(sample):
-            seen.usable_s = after
-        right = self.truth is None or self.error_mm(sample.map) < self.scenario.expect.error_mm
-        if seen.found_again_s is None and sample.status == Status.CONVERGED and right:
-            seen.found_again_s = after
+            seen.usable_s = sample.t - fault.end_s
 
     def _close(self, seen: Seen) -> None:
         """Decide whether it recovered."""

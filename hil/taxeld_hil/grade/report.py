@@ -40,31 +40,29 @@ def write(grade: Grade, directory: Path) -> None:
     """grade.json and junit.xml."""
     text = json.dumps(grade.as_json(), indent=1)
     (directory / GRADE).write_text(text + "\n", encoding="utf-8")
-    ET.ElementTree(junit([grade])).write(directory / JUNIT, encoding="utf-8", xml_declaration=True)
+    ET.ElementTree(_junit(grade)).write(directory / JUNIT, encoding="utf-8", xml_declaration=True)
 
 
-def junit(grades: list[Grade]) -> ET.Element:
-    """A test suite for each run, with a test case for each check."""
-    root = ET.Element("testsuites")
-    for grade in grades:
-        run, checks = grade.run, grade.checks
-        suite = ET.SubElement(
-            root,
-            "testsuite",
-            name=f"{run.scenario}.{run.target}.{run.transport}.{run.clock}",
-            tests=str(len(checks)),
-            failures=str(sum(check.passed is False for check in checks)),
-            skipped=str(sum(check.passed is None for check in checks)),
-            errors="0",
-        )
-        for check in checks:
-            case = ET.SubElement(suite, "testcase", classname=run.scenario, name=check.name)
-            if check.passed is None:
-                ET.SubElement(case, "skipped", message=check.detail)
-            elif not check.passed:
-                ET.SubElement(case, "failure", message=check.detail)
-            else:
-                ET.SubElement(case, "system-out").text = check.detail
+def _junit(grade: Grade) -> ET.Element:
+    """A test suite, with a test case for each check."""
+    root, run, checks = ET.Element("testsuites"), grade.run, grade.checks
+    suite = ET.SubElement(
+        root,
+        "testsuite",
+        name=f"{run.scenario}.{run.target}.{run.transport}.{run.clock}",
+        tests=str(len(checks)),
+        failures=str(sum(check.passed is False for check in checks)),
+        skipped=str(sum(check.passed is None for check in checks)),
+        errors="0",
+    )
+    for check in checks:
+        case = ET.SubElement(suite, "testcase", classname=run.scenario, name=check.name)
+        if check.passed is None:
+            ET.SubElement(case, "skipped", message=check.detail)
+        elif not check.passed:
+            ET.SubElement(case, "failure", message=check.detail)
+        else:
+            ET.SubElement(case, "system-out").text = check.detail
     return root
 
 

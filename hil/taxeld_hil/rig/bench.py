@@ -127,7 +127,7 @@ def recorded(
     """A bench that leaves its session in `directory`.
 
     Raises:
-        SetupError: there is no such interface, or the directory holds a session.
+        SetupError: there is no such interface, or the directory has a file of one.
     """
     with Recorder(directory, moves=True) as recorder:
         write_truth(directory, rig)
@@ -142,6 +142,7 @@ def write_truth(directory: Path, rig: Rig) -> None:
     """Write truth.csv of a session; it is complete as soon as it exists."""
     row = ",".join(f"{v:.6f}" for v in (time.time(), *rig.world.truth))
     header = ",".join(session.POSE_COLUMNS)
+    directory.mkdir(parents=True, exist_ok=True)  # a recorder makes it with its first record
     partial = directory / f"{session.TRUTH}.partial"
     partial.write_text(f"{header}\n{row}\n", encoding="ascii")
     partial.rename(directory / session.TRUTH)

@@ -18,7 +18,6 @@ from typing import Protocol
 import can
 
 from taxeld.errors import SetupError
-from taxeld.source.holders import TIOCGEXCL
 from taxeld_hil.rig.adapters import Adapter
 from taxeld_hil.rig.ledger import Unit
 from taxeld_protocol import slcan
@@ -141,23 +140,12 @@ class _Terminal:
     def _read(self) -> bytes:
         if self._fds is None:
             return b""
-        self._let_go()
         try:
             return os.read(self._fds[0], READ_BYTES)
         except OSError as error:
             if error.errno not in (errno.EAGAIN, errno.EIO):  # EIO: the host has closed
                 raise
             return b""
-
-    def _let_go(self) -> None:
-        """Of a host that died, the kernel forgets that the line was its alone when the last closes
-        it; here that never happens."""
-        slave = self.slave
-        if any(fcntl.ioctl(slave, TIOCGEXCL, bytes(4))):
-            with contextlib.suppress(BlockingIOError):  # a host has it, and its lock
-                fcntl.flock(slave, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                fcntl.ioctl(slave, termios.TIOCNXCL)
-                fcntl.flock(slave, fcntl.LOCK_UN)
 
     def _is_read(self) -> bool:
         return not self.is_open or (not self.waiting() and not self._outbox)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import zmq
 
-from taxeld.stream.door import Door
+from taxeld.door.binding import Binding
 from taxeld_hil.rig.bench import Bench, recorded
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario.scenario import Scenario
@@ -29,7 +29,7 @@ def emulate(
     rig = Rig(scenario, seed)
     with (
         zmq.Context() as context,
-        closing(Door(endpoint, "--poses")) as door,
+        closing(Binding(endpoint, "--poses")) as door,
         context.socket(zmq.XPUB) as poses,
     ):
         poses.setsockopt(zmq.LINGER, 0)

@@ -16,8 +16,8 @@ class MemoryLine:
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.t = 0.0  # scenario time,
-        self.now = 0.0  # and the daemon's clock, which goes on over laps
+        self.t = 0.0  # scenario time [s], which begins anew with each lap
+        self.now = 0.0  # the daemon's clock [s], which goes on over laps
         self._waiting: list[Frame] = []
         self._bytes = b""
 
@@ -51,7 +51,7 @@ class MemoryLine:
             item = unit.item
             if isinstance(item, bytes):
                 self._bytes += item
-            else:  # what was late arrives now
+            else:  # a frame that was late arrives now
                 self._waiting.append(item if item.t == self.now else item._replace(t=self.now))
 
 

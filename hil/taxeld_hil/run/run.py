@@ -1,7 +1,6 @@
 """`taxeld-hil run`: a scenario in simulation, on either clock, or on hardware; and its report."""
 
 import tempfile
-from collections.abc import Callable
 from pathlib import Path
 
 from taxeld_hil.grade import report
@@ -9,10 +8,9 @@ from taxeld_hil.grade.grade import Grade
 from taxeld_hil.run import hardware
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.run.hardware import Site
+from taxeld_hil.run.listener import Say
 from taxeld_hil.run.live import LiveRun
 from taxeld_hil.scenario.scenario import Scenario
-
-Say = Callable[[str], None]
 
 
 def simulate(

@@ -9,30 +9,31 @@ import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
+from statistics import median_high
 from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld_hil.grade.grade import Grade
 from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.listener import Say
 from taxeld_hil.run.live import LiveRun
 from taxeld_hil.scenario import laps
 from taxeld_hil.scenario.scenario import Scenario
 
-REPORT_EVERY = 20  # laps
+REPORT_EVERY = 20  # laps on the fake clock; in real time every lap is reported
 FAILURES_KEPT = 50
-SETTLED_LAPS = 30  # memory is compared from here on: caches have filled
+SETTLED_LAPS = 30  # on the fake clock memory is compared from here on: caches have filled
 GROWTH_MAX_MB = 8.0
 RIGHT_MM = 10.0
 RATE_HZ = 40.0  # ticks on the fake clock, where none is late
-Say = Callable[[str], None]
 
 
 @dataclass(slots=True)
 class Soak:
-    """What has been seen so far."""
+    """Everything that has been seen so far."""
 
     seed: int
     clock: str
@@ -44,21 +45,17 @@ class Soak:
     daemons: int = 0  # that were started
     scans_sent: int = 0
     units: int = 0  # frames delivered
-    injected: Counter[str] = field(default_factory=Counter)
     faults: Counter[str] = field(default_factory=Counter)  # windows, by kind
     found: int = 0  # laps that ended converged and right
-    full: int = 0  # laps in which the daemon felt as many contacts as there were,
-    full_found: int = 0  # and found the object
-    full_right: int = 0  # of these laps, those whose last estimate was valid and right
-    lost_laps: list[int] = field(default_factory=list)  # and did not
-    silent_episodes: int = 0
-    silent_worst_mm: float = 0.0
+    full: int = 0  # laps in which the daemon felt as many contacts as there were
+    full_found: int = 0  # full laps that ended converged and right
+    full_right: int = 0  # full laps whose last estimate was valid and right
+    lost_laps: list[int] = field(default_factory=list)  # full laps without the object found
     silent_laps: list[int] = field(default_factory=list)
     silent_after: Counter[str] = field(default_factory=Counter)  # the fault that explains it
     unexplained_before: int = 0  # of the daemons before this one
     unexplained: int = 0  # frames, packets, scans and poses that the daemon has not accounted for
     flags_missed: Counter[str] = field(default_factory=Counter)
-    worst_detection_s: dict[str, float] = field(default_factory=dict)
     worst_recovery_s: dict[str, float] = field(default_factory=dict)
     doubted: Counter[str] = field(default_factory=Counter)  # INCONSISTENT or BLIND for long after
     not_recovered: Counter[str] = field(default_factory=Counter)
@@ -71,14 +68,14 @@ class Soak:
         """Of memory, from the median of the first third to that of the last."""
         values = [mb for _, mb in self.rss_mb]
         third = max(len(values) // 3, 1)
-        return _median(values[-third:]) - _median(values[:third]) if values else 0.0
+        return median_high(values[-third:]) - median_high(values[:third]) if values else 0.0
 
     @property
     def passed(self) -> bool:
         """Nothing unaccounted for, all recovered, memory flat; and no silent failure but after
         faults that look like a touch elsewhere."""
         return (
-            not self.silent_after - Counter(dict.fromkeys(laps.MISLEADING, self.laps))
+            self.silent_after.keys() <= {*laps.MISLEADING}
             and self.unexplained == 0
             and not self.not_recovered
             and self.growth_mb < GROWTH_MAX_MB
@@ -89,123 +86,123 @@ class Soak:
         figures = grade.figures
         self.laps = number + 1
         self.hours_done += seconds / 3600.0
-        silent = figures["silent_failures"]
-        self.silent_episodes += silent["episodes"]
-        self.silent_worst_mm = max(self.silent_worst_mm, silent["worst_mm"])
-        if silent["episodes"]:
-            self.silent_laps.append(number)
-        for at_s in silent["at_s"]:
+        silent_at_s = figures["silent_failures"]["at_s"]
+        self.silent_laps += [number] * bool(silent_at_s)
+        for at_s in silent_at_s:
             begun = [row["kind"] for row in figures["faults"] if row["at_s"] <= at_s]
-            self.silent_after[_explains(begun)] += 1
-        error = figures["error_mm"]
-        right = error is not None and error < RIGHT_MM
+            # the daemon remembers what a misleading fault made it believe
+            misled = [kind for kind in begun if kind in laps.MISLEADING]
+            self.silent_after[(misled or begun or ["none"])[-1]] += 1
+        right = figures["error_mm"] is not None and figures["error_mm"] < RIGHT_MM
         found = figures["status"] == "converged" and right
         self.found += found
         if figures["contacts"] >= laps.CONTACTS:
             self.full += 1
             self.full_found += found
             self.full_right += right
-            if not found:
-                self.lost_laps.append(number)
-        gaps = (abs(law["expected"] - law["counted"]) - law["slack"] for law in figures["laws"])
-        self.unexplained = self.unexplained_before + sum(max(gap, 0) for gap in gaps)
+            self.lost_laps += [number] * (not found)
+        self.explain((law["expected"], law["counted"], law["slack"]) for law in figures["laws"])
         for row in figures["faults"]:
-            self._add_fault(row)
-        for check in grade.checks:
-            if check.passed is False and len(self.failures) < FAILURES_KEPT:
-                self.failures.append(f"lap {number}: {check.name}: {check.detail}")
+            if row["injected"]:
+                self._add_fault(row)
+        failed = [check for check in grade.checks if check.passed is False]
+        self.failures += [f"lap {number}: {check.name}: {check.detail}" for check in failed]
+        del self.failures[FAILURES_KEPT:]
+
+    def explain(self, laws: Iterable[tuple[int, int, int]]) -> None:
+        """Count what these laws (expected, counted, slack) of this daemon leave unexplained."""
+        gaps = (abs(expected - counted) - slack for expected, counted, slack in laws)
+        self.unexplained = self.unexplained_before + sum(max(gap, 0) for gap in gaps)
 
     def _add_fault(self, row: dict[str, Any]) -> None:
-        kind = row["kind"]
-        if not row["injected"]:
-            return
+        kind, recovered_s = row["kind"], row["recovered_s"]
         self.faults[kind] += 1
         if row["flag"] is not None:
             late = row["detected_s"] is None or row["detected_s"] > row["within_s"]
             self.flags_missed[kind] += late
-            _worst(self.worst_detection_s, kind, row["detected_s"])
-        if not row["overlapped"]:
-            _worst(self.worst_recovery_s, kind, row["recovered_s"])
-            if row["doubted"]:
-                self.doubted[kind] += 1
-            elif row["recovered_s"] is None:
-                self.not_recovered[kind] += 1
+        if row["overlapped"]:
+            return
+        if recovered_s is not None:
+            worst = max(self.worst_recovery_s.get(kind, 0.0), recovered_s)
+            self.worst_recovery_s[kind] = round(worst, 3)
+        if row["doubted"]:
+            self.doubted[kind] += 1
+        elif recovered_s is None:
+            self.not_recovered[kind] += 1
 
-    def write(self, path: Path) -> None:
+    def left(self, base: Scenario, kinds: tuple[str, ...]) -> Iterator[tuple[int, Scenario, int]]:
+        """The laps until the hours are over: number, scenario and seed of each."""
+        while self.hours_done < self.hours:
+            number = self.laps
+            yield number, laps.lap(base, self.seed, number, kinds), self.seed + number
+
+    def report(self, path: Path, say: Say, pid: int | str = "") -> None:
+        """Write all that has been seen, with the memory of a process, and say it in short."""
+        if pid:
+            self.rss_mb.append((round(self.hours_done, 3), resident_mb(pid)))
         seen = {spec.name: getattr(self, spec.name) for spec in fields(self)}
-        text = json.dumps({**seen, "growth_mb": self.growth_mb, "passed": self.passed}, indent=1)
-        path.write_text(text + "\n", encoding="utf-8")
+        seen |= {"growth_mb": self.growth_mb, "passed": self.passed}
+        path.write_text(json.dumps(seen, indent=1) + "\n", encoding="utf-8")
+        say(self.line())
 
     def line(self) -> str:
         """Progress in short."""
         rss = self.rss_mb[-1][1] if self.rss_mb else 0.0
         return (
             f"{self.hours_done:6.2f} of {self.hours:g} h, lap {self.laps}, "
-            f"{sum(self.faults.values())} faults, found {self.found}, "
+            f"{self.faults.total()} faults, found {self.found}, "
             f"of {self.full} with all contacts {self.full_found}, "
-            f"silent {self.silent_episodes}, unexplained {self.unexplained}, "
+            f"silent {self.silent_after.total()}, unexplained {self.unexplained}, "
             f"worst recovery {max(self.worst_recovery_s.values(), default=0.0):.2f} s, "
             f"{rss:.0f} MB"
         )
 
 
-COUNTERS = ("injected", "faults", "flags_missed", "doubted", "not_recovered", "silent_after")
-
-
 def resumed(path: Path, base: Scenario, seed: int, clock: str, hours: float) -> Soak:
     """The soak that a report holds, if it is one of this seed, clock, object and skin that is not
-    over.
+    over; else a new one.
 
     Raises:
-        SetupError: there is a file that is no report.
+        SetupError: there is a file that is no report, or one of an older kind.
     """
-    asked = seed, clock, base.bundle, base.physics
-    if path.is_file():
-        try:
-            data = json.loads(path.read_text(encoding="utf-8"))
-            same = tuple(data.pop(key) for key in ("seed", "clock", "object", "physics")) == asked
-            done = data["hours_done"] >= hours
-        except (ValueError, KeyError, TypeError, AttributeError):
-            raise SetupError(f"{path}: is no report of a soak; name another file") from None
-        if same and not done:
-            if "full_right" not in data:
-                raise SetupError(f"{path}: is of an older kind; name another file")
-            del data["growth_mb"], data["passed"], data["hours"]
-            data["unexplained_before"] = data["unexplained"]
-            for name in COUNTERS:
-                data[name] = Counter(data[name])
-            return Soak(*asked, hours, **data)
-    return Soak(*asked, hours)
+    new = Soak(seed, clock, base.bundle, base.physics, hours)
+    if not path.is_file():
+        return new
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+        asked = (new.seed, new.clock, new.object, new.physics)
+        same = tuple(data[key] for key in ("seed", "clock", "object", "physics")) == asked
+        if not same or data["hours_done"] >= hours:
+            return new
+    except (ValueError, KeyError, TypeError):
+        raise SetupError(f"{path}: is no report of a soak; name another file") from None
+    try:
+        kept = {spec.name: data[spec.name] for spec in fields(Soak)}
+    except KeyError:
+        raise SetupError(f"{path}: is of an older kind; name another file") from None
+    for name in ("faults", "silent_after", "flags_missed", "doubted", "not_recovered"):
+        kept[name] = Counter(kept[name])
+    return Soak(**{**kept, "hours": hours, "unexplained_before": kept["unexplained"]})
 
 
 def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
     """On the fake clock, as fast as it goes."""
     run: FakeRun | None = None
-    units = scans = 0
-    while soak.hours_done < soak.hours:
+    scans, units = soak.scans_sent, soak.units
+    for number, scenario, seed in soak.left(base, laps.KINDS):
         began = time.process_time()
-        number = soak.laps
-        scenario = laps.lap(base, soak.seed, number)
-        seed = soak.seed + number
         if run is None:
             run = FakeRun(scenario, seed, rate_hz=RATE_HZ)
             soak.daemons += 1
         else:
             run.lap(scenario, seed)
-        ledger = run.rig.ledger
-        ledger.done.clear()
         soak.add(number, run.graded(f"lap {number}"), run.line.t)
-        soak.injected.update(ledger.done)
-        soak.units += ledger.fates.units - units
-        soak.scans_sent += ledger.scans_sent - scans
-        units, scans = ledger.fates.units, ledger.scans_sent
         soak.cpu_s += time.process_time() - began
+        ledger = run.rig.ledger
+        soak.scans_sent, soak.units = scans + ledger.scans_sent, units + ledger.fates.units
         if soak.laps % REPORT_EVERY == 0:
-            if soak.laps > SETTLED_LAPS:
-                soak.rss_mb.append((round(soak.hours_done, 3), resident_mb("self")))
-            soak.write(path)
-            say(soak.line())
-    soak.write(path)
+            soak.report(path, say, "self" if soak.laps > SETTLED_LAPS else "")
+    soak.report(path, _silence)
     return soak
 
 
@@ -231,23 +228,14 @@ def soak_live(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
         with run.opened(place) as bench:
             soak.daemons += 1
             ledger = bench.rig.ledger
-            while soak.hours_done < soak.hours:
-                number, sent, units = soak.laps, ledger.scans_sent, ledger.fates.units
-                scenario = laps.lap(base, soak.seed, number, kinds)
-                ledger.done.clear()
-                lap = run.lap(bench, f"lap {number}", scenario, soak.seed + number)
+            scans, units = soak.scans_sent, soak.units
+            for number, scenario, seed in soak.left(base, kinds):
+                lap = run.lap(bench, f"lap {number}", scenario, seed)
                 soak.add(number, lap, bench.rig.duration_s)
-                soak.injected.update(ledger.done)
-                soak.scans_sent += ledger.scans_sent - sent
-                soak.units += ledger.fates.units - units
-                soak.rss_mb.append(
-                    (round(soak.hours_done, 3), resident_mb(run.processes.daemon.pid))
-                )
-                soak.write(path)
-                say(soak.line())
-            gaps = (abs(law.expected - law.counted) - law.slack for law in run.settled(bench))
-            soak.unexplained = soak.unexplained_before + sum(max(gap, 0) for gap in gaps)
-    soak.write(path)
+                soak.scans_sent, soak.units = scans + ledger.scans_sent, units + ledger.fates.units
+                soak.report(path, say, run.processes.daemon.pid)
+            soak.explain((law.expected, law.counted, law.slack) for law in run.settled(bench))
+    soak.report(path, _silence)
     return soak
 
 
@@ -259,20 +247,4 @@ def resident_mb(pid: int | str) -> float:
 
 
 def _silence(_: str) -> None:
-    """The contacts of a soak are not printed."""
-
-
-def _explains(begun: list[str]) -> str:
-    """Of the faults that have begun in a lap, the one that a silent failure is put down to: the
-    last that misleads, as the daemon remembers what it was made to believe; else the last."""
-    lies = [kind for kind in begun if kind in laps.MISLEADING]
-    return (lies or begun or ["none"])[-1]
-
-
-def _worst(worst: dict[str, float], kind: str, seconds: float | None) -> None:
-    if seconds is not None:
-        worst[kind] = round(max(worst.get(kind, 0.0), seconds), 3)
-
-
-def _median(values: list[float]) -> float:
-    return sorted(values)[len(values) // 2]
+    """Nothing is printed."""

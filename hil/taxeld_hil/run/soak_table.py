@@ -20,7 +20,7 @@ def lines(paths: list[Path]) -> Iterator[str]:
     reports = [_read(path) for path in paths]
     yield "| | " + " | ".join(f"[{path.stem}](results/{path.name})" for path in paths) + " |"
     yield "|---" * (len(paths) + 1) + "|"
-    for name, cell in ROWS:
+    for name, cell in ROWS.items():
         try:
             cells = [cell(report) for report in reports]
         except (KeyError, TypeError, ValueError):
@@ -42,16 +42,14 @@ def _read(path: Path) -> Report:
 def _silent(report: Report) -> str:
     """Without a fault that misleads, and after one."""
     after = report["silent_after"]
-    lied = sum(after.get(kind, 0) for kind in laps.MISLEADING)
-    return f"{sum(after.values()) - lied}, {lied}"
+    misled = sum(after.get(kind, 0) for kind in laps.MISLEADING)
+    return f"{sum(after.values()) - misled}, {misled}"
 
 
 def _recovery(report: Report) -> str:
     worst = report["worst_recovery_s"]
-    if not worst:
-        return "none to see"
-    kind = max(worst, key=lambda each: worst[each])
-    return f"{worst[kind]:.2f} s ({kind})"
+    kind = max(worst, key=worst.__getitem__, default="")
+    return f"{worst[kind]:.2f} s ({kind})" if kind else "none to see"
 
 
 def _memory(report: Report) -> str:
@@ -61,36 +59,28 @@ def _memory(report: Report) -> str:
     return f"{min(values):.0f}..{max(values):.0f} MB, {report['growth_mb']:+.1f} MB"
 
 
-def _full(report: Report) -> str:
-    return _of_full(report, "full_found")
-
-
-def _right(report: Report) -> str:
-    return _of_full(report, "full_right")
-
-
 def _of_full(report: Report, key: str) -> str:
     full, some = report["full"], report[key]
     return f"{some} of {full} ({some / full:.1%})" if full else "none"
 
 
-ROWS: tuple[tuple[str, Callable[[Report], str]], ...] = (
-    ("object, skin, clock", lambda r: f"{Path(r['object']).name}, `{r['physics']}`, {r['clock']}"),
-    ("hours of scans", lambda r: f"{r['hours_done']:.1f}"),
-    ("laps", lambda r: f"{r['laps']}"),
-    ("scans sent", lambda r: f"{r['scans_sent']:,}".replace(",", " ")),
-    ("frames delivered", lambda r: f"{r['units']:,}".replace(",", " ")),
-    ("faults", lambda r: f"{sum(r['faults'].values())}"),
-    ("frames, packets, scans and poses not accounted for", lambda r: f"{r['unexplained']}"),
-    ("silent failures without a misleading fault in the lap, and after one", _silent),
-    ("object found at the lap's end", lambda r: f"{r['found']}"),
-    (f"of laps in which all {laps.CONTACTS} contacts were felt", _full),
-    ("of these, a valid estimate within 10 mm at the end", _right),
-    ("worst recovery", _recovery),
-    ("not recovered in time", lambda r: f"{sum(r['not_recovered'].values())}"),
-    ("still in doubt 3 s after", lambda r: f"{sum(r['doubted'].values())}"),
-    ("flags late or never", lambda r: f"{sum(r['flags_missed'].values())}"),
-    ("memory, and its growth from the first third to the last", _memory),
-    ("minutes of one core", lambda r: f"{r['cpu_s'] / 60.0:.0f}" if r["cpu_s"] else "not measured"),
-    ("passed", lambda r: "yes" if r["passed"] else "no"),
-)
+ROWS: dict[str, Callable[[Report], str]] = {
+    "object, skin, clock": lambda r: f"{Path(r['object']).name}, `{r['physics']}`, {r['clock']}",
+    "hours of scans": lambda r: f"{r['hours_done']:.1f}",
+    "laps": lambda r: f"{r['laps']}",
+    "scans sent": lambda r: f"{r['scans_sent']:,}".replace(",", " "),
+    "frames delivered": lambda r: f"{r['units']:,}".replace(",", " "),
+    "faults": lambda r: f"{sum(r['faults'].values())}",
+    "frames, packets, scans and poses not accounted for": lambda r: f"{r['unexplained']}",
+    "silent failures without a misleading fault in the lap, and after one": _silent,
+    "object found at the lap's end": lambda r: f"{r['found']}",
+    f"of laps in which all {laps.CONTACTS} contacts were felt": lambda r: _of_full(r, "full_found"),
+    "of these, a valid estimate within 10 mm at the end": lambda r: _of_full(r, "full_right"),
+    "worst recovery": _recovery,
+    "not recovered in time": lambda r: f"{sum(r['not_recovered'].values())}",
+    "still in doubt 3 s after": lambda r: f"{sum(r['doubted'].values())}",
+    "flags late or never": lambda r: f"{sum(r['flags_missed'].values())}",
+    "memory, and its growth from the first third to the last": _memory,
+    "minutes of one core": lambda r: f"{r['cpu_s'] / 60:.0f}" if r["cpu_s"] else "not measured",
+    "passed": lambda r: "yes" if r["passed"] else "no",
+}

@@ -68,7 +68,7 @@ class ContactTable:
 
 def receive(socket: zmq.Socket[Any], table: ContactTable) -> str | None:
     """Take one message; → a line to print, if it ended a contact."""
-    topic, body, *_ = socket.recv_multipart()  # from a relay maybe without the time
+    topic, body, *_ = socket.recv_multipart()  # over TCP maybe without the time
     if topic == messages.TAXELS:
         table.on_taxels(msgpack.unpackb(body))
     elif topic == messages.ESTIMATE:

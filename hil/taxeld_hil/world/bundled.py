@@ -16,8 +16,7 @@ def solid_of(name: str, layout: Layout) -> Solid:
         SetupError: the bundle is damaged, or its mesh cannot be found or read.
     """
     path = bundle.find(name) / manifest.NAME
-    info = manifest.parse(seal.read(path), path)
-    height = float(info["height_m"])
+    built, _ = manifest.parse(seal.read(path), path)
     reach = float(np.abs(layout.position_m[:, 2]).max()) + MARGIN_M + LAYER_M
-    mesh = str(path.parent / info["mesh"]) if "mesh" in info else str(info["object"])
-    return meshes.load(mesh, height, reach)
+    mesh = str(path.parent / built.mesh) if built.mesh else built.object
+    return meshes.load(mesh, built.height_m, reach)

@@ -1,4 +1,4 @@
-"""Parts of all pictures: colours, legends, axes, labels that do not collide, and the file."""
+"""Parts of all pictures: colours, legends, axes, and the file."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,15 +14,15 @@ from PIL import Image
 
 from taxeld_training.jobs.rows import Point
 
-Limits = tuple[Point, Point]  # of x, of y
+Limits = tuple[Point, Point]  # least and most of x, and of y
 Style = tuple[str, str]  # colour, marker
 
 # Okabe and Ito's colours, for colour-blind readers; grey replaces their yellow, which is too pale
 COLOURS = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#888888", "#CC79A7", "#000000", "#56B4E9",
 )  # fmt: skip
-MARKERS = ("o", "s", "^", "D", "v", "P", ">")  # with eight colours: 56 pairs before one repeats
-FIRST = (  # the same style in every picture
+MARKERS = ("o", "s", "^", "D", "v", "P", ">")  # and eight colours: 56 pairs before one repeats
+FIRST = (  # names with the same style in every picture
     "density", "ddpm", "paper", "dpm", "table", "manifold", "projection", "exact", "ddim",
 )  # fmt: skip
 LEGEND = 0.8  # entries an inch
@@ -77,47 +77,13 @@ def _widened(values: Sequence[float], before: float, after: float) -> Point:
     return math.exp(low - before * (high - low)), math.exp(high + after * (high - low))
 
 
-def beside(axes: Axes, labels: Sequence[tuple[str, Point]]) -> None:
-    """Write labels below and left of points that fall from left to right, where nothing else is.
-
-    A label that would meet one further left moves down and is tied to its point by a line. The
-    figure must have been laid out.
-    """
-    scale = 72.0 / axes.figure.dpi
-    left = axes.get_window_extent().x0 * scale
-    taken: list[tuple[float, float]] = []  # right edge, bottom
-    for text, point in labels:
-        x, y = axes.transData.transform(point) * scale
-        measured = axes.annotate(text, point, fontsize=8)
-        box = measured.get_window_extent()
-        measured.remove()
-        width, height = box.width * scale, box.height * scale
-        right = max(x - 5.0, left + width + 2.0)
-        top = min([y - 1.0, *(below - 1.5 for at, below in taken if at > right - width - 4.0)])
-        taken.append((right, top - height))
-        tie = {
-            "arrowstyle": "-",
-            "color": "0.5",
-            "lw": 0.7,
-            "relpos": (1.0, 0.5),
-            "shrinkA": 1.0,
-            "shrinkB": 3.0,
-        }
-        note = axes.annotate(
-            text, point, (right - x, top - y), textcoords="offset points", ha="right", va="top",
-            fontsize=8, zorder=5, bbox={"fc": "white", "ec": "none", "pad": 0.5},
-            arrowprops=tie if top < y - 9.0 else None,
-        )  # fmt: skip
-        note.set_in_layout(False)
-
-
 def save(figure: Figure, path: Path, palette: bool = False) -> None:
     """Write a picture, with a palette of 256 colours if its many faint lines would compress badly;
     the same figure gives the same bytes."""
     written = BytesIO()
     figure.savefig(written, dpi=DPI, format="png", metadata={"Software": None})
     if palette:
-        # by coverage, so that a rare colour stays what it is
+        # quantised by coverage, so that rare colours stay
         image = Image.open(written).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
         written = BytesIO()
         image.save(written, format="png", optimize=True)

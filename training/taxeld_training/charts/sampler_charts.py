@@ -1,4 +1,4 @@
-"""The sampler experiments' pictures: cost against distance, samplers side by side, dead taxels."""
+"""The sampler experiments' pictures: cost against distance, and samplers side by side."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -29,13 +29,6 @@ ACROSS = 5  # small panels
 PAPER_MS = 15.0
 AIM = 2.0  # times the floor
 GAP = "distance to exact posterior / floor"
-NAMES = {
-    "add_mm": "ADD [mm]",
-    "add_sym_mm": "ADD up to symmetry [mm]",
-    "add_s_mm": "ADD-S [mm]",
-    "contact_residual_mm": "contact residual [mm]",
-    "observation_residual": "observation residual",
-}
 LINE: dict[str, Any] = {"color": "0.45", "lw": 0.9, "zorder": 1}
 
 
@@ -78,7 +71,7 @@ def frontier(rows: Sequence[Row], columns: int, path: Path) -> None:
     top = figure.add_subplot(grid[0, :])
     front = _cloud(top, mean, style, limits, partial)
     _levels(top, named=True)
-    _times(top, eager_ms, limits)
+    _times(top, eager_ms)
     what = f"mean of {len(found)} objects" if below else object_name(next(iter(found)))
     note = "; hollow: not run on all" if partial else ""
     title = f"{columns} columns, {what}\nlabels: steps × width{note}"
@@ -93,45 +86,22 @@ def frontier(rows: Sequence[Row], columns: int, path: Path) -> None:
         axes.tick_params(labelleft=i % ACROSS == 0, labelbottom=i + ACROSS >= len(found))
     shown = {style[name] for name in mean}
     picture.legend(figure, {k: v for k, v in family.items() if v in shown}, "lower")
-    figure.draw_without_rendering()  # lays the axes out
-    picture.beside(top, [(name, mean[name]) for name in front])
+    for k, name in enumerate(front):  # alternately above and below, as neighbours are close
+        up = 1 - 2 * (k % 2)
+        top.annotate(name, mean[name], (0, 8 * up), textcoords="offset points", fontsize=8,
+                     ha="center", va="bottom" if up > 0 else "top")  # fmt: skip
     picture.save(figure, path)
 
 
-def proposals(rows: Sequence[Row], path: Path, measure: str = "add_mm") -> None:
-    """A measure of each sampler's samples by object and columns: median, best and worst."""
-    what = f"{NAMES.get(measure, measure)}: median, best to worst"
-    _dodged(rows, lambda row: spread_of(row.get(measure)), what, path)
+def proposals(rows: Sequence[Row], path: Path) -> None:
+    """The error of each sampler's samples by object and columns: median, best and worst."""
+    what = "ADD [mm]: median, best to worst"
+    _dodged(rows, lambda row: spread_of(row.get("add_mm")), what, path)
 
 
 def posterior_gap(rows: Sequence[Row], path: Path) -> None:
     """Each sampler's distance to the exact posterior, of the floor, by object and columns."""
     _dodged(rows, gap, GAP, path, log=True)
-
-
-def damage(rows: Sequence[Row], path: Path) -> None:
-    """Distance to the exact posterior by the share of dead taxels: one panel an object, one line a
-    proposal, the floor below."""
-    objects = sorted({str(row["object"]) for row in rows})
-    proposals = list(dict.fromkeys(str(row["proposal"]) for row in rows))
-    style = picture.styles(proposals)
-    figure = Figure(figsize=(4.2 * len(objects), 3.4), layout="constrained")
-    for at, name in enumerate(objects):
-        axes = figure.add_subplot(1, len(objects), at + 1)
-        mine = [row for row in rows if row["object"] == name]
-        for proposal in proposals:
-            points = [
-                (r["dead_share"], r["energy_distance"]) for r in mine if r["proposal"] == proposal
-            ]
-            colour, marker = style[proposal]
-            axes.plot(*zip(*points, strict=True), color=colour, marker=marker, label=proposal)
-        floor = sorted({(row["dead_share"], row["energy_floor"]) for row in mine})
-        axes.plot(*zip(*floor, strict=True), color="black", ls=":", label="floor")
-        axes.set(title=name, xlabel="share of dead taxels", yscale="log")
-        if at == 0:
-            axes.set_ylabel("energy distance to the exact posterior")
-            axes.legend(fontsize=8)
-    picture.save(figure, path)
 
 
 def _cloud(
@@ -168,19 +138,15 @@ def _levels(axes: Axes, named: bool) -> None:
             )  # fmt: skip
 
 
-def _times(axes: Axes, eager_ms: float, limits: Limits) -> None:
+def _times(axes: Axes, eager_ms: float) -> None:
     """The paper's time and that of its sampler here, named above the axes."""
     notes = [(PAPER_MS, "Marić et al. 2025: 15 ms on 8 cores")]
     if math.isfinite(eager_ms):
         axes.axvline(eager_ms, ls=":", **LINE)
         notes.append((eager_ms, f"eager DDPM of 100 steps here: {eager_ms:.0f} ms"))
-    middle = math.sqrt(limits[0][0] * limits[0][1])
     for line, (x, text) in enumerate(sorted(notes)):
-        axes.annotate(
-            text, (x, 1.0), (0, 3 + 12 * line), xycoords=("data", "axes fraction"),
-            textcoords="offset points", va="bottom", ha="right" if x > middle else "left",
-            fontsize=8,
-        )  # fmt: skip
+        axes.annotate(text, (x, 1.0), (0, 3 + 12 * line), xycoords=("data", "axes fraction"),
+                      textcoords="offset points", ha="right", va="bottom", fontsize=8)  # fmt: skip
 
 
 def _dodged(

@@ -4,18 +4,17 @@ A cell's trials are run and remembered in blocks of seeds. A later run with more
 those of a run with fewer, and two experiments share the cells that they have in common.
 """
 
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
+from taxeld_hil.jobs import Job
 from taxeld_training.filters import follow, methods
 from taxeld_training.filters.conditions import Conditions
-from taxeld_training.filters.methods import Method, TouchResult
+from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
-from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.objects.setting import Setting, ring
@@ -24,10 +23,10 @@ from taxeld_training.samplers import trained, trainings
 COLUMNS = 16
 TOUCHES = 8
 BLOCK, GRID_BLOCK = 25, 5  # seeds a job; a trial of the grid filter takes seconds
-SEEDS_APART = 100_000  # from the first trial of one --seed to that of the next
+SEEDS_APART = 100_000  # seeds between the first trials of two values of --seed
 QUICK_UPDATES = 0.02
 
-Results = dict[int, list[TouchResult]]  # of each trial by its seed, one a touch
+Results = dict[int, list[TouchResult]]  # results of each touch, by the trial's seed
 
 
 @dataclass(frozen=True)
@@ -58,32 +57,22 @@ def setting_of(name: str, columns: int, options: Options) -> Setting:
     return Setting(name, ring(columns), columns, updates=updates, seed=options.seed)
 
 
-def chosen(methods: Sequence[Method], proposals: Sequence[str]) -> list[Method]:
-    """The methods with one of `proposals`; all methods if none is named.
+def chosen(methods: Sequence[Method], names: Sequence[str]) -> list[Method]:
+    """The methods with a proposal of `names`, or the one that ships if it is named `shipped`; all
+    methods if none is named.
 
     Raises:
         SetupError: no method has such a proposal.
     """
-    known = dict.fromkeys(method.proposal for method in methods)
-    for name in proposals:
+    known = [*dict.fromkeys(method.proposal for method in methods), "shipped"]
+    for name in names:
         if name not in known:
             raise SetupError(f"--groups: no '{name}' here; there are {', '.join(known)}")
-    return [method for method in methods if not proposals or method.proposal in proposals]
-
-
-def named(groups: Sequence[str], known: Iterable[str], beside: str = "") -> list[str]:
-    """Those of the known that the groups name, all if they name none; `beside` is one that is no
-    such name.
-
-    Raises:
-        SetupError: a name is not known.
-    """
-    order = list(known)
-    for name in groups:
-        if name not in order and name != beside:
-            there = ", ".join(each for each in (*order, beside) if each)
-            raise SetupError(f"--groups: no '{name}' here; there are {there}")
-    return [name for name in order if name in groups] or order
+    return [
+        method
+        for method in methods
+        if not names or method.proposal in names or (method == SHIPPED and "shipped" in names)
+    ]
 
 
 def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Results]:
@@ -102,7 +91,7 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
         block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
         for first in range(0, count, block):
             seeds = (_seed(options, first), min(block, count - first))
-            arguments = (cell, *seeds, methods.code(cell.method.proposal))
+            arguments = (cell, *seeds, methods.code())
             todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))
     todo.sort(key=lambda each: (each[1].method.proposal == GRID, each[0]))
     done = run_jobs([job for _, _, job in todo], options)
@@ -114,10 +103,8 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
 
 
 def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[Any]]:
-    """Results of the trials of `count` seeds, as JSON has them; `file` has a learned proposal.
-
-    `code` is part of the job's key alone.
-    """
+    """Results of the trials of `count` seeds, a list of a `TouchResult`'s fields for each touch;
+    `file` has a learned proposal. `code` is part of the job's key alone."""
     del code
     model = trained.model_of(cell.setting)
     other = replace(cell.setting, object=cell.touched or cell.setting.object)
@@ -127,13 +114,7 @@ def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[
         proposal = trained.proposal_of(cell.method.proposal, cell.setting, file)
     return [
         [
-            (
-                _rounded(touch.map_mm),
-                _rounded(touch.mean_mm),
-                touch.status,
-                touch.particles,
-                _rounded(touch.meant_mm),
-            )
+            [round(value, 4) if isinstance(value, float) else value for value in touch]
             for touch in follow.follow(
                 Trial(touched, seed, TOUCHES, cell.conditions), cell.method, model, proposal
             )
@@ -146,14 +127,9 @@ def _seed(options: Options, first: int) -> int:
     return SEEDS_APART * options.seed + first
 
 
-def _rounded(error_mm: float) -> float | None:
-    return round(error_mm, 4) if math.isfinite(error_mm) else None
-
-
 def _read(
-    map_mm: float | None, mean_mm: float | None, status: int | None, particles: int,
-    meant_mm: float | None,
-) -> TouchResult:  # fmt: skip
-    found = (math.nan if error is None else error for error in (map_mm, mean_mm, meant_mm))
-    peak, mean, meant = found
-    return TouchResult(peak, mean, None if status is None else Status(status), particles, meant)
+    map_mm: float, mean_mm: float, status: int | None, particles: int, meant_mm: float
+) -> TouchResult:
+    """A touch as `play` has it."""
+    known = None if status is None else Status(status)
+    return TouchResult(map_mm, mean_mm, known, particles, meant_mm)

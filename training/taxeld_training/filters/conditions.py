@@ -9,14 +9,15 @@ from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
-from taxeld_training.filters.soft_skin import SKINS, SoftSkin
+from taxeld_hil.scenario.mesh_config import SKINS
+from taxeld_training.filters.soft_skin import SoftSkin
 from taxeld_training.models.dataset import SILENT
 
 MODULE = 10  # taxels
 SIDE_RAD = np.pi / 4.0  # a side reaches this far in both directions
 NUDGE_RAD = np.pi / 6.0  # between a nudge and the contact's normal, at most: friction
 TWIN_GAP_M = 0.01  # between the object and the one beside it
-TWIN_STEP_M = 0.002  # in which that gap is searched
+TWIN_STEP_M = 0.002  # step of the search for that gap
 
 
 @dataclass(frozen=True)
@@ -25,22 +26,22 @@ class Conditions:
 
     sigma: float = 0.02  # sd of an activation
     gain_cv: float = 0.17  # spread of the taxels' gains
-    dead_share: float = 0.0  # of the taxels, scattered, known to be dead
+    dead_share: float = 0.0  # share of scattered taxels that are known to be dead
     dead_modules: int = 0  # runs of ten taxels, known to be dead
     stuck: int = 0  # taxels that always read `stuck_at`, not known to
     stuck_at: float = 1.0
-    drift: float = 0.0  # of a taxel's baseline by the last touch, up or down, at most
-    depth: float = 1.0  # of the deepest press, in δ_max
+    drift: float = 0.0  # largest drift of a baseline by the last touch, up or down
+    depth: float = 1.0  # the deepest press, in δ_max
     sensor_sd_m: float = 0.0  # error of the reported sensor pose, drawn anew each touch
     sensor_sd_rad: float = 0.0
     kidnapped_after: int = 0  # touches, after which the object is put elsewhere; 0: never
     pushed_m: float = 0.0  # between two touches, all along one line
     pushed_rad: float = 0.0
-    nudged_m: float = 0.0  # by each press, away from the skin: about so far
+    nudged_m: float = 0.0  # about how far each press moves the object away from the skin
     both: int = 0  # touches that press a second object of the same kind, beside it, as well
     one_side: bool = False  # all touches come from one quarter of the directions
-    skin: str = ""  # of SKINS: its gains and noise in place of these, and all else it does
-    scans: int = 5  # of a press while it is held
+    skin: str = ""  # a soft skin of the harness: its gains and noise in place of these
+    scans: int = 5  # scans of a press while it is held
     slip_m: float = 0.0  # sd of the sensor's place in each of them
 
     def gains(self, taxels: int, rng: np.random.Generator) -> Floats:

@@ -1,15 +1,14 @@
 """What rows say of trials: shares and errors, their intervals, and tests against another method."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from taxeld_training.filters.cells import Results
 from taxeld_training.filters.methods import TouchResult
+from taxeld_training.jobs.rows import SUCCESS_MM
 from taxeld_training.jobs.statistics import of_median, of_share, p_share, rounded
-
-Rates = Mapping[str, float | list[float] | None]
 
 
 def shares(results: Results, contact: int) -> dict[str, float | list[float] | None]:
@@ -25,28 +24,41 @@ def shares(results: Results, contact: int) -> dict[str, float | list[float] | No
     last = [trial[-1] for trial in trials]
     has_status = last[0].status is not None
     return {
-        **share("success", [result.succeeded for result in last]),
-        "success_meant_rate": _rate([result.found_the_one_meant for result in last]),
+        **_share("success", [result.succeeded for result in last]),
+        "success_meant_rate": _rate([result.meant_mm < SUCCESS_MM for result in last]),
         "flagged_rate": _rate([not r.converged for r in last]) if has_status else None,
-        **share("silent_failure", [r.failed_silently for r in last] if has_status else []),
-        **share(
+        **_share("silent_failure", [r.failed_silently for r in last] if has_status else []),
+        **_share(
             "silent_so_far",
             [any(r.failed_silently for r in trial) for trial in trials] if has_status else [],
         ),
     }
 
 
-def p_success(mine: Results, theirs: Results, contact: int) -> float:
-    """How likely chance alone makes the successes at a contact, of the trials that both methods
-    have, as different."""
-    seeds = sorted(mine.keys() & theirs.keys())
-    pair = ([each[seed][contact - 1].succeeded for seed in seeds] for each in (mine, theirs))
-    return round(p_share(*pair), 6)
+def against(mine: Results, shipped: Results | None, contact: int) -> dict[str, float | int | None]:
+    """A method beside the one that ships, after a contact of the trials that both have: how many
+    each alone found, how many neither, and how likely chance alone parts them so far. None where
+    what ships was not run."""
+    if shipped is None:
+        return dict.fromkeys(("found_alone", "shipped_alone", "neither", "p_shipped"))
+    seeds = sorted(mine.keys() & shipped.keys())
+    found = [mine[seed][contact - 1].succeeded for seed in seeds]
+    theirs = [shipped[seed][contact - 1].succeeded for seed in seeds]
+    pairs = list(zip(found, theirs, strict=True))
+    return {
+        "found_alone": pairs.count((True, False)),
+        "shipped_alone": pairs.count((False, True)),
+        "neither": pairs.count((False, False)),
+        "p_shipped": round(p_share(found, theirs), 6),
+    }
 
 
 def errors(results: Sequence[TouchResult], key: str) -> dict[str, Any]:
-    """Quantiles of an error [mm] over trials, and the interval of the median."""
+    """Quantiles of an error [mm] over trials, and the interval of the median; None where a trial
+    has no error, as of a wrong object."""
     values = [getattr(result, key) for result in results]
+    if not np.isfinite(values).all():
+        return {key: dict.fromkeys(("q10", "median", "q90")), f"{key}_ci": None}
     interval = rounded(of_median(values, np.random.default_rng(0)), 3)
     return {key: quantiles(values), f"{key}_ci": interval}
 
@@ -57,7 +69,7 @@ def quantiles(values: Sequence[float], digits: int = 3) -> dict[str, float]:
     return {"q10": round(low, digits), "median": round(median, digits), "q90": round(high, digits)}
 
 
-def share(name: str, rule: Sequence[bool]) -> dict[str, float | list[float] | None]:
+def _share(name: str, rule: Sequence[bool]) -> dict[str, float | list[float] | None]:
     """Of trials that obey a rule, with its interval; None of no trials."""
     if not rule:
         return {f"{name}_rate": None, f"{name}_ci": None}

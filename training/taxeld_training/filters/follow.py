@@ -16,8 +16,7 @@ from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import SILENT_MM, add_m
 from taxeld_training.filters import gridded, methods, pusher
 from taxeld_training.filters.methods import Method, TouchResult
-from taxeld_training.filters.pusher import PushedTrial
-from taxeld_training.filters.told import told
+from taxeld_training.filters.pusher import PushedTrial, told
 from taxeld_training.filters.trials import Moment, Trial
 
 TOLD = "told"

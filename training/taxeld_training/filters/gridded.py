@@ -13,7 +13,7 @@ from taxeld_training.filters.methods import NOISE
 from taxeld_training.filters.trials import Moment, Trial
 from taxeld_training.limits.grid_filter import GridFilter
 
-SLACK = Slack(SensorPoseConfig().sigma_m, FilterConfig().nudge_m)  # as the daemon's defaults
+SLACK = Slack(SensorPoseConfig().sigma_m, FilterConfig().nudge_m)  # the daemon's default
 
 
 def after_touches(trial: Trial, model: ObservationModel) -> Iterator[tuple[Moment, GridFilter]]:

@@ -15,10 +15,10 @@ from taxeld.arrays import Floats
 from taxeld.model.scene import Scene
 
 POINTS = 16
-LOAD_SHAPE = 1.5  # of the gamma distribution of a point's load
-FRICTION = 0.2, 0.6  # of the skin on the object, least and most
-STEPS = 40  # of reweighting
-STILL = 1e-3  # of the contact's speed: slower points are taken to be so fast
+LOAD_SHAPE = 1.5  # shape of the gamma distribution of a point's load
+FRICTION = 0.2, 0.6  # friction of the skin on the object, least and most
+STEPS = 40  # rounds of reweighting
+STILL = 1e-3  # least speed of a point, as a share of the contact's
 
 
 @dataclass(frozen=True)

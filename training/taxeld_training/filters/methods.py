@@ -12,19 +12,22 @@ from taxeld.estimator.estimate import Status
 from taxeld.estimator.rule import noise_of
 from taxeld.model.symmetry import SILENT_MM
 from taxeld_training.jobs import fingerprint
-from taxeld_training.jobs.rows import GRID, SUCCESS_MM
+from taxeld_training.jobs.rows import SUCCESS_MM
 
-# what decides a filter's estimates in a trial; where it has particles, their samples as well
-ROOMS = ("taxeld.model", "taxeld.estimator", "taxeld_training.filters")
-DRAWN = ("taxeld.config.tables", "taxeld_training.models.dataset")
-GRIDS = (
-    "taxeld_training.limits.grid_filter",
-    "taxeld_training.limits.grid_likelihood",
-    "taxeld_training.limits.grid_cells",
+DECIDES = (  # rooms and modules whose code decides the results of a trial
+    "taxeld.config.tables",
+    "taxeld.model",
+    "taxeld.skin.foam",
+    "taxeld.proposals",
+    "taxeld.estimator",
+    "taxeld_hil.scenario.mesh_config",
+    "taxeld_hil.world",
+    "taxeld_training.models.dataset",
+    "taxeld_training.limits",
+    "taxeld_training.filters",
 )
-SAMPLES = ("taxeld.proposals",)
 
-NOISE = noise_of(FilterConfig())  # of the grid filter as well
+NOISE = noise_of(FilterConfig())  # the grid filter has it as well
 
 
 @dataclass(frozen=True)
@@ -58,26 +61,28 @@ class Method:
 _DEFAULT = FilterConfig()
 SHIPPED = Method(
     "density", _DEFAULT.injection, _DEFAULT.particles, _DEFAULT.particles_max
-)  # what the daemon runs with a bundle of ours if nothing is configured
+)  # the daemon's own choice, with a shipped bundle and no configuration
 
 
 class TouchResult(NamedTuple):
     """A filter's estimate after a touch; errors are nan where there is none, and where the filter
     assumes another object than the one touched."""
 
-    map_mm: float  # to the nearest of the objects of the kind, if there are two
+    map_mm: float  # error of the map; to the nearer object, if there are two of a kind
     mean_mm: float
     status: Status | None  # None: the grid filter has none
     particles: int
-    meant_mm: float  # of the map, to the one that the trial means
+    meant_mm: float  # error of the map to the object that the trial means
+
+    def scaled(self, unit: float) -> "TouchResult":
+        """The same with errors in another unit."""
+        return self._replace(
+            map_mm=unit * self.map_mm, mean_mm=unit * self.mean_mm, meant_mm=unit * self.meant_mm
+        )
 
     @property
     def succeeded(self) -> bool:
         return self.map_mm < SUCCESS_MM
-
-    @property
-    def found_the_one_meant(self) -> bool:
-        return self.meant_mm < SUCCESS_MM
 
     @property
     def converged(self) -> bool:
@@ -88,8 +93,6 @@ class TouchResult(NamedTuple):
         return self.converged and not self.map_mm <= SILENT_MM
 
 
-def code(proposal: str) -> str:
-    """Hash of the code and the bundles that decide a trial's results with such a proposal, so that
-    other ones are another job."""
-    decides = fingerprint.of(*ROOMS, *DRAWN, *(GRIDS if proposal == GRID else SAMPLES))
-    return f"{decides}-{fingerprint.of_bundles()}"
+def code() -> str:
+    """Hash of the code and the bundles that decide a trial's results: others make another job."""
+    return f"{fingerprint.of(*DECIDES)}-{fingerprint.of_bundles()}"

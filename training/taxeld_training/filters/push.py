@@ -7,11 +7,11 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from taxeld.errors import SetupError
+from taxeld_hil.jobs import Job
 from taxeld_training.filters import follow, methods
 from taxeld_training.filters.cells import COLUMNS, setting_of
 from taxeld_training.filters.figures import quantiles
 from taxeld_training.filters.pusher import PushedTrial
-from taxeld_training.jobs.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs, write
 from taxeld_training.jobs.statistics import of_median, of_share, p_paired, rounded
 from taxeld_training.objects.setting import Setting
@@ -20,9 +20,9 @@ from taxeld_training.samplers.trained import DENSITY
 
 OBJECTS = ("003_cracker_box", "025_mug")
 MOTIONS = ("push", "none", follow.TOLD)
-SEEDS, QUICK_SEEDS, BLOCK = 200, 2, 20
+SEEDS, QUICK_SEEDS = 200, 2
 
-Trials: TypeAlias = dict[int, dict[str, Any]]  # results by seed, as `follow_push` has them
+Trials: TypeAlias = list[dict[str, Any]]  # results of trials, as `follow_push` has them
 
 
 def run(options: Options) -> list[Path]:
@@ -39,58 +39,50 @@ def run(options: Options) -> list[Path]:
     for name in objects:
         if trained.shipped(setting_of(name, COLUMNS, options)) is None:
             raise SetupError(f"--objects: {name} has no shipped bundle; push takes those that have")
-    cells = [(setting_of(name, COLUMNS, options), motion) for name in objects for motion in MOTIONS]
     todo = {
-        cell: [
-            Job(
-                f"push-{cell[0].name}-{cell[1]}-{first}", play,
-                (*cell, first, min(BLOCK, seeds - first), methods.code(DENSITY)),
-            )
-            for first in range(0, seeds, BLOCK)
-        ]
-        for cell in cells
-    }  # fmt: skip
-    done = run_jobs([job for each in todo.values() for job in each], options)
-    found = {
-        cell: {
-            seed: trial
-            for number, job in enumerate(each)
-            for seed, trial in enumerate(done[job.name] or [], BLOCK * number)
-        }
-        for cell, each in todo.items()
+        (name, motion): Job(
+            f"push-{name}-{motion}",
+            play,
+            (setting_of(name, COLUMNS, options), motion, seeds, methods.code()),
+        )
+        for name in objects
+        for motion in MOTIONS
     }
+    done = run_jobs(list(todo.values()), options)
+    found = {key: done[job.name] for key, job in todo.items()}
     rows = [
-        _row(setting.object, motion, trials, found[setting, MOTIONS[0]])
-        for (setting, motion), trials in found.items()
+        _row(name, motion, trials, found[name, MOTIONS[0]])
+        for (name, motion), trials in found.items()
         if trials
     ]
     return [write(options, "push", rows)]
 
 
-def play(setting: Setting, motion: str, first: int, count: int, code: str) -> list[dict[str, Any]]:
-    """The results of trials as `follow_push` has them; `code` is part of the job's key alone."""
+def play(setting: Setting, motion: str, seeds: int, code: str) -> Trials:
+    """The results of so many trials; `code` is part of the job's key alone."""
     del code
     model = trained.model_of(setting)
     proposal = trained.proposal_of(DENSITY, setting, "")
-    seeds = range(first, first + count)
-    return [follow.follow_push(PushedTrial(model, seed), motion, proposal) for seed in seeds]
+    return [follow.follow_push(PushedTrial(model, seed), motion, proposal) for seed in range(seeds)]
 
 
-def _row(name: str, motion: str, trials: Trials, pushed: Trials) -> dict[str, Any]:
+def _row(name: str, motion: str, trials: Trials, pushed: Trials | None) -> dict[str, Any]:
+    """`pushed`: the same trials by a filter that follows pushes."""
     spread: dict[str, Any] = {}
     rng = np.random.default_rng(0)
     for key in ("moved_mm", "turned_deg", "path_mm", "end_mm"):
-        values = [trial[key] for trial in trials.values()]
+        values = [trial[key] for trial in trials]
         spread |= {key: quantiles(values, 2), f"{key}_ci": rounded(of_median(values, rng), 2)}
-    silent = [bool(trial["silent"]) for trial in trials.values()]
-    both = sorted(trials.keys() & pushed.keys())
-    ends = [[each[seed]["end_mm"] for seed in both] for each in (trials, pushed)]
+    silent = [bool(trial["silent"]) for trial in trials]
+    p_push = None
+    if pushed and motion != MOTIONS[0]:
+        p_push = p_paired(*([trial["end_mm"] for trial in each] for each in (trials, pushed)))
     return {
         "object": name,
         "motion": motion,
         **spread,
         "silent_failure_rate": float(np.mean(silent)),
         "silent_failure_ci": rounded(of_share(silent)),
-        "p_push": p_paired(*ends) if both and trials is not pushed else None,
+        "p_push": p_push,
         "seeds": len(trials),
     }

@@ -10,21 +10,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
+from taxeld.estimator.push import Push
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
+from taxeld.model.symmetry import PoseMetric
 from taxeld_training.filters.conditions import Conditions, TrialSkin
 from taxeld_training.filters.ground import Ground
 from taxeld_training.filters.motion import SCAN_S
 from taxeld_training.filters.trials import Moment, Trial
 
 TOUCHES = 6  # before the push
-PATH_M = 0.25  # of the sensor in contact
+PATH_M = 0.25  # way of the sensor in contact
 STEP_M = 0.002  # between two scans
-DEPTH_M = 0.003  # of the skin, at which the object's friction gives way
-OFF_CENTRE = 0.3  # of that radius: distance of the push from the centre, at most
+DEPTH_M = 0.003  # depth of the skin at which the object's friction gives way
+OFF_CENTRE = 0.3  # largest distance of the push from the centre, as a share of the mean radius
 STANDOFF_M = 0.06
 BETWEEN_S = 1.0  # the last touch and the push
 SETTLING = 4  # steps of projection that end the overlap
+TOLD_SPREAD = 0.2  # sd of a push that is told, as a share of it: what the ground leaves open
 CLOSE_M = 1e-9  # less is no overlap
 
 
@@ -100,6 +103,23 @@ def gave_way(
         poses = se2.compose(poses, slide)
         moved = np.zeros_like(moved)
     return poses, pushed
+
+
+def told(ground: Ground) -> Push:
+    """As `estimator.push.push`, but by the world's own ground: the limit of what can be known of a
+    push, as no filter knows what the object rests on."""
+
+    def push(
+        model: ObservationModel, metric: PoseMetric, poses: Poses, assumed: Floats, before: Poses,
+        after: Poses, depth_m: float, rng: np.random.Generator,
+    ) -> tuple[Poses, Floats]:  # fmt: skip
+        del assumed
+        poses, pushed = gave_way(model, ground, poses, before, after, depth_m, limited=True)
+        noise = TOLD_SPREAD * pushed[:, None] * rng.standard_normal((len(poses), 3))
+        centre = metric.centres(poses) + noise[:, :2]
+        return metric.placed(centre, poses[:, 2] + noise[:, 2] / model.scene.mean_radius), pushed
+
+    return push
 
 
 def travel(start: Poses, end: Poses) -> tuple[float, float]:

@@ -31,9 +31,9 @@ from taxeld_training.filters.conditions import (
 )
 
 PLACE_M = 0.15  # the object is within ± this of the origin, at any yaw
-MIN_ACTIVATION = 0.1  # of the strongest taxel in a press
+MIN_ACTIVATION = 0.1  # least activation of the strongest taxel in a press
 BATCH, PAIR_BATCH = 64, 4096  # poses drawn to choose presses from
-BATCHES_MAX = 1000  # of poses, without enough presses among them
+BATCHES_MAX = 1000  # batches of poses before a trial is given up
 
 Accepts = Callable[[Poses], NDArray[np.bool_]]
 
@@ -70,7 +70,7 @@ class Trial:
         wanted = self._presses(twin, rng, extra)
         t = 0.0
         before = _opposite(wanted[0])
-        moved = se2.IDENTITY  # by the presses so far, in the object's frame
+        moved = se2.IDENTITY  # motion by the presses so far, in the object's frame
         for touch, (press, place) in enumerate(zip(wanted, truths, strict=True)):
             nudge = nudged(given, model, press, extra)
             slips = given.slip_m * extra.standard_normal((given.scans, 3)) * (1.0, 1.0, 0.0)

@@ -1,4 +1,4 @@
-"""How experiments run: options, jobs side by side that can be resumed, rows, statistics, tables.
+"""How experiments run: options, rows, statistics, tables. `taxeld_hil.jobs` runs their jobs.
 
 Nothing here imports another room of training.
 """

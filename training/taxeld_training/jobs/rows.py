@@ -10,22 +10,12 @@ import numpy as np
 
 GRID = "grid"  # `proposal` of the grid filter's rows
 EXACT = "exact"  # `proposal` of the exact posterior's rows
-DISTANCES = "distances"  # of each reading: what intervals and paired tests are made from
-SAMPLER = ("object", "columns", "proposal", "steps", "width")  # what tells its rows apart
+DISTANCES = "distances"  # distances of each reading, for intervals and paired tests
 SUCCESS_MM = 10.0  # symmetric ADD of the heaviest mode under which a trial has succeeded
 
 Row = Mapping[str, Any]
 Point = tuple[float, float]  # time of a call [ms], distance to the exact posterior [of the floor]
 Spread = tuple[float, float, float]  # median, best, worst
-
-
-def joined(
-    earlier: Sequence[dict[str, Any]], rows: Sequence[dict[str, Any]]
-) -> list[dict[str, Any]]:
-    """Those of `earlier` that no row replaces, and the rows."""
-    made = {tuple(row.get(key) for key in SAMPLER) for row in rows}
-    kept = [row for row in earlier if tuple(row.get(key) for key in SAMPLER) not in made]
-    return [*kept, *rows]
 
 
 def number(value: Any) -> float:
@@ -57,6 +47,22 @@ def label(row: Row) -> str:
 def object_name(name: str) -> str:
     """003_cracker_box → cracker box."""
     return re.sub(r"^\d+(-\w)?_", "", name).replace("_", " ")
+
+
+def method(row: Row) -> str:
+    """A filter's method: its proposal, its rule of injection, and its particles if they adapt."""
+    words = [str(row["proposal"]), str(row["injection"])]
+    if row.get("particles_max", 0) > row.get("particles", 0):
+        words.append(f"{row['particles']}..{row['particles_max']}")
+    return " ".join(word for word in words if word)
+
+
+def condition(row: Row) -> str:
+    """What differs in a row's trials from what a filter assumes: factor and level."""
+    factor, level = row.get("factor", "as assumed"), row.get("level")
+    if factor == "as assumed":
+        return str(factor)
+    return f"{factor}: {object_name(level) if isinstance(level, str) else format(level, 'g')}"
 
 
 def costs(rows: Sequence[Row], columns: int) -> dict[str, dict[str, Point]]:

@@ -1,4 +1,4 @@
-"""How far a long command is: its stages from the start, as bars on a terminal or as lines."""
+"""How far a long command is: bars on a terminal, else a line for each stage that is done."""
 
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,56 +20,26 @@ Tell = Callable[[str, float], None]  # stage, share of it that is done
 
 @contextmanager
 def shown(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
-    """→ what to call with a stage of `stages`, which follow one another, and its share."""
-    if stream.isatty():
-        with _bars(stages, stream) as tell:
-            yield tell
-    else:
-        yield _lines(stages, stream)
-
-
-def _lines(stages: Sequence[str], stream: TextIO) -> Tell:
-    """A line a stage, once it is done, with what it took."""
-    began_s = time.monotonic()
-    left = list(stages)
-
-    def tell(stage: str, share: float) -> None:
-        nonlocal began_s
-        if share < 1.0 or stage not in left:
-            return
-        left.remove(stage)
-        now_s = time.monotonic()
-        number = len(stages) - len(left)
-        print(f"{number}/{len(stages)} {stage}: {now_s - began_s:.0f} s", file=stream, flush=True)
-        began_s = now_s
-
-    return tell
-
-
-@contextmanager
-def _bars(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
+    """→ a function to call with a stage of `stages`, which follow one another, and its share."""
     columns = (
         TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
         TextColumn("left"), TimeRemainingColumn(),
     )  # fmt: skip
-    with Progress(*columns, console=Console(file=stream)) as bars:
-        tasks = {
-            stage: bars.add_task(f"{number}/{len(stages)} {stage}", total=1.0, start=False)
-            for number, stage in enumerate(stages, 1)
-        }
-        begun: set[str] = set()
-
-        def begin(stage: str) -> None:
-            if stage not in begun:
-                begun.add(stage)
-                bars.start_task(tasks[stage])
+    names = [f"{number}/{len(stages)} {stage}" for number, stage in enumerate(stages, 1)]
+    began_s = [time.monotonic()]  # when each stage began, so far
+    with Progress(*columns, console=Console(file=stream), disable=not stream.isatty()) as bars:
+        tasks = [bars.add_task(name, total=1.0, start=name is names[0]) for name in names]
 
         def tell(stage: str, share: float) -> None:
-            begin(stage)
-            bars.update(tasks[stage], completed=share)
-            following = stages.index(stage) + 1
-            if share >= 1.0 and following < len(stages):
-                begin(stages[following])
+            at = stages.index(stage)
+            bars.update(tasks[at], completed=share)
+            if share < 1.0 or len(began_s) > at + 1:
+                return
+            began_s.append(time.monotonic())
+            if at + 1 < len(tasks):
+                bars.start_task(tasks[at + 1])
+            if not stream.isatty():
+                took_s = began_s[-1] - began_s[-2]
+                print(f"{names[at]}: {took_s:.0f} s", file=stream, flush=True)
 
-        begin(stages[0])
         yield tell

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from scipy import stats
 
 LEVEL = 0.95
-DRAWS = 400  # of a bootstrap
+DRAWS = 400  # draws of a bootstrap
 
 Interval = tuple[float, float]
 

@@ -1,16 +1,17 @@
 """A sampler's distance to the exact posterior and its cost, as bundle.json states them."""
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import joblib
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld_training.limits.dense import Dense
@@ -29,13 +30,13 @@ TIMED_CALLS = 30
 class Reference:
     """Readings with draws of their exact posteriors, made once and used for every sampler."""
 
-    truth: list[Poses]  # (3,) each
-    z: list[NDArray[np.float64]]  # (M,) each, as a filter sees it
-    live: list[NDArray[np.bool_]]  # (M,) each
-    exact: list[Poses]  # (2 · SAMPLES, 3) each: one half to measure to, one for the floor
-    ess: list[float]  # effective contacts behind the draws of each reading
+    truth: Poses  # (n, 3) true poses
+    z: Floats  # (n, M) readings as a filter sees them
+    live: Bools  # (n, M)
+    exact: Floats  # (n, 2 · SAMPLES, 3) draws: one half to measure to, one for the floor
+    ess: Floats  # (n,) effective contacts behind the draws of each reading
     length_m: float
-    left_out: int
+    left_out: int  # readings whose posteriors rest on too few contacts
     bank: int
     ms: float  # CPU time of one exact posterior
 
@@ -59,39 +60,35 @@ class Reference:
 
 
 def reference(
-    model: ObservationModel, noise: Noise, readings: int, rng: np.random.Generator,
-    *, dead: float = 0.0, bank: int = BANK, workers: int = 1,
+    model: ObservationModel, noise: Noise, readings: int | Sequence[tuple[Poses, Observation]],
+    rng: np.random.Generator, *, bank: int = BANK, workers: int = 1,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Reference:  # fmt: skip
-    """Exact posteriors of `readings` simulated readings, a share `dead` of the taxels dead in
-    each. Where the bank is too thin for one, contacts are made around it. Each reading has a random
-    generator of its own, so any number of `workers` (processes) makes the same. `progress` is told
-    the stage, and which share of it is done."""
+    """Exact posteriors of so many simulated readings, or of given ones, each with its true pose
+    (3,) in the sensor frame. Where the bank is too thin for one, contacts are made around it. Each
+    reading has a random generator of its own, so any number of `workers` (processes) makes the
+    same. `progress` is told the stage, and which share of it is done."""
     contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
     exact = Posterior(model, contacts, noise, rng)
-    kept = Reference([], [], [], [], [], model.scene.size, 0, bank, 0.0)
-    drawn = read(model, noise, readings, rng, dead)
+    if isinstance(readings, int):
+        drawn = read(model, noise, readings, rng)
+        readings = list(zip(drawn.pose, drawn, strict=True))
     jobs = (
         joblib.delayed(_draws)(exact, seen, own)
-        for seen, own in zip(drawn, rng.spawn(readings), strict=True)
+        for (_, seen), own in zip(readings, rng.spawn(len(readings)), strict=True)
     )
-    made = joblib.Parallel(workers, return_as="generator", mmap_mode="c")(jobs)
+    kept: list[tuple[Poses, Floats, Bools, Poses, float]] = []
     spent_s = 0.0
-    for done, (pose, seen, (draws, took_s)) in enumerate(zip(drawn.pose, drawn, made, strict=True)):
-        progress(EXACT_STAGE, done / readings)
+    made = joblib.Parallel(workers, return_as="generator", mmap_mode="c")(jobs)
+    for done, ((pose, seen), (draws, took_s)) in enumerate(zip(readings, made, strict=True)):
+        progress(EXACT_STAGE, done / len(readings))
         spent_s += took_s
-        if draws.ess < LIMIT_ESS:
-            continue
-        kept.truth.append(pose)
-        kept.z.append(seen.z)
-        kept.live.append(seen.live)
-        kept.exact.append(draws.pose)
-        kept.ess.append(draws.ess)
+        if draws.ess >= LIMIT_ESS:
+            kept.append((pose, seen.z, seen.live, draws.pose, draws.ess))
     progress(EXACT_STAGE, 1.0)
-    return Reference(
-        kept.truth, kept.z, kept.live, kept.exact, kept.ess,
-        kept.length_m, readings - len(kept.z), bank, spent_s / readings * 1e3,
-    )  # fmt: skip
+    left_out, ms = len(readings) - len(kept), spent_s / len(readings) * 1e3
+    truth, z, live, draws_of, ess = (np.array(each) for each in zip(*kept, strict=True))
+    return Reference(truth, z, live, draws_of, ess, model.scene.size, left_out, bank, ms)
 
 
 def _draws(exact: "Posterior", seen: Observation, rng: np.random.Generator) -> tuple[Draws, float]:
@@ -121,24 +118,14 @@ class Posterior:
 
 def save(to: Reference, path: Path) -> None:
     """Write a reference to a file."""
-    arrays = {name: np.array(getattr(to, name)) for name in Reference.__dataclass_fields__}
-    np.savez_compressed(path, allow_pickle=False, **arrays)
+    np.savez_compressed(path, allow_pickle=False, **asdict(to))
 
 
 def load(path: Path) -> Reference:
     """A reference that `save` wrote."""
     with np.load(path, allow_pickle=False) as kept:
-        return Reference(
-            truth=list(kept["truth"]),
-            z=list(kept["z"]),
-            live=list(kept["live"]),
-            exact=list(kept["exact"]),
-            ess=list(kept["ess"]),
-            length_m=float(kept["length_m"]),
-            left_out=int(kept["left_out"]),
-            bank=int(kept["bank"]),
-            ms=float(kept["ms"]),
-        )
+        found: dict[str, Any] = {k: v if v.ndim else v.item() for k, v in kept.items()}
+    return Reference(**found)
 
 
 def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Floats:
@@ -147,11 +134,6 @@ def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Fl
         energy_distance(proposal.propose(z, live, SAMPLES, rng), exact[:SAMPLES], to.length_m)
         for z, live, exact in zip(to.z, to.live, to.exact, strict=True)
     ])  # fmt: skip
-
-
-def distance(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:
-    """Their mean."""
-    return float(distances(proposal, to, rng).mean())
 
 
 def cost_ms(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:

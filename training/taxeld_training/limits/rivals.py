@@ -24,11 +24,17 @@ from taxeld_training.models.base import AnyView, standard
 from taxeld_training.models.dataset import Batches, simulate
 from taxeld_training.models.frames import PoseFrame, rotated
 
-RIVALS = ("npe", "npse", "fmpe")
-MAX_EPOCHS = {"npe": 50, "npse": 150, "fmpe": 200}  # about a minute on a core for 10⁴ contacts
-LARGE = {f"{kind}-3e5": kind for kind in RIVALS}  # with the density's number of contacts
-LARGE_CONTACTS = 300_000
-LARGE_EPOCHS = {"npe": 19, "npse": 25, "fmpe": 28}  # of them: ten minutes on a core
+CONTACTS = 10_000
+# name: simulated contacts, and the most epochs: about a minute on a core, or ten of the density's
+# number of contacts
+RIVALS = {
+    "npe": (CONTACTS, 50),
+    "npse": (CONTACTS, 150),
+    "fmpe": (CONTACTS, 200),
+    "npe-3e5": (300_000, 19),
+    "npse-3e5": (300_000, 25),
+    "fmpe-3e5": (300_000, 28),
+}
 # sbi's 500 steps cost ten times as much and gain little: energy distances of 0.170, 0.178 and 0.162
 # with 50, 100 and 500 steps, over 30 readings of 035_power_drill on a 5×16 cylinder
 NPSE_STEPS = 50
@@ -58,21 +64,18 @@ class Rival:
 
 
 def train_rival(
-    kind: str,
-    model: ObservationModel,
-    noise: Noise,
-    *,
-    contacts: int = 10_000,
-    seed: int = 0,
-    max_epochs: int | None = None,
-) -> Proposal:
-    """The rival `kind`, trained until sbi stops it early or for `max_epochs`, MAX_EPOCHS if None.
+    name: str, model: ObservationModel, noise: Noise, *, seed: int = 0,
+    contacts: int | None = None, max_epochs: int | None = None,
+) -> Proposal:  # fmt: skip
+    """A rival, trained until sbi stops it early; contacts and epochs are its own if None.
 
     Raises:
         SetupError: there is no such rival, sbi is not installed, or the skin misses the object.
     """
-    if kind not in RIVALS:
-        raise SetupError(f"'{kind}' is no rival; use one of {', '.join(RIVALS)}")
+    if name not in RIVALS:
+        raise SetupError(f"'{name}' is no rival; use one of {', '.join(RIVALS)}")
+    kind, (own_contacts, own_epochs) = name.partition("-")[0], RIVALS[name]
+    contacts = contacts or own_contacts
     touches = simulate(model, contacts, np.random.default_rng(seed))
     frame, view = PoseFrame(), views.best(model.layout)
     coordinates = frame.encode(touches.pose)
@@ -84,8 +87,7 @@ def train_rival(
     with _quiet(seed):
         trainer = _trainer(kind)
         trainer.append_simulations((poses - mean) / scale, seen)
-        epochs = MAX_EPOCHS[kind] if max_epochs is None else max_epochs
-        estimator = trainer.train(max_num_epochs=epochs)
+        estimator = trainer.train(max_num_epochs=max_epochs or own_epochs)
         with_ = {"npe": "direct", "npse": "sde", "fmpe": "ode"}[kind]
         posterior = trainer.build_posterior(estimator, sample_with=with_)
     return Rival(kind, posterior, view, (mean, scale))

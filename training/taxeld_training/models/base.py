@@ -17,8 +17,8 @@ AnyFrame = PoseFrame | ContactFrame
 class NetworkConfig:
     """Sizes of a network; saved inside the ONNX file."""
 
-    width: int = 64  # of the layers that run once a hypothesis
-    encoder_width: int = 192  # of the touch's encoder, which runs once a touch and costs little
+    width: int = 64  # width of the layers that run once a hypothesis
+    encoder_width: int = 192  # width of the encoder, which runs once a touch and costs little
     encoder_depth: int = 5  # its layers: a mug's yaw depends on a tenth of a millimetre
     steps: int = 100  # T of a diffusion
 
@@ -27,8 +27,8 @@ class Model(nn.Module, ABC):
     """A network for p(pose | touch): it can be trained, and run as one graph."""
 
     noise_steps = 1  # noises a sample takes: the first axis of the `noise` input
-    multiply_adds: int  # once a touch
-    multiply_adds_each: int  # once a hypothesis (and step)
+    multiply_adds: int  # operations once a touch
+    multiply_adds_each: int  # operations once a hypothesis (and step)
 
     def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
         super().__init__()

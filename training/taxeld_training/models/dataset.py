@@ -17,12 +17,12 @@ from taxeld.model.contacts import synthesise
 from taxeld.model.leak import Leak
 from taxeld.model.observation import Noise, Observation, ObservationModel
 
-MIN_ACTIVATION = 0.05  # of the strongest taxel: weaker contacts are neither learned nor sampled
+MIN_ACTIVATION = 0.05  # least of the strongest taxel: weaker contacts are not learned or sampled
 SILENT = 5.0  # standard deviations of noise under which a reading is 0: noise is no touch
 FLOOR_MAX = 0.12  # a skin's floor is anything from FLOOR to this: skins and places differ
-IN_USE = noise_of(FilterConfig())  # what ships: what samplers learn, and are measured by
-DEAD_SHARE = 0.3  # of training touches have dead taxels
-DEAD_MAX = 0.3  # of a skin's taxels are dead at most
+IN_USE = noise_of(FilterConfig())  # noise that ships: samplers learn it and are measured by it
+DEAD_SHARE = 0.3  # share of training touches with dead taxels
+DEAD_MAX = 0.3  # largest share of a skin's taxels that is dead
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Touches:
 
     pose: NDArray[np.float64]
     activation: NDArray[np.float32]
-    dropped_share: float  # of uniform poses whose projection missed the manifold
+    dropped_share: float  # share of uniform poses whose projection missed the manifold
 
     def __len__(self) -> int:
         return len(self.pose)

@@ -14,9 +14,8 @@ import torch
 from taxeld_training.models.base import Model
 from taxeld_training.models.density import ContactDensity
 from taxeld_training.models.diffusion import DiffusionSampler
-from taxeld_training.models.generator import Generator
 
-AnySampler = DiffusionSampler | ContactDensity | Generator
+AnySampler = DiffusionSampler | ContactDensity
 
 OPSET = 20
 HALVED_FROM = 256  # values of a tensor, from which on it is worth halving
@@ -52,7 +51,7 @@ def export(sampler: AnySampler, taxels: int, path: Path, metadata: Mapping[str, 
     noise = torch.randn(sampler.noise_steps, TRACED, 4, generator=generator)
     sampler = rounded(sampler)
     with warnings.catch_warnings(), torch.no_grad():
-        warnings.simplefilter("ignore")  # of the exporter's age
+        warnings.simplefilter("ignore")  # torch warns that this exporter is old
         torch.onnx.export(
             sampler, (z, live, noise), path, dynamo=False, opset_version=OPSET,
             input_names=["z", "live", "noise"], output_names=["poses"],

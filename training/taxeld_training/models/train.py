@@ -14,7 +14,6 @@ from taxeld_training.models.base import Model
 from taxeld_training.models.dataset import Batches, Touches
 
 SCALE_BATCH = 10_000
-TELL_UPDATES = 20
 
 
 @dataclass(frozen=True)
@@ -32,21 +31,15 @@ class TrainConfig:
 AnyModel = TypeVar("AnyModel", bound=Model)
 
 
-def train(
-    make: Callable[[], AnyModel], config: TrainConfig, touches: Touches, leak: Leak, noise: Noise,
-    progress: Callable[[float], None] = lambda _: None,
-) -> AnyModel:  # fmt: skip
-    """The averaged model after `config.updates` updates, on readings as a filter sees them.
-    `progress` is told which share is done, now and then."""
-    return train_beside([(make, config, progress)], touches, leak, noise)[0]
-
-
 def train_beside(
-    given: Sequence[tuple[Callable[[], AnyModel], TrainConfig, Callable[[float], None]]],
-    touches: Touches, leak: Leak, noise: Noise,
-) -> list[AnyModel]:  # fmt: skip
-    """Models as `train` makes each, of one view, one frame and `shared` configurations: a batch is
-    drawn and looked at once for all of them."""
+    given: Sequence[tuple[Callable[[], AnyModel], TrainConfig]],
+    touches: Touches,
+    leak: Leak,
+    noise: Noise,
+) -> list[AnyModel]:
+    """Averaged models after `updates` updates of each configuration, on readings as a filter sees
+    them. All have one view, one frame and `shared` configurations: a batch is drawn and looked at
+    once for all of them."""
     runs = [_Run(*one) for one in given]
     config = given[0][1]
     coordinates = runs[0].model.frame.encode(touches.pose)
@@ -71,11 +64,9 @@ def shared(config: TrainConfig) -> tuple[int, int, int]:
 class _Run(Generic[AnyModel]):
     """A model on its way. It draws from torch's generator as if it were the only one."""
 
-    def __init__(
-        self, make: Callable[[], AnyModel], config: TrainConfig, progress: Callable[[float], None]
-    ) -> None:
+    def __init__(self, make: Callable[[], AnyModel], config: TrainConfig) -> None:
         torch.manual_seed(config.seed)
-        self.config, self._progress = config, progress
+        self.config = config
         self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.model = make().to(self.device)
         self._drawn = torch.get_rng_state()
@@ -114,7 +105,5 @@ class _Run(Generic[AnyModel]):
         self._optimizer.step()
         self._schedule.step()
         decay = min(self.config.average, number / (number + 10.0))
-        if number % TELL_UPDATES == 0:
-            self._progress(number / self.config.updates)
         with torch.no_grad():
             torch._foreach_lerp_(self._averages, self._weights, 1.0 - decay)

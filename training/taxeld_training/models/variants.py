@@ -1,6 +1,6 @@
 """Variants of the models, by their parts, for `build` and the experiments."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -13,7 +13,6 @@ from taxeld_training.models.density import ContactDensity
 from taxeld_training.models.diffusion import Denoiser, DiffusionSampler, Solver
 from taxeld_training.models.export import AnySampler
 from taxeld_training.models.frames import ContactFrame, PoseFrame
-from taxeld_training.models.generator import Generator
 from taxeld_training.models.train import TrainConfig, shared, train_beside
 
 
@@ -21,12 +20,12 @@ from taxeld_training.models.train import TrainConfig, shared, train_beside
 class Variant:
     """One model: family, sizes, view of the touch, frame of the pose, and its training."""
 
-    family: str  # density | diffusion | generator
+    family: str  # density | diffusion
     network: NetworkConfig
     training: TrainConfig
     view: str = "best"  # best | plain
     frame: str = "contact"  # contact | pose
-    samplers: tuple[tuple[Solver, int], ...] = ()  # of a diffusion
+    samplers: tuple[tuple[Solver, int], ...] = ()  # solvers and steps of a diffusion
 
     @property
     def kind(self) -> str:
@@ -42,11 +41,6 @@ def density(width: int = 64, encoder_width: int = 256, encoder_depth: int = 5) -
     """One pass; `width` is that of the layers that run once a hypothesis."""
     network = NetworkConfig(width, encoder_width, encoder_depth)
     return Variant("density", network, TrainConfig(updates=12_000))
-
-
-def generator(width: int = 128) -> Variant:
-    """One pass, trained by the energy score."""
-    return Variant("generator", NetworkConfig(width), TrainConfig(updates=4_000))
 
 
 def diffusion(
@@ -68,7 +62,7 @@ def paper() -> Variant:
     )  # fmt: skip
 
 
-MODELS: dict[str, Variant] = {  # those that the experiments compare
+MODELS: dict[str, Variant] = {  # the models that experiments compare
     "density-64": density(64),
     "density-16": density(16, 48, 2),
     "diffusion-128": diffusion(
@@ -78,7 +72,6 @@ MODELS: dict[str, Variant] = {  # those that the experiments compare
         )
     ),
     "paper": paper(),
-    "generator-128": generator(128),
 }  # fmt: skip
 
 
@@ -96,38 +89,26 @@ def trained_with(
     return replace(variant, training=training)
 
 
-def fit(
-    variant: Variant, model: ObservationModel, noise: Noise, touches: Touches,
-    progress: Callable[[float], None] = lambda _: None,
-) -> Model:  # fmt: skip
+def fit(variant: Variant, model: ObservationModel, noise: Noise, touches: Touches) -> Model:
     """The trained model of a variant, on its share of `touches`."""
-    return fit_beside([(variant, progress)], model, noise, touches)[0]
+    return fit_beside([variant], model, noise, touches)[0]
 
 
 def fit_beside(
-    given: Sequence[tuple[Variant, Callable[[float], None]]], model: ObservationModel, noise: Noise,
-    touches: Touches,
-) -> list[Model]:  # fmt: skip
+    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: Touches
+) -> list[Model]:
     """Models as `fit` makes each. Those that see the same batches are trained side by side: to draw
     them takes a good part of the time."""
     done: dict[int, Model] = {}
     alike: dict[tuple[Any, ...], list[int]] = {}
-    for k, (variant, _) in enumerate(given):
+    for k, variant in enumerate(given):
         kind = variant.view, variant.frame, *shared(variant.training)
         alike.setdefault(kind, []).append(k)
     for (_, _, count, *_), places in alike.items():
         mine = Touches(touches.pose[:count], touches.activation[:count], touches.dropped_share)
-        runs = [
-            (partial(_make, variant, model), variant.training, progress)
-            for variant, progress in (given[k] for k in places)
-        ]
+        runs = [(partial(untrained, given[k], model), given[k].training) for k in places]
         done |= dict(zip(places, train_beside(runs, mine, model.leak, noise), strict=True))
     return [done[k] for k in range(len(given))]
-
-
-def untrained(variant: Variant, model: ObservationModel) -> Model:
-    """The model of a variant before its training, which knows its sizes."""
-    return _make(variant, model)
 
 
 def samplers(variant: Variant, trained: Model) -> dict[str, AnySampler]:
@@ -137,19 +118,16 @@ def samplers(variant: Variant, trained: Model) -> dict[str, AnySampler]:
             f"{solver}-{steps}": DiffusionSampler(trained, solver, steps)
             for solver, steps in variant.samplers
         }
-    assert isinstance(trained, ContactDensity | Generator)  # noqa: S101
+    assert isinstance(trained, ContactDensity)  # noqa: S101
     return {f"{variant.family}-{variant.network.width}": trained}
 
 
-def _make(variant: Variant, model: ObservationModel) -> Model:
+def untrained(variant: Variant, model: ObservationModel) -> Model:
+    """The model of a variant before its training, which knows its sizes."""
     view: AnyView = views.best(model.layout)
     if variant.view == "plain":
         view = views.Plain(model.layout)
     frame: AnyFrame = PoseFrame() if variant.frame == "pose" else ContactFrame(model)
     if isinstance(frame, ContactFrame) and variant.family == "density":
         return ContactDensity(variant.network, view, frame)
-    if variant.family == "generator":
-        made = Generator(variant.network, view, frame)
-        made.length_m = model.scene.size
-        return made
     return Denoiser(variant.network, view, frame)

@@ -12,8 +12,8 @@ from torch import Tensor, nn
 
 from taxeld.layout.layout import Layout
 
-TURNED_ORDER = 6  # of symmetry, from which on turning is better than a window
-WINDOW_RAD = 0.7  # to either side; a flat face pressed 5 mm deep covers half of it
+TURNED_ORDER = 6  # least order of symmetry at which turning is better than a window
+WINDOW_RAD = 0.7  # half width of the window; a flat face pressed 5 mm deep covers half of it
 
 
 class Plain(nn.Module):

@@ -16,18 +16,18 @@ from taxeld.layout.layout import Layout
 LARGE_M = 1.0  # an object that is larger is probably not in metres
 NEAR_M = 0.003  # vertices so near the lowest one carry the object: scans of flat bases are not flat
 TIPS_M = 0.002  # a centre so far outside what carries the object tips it over
-SHARE = 0.5  # of the footprint: an object that rests on more of it stands well
+SHARE = 0.5  # share of its footprint on which an object stands well
 BETTER = 2.0  # times as much on another side: it lies
 
 
 class Rest(NamedTuple):
     """How a mesh stands on its lowest vertices."""
 
-    share: float  # of its footprint that they span
+    share: float  # share of its footprint that these vertices span
     outside_m: float  # how far its centre lies beside them
 
 
-TURNS = {  # in words → the matrix
+TURNS = {  # turn in words → its matrix
     "90° about x": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
     "-90° about x": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
     "90° about y": np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]]),

@@ -14,7 +14,7 @@ from taxeld.errors import SetupError
 
 MIN_AREA_M2 = 1e-6  # slivers of a scan, smaller than a square millimetre, are no outline
 WELD_M = 1e-4  # gaps in a section's loops up to this are closed and not reported
-GAP_SHARE = 0.05  # of the object's width: gaps up to this are closed by a line, and reported
+GAP_SHARE = 0.05  # share of the object's width: shorter gaps are closed by a line, and reported
 
 
 @dataclass(frozen=True)

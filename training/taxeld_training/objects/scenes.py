@@ -12,7 +12,7 @@ from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.model.symmetry import USUAL_RADIUS_M
 from taxeld_training.objects import meshes
 
-CELL_M = 0.002  # of an object of half the usual size or more; halved with each half of that
+CELL_M = 0.002  # cell of an object of half the usual size or more; halved with each half of that
 GRAIN_M = 2.0**-16  # distances are kept to 15 µm: finer digits are noise and do not compress
 MARGIN_M = 0.025  # grid beyond the reach of the cylinder, so that uniform poses surround the object
 SLICE_STEP_M = 0.01  # heights nearer than this share a slice

@@ -1,5 +1,6 @@
 """Where an experiment takes place: an object on a skin, and how the two stand to each other."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,48 +21,38 @@ class Setting:
 
     object: str
     skin: str  # a layout, as `skin.layout` has it
-    columns: int  # of a generated cylinder; 0 for another layout
+    columns: int  # columns of a generated ring; 0 for another layout
     updates: float = 1.0  # share of a model's own
     seed: int = 0
+    scale: float = 1.0  # factor of the object, and of the height at which it is touched
+    depth_max_m: float = DEPTH_MAX_M  # at the skin's full scale
 
     @property
     def name(self) -> str:
-        return f"{Path(self.object).stem}-{self.columns or Path(self.skin).stem}"
+        """For files: other settings of one experiment have other names."""
+        skin = self.skin if self.skin.startswith("cylinder:") else Path(self.skin).stem
+        parts = [Path(self.object).stem, str(self.columns or re.sub("[:,=]", "-", skin))]
+        if self.scale != 1.0:
+            parts.append(f"x{self.scale:.4g}")
+        if self.depth_max_m != DEPTH_MAX_M:
+            parts.append(f"deep{1e3 * self.depth_max_m:g}")
+        return "-".join(parts)
 
     @property
     def is_as_shipped(self) -> bool:
         """Whether a shipped bundle may be of it."""
-        return True
-
-    def model(self) -> ObservationModel:
-        skin = layouts.load(self.skin)
-        mesh = meshes.load(meshes.find(self.object)[0])
-        return ObservationModel(scenes.build(mesh, skin, HEIGHT_M), skin, DEPTH_MAX_M)
-
-
-@dataclass(frozen=True)
-class Sized(Setting):
-    """An object made larger or smaller, and touched at a height as much higher or lower, on a skin
-    of another full scale."""
-
-    scale: float = 1.0
-    depth_max_m: float = DEPTH_MAX_M
-
-    @property
-    def name(self) -> str:
-        size = f"x{self.scale:.4g}" if self.scale != 1.0 else ""
-        depth = f"deep{1e3 * self.depth_max_m:g}" if self.depth_max_m != DEPTH_MAX_M else ""
-        skin = self.skin.replace(":", "-").replace(",", "-").replace("=", "")
-        return "-".join(part for part in (Path(self.object).stem, size, depth, skin) if part)
-
-    @property
-    def is_as_shipped(self) -> bool:
         return self.scale == 1.0 and self.depth_max_m == DEPTH_MAX_M
 
     def model(self) -> ObservationModel:
+        """The object's scene on the skin.
+
+        Raises:
+            SetupError: no such object or layout, or the skin misses the object.
+        """
         skin = layouts.load(self.skin)
         mesh = meshes.load(meshes.find(self.object)[0])
-        mesh.apply_scale(self.scale)
+        if self.scale != 1.0:
+            mesh.apply_scale(self.scale)
         scene = scenes.build(mesh, skin, self.scale * HEIGHT_M)
         return ObservationModel(scene, skin, self.depth_max_m)
 

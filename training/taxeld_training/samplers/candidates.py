@@ -5,9 +5,7 @@ posterior. The daemon runs by default the cheapest one that is as good as the be
 object, such as a can, does not cost what a power drill costs.
 """
 
-import contextlib
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -35,8 +33,7 @@ TOLERANCE = 1.15  # a proposal is as good as the nearest up to this factor of it
 VARIANTS = (variants.diffusion(), variants.density(64), variants.density(16, 48, 2))
 
 CONTACTS, TRAINING, MEASURING = "contacts", "training", "measuring"
-STAGES = (CONTACTS, TRAINING, quality.BANK_STAGE, quality.EXACT_STAGE, MEASURING)  # in this order
-LOOK_S = 0.5  # between looks at how far the trainings are
+STAGES = (CONTACTS, TRAINING, quality.BANK_STAGE, quality.EXACT_STAGE, MEASURING)
 
 Progress = Callable[[str, float], None]  # stage, share of it that is done
 
@@ -61,7 +58,7 @@ def make(
     rng = np.random.default_rng(given.seed)
     most = max(v.training.contacts for v in given.variants)
     touches = simulate(model, most, rng, partial(progress, CONTACTS))
-    trained = _train(given, model, touches, folder, progress)
+    trained = _train(given, model, touches, progress)
     to = quality.reference(
         model, given.noise, given.readings, rng, bank=given.bank, workers=given.workers,
         progress=progress,
@@ -126,65 +123,25 @@ def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str,
 
 
 def _train(
-    given: Candidates, model: ObservationModel, touches: Touches, folder: Path, progress: Progress
+    given: Candidates, model: ObservationModel, touches: Touches, progress: Progress
 ) -> list[tuple[Variant, Model]]:
-    """Train all variants, in their own order: a worker those of every so many places, by one
-    thread, side by side."""
+    """Train all variants, in their own order: each worker, a process of one thread, trains those
+    that are as many places apart as there are workers, side by side."""
     workers = min(given.workers, len(given.variants))
-    places = [range(first, len(given.variants), workers) for first in range(workers)]
-    with _board(folder, len(given.variants), partial(progress, TRAINING)) as board:
-        jobs = (
-            joblib.delayed(_fit)(
-                [(k, given.variants[k]) for k in mine], model, given.noise, touches, board
-            )
-            for mine in places
-        )
-        made: list[list[Model]] = joblib.Parallel(workers, mmap_mode="c")(jobs)
-    done = {k: one for mine, models in zip(places, made, strict=True)
-            for k, one in zip(mine, models, strict=True)}  # fmt: skip
-    return [(variant, done[k]) for k, variant in enumerate(given.variants)]
-
-
-@contextlib.contextmanager
-def _board(folder: Path, places: int, tell: Callable[[float], None]) -> Iterator[Path]:
-    """A file with a place for the share that each of several processes has done; meanwhile a
-    thread tells how far they are together."""
-    path = folder / "progress"
-    np.zeros(places).tofile(path)
-    is_over = threading.Event()
-
-    def look() -> None:
-        while not is_over.wait(LOOK_S):
-            tell(float(np.fromfile(path).mean()))
-
-    thread = threading.Thread(target=look, daemon=True)
-    thread.start()
-    try:
-        yield path
-        is_over.set()
-        thread.join()
-        tell(1.0)
-    finally:
-        is_over.set()
-        thread.join()
-        path.unlink()
+    shares = [given.variants[first::workers] for first in range(workers)]
+    jobs = (joblib.delayed(_fit)(share, model, given.noise, touches) for share in shares)
+    made: list[list[Model]] = []
+    for models in joblib.Parallel(workers, return_as="generator", mmap_mode="c")(jobs):
+        made.append(models)
+        progress(TRAINING, len(made) / workers)
+    return [(v, made[k % workers][k // workers]) for k, v in enumerate(given.variants)]
 
 
 def _fit(
-    variants_: Sequence[tuple[int, Variant]], model: ObservationModel, noise: Noise,
-    touches: Touches, board: Path,
-) -> list[Model]:  # fmt: skip
-    """Train variants, each with its place on the board."""
+    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: Touches
+) -> list[Model]:
     torch.set_num_threads(1)
-    with board.open("r+b") as shares:
-
-        def progress(place: int, share: float) -> None:
-            shares.seek(place * 8)
-            shares.write(np.float64(share).tobytes())
-            shares.flush()
-
-        given = [(variant, partial(progress, place)) for place, variant in variants_]
-        return variants.fit_beside(given, model, noise, touches)
+    return variants.fit_beside(given, model, noise, touches)
 
 
 def _samplers(

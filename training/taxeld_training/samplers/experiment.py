@@ -17,13 +17,7 @@ from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.proposals.analytic import ANALYTIC, Table
 from taxeld_training.limits import quality
-from taxeld_training.limits.rivals import (
-    LARGE,
-    LARGE_CONTACTS,
-    LARGE_EPOCHS,
-    RIVALS,
-    train_rival,
-)
+from taxeld_training.limits.rivals import CONTACTS, RIVALS, train_rival
 from taxeld_training.models import variants
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.export import AnySampler, flops
@@ -31,33 +25,36 @@ from taxeld_training.models.variants import MODELS, Variant
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 
-COLUMNS = (8, 16, 32, 64)  # of the paper's skins, 5 rows each
-LARGE_TABLE = "table-1e5"  # what a table of ten times the contacts buys
+COLUMNS = (8, 16, 32, 64)  # columns of the paper's skins, 5 rows each
+LARGE_TABLE = "table-1e5"  # a table of ten times the contacts
 GROUPS = {
     "proposals": ("analytic", "density-64", "paper"),
-    "frontier": ("analytic", LARGE_TABLE, *MODELS, *RIVALS, *LARGE),
+    "frontier": ("analytic", LARGE_TABLE, *MODELS, *RIVALS),
 }
-LEARNED = {"density-64": trained.DENSITY, "paper": trained.PAPER}  # once for all experiments
+LEARNED = {
+    "density-64": trained.DENSITY,
+    "paper": trained.PAPER,
+}  # models that are trained once for all experiments
 
 
 @dataclass(frozen=True)
 class Measurement(Setting):
-    """A setting, and how thoroughly samplers are setting in it."""
+    """A setting, and how thoroughly samplers are measured in it."""
 
-    readings: int = 64  # with an exact posterior
-    contacts: int = 1000  # for errors against the truth
-    slow_contacts: int = 200  # the same, of samplers that take long
+    readings: int = 64  # readings with an exact posterior
+    contacts: int = 1000  # contacts for errors against the truth
+    slow_contacts: int = 200  # contacts for samplers that take long
     bank: int = quality.BANK
-    epochs: int | None = None  # of a rival; None: its own
+    epochs: int | None = None  # epochs of a rival's training; None: its own number
 
     @property
     def place(self) -> Setting:
-        """Without how thoroughly."""
+        """The setting alone."""
         return Setting(self.object, self.skin, self.columns, self.updates, self.seed)
 
 
 class Tried(NamedTuple):
-    """A sampler to be setting, as the rows name it."""
+    """A sampler to be measured, as the rows name it."""
 
     proposal: str
     steps: int | None
@@ -113,13 +110,10 @@ def samplers_of(
         for sampler in variants.samplers(variant, network).values():
             yield _learned(group, variant, sampler, Eager(sampler))
     else:
-        kind = LARGE.get(group, group)
-        size = (
-            {"contacts": LARGE_CONTACTS, "max_epochs": LARGE_EPOCHS[kind]} if group in LARGE else {}
+        few = None if setting.epochs is None else CONTACTS  # a smoke run has no time for more
+        rival = train_rival(
+            group, model, IN_USE, seed=setting.seed, contacts=few, max_epochs=setting.epochs
         )
-        if setting.epochs is not None:
-            size = {"max_epochs": setting.epochs}
-        rival = train_rival(kind, model, IN_USE, seed=setting.seed, **size)
         yield Tried(group, None, None, None, rival)
 
 

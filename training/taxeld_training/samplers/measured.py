@@ -71,10 +71,9 @@ def measure(
         distances = quality.distances(tried.sampler, to, rng)
         rows.append(row(tried, seen.z[:count], seen.pose[:count], samples, distances))
     if group == "analytic":
-        z, truth, n = np.array(to.z), np.array(to.truth), quality.SAMPLES
-        exact = [draws[:n] for draws in to.exact]
         limit = Tried(EXACT, None, None, None, ANALYTIC["projection"](model))
-        rows.append(row(limit, z, truth, exact, to.floors))
+        exact = list(to.exact[:, : quality.SAMPLES])
+        rows.append(row(limit, to.z, to.truth, exact, to.floors))
     return rows
 
 

@@ -3,13 +3,11 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
-from taxeld_training.jobs import jobs
-from taxeld_training.jobs.jobs import Job
-from taxeld_training.jobs.options import Options, run_jobs
+from taxeld_hil.jobs import Job
+from taxeld_training.jobs.options import Options, run_jobs, with_file
 from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.models.variants import MODELS
 from taxeld_training.objects import meshes
@@ -19,6 +17,8 @@ from taxeld_training.samplers.experiment import LEARNED, Measurement
 
 FRONTIER_COLUMNS = (16, 32)
 EAGER_GROUP, EAGER_SIZE = "paper", (100, 256)  # steps × width, to which speed-ups are relative
+# ms of a call, cold and warm, by object, columns, proposal, steps and width
+Costs: TypeAlias = dict[tuple[str, int, str, int | None, int | None], tuple[float, float]]
 DISTANCE_KEYS = (
     "energy_distance",
     "energy_distance_ci",
@@ -58,18 +58,8 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
     for mesh in options.objects or OBJECTS:
         meshes.find(mesh)
     cells = settings(options, FRONTIER_COLUMNS if name == "frontier" else experiment.COLUMNS)
-    memory = options.memory.resolve()
-    first = [
-        Job(
-            f"reference-{s.name}", measured.make_reference, (s, measured.code()),
-            (reference_file(s, memory),),
-        )
-        for s in cells
-    ]  # fmt: skip
-    for job in first:
-        if not Path(job.beside[0]).is_file():
-            jobs.forget(job, memory)
-    references = run_jobs(first, options)
+    exact = {s: with_file(_reference(s), options.memory, ".npz") for s in cells}
+    references = run_jobs(list(exact.values()), options)
     groups = options.groups or experiment.GROUPS[name]
     wanted = {(s.place, LEARNED[g]) for s in cells for g in groups if g in LEARNED}
     files = trainings.files(wanted, options)
@@ -78,46 +68,41 @@ def rows(name: str, options: Options) -> list[dict[str, Any]]:
             f"{s.name}-{group}",
             measured.measure,
             (s, group, MODELS.get(group), measured.code()),
-            (reference_file(s, memory), files.get((s.place, LEARNED.get(group, "")))),
+            (*exact[s].beside, files.get((s.place, LEARNED.get(group, "")))),
         )
         for s in cells
-        if references[f"reference-{s.name}"] is not None
+        if references[exact[s].name] is not None
         for group in groups
         if group not in LEARNED or (s.place, LEARNED[group]) in files
     ]
     done = run_jobs(second, options)
     found = [row for job in second for row in done[job.name] or []]
-    if name != "frontier":
+    if name != "frontier" or not found:
         return found
-    timed: list[dict[str, Any]] = []
+    ms: Costs = {
+        (s.object, s.columns, EXACT, None, None): (references[job.name]["ms"],) * 2
+        for s, job in exact.items()
+        if references[job.name] is not None
+    }
     for cell in {c.columns: c for c in reversed(cells)}.values():
         timed_groups = tuple((g, MODELS.get(g)) for g in dict.fromkeys((*groups, EAGER_GROUP)))
         job = Job(f"cost-{cell.columns}", costs.time_calls, (cell, timed_groups))
         alone = run_jobs([job], replace(options, workers=1, until=math.inf))  # beside no other
-        timed += [row | {"columns": cell.columns} for row in alone[job.name]]
-    exact = {(s.object, s.columns): references[f"reference-{s.name}"]["ms"] for s in cells}
-    return [_with_cost(row, timed, exact) for row in found]
+        for row in alone[job.name]:
+            size = row["proposal"], row["steps"], row["width"]
+            ms |= {(s.object, cell.columns, *size): (row["ms"], row["ms_warm"]) for s in cells}
+    return [_with_cost(row, ms) for row in found]
 
 
-def reference_file(setting: Measurement, memory: Path) -> str:
-    """The file of exact posteriors that the jobs of a measurement share."""
-    job = Job(setting.name, measured.make_reference, (setting, measured.code()))
-    return str(memory / f"exact-{job.key}.npz")
+def _reference(setting: Measurement) -> Job:
+    """The job that makes the exact posteriors, a file that all others of a measurement share."""
+    return Job(f"reference-{setting.name}", measured.make_reference, (setting, measured.code()))
 
 
-def _with_cost(
-    row: dict[str, Any], timed: list[dict[str, Any]], exact: dict[tuple[str, int], float]
-) -> dict[str, Any]:
-    def ms(proposal: str, steps: int | None, width: int | None) -> tuple[float, float]:
-        wanted = {"proposal": proposal, "steps": steps, "width": width, "columns": row["columns"]}
-        found = next(t for t in timed if wanted.items() <= t.items())
-        return float(found["ms"]), float(found["ms_warm"])
-
-    eager, eager_warm = ms(costs.EAGER, *EAGER_SIZE)
-    if row["proposal"] == EXACT:
-        own = own_warm = exact[row["object"], row["columns"]]
-    else:
-        own, own_warm = ms(row["proposal"], row["steps"], row["width"])
+def _with_cost(row: dict[str, Any], ms: Costs) -> dict[str, Any]:
+    place = row["object"], row["columns"]
+    own, own_warm = ms[*place, row["proposal"], row["steps"], row["width"]]
+    eager, eager_warm = ms[*place, costs.EAGER, *EAGER_SIZE]
     kept = {
         key: row[key]
         for key in ("object", "columns", "proposal", "steps", "width", "flops", *DISTANCE_KEYS,

@@ -5,15 +5,13 @@ What a filter follows with is so what the samplers' rows have measured.
 
 import time
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
 
-from taxeld_training.jobs import jobs
-from taxeld_training.jobs.jobs import Job
-from taxeld_training.jobs.options import Options, run_jobs
+from taxeld_hil.jobs import Job
+from taxeld_training.jobs.options import Options, run_jobs, with_file
 from taxeld_training.models import export, variants
 from taxeld_training.models.dataset import IN_USE, simulate
 from taxeld_training.models.variants import Variant
@@ -28,7 +26,7 @@ def files(wanted: Iterable[Wanted], options: Options) -> dict[Wanted, str]:
     none, and nothing of one that time ran out for."""
     ordered = sorted(set(wanted), key=lambda each: (each[0].name, each[1]))
     learned = [each for each in ordered if trained.is_learned(each[1], each[0])]
-    todo = trainings(learned, options.memory.resolve())
+    todo = trainings(learned, options.memory)
     done = run_jobs(list(todo.values()), options) if todo else {}
     found = {each: job.beside[0] for each, job in todo.items() if done[job.name]}
     return found | dict.fromkeys((each for each in ordered if each not in learned), "")
@@ -36,14 +34,12 @@ def files(wanted: Iterable[Wanted], options: Options) -> dict[Wanted, str]:
 
 def trainings(wanted: Iterable[Wanted], memory: Path) -> dict[Wanted, Job]:
     """A job for each learned proposal; `beside` its arguments is the file it makes."""
-    found = {}
-    for setting, name in wanted:
-        job = Job(f"{name}-{setting.name}", train, (setting, trained.LEARNED[name]))
-        file = memory / f"{job.key}.onnx"
-        found[setting, name] = replace(job, beside=(str(file),))
-        if not file.is_file():
-            jobs.forget(job, memory)
-    return found
+    return {
+        (setting, name): with_file(
+            Job(f"{name}-{setting.name}", train, (setting, trained.LEARNED[name])), memory, ".onnx"
+        )
+        for setting, name in wanted
+    }
 
 
 def train(setting: Setting, given: Variant, file: str) -> dict[str, float]:

@@ -1,0 +1,151 @@
+"""Endpoints, bound: a socket file belongs to the daemon and is there as long as it runs."""
+
+import errno
+import logging
+import os
+import socket as kernel
+import time
+from pathlib import Path
+from typing import Any
+
+import zmq
+
+from taxeld.config import endpoints
+from taxeld.errors import SetupError
+from taxeld.stream import pair
+from taxeld.stream.sockets import why
+
+BACKLOG = 128
+PROBE_S = 1.0
+TRIES, TRY_S = 100, 0.01  # to have a port again that a socket before has left
+log = logging.getLogger(__name__)
+
+
+class Binding:
+    """An endpoint that is served by one socket of ZeroMQ's after another.
+
+    The file of an ipc endpoint is made and removed here. ZeroMQ would take the file of a living
+    daemon, and would remove one later on when another daemon's may stand there.
+    """
+
+    def __init__(self, endpoint: str, key: str) -> None:
+        """Raises SetupError, in the name of `key`, where the endpoint is taken or cannot be had."""
+        self._endpoint = endpoint
+        self._key = key
+        self._path = endpoints.ipc_path(endpoint)
+        self._listening: kernel.socket | None = None  # of an ipc endpoint
+        self._file: tuple[int, int] | None = None
+        self._is_lost = self._was_bound = False
+        if self._path is not None:
+            make_way(self._path, key)
+            try:
+                self._listen(self._path)
+            except OSError as error:
+                raise self._fault(str(error.strerror)) from None
+
+    def let_in(self, socket: zmq.Socket[Any]) -> None:
+        """Have `socket` serve whoever comes. Raises SetupError where it cannot."""
+        socket.setsockopt(zmq.IPV6, "[" in self._endpoint)
+        if self._listening is not None:
+            socket.setsockopt(zmq.USE_FD, os.dup(self._listening.fileno()))
+        try:
+            self._bind(socket)
+        except zmq.ZMQError as error:
+            raise self._fault(why(error)) from None
+        finally:
+            socket.setsockopt(zmq.USE_FD, -1)
+        self._was_bound = True
+
+    def restore(self, socket: zmq.Socket[Any]) -> bool:
+        """Make the file again where it has vanished; → whether that was done. Peers that are
+        connected stay so."""
+        if self._path is None or _identity(self._path) == self._file:
+            return False
+        try:
+            if os.path.lexists(self._path):
+                raise FileExistsError(0, "something else stands in its place")
+            self._listen(self._path)
+            self.let_in(socket)
+        except (OSError, SetupError) as error:
+            if not self._is_lost:  # said once, and tried again
+                log.warning("%s: %s is lost: %s", self._key, self._path, error)
+            self._is_lost = True
+            return False
+        self._is_lost = False
+        log.warning("%s: %s had vanished and was bound again", self._key, self._path)
+        return True
+
+    def close(self) -> None:
+        if self._listening is not None and self._path is not None:
+            self._listening.close()
+            if _identity(self._path) == self._file:
+                self._path.unlink(missing_ok=True)
+
+    def _listen(self, path: Path) -> None:
+        """Make the file, open to owner and group."""
+        made = kernel.socket(kernel.AF_UNIX)
+        before = os.umask(0o117)  # 0660 from the first moment on
+        try:
+            made.bind(str(path))
+        except OSError:
+            made.close()
+            raise
+        finally:
+            os.umask(before)
+        made.setblocking(False)
+        pair.refuse_descriptors(made)
+        made.listen(BACKLOG)
+        if self._listening is not None:
+            self._listening.close()
+        self._listening, self._file = made, _identity(path)
+
+    def _bind(self, socket: zmq.Socket[Any]) -> None:
+        for _ in range(TRIES if self._was_bound and self._listening is None else 0):
+            try:
+                socket.bind(self._endpoint)
+            except zmq.ZMQError as error:  # ZeroMQ has not closed the socket before yet
+                if error.errno != errno.EADDRINUSE:
+                    raise
+                time.sleep(TRY_S)
+            else:
+                return
+        socket.bind(self._endpoint)
+
+    def _fault(self, reason: str) -> SetupError:
+        return SetupError(
+            f"{self._key}: cannot bind {self._endpoint} ({reason}); "
+            "is another daemon there? stop it or name another endpoint"
+        )
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """Of the file itself; None where there is none."""
+    try:
+        found = path.lstat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
+def make_way(path: Path, key: str) -> None:
+    """Leave `path` to be bound, unless it is a living daemon's."""
+    missing = endpoints.no_directory(f"{endpoints.IPC}{path}")
+    if missing:
+        raise SetupError(f"{key}: {missing}")
+    if not os.path.lexists(path):
+        return
+    if not path.is_socket():
+        raise SetupError(f"{key}: {path} is no socket; remove it or name another endpoint")
+    with kernel.socket(kernel.AF_UNIX) as probe:
+        probe.settimeout(PROBE_S)
+        try:
+            probe.connect(str(path))
+        except ConnectionRefusedError:  # left behind by a process that is gone
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise SetupError(f"{key}: cannot remove {path} ({error.strerror})") from None
+            return
+        except OSError as error:
+            raise SetupError(f"{key}: cannot take over {path} ({error.strerror})") from None
+    raise SetupError(f"{key}: another daemon serves {path}; stop it or name another endpoint")

@@ -1,0 +1,187 @@
+"""Requests and their answers: msgpack {"cmd": …} → {"ok": bool, …}.
+
+`status` and `info` are answered from the last messages; `tare` and `reset` are passed on to the
+loop, for those who may.
+"""
+
+import grp
+import itertools
+import os
+import socket as kernel
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgpack
+import zmq
+
+from taxeld.door.binding import Binding
+from taxeld.stream import sockets
+from taxeld.stream.link import ControlCounters
+from taxeld.stream.sockets import credentials, open_socket, sender, unpack
+
+REQUESTS_AT_ONCE = 64
+REQUEST_BYTES = 4096
+QUEUED = 16  # requests and answers of a client
+CHANGES = ("tare", "reset")
+PENDING_MAX = 64  # changes that the loop has not answered
+PENDING_S = 2.0  # without the loop's answer for so long, the client is told
+SO_PEERGROUPS = 59
+GROUPS_BYTES = 1024  # getsockopt of Python gives no more: 256 groups
+
+NUMBERS = itertools.count()  # of requests that the loop answers, by any endpoint
+
+Body = bytes
+MayChange = Callable[[zmq.Frame], str]  # a frame of the peer → why it may not, or an empty text
+Change = Callable[[int, str], bool]  # number of the request, command → whether the loop was told
+
+
+class Control:
+    """Serves one endpoint by a ROUTER: with REP a client that breaks off would wedge it.
+
+    A message of too many frames would take long to be read to its end. It costs the socket, with
+    all that waits in it; clients are connected to the next one by themselves, and ask again.
+    """
+
+    def __init__(
+        self,
+        opened: Callable[[], zmq.Socket[Any]],
+        endpoint: str,
+        key: str,
+        counters: ControlCounters,
+        may_change: MayChange,
+    ) -> None:
+        """`opened` makes a socket from `open_router`; `may_change`: why the peer that sent a frame
+        may not tare and reset, empty where it may.
+
+        Raises:
+            SetupError: the endpoint cannot be had, in the name of `key`.
+        """
+        self._opened, self._counters, self._may_change = opened, counters, may_change
+        self._binding = Binding(endpoint, key)
+        self.socket = self._open()
+        self._pending: dict[int, tuple[float, list[bytes]]] = {}  # since when, and for whom
+
+    def poll(self, now_s: float, answers: Mapping[str, Callable[[], Body]], change: Change) -> bool:
+        """Answer requests that have come; → whether the socket is another one now. `now_s` is
+        monotonic."""
+        for _ in range(REQUESTS_AT_ONCE):
+            try:
+                parts = sockets.frames(self.socket)
+            except zmq.Again:
+                return False
+            if parts is None:
+                self._counters.refused += 1
+                self.socket.close()
+                self.socket = self._open()
+                self._pending.clear()
+                return True
+            *route, body = parts
+            answer = self._answer(now_s, [frame.bytes for frame in route], body, answers, change)
+            if answer is not None:
+                self._send([frame.bytes for frame in route], answer)
+        return False
+
+    def done(self, number: int, why: str) -> None:
+        """The loop's answer to the request of that number; `why` it was not done."""
+        if number in self._pending:
+            self._counters.failed += bool(why)
+            self._send(self._pending.pop(number)[1], packed_error(why) if why else packed_ok())
+
+    def look(self, now_s: float) -> None:
+        """Tell those whose requests the loop has not answered, and mend the socket file."""
+        late = [n for n, (since_s, _) in self._pending.items() if now_s > since_s + PENDING_S]
+        for number in late:
+            self.done(number, "the loop does not answer; the log of the daemon may say why")
+        self._binding.restore(self.socket)
+
+    def close(self) -> None:
+        self.socket.close()
+        self._binding.close()
+
+    def _open(self) -> zmq.Socket[Any]:
+        socket = self._opened()
+        self._binding.let_in(socket)
+        return socket
+
+    def _answer(
+        self,
+        now_s: float,
+        route: list[bytes],
+        body: zmq.Frame,
+        answers: Mapping[str, Callable[[], Body]],
+        change: Change,
+    ) -> Body | None:
+        """None where the loop is to answer."""
+        self._counters.requests += 1
+        request = unpack(body.bytes)
+        command = request.pop("cmd", None)
+        if not isinstance(command, str) or command not in (*answers, *CHANGES):
+            self._counters.refused += 1
+            known = ", ".join((*answers, *CHANGES))
+            return packed_error(f"unknown cmd {command!r:.100}; known: {known}")
+        if request:
+            self._counters.refused += 1
+            return packed_error(f"unknown key {next(iter(request))!r:.100}; {command} takes none")
+        if command in answers:
+            return answers[command]()
+        refusal = self._may_change(body)
+        if refusal:
+            self._counters.refused += 1
+            return packed_error(f"{command}: {refusal}")
+        number = next(NUMBERS)
+        if len(self._pending) >= PENDING_MAX or not change(number, command):
+            self._counters.failed += 1
+            return packed_error("the loop is busy; ask again")
+        self._pending[number] = now_s, route
+        return None
+
+    def _send(self, route: list[bytes], answer: Body) -> None:
+        """The envelope goes back as it came; a client that fetches no answers loses them."""
+        try:
+            self.socket.send_multipart([*route, answer], flags=zmq.NOBLOCK)
+        except zmq.ZMQError:
+            self._counters.failed += 1
+
+
+def open_router(context: zmq.Context[Any]) -> zmq.Socket[Any]:
+    return open_socket(context, zmq.ROUTER, send=QUEUED, receive=QUEUED, largest=REQUEST_BYTES)
+
+
+def packed_ok(**parts: Body) -> Body:
+    """An answer of maps that are packed already."""
+    packer = msgpack.Packer()
+    head: bytes = packer.pack_map_header(1 + len(parts)) + packer.pack("ok") + packer.pack(True)
+    return head + b"".join(packer.pack(name) + body for name, body in parts.items())
+
+
+def packed_error(error: str) -> Body:
+    made: bytes = msgpack.packb({"ok": False, "error": error})
+    return made
+
+
+def for_members(group: str) -> MayChange:
+    """Who may tare and reset at an ipc endpoint: root, the daemon's own user, and members of the
+    group, as the kernel knew them when they connected. The function gives the reason for a refusal
+    of the peer that sent a frame, empty where there is none."""
+    try:
+        number = grp.getgrnam(group).gr_gid if group else -1
+    except KeyError:
+        number = -1
+    refusal = (
+        f"is for members of the group {group}: sudo usermod -aG {group} USER, and log in again"
+    )
+    if number < 0:
+        refusal = f"is for the daemon's own user; there is no group {group} (control.group)"
+
+    def why_not(frame: zmq.Frame) -> str:
+        try:
+            with sender(frame) as peer:
+                _, user, own_group = credentials(peer)
+                found = peer.getsockopt(kernel.SOL_SOCKET, SO_PEERGROUPS, GROUPS_BYTES)
+        except OSError:
+            return refusal
+        groups = {own_group, *struct.unpack(f"{len(found) // 4}I", found)}
+        return "" if user in (0, os.geteuid()) or number in groups else refusal
+
+    return why_not

@@ -1,0 +1,325 @@
+"""The process: it waits for the loop and for all peers at once, and lives as long as the pair."""
+
+import contextlib
+import logging
+import signal
+import socket
+import sys
+import time
+from dataclasses import asdict
+from functools import partial
+from typing import Any, NamedTuple
+
+import msgpack
+import zmq
+
+from taxeld.config import endpoints
+from taxeld.door import control, sandbox
+from taxeld.door.admission import Admission
+from taxeld.door.connections import Connections
+from taxeld.door.control import Control, MayChange, packed_error, packed_ok
+from taxeld.door.robot import Robot
+from taxeld.door.settings import Settings
+from taxeld.door.streams import Streams, open_publisher
+from taxeld.errors import SetupError
+from taxeld.stream import curve, pair
+from taxeld.stream.curve import RelayKeys, RobotKeys
+from taxeld.stream.link import SEVERITIES, Report, line_of
+from taxeld.stream.pair import Kind
+from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, TOPICS
+
+WAIT_MS, HURRY_MS = 50, 2  # for a peer or the loop; the second while memory grows
+LOOK_S, REPORT_S = 0.05, 1.0
+PACKETS_PER_LOOK = 256
+SILENT_S = 2.0  # without an estimate for so long, the loop hangs
+NOTHING = b"\x80"  # an empty map
+log = logging.getLogger("taxeld")
+
+
+class _Keys(NamedTuple):
+    """Of the robot's connection, and of the endpoints over TCP; None where none are used."""
+
+    robot: RobotKeys | None
+    relay: RelayKeys | None
+
+
+class Door:
+    """All endpoints of a configuration, being served."""
+
+    def __init__(self, settings: Settings, end: socket.socket) -> None:
+        """`end`: of the pair.
+
+        Raises:
+            SetupError: an endpoint or a key cannot be used.
+        """
+        self._end = end
+        self._report = Report()
+        self._latest: dict[bytes, bytes] = {}
+        self._state: dict[str, bytes] = {}
+        self._estimate_s = time.monotonic()
+        self._wanted = -1
+        self._is_at_work = False  # whether the loop has sent an estimate
+        self._next_look_s = self._next_report_s = 0.0
+        self._wait_ms = WAIT_MS
+        self._streams: list[Streams] = []
+        self._publishers: dict[tuple[str, bool], Streams] = {}  # by key, and whether keys are taken
+        self._controls: list[Control] = []
+        self._robot: Robot | None = None
+        self._admission: Admission | None = None
+        served = (*settings.publish, *settings.relay_publish)
+        asked = filter(None, (settings.control, settings.relay_control))
+        # all that is read of files comes before the process is confined
+        self._connections = Connections((*served, *asked), settings.robot)
+        keys = _keys(settings)
+        members = control.for_members(settings.change_group)
+        self._report.confined = _confine(settings)
+        with contextlib.ExitStack() as opened:
+            opened.callback(self._connections.close)
+            context: zmq.Context[Any] = opened.enter_context(zmq.Context())
+            opened.callback(self._close_all)
+            self._open(context, settings, keys, members)
+            self._opened = opened.pop_all()
+        sandbox.start_no_more()
+        self._answers = {"status": self._on_status, "info": self._on_info}
+        self._make_poller()
+
+    def run(self) -> None:
+        """Serve until the loop is gone."""
+        pair.send(self._end, Kind.READY, b"")
+        with contextlib.suppress(EOFError, ConnectionError):
+            while True:
+                self._pass(dict(self._poller.poll(self._wait_ms)))
+
+    def close(self) -> None:
+        self._opened.close()
+
+    def _pass(self, ready: dict[Any, int]) -> None:
+        now_s = time.monotonic()
+        if self._end.fileno() in ready:
+            self._take_from_loop(now_s)
+        changed = False
+        if self._robot is not None and self._robot.socket in ready:
+            changed = self._robot.poll(now_s)
+        if self._admission is not None and self._admission.socket in ready:
+            self._admission.answer()
+        for stream in self._streams:
+            if stream.socket in ready:
+                stream.listen()
+                self._next_look_s = now_s
+        for served in self._controls:
+            if served.socket in ready:
+                changed |= served.poll(now_s, self._answers, self._pass_on)
+        self._wait_ms = WAIT_MS if self._connections.is_calm(now_s) else HURRY_MS
+        if now_s >= self._next_look_s:
+            self._next_look_s = now_s + LOOK_S
+            changed |= self._look(now_s)
+        if changed:
+            self._make_poller()
+
+    def _look(self, now_s: float) -> bool:
+        """What need not be looked at in each pass; → whether a socket is another one now."""
+        self._connections.survey()
+        for stream in self._streams:
+            stream.look(self._connections.there.keys())
+            stream.greet(now_s, self._info())
+        for served in self._controls:
+            served.look(now_s)
+        self._tell_wanted()
+        if now_s >= self._next_report_s:
+            self._next_report_s = now_s + REPORT_S
+            self._send_report()
+        return self._robot is not None and self._robot.look(now_s)
+
+    def _take_from_loop(self, now_s: float) -> None:
+        for _ in range(PACKETS_PER_LOOK):
+            packet = pair.receive(self._end)
+            if packet is None:
+                return
+            kind, body = packet
+            if kind == Kind.MESSAGE:
+                number, t = pair.HEAD.unpack_from(body)
+                self._forward(now_s, TOPICS[number], body[pair.HEAD.size :], t)
+            elif kind == Kind.STATE:
+                self._state = {name: msgpack.packb(v) for name, v in msgpack.unpackb(body).items()}
+            elif kind == Kind.ANSWER:
+                (number,) = pair.REQUEST.unpack_from(body)
+                for served in self._controls:
+                    served.done(number, body[pair.REQUEST.size :].decode())
+
+    def _forward(self, now_s: float, topic: bytes, body: bytes, t: float) -> None:
+        self._latest[topic] = body
+        if topic == INFO:  # for newcomers, who are greeted with it
+            return
+        if topic == ESTIMATE:
+            self._estimate_s = now_s
+            if not self._is_at_work:  # requests have waited for the loop's first estimate
+                self._is_at_work = True
+                self._make_poller()
+        frames = [topic, body, b"%.6f" % t]
+        for stream in self._streams:
+            stream.send(frames)
+
+    def _info(self) -> list[bytes]:
+        """The message; empty while the loop has not spoken."""
+        if INFO not in self._latest:
+            return []
+        return [INFO, self._latest[INFO], b"%.6f" % time.time()]
+
+    def _on_pose(self, *pose: float) -> bool:
+        return pair.send(self._end, Kind.POSE, pair.POSE.pack(*pose))
+
+    def _pass_on(self, number: int, command: str) -> bool:
+        return pair.send(self._end, Kind.CHANGE, pair.REQUEST.pack(number) + command.encode())
+
+    def _on_status(self) -> bytes:
+        if time.monotonic() > self._estimate_s + SILENT_S:
+            return packed_error("the loop is silent; the log of the daemon may say why")
+        latest = {
+            "estimate": self._latest[ESTIMATE],
+            "health": self._latest.get(HEALTH, NOTHING),
+        }
+        return packed_ok(**latest, **self._state)
+
+    def _on_info(self) -> bytes:
+        return packed_ok(info=self._latest[INFO])
+
+    def _tell_wanted(self) -> None:
+        topics = set[bytes]().union(*(stream.wanted for stream in self._streams))
+        wanted = sum(1 << number for number, topic in enumerate(TOPICS) if topic in topics)
+        if wanted != self._wanted and pair.send(self._end, Kind.WANTED, bytes((wanted,))):
+            self._wanted = wanted
+
+    def _send_report(self) -> None:
+        report = self._report
+        report.peers = len(self._connections.there)
+        report.crowded_out = self._connections.crowded_out
+        report.hoarders = self._connections.hoarders
+        report.keys_refused = 0 if self._admission is None else self._admission.refused
+        report.poses_lost = 0 if self._robot is None else self._robot.lost
+        pair.send(self._end, Kind.REPORT, msgpack.packb(asdict(report)))
+
+    def _open(
+        self, context: zmq.Context[Any], settings: Settings, keys: _Keys, members: MayChange
+    ) -> None:
+        """All sockets; `members`: who may change something at the ipc endpoint."""
+        if keys.relay is not None:
+            self._admission = Admission(context, keys.relay)
+        for endpoint in settings.publish:
+            self._publish(context, settings, endpoint, "publish.endpoints", 3)
+        for endpoint in settings.relay_publish:
+            self._publish(context, settings, endpoint, "relay.publish", settings.relay_frames)
+        refused = "" if settings.relay_change else "not over TCP: relay.change is false"
+        self._serve(context, settings, settings.control, "control.endpoint", members)
+        self._serve(context, settings, settings.relay_control, "relay.control", lambda _: refused)
+        if settings.robot:
+            now_s = time.monotonic()
+            self._robot = Robot(context, settings.robot, self._on_pose, keys.robot, now_s)
+            self._report.robot = self._robot.line
+
+    def _guard_of(self, endpoint: str, settings: Settings) -> Admission | None:
+        """Of an endpoint that takes keys."""
+        return self._admission if curve.takes_keys(endpoint, settings.loopback_keys) else None
+
+    def _publish(
+        self, context: zmq.Context[Any], settings: Settings, endpoint: str, key: str, frames: int
+    ) -> None:
+        """Endpoints that are alike share a socket."""
+        guard = self._guard_of(endpoint, settings)
+        alike = (key, guard is not None)
+        if alike not in self._publishers:
+            publisher = open_publisher(context, settings.queue)
+            if guard is not None:
+                guard.serve(publisher)
+            made = Streams(publisher, self._report.subscribers, frames)
+            self._publishers[alike] = made
+            self._streams.append(made)
+        self._publishers[alike].bind(endpoint, key)
+
+    def _serve(
+        self,
+        context: zmq.Context[Any],
+        settings: Settings,
+        endpoint: str,
+        key: str,
+        may_change: MayChange,
+    ) -> None:
+        if endpoint:
+            opens = partial(_open_router, context, self._guard_of(endpoint, settings))
+            counters = self._report.control
+            self._controls.append(Control(opens, endpoint, key, counters, may_change))
+
+    def _make_poller(self) -> None:
+        self._poller = zmq.Poller()
+        self._poller.register(self._end.fileno(), zmq.POLLIN)
+        controls = self._controls if self._is_at_work else ()
+        owners = (*self._streams, *controls, self._robot, self._admission)
+        for owner in owners:
+            if owner is not None:
+                self._poller.register(owner.socket, zmq.POLLIN)
+
+    def _close_all(self) -> None:
+        for owner in (*self._streams, *self._controls, self._robot, self._admission):
+            if owner is not None:
+                owner.close()
+
+
+class _ToLoop(logging.Handler):
+    """What is logged goes to the loop, which has the log."""
+
+    def __init__(self, end: socket.socket) -> None:
+        super().__init__()
+        self._end = end
+
+    def emit(self, record: logging.LogRecord) -> None:
+        level = max(i for i, s in enumerate(SEVERITIES) if s <= max(record.levelno, SEVERITIES[0]))
+        with contextlib.suppress(OSError):
+            pair.send(self._end, Kind.LOG, bytes((level,)) + record.getMessage().encode()[:2000])
+
+
+def main() -> None:
+    """`python -m taxeld.door DESCRIPTOR SETTINGS`, the door's end of the pair."""
+    for number in (signal.SIGINT, signal.SIGTERM):  # of a terminal, or of a service that is stopped
+        signal.signal(number, signal.SIG_IGN)  # the loop ends the door when it has ended
+    end = socket.socket(fileno=int(sys.argv[1]))
+    log.addHandler(_ToLoop(end))
+    log.setLevel(logging.INFO)
+    sandbox.limit()
+    try:
+        door = Door(Settings.parse(sys.argv[2]), end)
+    except SetupError as error:
+        pair.send(end, Kind.FAULT, line_of(str(error).encode()).encode())
+        sys.exit(2)
+    try:
+        door.run()
+    finally:
+        door.close()
+
+
+def _keys(settings: Settings) -> _Keys:
+    """Raises SetupError where a key that is needed cannot be used."""
+    served, loopback = (*settings.relay_publish, settings.relay_control), settings.loopback_keys
+    return _Keys(
+        curve.robot_keys(settings.keys, settings.robot, loopback),
+        curve.relay_keys(settings.keys, served, loopback),
+    )
+
+
+def _open_router(context: zmq.Context[Any], guard: Admission | None) -> zmq.Socket[Any]:
+    router = control.open_router(context)
+    if guard is not None:
+        guard.serve(router)
+    return router
+
+
+def _confine(settings: Settings) -> bool:
+    served = [endpoint for endpoint in (*settings.publish, settings.control) if endpoint]
+    for endpoint in served:
+        endpoints.make_directory(endpoint)
+    directories = {path.parent for path in map(endpoints.ipc_path, served) if path is not None}
+    binds = [e for e in (*settings.relay_publish, settings.relay_control) if e]
+    connects = [settings.robot] if settings.robot.startswith(endpoints.TCP) else []
+    return sandbox.confine(directories, map(_port, binds), map(_port, connects))
+
+
+def _port(endpoint: str) -> int:
+    return int(endpoint.rpartition(":")[2])

@@ -1,0 +1,187 @@
+"""The robot's sensor poses, and the connection they come by.
+
+SUB to `/robot/sensor_pose`, a map {t, x, y, theta}. While no pose comes, whatever else the robot
+publishes is listened to for a moment, so that a wrong topic can be named.
+"""
+
+import itertools
+import math
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import zmq
+
+from taxeld.stream import curve, sockets
+from taxeld.stream.curve import RobotKeys
+from taxeld.stream.link import TOPIC_MAX, TOPICS_MAX, RobotLine
+from taxeld.stream.sockets import connect, open_socket, unpack
+from taxeld.stream.topics import SENSOR_POSE
+
+POSES_PER_LOOK = 200
+QUEUED = 64  # messages
+POSE_FRAMES = 3
+MESSAGE_BYTES = 65_536  # of anything that the robot publishes under a topic that begins like ours
+EVENTS_PER_LOOK = 64
+LOST_S = 2.0  # a connection that does not come back by itself in so long is made anew
+HALF_OPEN_S = 3.0  # a connection without a handshake for so long is refused
+SILENT_S = 1.0  # without a pose for so long, other topics are listened to
+LISTEN_S, PAUSE_S = 3.0, 30.0  # for so long, and then not again
+FAILED = (
+    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
+    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
+    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
+)
+WATCHED = (
+    zmq.EVENT_CONNECTED
+    | zmq.EVENT_HANDSHAKE_SUCCEEDED
+    | zmq.EVENT_DISCONNECTED
+    | zmq.EVENT_CLOSED
+    | FAILED
+)
+EVENT = struct.Struct("=HI")  # an event and its value: pyzmq's own reader brings all of asyncio
+NUMBERS = itertools.count()  # each monitor has a name of its own
+
+OnPose = Callable[[float, float, float, float], bool]
+
+
+class Robot:
+    """One endpoint."""
+
+    def __init__(
+        self,
+        context: zmq.Context[Any],
+        endpoint: str,
+        on_pose: OnPose,
+        keys: RobotKeys | None,
+        now_s: float,
+    ) -> None:
+        """`on_pose` is given each pose (t, x, y, θ) that is well-formed, → whether it was taken;
+        `now_s` is monotonic.
+
+        Raises:
+            SetupError: the endpoint is none.
+        """
+        self.line = RobotLine()
+        self.lost = 0  # poses that were not taken
+        self._context, self._endpoint, self._keys = context, endpoint, keys
+        self._on_pose = on_pose
+        self._pose_s = now_s  # when the last one came
+        self._listens_s: float | None = None  # since when to other topics
+        self._pauses_s = -math.inf  # until then not again
+        self._open()
+
+    def poll(self, now_s: float) -> bool:
+        """Take the poses that have arrived; → whether the socket is another one now."""
+        for _ in range(POSES_PER_LOOK):
+            if not sockets.is_waiting(self.socket):
+                return False
+            parts = sockets.contents(self.socket)
+            if parts is None:
+                self.line.oversized += 1
+                self._reopen()
+                return True
+            self._take(now_s, parts)
+        return False
+
+    def look(self, now_s: float) -> bool:
+        """What has become of the connection, a few times a second; → whether the socket is another
+        one now."""
+        for _ in range(EVENTS_PER_LOOK):
+            if not sockets.is_waiting(self._monitor):
+                break
+            self._note(EVENT.unpack(self._monitor.recv_multipart()[0])[0], now_s)
+        if self._half_open_s is not None and now_s > self._half_open_s + HALF_OPEN_S:
+            self.line.refused = True
+        if self._lost_s is not None and now_s > self._lost_s + LOST_S:
+            # after an error of the protocol ZeroMQ does not connect again by itself
+            self.line.reconnected += 1
+            self._reopen()
+            return True
+        self._listen(now_s)
+        return False
+
+    def close(self) -> None:
+        self.socket.monitor(None, 0)
+        self._monitor.close(linger=0)
+        self.socket.close()
+
+    def _open(self) -> None:
+        self.socket = open_socket(
+            self._context, zmq.SUB, send=1, receive=QUEUED, largest=MESSAGE_BYTES
+        )
+        self.socket.setsockopt(zmq.SUBSCRIBE, SENSOR_POSE)
+        if self._keys is not None:
+            keys = self._keys
+            curve.as_client(self.socket, keys.robot, keys.public, keys.secret)
+        where = f"inproc://robot-{next(NUMBERS)}"
+        self.socket.monitor(where, WATCHED)
+        self._monitor: zmq.Socket[Any] = self._context.socket(zmq.PAIR)
+        self._monitor.connect(where)
+        self._lost_s: float | None = None  # since when the connection is gone
+        self._half_open_s: float | None = None  # since when it is without a handshake
+        self._listens_s = None
+        connect(self.socket, self._endpoint, "sensor_pose.endpoint")
+
+    def _reopen(self) -> None:
+        self.close()
+        self._open()
+        self.line.connected = False
+
+    def _take(self, now_s: float, parts: list[bytes]) -> None:
+        if parts[0] != SENSOR_POSE:  # its prefix is all that ZeroMQ looks at
+            name = parts[0].decode("utf-8", "backslashreplace")[:TOPIC_MAX]
+            known = self.line.topics
+            if self._listens_s is not None and name not in known and len(known) < TOPICS_MAX:
+                known.append(name)
+            return
+        pose = as_pose(parts)
+        if pose is None:
+            self.line.malformed += 1
+            return
+        self._pose_s = now_s
+        self.lost += not self._on_pose(*pose)
+
+    def _note(self, event: int, now_s: float) -> None:
+        line = self.line
+        if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
+            line.connected, line.refused = True, False
+            self._lost_s = self._half_open_s = None
+        elif event == zmq.EVENT_CONNECTED:
+            self._half_open_s = now_s if self._half_open_s is None else self._half_open_s
+        elif event & FAILED:
+            line.connected, line.refused = False, True
+            self._lost_s = now_s
+        elif event == zmq.EVENT_CLOSED:  # it could not connect: nobody is there
+            line.connected = line.refused = False
+            self._half_open_s = self._lost_s = None
+        else:
+            line.connected = False
+            self._lost_s = now_s if self._lost_s is None else self._lost_s
+
+    def _listen(self, now_s: float) -> None:
+        is_missed = self.line.connected and now_s > self._pose_s + SILENT_S
+        if self._listens_s is None:
+            if is_missed and now_s >= self._pauses_s:
+                self._listens_s, self.line.topics = now_s, []
+                self.socket.setsockopt(zmq.SUBSCRIBE, b"")
+        elif not is_missed or now_s > self._listens_s + LISTEN_S:
+            self._listens_s, self._pauses_s = None, now_s + PAUSE_S
+            self.socket.setsockopt(zmq.UNSUBSCRIBE, b"")
+        if now_s <= self._pose_s + SILENT_S:
+            self.line.topics, self._pauses_s = [], -math.inf
+
+
+def as_pose(parts: list[bytes]) -> tuple[float, float, float, float] | None:
+    """(t, x, y, θ) of a message; None where it is none."""
+    if len(parts) != POSE_FRAMES:
+        return None
+    message = unpack(parts[1])
+    try:
+        pose = message["t"], message["x"], message["y"], message["theta"]
+        if not all(map(math.isfinite, pose)):
+            return None
+        t, x, y, theta = map(float, pose)
+    except (KeyError, TypeError, OverflowError):  # one lacks, is no number, or is too large for one
+        return None
+    return t, x, y, theta

@@ -1,0 +1,132 @@
+"""What is published, on all endpoints, by ZeroMQ's XPUB.
+
+A message that a subscriber does not fetch in time is lost for that subscriber alone.
+"""
+
+import math
+import os
+from collections import Counter
+from collections.abc import Collection, Iterable, Set
+from typing import Any
+
+import zmq
+
+from taxeld.door.binding import Binding
+from taxeld.stream.link import SubscriberCounters
+from taxeld.stream.sockets import connection_of, hang_up, is_waiting, open_socket
+from taxeld.stream.topics import INFO, TOPICS
+
+BEGIN, END = b"\x01", b"\x00"  # what stands before a prefix of topics
+PREFIX_MAX = 1024  # bytes
+EVENTS_MAX = 256  # subscriptions of a peer in COUNTED_S; one that sends more is hung up on
+COUNTED_S = 10.0
+EVENTS_PER_LOOK = 512
+EVENTS_QUEUED = 2  # of a peer: with more a look is long while one floods; with 1 no CURVE works
+INFO_S = 0.1  # at least, between two greetings
+
+
+class Streams:
+    """Endpoints of one kind: all plain, or all with keys, as a socket is either."""
+
+    def __init__(self, socket: zmq.Socket[Any], counters: SubscriberCounters, frames: int) -> None:
+        """`socket`: from `open_publisher`; `frames`: of a message, 2 without its time."""
+        self.socket = socket
+        self._counters = counters
+        self._frames = frames
+        self._prefixes: Counter[bytes] = Counter()  # of our topics, by how many connections
+        self._asked: dict[int, set[bytes]] = {}  # by connection, as its inode
+        self._events: Counter[int] = Counter()  # messages of each connection of late
+        self._bindings: list[Binding] = []
+        self._greets = False
+        self._next_info_s = self._count_ends_s = -math.inf
+
+    def bind(self, endpoint: str, key: str) -> None:
+        """Raises SetupError, in the name of `key`, where the endpoint cannot be had."""
+        binding = Binding(endpoint, key)
+        binding.let_in(self.socket)
+        self._bindings.append(binding)
+
+    @property
+    def wanted(self) -> Set[bytes]:
+        """Topics that somebody has subscribed to."""
+        begins = tuple(self._prefixes)
+        return {topic for topic in TOPICS if topic.startswith(begins)} if begins else set()
+
+    def listen(self) -> None:
+        """Take subscriptions."""
+        for _ in range(EVENTS_PER_LOOK):
+            if not is_waiting(self.socket):
+                return
+            self._take(self.socket.recv(zmq.NOBLOCK, copy=False))
+
+    def greet(self, now_s: float, info: Collection[bytes]) -> None:
+        """Send `/taxeld/info` where a newcomer has asked for it and `info` is not empty; `now_s` is
+        monotonic."""
+        if now_s >= self._count_ends_s:
+            self._count_ends_s = now_s + COUNTED_S
+            self._events.clear()
+        if self._greets and info and now_s >= self._next_info_s:
+            self._greets, self._next_info_s = False, now_s + INFO_S
+            self.send(info)
+
+    def send(self, frames: Iterable[bytes]) -> None:
+        """A message: topic, map and time."""
+        parts = list(frames)[: self._frames]
+        self.socket.send_multipart(parts, flags=zmq.NOBLOCK)
+
+    def look(self, connections: Set[int]) -> None:
+        """`connections`: the inodes of all that are there now."""
+        for gone in self._asked.keys() - connections:
+            prefixes = self._asked.pop(gone)
+            self._counters.left += len(prefixes)
+            self._prefixes -= Counter(prefixes)
+        for binding in self._bindings:
+            self._counters.bound_again += binding.restore(self.socket)
+
+    def close(self) -> None:
+        self.socket.close()
+        for binding in self._bindings:
+            binding.close()
+
+    def _take(self, frame: zmq.Frame) -> None:
+        number = connection_of(frame)
+        if number is None:  # ZeroMQ's own, for a connection that has ended: `look` finds it
+            return
+        try:
+            connection = os.fstat(number).st_ino
+        except OSError:
+            return
+        self._events[connection] += 1
+        if self._events[connection] > EVENTS_MAX:
+            self._events[connection] = 0
+            self._counters.hung_up += hang_up(frame)
+            return
+        self._hear(self._asked.setdefault(connection, set()), frame.bytes)
+
+    def _hear(self, asked: set[bytes], event: bytes) -> None:
+        """A subscription is 1 and a prefix of topics, the end of one is 0 and that."""
+        first, prefix = event[:1], event[1:]
+        is_ours = any(topic.startswith(prefix) for topic in TOPICS)
+        if first == BEGIN and is_ours:
+            self._greets |= INFO.startswith(prefix)
+            if prefix not in asked:
+                asked.add(prefix)
+                self._prefixes[prefix] += 1
+                self._counters.joined += 1
+        elif first == BEGIN:
+            self._counters.foreign += 1
+        elif first != END:
+            self._counters.malformed += 1
+        elif prefix in asked:
+            asked.remove(prefix)
+            self._prefixes -= Counter([prefix])
+            self._counters.left += 1
+
+
+def open_publisher(context: zmq.Context[Any], queue: int) -> zmq.Socket[Any]:
+    """An XPUB that keeps `queue` messages for a slow subscriber and hears each subscription."""
+    socket = open_socket(context, zmq.XPUB, send=queue, receive=EVENTS_QUEUED, largest=PREFIX_MAX)
+    # without these a second subscriber of a topic, and the end of one of two, go unnoticed
+    socket.setsockopt(zmq.XPUB_VERBOSE, 1)
+    socket.setsockopt(zmq.XPUB_VERBOSER, 1)
+    return socket

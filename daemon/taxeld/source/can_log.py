@@ -1,0 +1,125 @@
+"""A log of CAN frames as a file: `candump -L` text is read here, other formats by python-can.
+
+This reader takes half of the time of python-can's, and a damaged line costs only itself. A log is
+read from its beginning each time, and is never held in memory.
+"""
+
+import gzip
+import logging
+import math
+import re
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BufferedIOBase
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from taxeld.errors import SetupError, one_line
+from taxeld_protocol.frames import Frame, Logged, parse_log_line
+
+if TYPE_CHECKING:
+    import can
+
+PYTHON_CAN = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")  # endings; any other is candump text
+LINE_MAX = 8192  # bytes; a CAN XL frame, the longest, has 4 150 in candump text
+STANDARD_MAX, EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
+SHOWN = 60  # characters of a damaged line
+
+# Remote, FD and XL frames. Error frames look like data frames with an id above EXTENDED_MAX.
+_OTHER = re.compile(
+    r"(?:\(\d+\.\d+\)\s+\S+\s+)?[0-9A-F]{3,8}#(?:[R#]|[0-9A-F]{2}:)", re.ASCII | re.IGNORECASE
+)
+
+
+@dataclass(slots=True)
+class Damage:
+    """Damaged parts of a log: they are left out and counted, and the first is named."""
+
+    count: int = 0
+    first: str = ""
+
+    def at(self, where: str, text: str) -> None:
+        if not self.count:
+            self.first = one_line(f"{where}: '{text.strip()[:SHOWN]}'")
+        self.count += 1
+
+
+def frames(path: Path, damage: Damage) -> Iterator[Logged]:
+    """The frames of a log in their order, with the interface or channel that the log names.
+
+    Raises:
+        SetupError: it is unreadable, or python-can cannot read on.
+    """
+    if _ending(path) in PYTHON_CAN:
+        return _by_python_can(path)
+    return _candump(path, damage)
+
+
+def lines(file: BufferedIOBase) -> Iterator[tuple[int, str]]:
+    """Lines with their numbers from 1 on; only the beginning of a line over LINE_MAX bytes."""
+    number = 0
+    while line := file.readline(LINE_MAX):
+        number += 1
+        yield number, line.decode("latin-1")  # any byte is a character
+        while len(line) == LINE_MAX and line[-1:] != b"\n":
+            line = file.readline(LINE_MAX)
+
+
+def _ending(path: Path) -> str:
+    """The ending of the log's name, without the `.gz` of a packed log."""
+    return Path(path.stem if path.suffix.lower() == ".gz" else path).suffix.lower()
+
+
+def _candump(path: Path, damage: Damage) -> Iterator[Logged]:
+    number = 0
+    try:
+        with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
+            for number, text in lines(file):
+                frame = parse_log_line(text)
+                if frame is not None and frame.can_id <= (
+                    EXTENDED_MAX if frame.extended else STANDARD_MAX
+                ):
+                    yield _interface(text), frame
+                elif (frame is not None and frame.extended) or _OTHER.match(text):
+                    yield _interface(text), None
+                elif not text.isspace():
+                    damage.at(f"line {number}", text)
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        damage.at(f"after line {number}", str(error))
+    except OSError as error:
+        raise SetupError(f"{path}: unreadable log ({error.strerror or error})") from None
+
+
+def _interface(text: str) -> str:
+    """The interface of a frame in candump text; empty where it names none."""
+    return text.split(None, 2)[1] if text.lstrip()[0] == "(" else ""
+
+
+def _by_python_can(path: Path) -> Iterator[Logged]:
+    # python-can takes 0.1 s to import, and candump logs do without it
+    import can  # noqa: PLC0415
+
+    logging.getLogger("can").addHandler(logging.NullHandler())  # its errors are reported here
+    try:
+        with can.LogReader(path) as reader:
+            for message in reader:
+                channel = message.channel
+                yield "" if channel is None else str(channel), _frame(message)
+    except Exception as error:  # each of its readers raises exceptions of its own
+        reason = str(error) or type(error).__name__
+        raise SetupError(
+            f"{path}: python-can's reader of {_ending(path)} files stops here: {reason}; "
+            "repair the log, or write it again as candump -L text"
+        ) from None
+
+
+def _frame(message: "can.Message") -> Frame | None:
+    """None for a frame that carries nothing for a skin. Raises ValueError or TypeError."""
+    data = bytes(message.data)
+    if message.is_error_frame or message.is_remote_frame or message.is_fd or len(data) > 8:
+        return None
+    t, can_id = float(message.timestamp), int(message.arbitration_id)
+    if not math.isfinite(t) or not 0 <= can_id <= EXTENDED_MAX:
+        raise ValueError(f"a frame of id {can_id} at {t} s")
+    return Frame(t, can_id, data, bool(message.is_extended_id))

@@ -1,0 +1,264 @@
+"""The loop's end of the pair: messages go out, and all that comes is checked as if the door were
+hostile."""
+
+import logging
+import math
+import socket
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import msgpack
+
+from taxeld.stream import pair
+from taxeld.stream.pair import Kind
+from taxeld.stream.topics import INFO, TOPICS
+
+PACKETS_PER_LOOK = 64
+PACKETS_HZ = 20_000.0  # more than that of a second, and the door is not one of ours
+BODY_MAX = 4096  # bytes of a packet from the door
+CHANGES_HZ = 20.0  # tare and reset that are done, at most
+COUNT_MAX = 2**53
+TEXT_MAX = 500  # characters of a line
+TOPICS_MAX, TOPIC_MAX = 4, 60  # other topics of the robot, and characters of each
+SILENT_S = 5.0  # without a packet for so long, the door hangs
+START_S = 30.0  # the same of a door that is starting: a busy machine takes seconds for it
+LOOK_MOST_S = 0.5  # of that, counted for one look: the loop itself may have been stopped
+REFUSED = (  # a packet that raises one of these is none
+    *(ValueError, LookupError, TypeError, AttributeError),
+    *(msgpack.UnpackException, struct.error),
+)
+SEVERITIES = (logging.INFO, logging.WARNING, logging.ERROR)
+log = logging.getLogger(__name__)
+
+OnPose = Callable[[float, float, float, float], None]
+Handler = Callable[[], None]
+
+
+@dataclass(slots=True)
+class SubscriberCounters:
+    """Since the door's start."""
+
+    joined: int = 0  # subscriptions to topics of ours
+    left: int = 0  # ends of these
+    foreign: int = 0  # subscriptions to none of our topics
+    malformed: int = 0  # messages that are neither
+    hung_up: int = 0  # peers that sent too many of any
+    bound_again: int = 0  # times that a socket file had vanished
+
+
+@dataclass(slots=True)
+class ControlCounters:
+    """Since the door's start."""
+
+    requests: int = 0
+    refused: int = 0  # malformed, of no known command, or from a user who may not
+    failed: int = 0  # without an answer of the loop
+
+
+@dataclass(slots=True)
+class RobotLine:
+    """The connection to the robot."""
+
+    connected: bool = False
+    refused: bool = False  # the handshake fails
+    malformed: int = 0  # messages of the topic that are no pose
+    oversized: int = 0  # messages of too many frames, for which the robot is connected anew
+    reconnected: int = 0  # connections made anew after one that did not come back
+    topics: list[str] = field(default_factory=list)  # others that are heard while no pose comes
+
+
+@dataclass(slots=True)
+class Report:
+    """What the door says of itself, once a second."""
+
+    subscribers: SubscriberCounters = field(default_factory=SubscriberCounters)
+    control: ControlCounters = field(default_factory=ControlCounters)
+    robot: RobotLine = field(default_factory=RobotLine)
+    confined: bool = False  # by Landlock
+    peers: int = 0  # connections now
+    crowded_out: int = 0  # connections that had to go, as few descriptors were left
+    hoarders: int = 0  # connections that had to go, as what they sent made memory grow
+    keys_refused: int = 0  # connections without an authorised key
+    poses_lost: int = 0  # poses that the loop did not take in time
+
+
+@dataclass(slots=True)
+class LinkCounters:
+    """Since the loop's start."""
+
+    unsent: int = 0  # messages that the door did not take in time
+    malformed: int = 0  # packets from the door that are none
+
+
+class Link:
+    """Messages to whoever is the door now; poses, changes and reports from it."""
+
+    def __init__(
+        self, info: Mapping[str, Any], on_pose: OnPose, handlers: Mapping[str, Handler]
+    ) -> None:
+        """`info`: the map of `/taxeld/info`; `on_pose` is given each pose (t, x, y, θ) that is
+        finite; `handlers` do what clients may change, by command."""
+        self.counters = LinkCounters()
+        self.report = Report()
+        self.is_ready = False
+        self.fault = ""  # why the door has ended, if it said so
+        self._pack: Callable[[object], bytes] = msgpack.Packer().pack
+        self._info = self._pack(info)
+        self._on_pose = on_pose
+        self._handlers = handlers
+        self._socket: socket.socket | None = None
+        self._wanted = 0
+        self._silent_s = self._looked_s = 0.0
+        self._allowed = PACKETS_HZ
+        self._changes = CHANGES_HZ
+
+    @property
+    def end(self) -> socket.socket | None:
+        """Of the pair; readable when the door has something to say. Another one for each door."""
+        return self._socket
+
+    def attach(self, end: socket.socket, now_s: float) -> None:
+        """A new door; `now_s` is monotonic."""
+        self.detach()
+        self._socket, self.fault = end, ""
+        self._looked_s, self._silent_s = now_s, 0.0
+        self._allowed, self._changes = PACKETS_HZ, CHANGES_HZ
+        self.report = Report()
+        self._send(INFO, self._info, 0.0)
+
+    def detach(self) -> None:
+        """The door is gone, or is to go."""
+        if self._socket is not None:
+            self._socket.close()
+        self._socket, self.is_ready, self._wanted = None, False, 0
+        self.report.robot.connected = False
+
+    def wants(self, topic: bytes) -> bool:
+        """Whether somebody has subscribed to the topic."""
+        return bool(self._wanted >> TOPICS.index(topic) & 1)
+
+    def send(self, topic: bytes, message: Mapping[str, Any], t: float) -> None:
+        """A message of Unix time t; lost, and counted, where a door that is ready does not take it
+        now."""
+        if self.is_ready:
+            self._send(topic, self._pack(message), t)
+
+    def tell(self, state: Mapping[str, Any]) -> None:
+        """The part of the answer to `status` that no message has."""
+        if self.is_ready:
+            self._give(Kind.STATE, self._pack(state))
+
+    def look(self, now_s: float) -> None:
+        """Take what the door has said, up to a bound; without a word for too long it is let go."""
+        if self._socket is None:
+            return
+        passed_s = now_s - self._looked_s
+        self._looked_s = now_s
+        self._silent_s += min(passed_s, LOOK_MOST_S)
+        self._allowed = min(self._allowed + PACKETS_HZ * passed_s, PACKETS_HZ)
+        self._changes = min(self._changes + CHANGES_HZ * passed_s, CHANGES_HZ)
+        for _ in range(PACKETS_PER_LOOK):
+            try:
+                packet = self._socket.recv(BODY_MAX + 1)
+            except BlockingIOError:
+                break
+            except OSError:
+                packet = b""
+            if not packet:
+                self.detach()
+                return
+            self._silent_s = 0.0
+            self._allowed -= 1.0
+            if len(packet) > BODY_MAX or not self._take(packet[0], packet[1:]):
+                self.counters.malformed += 1
+            if self._socket is None:
+                return
+        most_s = SILENT_S if self.is_ready else START_S
+        if self._allowed < 0.0 or self._silent_s > most_s:
+            log.warning("door: %s", "hangs" if self._allowed >= 0.0 else "sends without end")
+            self.detach()
+
+    def _take(self, kind: int, body: bytes) -> bool:
+        """Whether the packet is one."""
+        try:
+            match kind:
+                case Kind.POSE:
+                    pose = pair.POSE.unpack(body)
+                    if not all(map(math.isfinite, pose)):
+                        return False
+                    self._on_pose(*pose)
+                case Kind.WANTED:
+                    (self._wanted,) = body
+                case Kind.CHANGE:
+                    (number,) = pair.REQUEST.unpack_from(body)
+                    self._change(number, self._handlers[body[pair.REQUEST.size :].decode()])
+                case Kind.REPORT:
+                    self.report = read_report(msgpack.unpackb(body))
+                case Kind.LOG:
+                    log.log(SEVERITIES[body[0]], "door: %s", line_of(body[1:]))
+                case Kind.READY if not body:
+                    self.is_ready = True
+                case Kind.FAULT:
+                    self.fault = line_of(body)
+                case _:
+                    return False
+        except REFUSED:
+            return False
+        return True
+
+    def _change(self, number: int, handler: Handler) -> None:
+        why = ""
+        if self._changes < 1.0:
+            why = f"more than {CHANGES_HZ:.0f} a second are not done; ask again"
+        else:
+            self._changes -= 1.0
+            handler()
+        self._give(Kind.ANSWER, pair.REQUEST.pack(number) + why.encode())
+
+    def _send(self, topic: bytes, body: bytes, t: float) -> None:
+        self._give(Kind.MESSAGE, pair.HEAD.pack(TOPICS.index(topic), t) + body)
+
+    def _give(self, kind: Kind, body: bytes) -> None:
+        if self._socket is None:
+            return
+        send = pair.send if len(body) < pair.PACKET_MAX else pair.send_large
+        try:
+            self.counters.unsent += not send(self._socket, kind, body)
+        except OSError:  # the door is gone, which the next look finds
+            self.counters.unsent += 1
+
+
+def read_report(given: object) -> Report:
+    """A report whose values have the types and bounds that they must have.
+
+    Raises:
+        TypeError, ValueError, LookupError: it is none.
+    """
+    made = Report()
+    _fill(made, given)
+    return made
+
+
+def line_of(body: bytes) -> str:
+    """One printable line of at most TEXT_MAX characters, whatever was sent."""
+    text = body.decode("utf-8", "backslashreplace")[:TEXT_MAX]
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
+
+
+def _fill(into: Any, given: Any) -> None:
+    """Fill the dataclass `into` from the map `given`, which must have the same keys."""
+    if set(given) != {f.name for f in fields(into)}:
+        raise ValueError("other keys")
+    for f in fields(into):
+        before, value = getattr(into, f.name), given[f.name]
+        if isinstance(before, int):  # a bool as well
+            if type(value) is not type(before) or not 0 <= value <= COUNT_MAX:
+                raise ValueError(f.name)
+        elif isinstance(before, list):
+            value = [line_of(name.encode())[:TOPIC_MAX] for name in value[:TOPICS_MAX]]
+        else:
+            _fill(before, value)
+            continue
+        setattr(into, f.name, value)

@@ -1,0 +1,116 @@
+"""The packets between the loop and the door, on one SOCK_SEQPACKET pair.
+
+A packet is one byte for its kind, and a body. To the door:
+
+    MESSAGE  topic's number (1 byte), Unix time of the measurement (double), msgpack map
+    STATE    msgpack map: the part of the answer to `status` that no message has
+    ANSWER   number of the request (4 bytes), a text; empty: it was done
+
+To the loop:
+
+    READY    all endpoints are served
+    FAULT    a line: an endpoint or a key cannot be used, and the door ends
+    WANTED   a bit for each topic that somebody has subscribed to (1 byte)
+    POSE     t, x, y, theta of the sensor (4 doubles)
+    CHANGE   number of the request (4 bytes), and its command
+    REPORT   msgpack map: what the door counts, once a second
+    LOG      severity (1 byte), a line
+
+A body that is too large for a packet goes to the door as a file in memory, by its descriptor.
+"""
+
+import contextlib
+import os
+import socket
+import struct
+from enum import IntEnum
+
+SO_PASSRIGHTS = 83  # Linux 6.16
+PACKET_MAX = 65_536  # bytes, kind and body
+HEAD = struct.Struct("=Bd")  # of a MESSAGE: topic's number, time
+POSE = struct.Struct("=4d")
+REQUEST = struct.Struct("=I")  # number of a request
+
+
+class Kind(IntEnum):
+    """The first byte of a packet."""
+
+    MESSAGE = 1
+    STATE = 2
+    ANSWER = 3
+    READY = 16
+    FAULT = 17
+    WANTED = 18
+    POSE = 19
+    CHANGE = 20
+    REPORT = 21
+    LOG = 22
+
+
+def open_pair() -> tuple[socket.socket, socket.socket]:
+    """The loop's end and the door's; both do not block.
+
+    A kernel that can (Linux 6.16) refuses descriptors that the door would send to the loop: to
+    close a socket with a linger time, unasked, would stop the loop for that long.
+    """
+    loop, door = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    loop.setblocking(False)
+    door.setblocking(False)
+    refuse_descriptors(loop)
+    return loop, door
+
+
+def refuse_descriptors(receiver: socket.socket) -> None:
+    """Let nobody pass descriptors to `receiver`, or to what it accepts, where the kernel can."""
+    with contextlib.suppress(OSError):
+        receiver.setsockopt(socket.SOL_SOCKET, SO_PASSRIGHTS, 0)
+
+
+def send(end: socket.socket, kind: Kind, body: bytes) -> bool:
+    """Whether the packet went out; never waits.
+
+    Raises:
+        OSError: the other end is gone.
+    """
+    try:
+        end.send(bytes((kind,)) + body)
+    except BlockingIOError:
+        return False
+    return True
+
+
+def send_large(end: socket.socket, kind: Kind, body: bytes) -> bool:
+    """The same for a body of any size, which goes in a file in memory.
+
+    Raises:
+        OSError: the other end is gone, or no descriptor is left.
+    """
+    file = os.memfd_create("taxeld", os.MFD_CLOEXEC)
+    try:
+        with os.fdopen(os.dup(file), "wb") as writer:
+            writer.write(body)
+        socket.send_fds(end, [bytes((kind,))], [file])
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(file)
+    return True
+
+
+def receive(end: socket.socket) -> tuple[int, bytes] | None:
+    """Kind and body of the next packet, for the door, which trusts the loop; None: none is there.
+
+    Raises:
+        EOFError: the loop is gone.
+    """
+    try:
+        data, files, _, _ = socket.recv_fds(end, PACKET_MAX, 1)
+    except BlockingIOError:
+        return None
+    if not data:
+        raise EOFError
+    if not files:
+        return data[0], data[1:]
+    with os.fdopen(files[0], "rb") as reader:
+        reader.seek(0)
+        return data[0], reader.read()

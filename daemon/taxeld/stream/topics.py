@@ -1,0 +1,9 @@
+"""The topics: the first frame of each message (docs/stream.md)."""
+
+ESTIMATE = b"/taxeld/estimate"
+PARTICLES = b"/taxeld/particles"
+TAXELS = b"/taxeld/taxels"
+HEALTH = b"/taxeld/health"
+INFO = b"/taxeld/info"
+TOPICS = (ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO)
+SENSOR_POSE = b"/robot/sensor_pose"

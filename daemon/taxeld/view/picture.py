@@ -1,0 +1,196 @@
+"""The streams as Rerun's entities, in three dimensions and as plots of the same time.
+
+| entity | shows |
+|---|---|
+| `world/link`, `world/link/skin` | the link where the robot says it is, its taxels by activation |
+| `world/object`, `world/truth` | the object's slices at the likeliest pose, and where it stands |
+| `world/modes`, `world/particles` | the outline at each mode, an arrow for each particle |
+| `status/now`, `status/log` | the status with what it rests on, and its changes |
+| `plot/belief`, `plot/spread` | the heaviest mode's weight, standard deviations |
+| `plot/error`, `plot/latency` | ADD against the truth, the time of each stage |
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from taxeld.arrays import Floats, Poses
+from taxeld.estimator.estimate import Status
+from taxeld.model import se2
+from taxeld.stream import messages
+from taxeld.view.colour import of_taxels
+from taxeld.view.stage import Stage, name_of, pose_of
+
+TIME = "scan"  # the time line: Unix time of the measurement
+TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii
+ARROW_M = 0.02
+ABOVE_M = 0.01  # of the link, beyond the highest and the lowest taxel
+EYE_M = (0.065, -0.2, 0.25)  # from the point that is looked at
+FOUND, MODE, PARTICLE, TRUTH = (230, 60, 60), (70, 150, 255), (130, 180, 230), (240, 240, 240)
+SPREADS = {"x [mm]": (255, 120, 90), "y [mm]": (110, 200, 120), "yaw [°]": (240, 200, 80)}
+SHOWN_AS = np.array([1e3, 1e3, math.degrees(1.0)])
+
+
+class Picture:
+    """The entities of one recording stream."""
+
+    def __init__(self, stage: Stage, stream: rr.RecordingStream, *, is_live: bool) -> None:
+        """`is_live`: scans have latencies, which those of a session have not."""
+        self._stage, self._stream, self._is_live = stage, stream, is_live
+        self._status: int | None = None
+        self._felt: object = None  # the activations that were drawn last
+        self._is_placed = False
+        self._outline = max((line for _, line in stage.slices), key=len)
+        self._middle_m = float(np.mean([height for height, _ in stage.slices]))
+        self._arrange(None)
+        self._draw_still()
+
+    def take(self, topic: bytes, m: dict[str, Any]) -> None:
+        """Draw one of the streams' maps; those of other topics are left out."""
+        takes = {
+            messages.TAXELS: self._taxels,
+            messages.ESTIMATE: self._estimate,
+            messages.PARTICLES: self._particles,
+        }.get(topic)
+        if takes is not None and m["t"]:  # nothing was measured before the first scan
+            self._stream.set_time(TIME, timestamp=m["t"])
+            takes(m)
+
+    def _draw_still(self) -> None:
+        stage, z = self._stage, self._stage.position_m[:, 2]
+        lines = [_at(line, height) for height, line in stage.slices]
+        still = {
+            "world": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
+            "world/link/body": rr.Cylinders3D(
+                lengths=[float(np.ptp(z)) + 2.0 * ABOVE_M],
+                radii=[0.97 * stage.radius_m],
+                centers=[[0.0, 0.0, float(z.mean())]],
+                colors=[(90, 90, 90)],
+                fill_mode="majorwireframe",
+            ),
+            "world/link/skin": rr.Points3D.from_fields(positions=stage.position_m),
+            "world/object/slices": rr.LineStrips3D(lines, colors=FOUND, radii=LINE_M),
+            "world/modes": rr.LineStrips3D.from_fields(radii=LINE_M),
+            "world/particles": rr.Arrows3D.from_fields(colors=PARTICLE, radii=LINE_M),
+            "status/now": rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN),
+            "plot/spread": rr.SeriesLines(names=list(SPREADS), colors=list(SPREADS.values())),
+            "plot/latency": rr.SeriesLines(names=[f"{stage} [ms]" for stage in messages.STAGES]),
+        }
+        if stage.truth is not None:
+            lines = [_at(se2.apply(stage.truth, line), height) for height, line in stage.slices]
+            still["world/truth"] = rr.LineStrips3D(lines, colors=TRUTH, radii=LINE_M / 2)
+        for entity, thing in still.items():
+            self._stream.log(entity, thing, static=True)
+
+    def _taxels(self, m: dict[str, Any]) -> None:
+        if len(m["z"]) != len(self._stage.position_m):  # of another skin: its info has not come yet
+            return
+        if m["placed"]:
+            self._place("world/link", pose_of(m["sensor"]))
+            if not self._is_placed:  # now it is known where there is something to see
+                self._is_placed = True
+                seen = [pose_of(m["sensor"])]
+                seen += [] if self._stage.truth is None else [self._stage.truth]
+                self._arrange(np.mean(seen, axis=0))
+        if self._felt == (m["z"], m["live"]):  # most rows: to send one costs far more
+            return
+        self._felt = m["z"], m["live"]
+        z, live = np.array(m["z"], dtype=float), np.array(m["live"], dtype=bool)
+        radii = np.where(z > 0.0, PRESSED_M, TAXEL_M)
+        drawn = rr.Points3D.from_fields(colors=of_taxels(z, live), radii=radii)
+        self._stream.log("world/link/skin", drawn)
+
+    def _estimate(self, e: dict[str, Any]) -> None:
+        valid, modes = bool(e["valid"]), e["modes"] if e["valid"] else []
+        error_mm = self._stage.error_mm(e)
+        self._place("world/object", pose_of(e["map"]) if valid else None)
+        lines = [_at(se2.apply(pose_of(one), self._outline), self._middle_m) for one in modes]
+        colours = [(*MODE, round(255 * max(one["weight"], 0.4))) for one in modes]
+        self._stream.log("world/modes", rr.LineStrips3D.from_fields(strips=lines, colors=colours))
+        self._tell(e, error_mm)
+        if valid:
+            sd = np.sqrt(np.maximum(np.diag(np.array(e["cov"], dtype=float)), 0.0))
+            self._stream.log("plot/belief", rr.Scalars(e["modes"][0]["weight"]))
+            self._stream.log("plot/spread", rr.Scalars(sd * SHOWN_AS))
+        if error_mm is not None:
+            self._stream.log("plot/error", rr.Scalars(error_mm))
+        if e["lat_us"].get("skin"):
+            took_ms = [e["lat_us"].get(name, 0.0) / 1e3 for name in messages.STAGES]
+            self._stream.log("plot/latency", rr.Scalars(took_ms))
+
+    def _tell(self, e: dict[str, Any], error_mm: float | None) -> None:
+        status, pose = name_of(Status, e["status"]), e["map"]
+        rows = {
+            "valid": "yes" if e["valid"] else "no",
+            "touching": "yes" if e["contact"] else "no",
+            "contacts": e["contacts"],
+            "x, y": f"{1e3 * pose['x']:.1f} mm, {1e3 * pose['y']:.1f} mm",
+            "yaw": f"{math.degrees(pose['theta']):.1f}°",
+            "modes": " ".join(f"{mode['weight']:.0%}" for mode in e["modes"]),
+            "effective particles": f"{e['ess']:.0f}",
+        }
+        if error_mm is not None:
+            rows["error (ADD)"] = f"{error_mm:.1f} mm"
+        text = "\n\n".join([f"# {status}", *(f"**{name}** {row}" for name, row in rows.items())])
+        self._stream.log("status/now", rr.TextDocument.from_fields(text=text))
+        if e["status"] != self._status:
+            self._status = e["status"]
+            self._stream.log("status/log", rr.TextLog(f"{status}, contacts {e['contacts']}"))
+
+    def _particles(self, m: dict[str, Any]) -> None:
+        pose = np.array(m["xytheta"], dtype=float).reshape(-1, 3)
+        middle = np.array([*self._outline.mean(axis=0), 0.0])
+        origin = se2.compose(pose, middle)[:, :2]
+        vector = ARROW_M * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+        at, to = _at(origin, self._middle_m), _at(vector, 0.0)
+        self._stream.log("world/particles", rr.Arrows3D.from_fields(origins=at, vectors=to))
+
+    def _place(self, entity: str, pose: Poses | None) -> None:
+        """Move an entity to a pose (3,); one without a pose is made too small to be seen."""
+        x, y, theta = (0.0, 0.0, 0.0) if pose is None else pose.tolist()
+        moved = rr.Transform3D(
+            translation=(x, y, 0.0),
+            quaternion=(0.0, 0.0, math.sin(0.5 * theta), math.cos(0.5 * theta)),
+            scale=1e-6 if pose is None else 1.0,
+        )
+        self._stream.log(entity, moved)
+
+    def _arrange(self, look_at: Poses | None) -> None:
+        """The scene with the plots beside it; the eye is above the pose `look_at` (3,)."""
+        eye = None
+        if look_at is not None:
+            target = np.array([look_at[0], look_at[1], 0.0])
+            eye = rrb.EyeControls3D(position=target + EYE_M, look_target=target)
+        has_errors = self._stage.scene is not None and self._stage.truth is not None
+        plots = {"spread": "spread: 1 standard deviation", "belief": "weight of the heaviest mode"}
+        if has_errors:
+            plots["error"] = "error: ADD [mm]"
+        if self._is_live:
+            plots["latency"] = "latency of a scan, by stage [ms]"
+        views = [
+            rrb.TimeSeriesView(origin=f"/plot/{name}", name=title) for name, title in plots.items()
+        ]
+        told = rrb.Tabs(
+            rrb.TextDocumentView(origin="/status/now", name="status"),
+            rrb.TextLogView(origin="/status/log", name="changes"),
+        )
+        colours = "red: likeliest pose, blue: modes and particles"
+        colours += ", white: true pose" * has_errors
+        blueprint = rrb.Blueprint(
+            rrb.Horizontal(
+                rrb.Spatial3DView(origin="/world", name=colours, eye_controls=eye),
+                rrb.Vertical(told, *views, row_shares=[2] + [1] * len(views)),
+                column_shares=[2, 1],
+            ),
+            rrb.TimePanel(timeline=TIME, play_state="following", state="collapsed"),
+            collapse_panels=True,
+        )
+        self._stream.send_blueprint(blueprint)
+
+
+def _at(points: Floats, height_m: float) -> Floats:
+    """(n, 3) of points (n, 2) at a height."""
+    return np.column_stack([points, np.full(len(points), height_m)])

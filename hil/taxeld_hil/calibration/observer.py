@@ -1,0 +1,94 @@
+"""Follows a pipeline for a calibration: the skin at rest, then presses of the object."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from taxeld.arrays import Bools, Floats, Poses
+from taxeld.config.tables import Config
+from taxeld.estimator.estimate import Status
+from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld_hil.calibration import idle, presses
+from taxeld_hil.calibration.idle import Idle
+from taxeld_hil.calibration.presses import Presses
+
+PRESS_THRESHOLDS = 3.0  # times a taxel's own threshold: a lighter touch is no press
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """All that a calibration is fitted to."""
+
+    model: ObservationModel
+    idle: Idle
+    presses: Presses
+    unheld: int  # presses that were not held still
+    found: Poses | None  # (3,) the object's pose by the filter, if it found one
+    t: float  # of the last scan, Unix seconds
+
+
+def uncalibrated(config: Config) -> Config:
+    """The configuration of a daemon without a calibration."""
+    return replace(config, skin=replace(config.skin, calibration=""))
+
+
+class Observer:
+    """Of a pipeline without a calibration."""
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self.pipeline = pipeline
+        self.is_touched = False  # now or before
+        self._idle: list[tuple[float, Floats]] = []
+        self._rows: list[tuple[Poses, Floats, Bools, Bools]] = []
+        self._t = np.nan
+
+    @property
+    def idle_s(self) -> float:
+        """How long the skin was left alone at the start."""
+        return self._idle[-1][0] - self._idle[0][0] if self._idle else 0.0
+
+    def on_outcome(self, outcome: Outcome) -> None:
+        """Take what a scan led to."""
+        if outcome.activation is None:
+            return
+        skin, self._t = self.pipeline.skin, outcome.activation.t
+        self.is_touched |= skin.touched
+        if not self.is_touched and len(self._idle) < idle.MOST_SCANS:
+            self._idle.append((self._t, skin.counts.astype(np.uint16)))
+        live = outcome.activation.live
+        felt = live & (skin.over > PRESS_THRESHOLDS * skin.threshold)
+        if outcome.sensor is not None and (felt.any() or (self._rows and self._rows[-1][3].any())):
+            self._rows.append((outcome.sensor, skin.over.copy(), live, felt))
+
+    def presses(self) -> tuple[Presses, int]:
+        """The presses that have ended and were held still, and how many were not."""
+        layout = self.pipeline.skin.layout
+        n, m = len(self._rows), len(layout)
+        sensor, counts, live, felt = zip(*self._rows, strict=True) if n else ((),) * 4
+        return presses.find(
+            np.array(sensor).reshape(n, 3),
+            np.array(counts).reshape(n, m),
+            np.array(live, dtype=bool).reshape(n, m),
+            np.array(felt, dtype=bool).reshape(n, m),
+            layout.radius_m,
+        )
+
+    def observed(self) -> Observed:
+        """Of all scans so far."""
+        estimate = self.pipeline.estimate
+        sure = estimate.status in (Status.CONVERGED, Status.AMBIGUOUS)
+        counts = np.array([row for _, row in self._idle], dtype=np.float64)
+        held, unheld = self.presses()
+        return Observed(
+            self.pipeline.estimator.model,
+            idle.study(
+                np.array([t for t, _ in self._idle]),
+                counts.reshape(-1, len(self.pipeline.skin.layout)),
+            ),
+            held,
+            unheld,
+            estimate.map if sure else None,
+            float(self._t),
+        )

@@ -1,0 +1,70 @@
+"""What the measurements of many runs share: checks, digests of their code, and files of runs."""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from taxeld.errors import SetupError
+from taxeld.proposals import bundle, manifest, seal
+from taxeld_hil.scenario import scenario
+from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.world.bundled import solid_of
+from taxeld_hil.world.world import load_model
+
+Run: TypeAlias = dict[str, Any]  # one run's figures, as JSON has them
+
+
+def require(objects: Sequence[str], skins: Sequence[str], seeds: int) -> None:
+    """Check what is asked for, and build each object's mesh once, before several workers need it.
+
+    Raises:
+        SetupError: there is no such skin, an object has no bundle or no mesh here, or there are no
+            seeds.
+    """
+    if seeds < 1:
+        raise SetupError("--seeds must be at least 1")
+    demo = scenario.load("demo")
+    physics = {demo.on(skin).physics for skin in skins}
+    for name in objects:
+        layout = load_model(demo.touching(name)).layout
+        if physics != {"scene"}:
+            solid_of(name, layout)
+
+
+def digest(subject: Scenario) -> str:
+    """Hash of all that a run of a scenario depends on but its seed: code, scenario, bundle.
+
+    Raises:
+        SetupError: the bundle cannot be found or read.
+    """
+    info = seal.read(bundle.find(subject.bundle) / manifest.NAME)  # has digests of its files
+    return hashlib.sha256(f"{_code()}\0{subject!r}".encode() + info).hexdigest()[:16]
+
+
+def save(path: Path, runs: Sequence[Run]) -> None:
+    """Write runs as JSON, a run a line: a diff can be read."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lines = ",\n".join(map(json.dumps, runs))
+    path.write_text(f'{{"runs": [\n{lines}\n]}}\n', encoding="utf-8")
+
+
+def read(path: Path) -> list[Run]:
+    """The runs in such a file."""
+    runs: list[Run] = json.loads(path.read_text(encoding="utf-8"))["runs"]
+    return runs
+
+
+@cache
+def _code() -> str:
+    """Hash of the code and of what is shipped with it, as this process first found it."""
+    found = hashlib.sha256()
+    for package in ("taxeld", "taxeld_protocol", "taxeld_hil"):
+        root = Path(str(resources.files(package)))
+        for path in sorted(root.rglob("*")):
+            if path.suffix in (".py", ".toml") and path.is_file():
+                found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()

@@ -1,0 +1,197 @@
+"""Jobs of an experiment: they run side by side, are remembered, and show their progress.
+
+A job is a function and its arguments. Its result is JSON, kept in a file of its own, so that an
+experiment cut short goes on where it stopped. The harness and the training both run theirs here.
+"""
+
+import contextlib
+import hashlib
+import json
+import math
+import os
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    wait,
+)
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from taxeld.command_line import ONE_THREAD
+from taxeld.errors import SetupError
+
+PATIENCE = "10s"  # to wait for a Dask scheduler's answer
+NAME_LENGTH = 60  # characters of a job's name in its file's name; a key's hash tells jobs apart
+
+Prepare: TypeAlias = Callable[[], object]
+
+
+@dataclass(frozen=True)
+class Job:
+    """`work(*arguments, *beside)` → something that JSON can hold; arguments must have a stable
+    `repr`."""
+
+    name: str  # for the display, and part of the file's name; unique among the jobs of a run
+    work: Callable[..., Any]
+    arguments: tuple[Any, ...]
+    beside: tuple[Any, ...] = ()  # more arguments, on which the result does not depend: paths
+
+    @property
+    def key(self) -> str:
+        """The name of the result's file, which differs for other arguments."""
+        text = f"{self.work.__module__}.{self.work.__qualname__}{self.arguments!r}"
+        name = self.name.replace("/", "-")[-NAME_LENGTH:]
+        return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+
+
+def run(
+    jobs: Sequence[Job],
+    memory: Path,
+    *,
+    workers: int = 2,
+    dask: str = "",
+    until: float = math.inf,
+    prepare: Prepare | None = None,
+    describe: Callable[[Any], str] = lambda _: "",
+) -> dict[str, Any]:
+    """Results by job name; those that `memory`, a directory, holds are not run again.
+
+    Each worker has one thread. With `dask`, the address of a running scheduler, the jobs run on its
+    workers. No job begins after `until` (monotonic clock [s]); the result of a job that did not run
+    is None. A worker calls `prepare` before each job. `describe` writes a result for the line on
+    stderr that follows each job. On an interrupt the results so far are kept and the interrupt goes
+    on.
+
+    Raises:
+        SetupError: no such scheduler answers, `memory` cannot be written, or a worker died.
+    """
+    if workers < 1:
+        raise SetupError("--workers must be at least 1")
+    with _writing(memory):
+        memory.mkdir(parents=True, exist_ok=True)
+    results = {job.name: read(job, memory) for job in jobs}
+    todo = [job for job in jobs if results[job.name] is None]
+    if todo and len(todo) < len(jobs):
+        _say(f"{len(jobs) - len(todo)} of {len(jobs)} runs are remembered in {memory}")
+    began_s, done = time.monotonic(), 0
+
+    def keep(job: Job, result: Any) -> None:
+        nonlocal done
+        results[job.name] = result
+        _write(job, memory, result)
+        done += 1
+        taken = f"{done} of {len(todo)}, {time.monotonic() - began_s:.0f} s"
+        _say(": ".join(filter(None, (taken, job.name, describe(result)))))
+
+    if not dask and min(workers, len(todo)) <= 1:
+        for job in todo:
+            if time.monotonic() < until:
+                keep(job, _work(job, prepare))
+        return results
+    for name in ONE_THREAD:
+        os.environ.setdefault(name, "1")  # inherited by the workers
+    with _on_dask(dask) if dask else _in_processes(min(workers, len(todo))) as (pool, places):
+        _run_all(todo, pool, places, until, prepare, keep)
+    return results
+
+
+def read(job: Job, memory: Path) -> Any:
+    """The remembered result of a job; None without one."""
+    try:
+        return json.loads((memory / f"{job.key}.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+def forget(job: Job, memory: Path) -> None:
+    """Forget a job's result, as a file that it made beside it is missing."""
+    (memory / f"{job.key}.json").unlink(missing_ok=True)
+
+
+def _run_all(
+    todo: Sequence[Job],
+    pool: Executor,
+    places: Callable[[], int],
+    until: float,
+    prepare: Prepare | None,
+    keep: Callable[[Job, Any], None],
+) -> None:
+    """No more jobs are handed over than there are places, so that none begins after `until`."""
+    waiting, running = deque(todo), dict[Future[Any], Job]()
+    while True:
+        while waiting and len(running) < places() and time.monotonic() < until:
+            job = waiting.popleft()
+            running[pool.submit(_work, job, prepare)] = job
+        if not running:
+            return
+        for future in wait(running, return_when=FIRST_COMPLETED).done:
+            keep(running.pop(future), future.result())
+
+
+def _work(job: Job, prepare: Prepare | None) -> Any:
+    if prepare is not None:
+        prepare()
+    return job.work(*job.arguments, *job.beside)
+
+
+def _write(job: Job, memory: Path, result: Any) -> None:
+    part = memory / f"{job.key}.part"
+    with _writing(memory):
+        part.write_text(json.dumps(result), encoding="utf-8")
+        part.replace(part.with_suffix(".json"))  # whole or not at all
+
+
+@contextlib.contextmanager
+def _writing(memory: Path) -> Iterator[None]:
+    """Raise SetupError where the memory cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise SetupError(
+            f"--memory: {memory}: {error.strerror}; name a directory that can be written"
+        ) from None
+
+
+@contextlib.contextmanager
+def _in_processes(workers: int) -> Iterator[tuple[Executor, Callable[[], int]]]:
+    """Processes of this machine, and how many there are."""
+    pool = ProcessPoolExecutor(workers, get_context("spawn"))
+    try:
+        yield pool, lambda: workers
+    except BrokenExecutor:
+        raise SetupError(
+            "a worker process died, perhaps for want of memory: try again with --workers 1; "
+            "finished jobs are kept"
+        ) from None
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextlib.contextmanager
+def _on_dask(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
+    """The workers of a cluster, and how many there are now."""
+    try:
+        from distributed import Client  # noqa: PLC0415  (an extra)
+    except ImportError:
+        raise SetupError(
+            "--dask: distributed is not installed; pip install 'taxeld[dask]'"
+        ) from None
+    try:
+        client = Client(address, timeout=PATIENCE)
+    except (OSError, ValueError) as error:
+        raise SetupError(f"--dask: no scheduler answers at {address} ({error})") from None
+    with client, client.get_executor(pure=False) as pool:
+        yield pool, lambda: max(1, sum(client.ncores().values()))
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(f"{line}\n")

@@ -1,0 +1,197 @@
+"""The world of a simulated daemon: clocks, a skin on its robot, a disk, and what fails when."""
+
+import errno
+import select
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taxeld.errors import SetupError
+from taxeld.service.inputs import Ready
+from taxeld.source.device import AwayError, LostError
+from taxeld_hil.rig.rig import Rig
+from taxeld_hil.run.memory import MemoryDevice, MemoryLine
+from taxeld_hil.scenario.scenario import Fault, Scenario
+from tests.daemon.fake_threads import Threads
+
+STEP_S, WORK_S = 0.005, 0.00002  # of the world, and of a pass of the loop at least
+CALM_S, NO_DOOR_S = 3.0, 6.5  # after the last fault, and after one of a door's start
+UNIX_S = 1_700_000_000.0
+DOOR = ("door killed", "door hangs", "door slow", "door nonsense", "door floods")
+NO_DOOR = ("door refuses", "door unstartable", "no descriptor for the pair")
+DISK = ("disk full", "disk error", "disk slow")
+SKIN = ("unplugged", "reboot", "dropped", "corrupted", "duplicated", "late")
+POSES = ("pose_silent", "pose_late", "pose_jumping")
+OTHER = ("clock", "no descriptor for the device", "reset", "tare")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """What goes wrong, from when to when, by scenario time; `much`: seconds of a clock's step."""
+
+    kind: str
+    at_s: float
+    for_s: float
+    much: float = 0.0
+
+
+def draw(seed: int) -> tuple[list[Drawn], bool]:
+    """The faults of a run, and whether a robot moves the sensor."""
+    rng = np.random.default_rng([seed, 7])
+    kinds = (*DOOR, *NO_DOOR, *DISK)
+    if seed % 3:
+        kinds += (*SKIN, *POSES, *OTHER)
+    found = []
+    for kind in rng.choice(kinds, size=rng.integers(1, 6)):
+        at_s, for_s = rng.uniform(1.0, 8.0), 10 ** rng.uniform(-1.3, 0.85)
+        much = float(rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(-0.5, 5.0))
+        found.append(Drawn(str(kind), round(at_s, 3), round(for_s, 3), round(much, 3)))
+        if kind in NO_DOOR:  # is met by a door that is started
+            found.append(Drawn("door killed", round(at_s + 0.01, 3), 0.0))
+        if kind == "no descriptor for the device":
+            found.append(Drawn("unplugged", round(at_s - 0.2, 3), 0.3))
+    return found, bool(rng.random() < 0.6)
+
+
+class World:
+    """Clocks, skin, robot, door and disk."""
+
+    def __init__(self, seed: int, faults: list[Drawn], moves: bool) -> None:
+        hil = tuple(
+            Fault(f.kind, f.at_s, f.for_s) for f in faults if f.kind in SKIN or f.kind in POSES
+        )
+        scenario = Scenario("box", contacts=3, physics="scene", fault=hil)
+        self.rig, self.faults, self.moves = Rig(scenario, seed), faults, moves
+        self.line = Line(self)
+        self.now, self._next_s, self._stepped_s = 100.0, 100.0, 0.0
+        self.start_s = self.now
+        self.threads = Threads(lambda: self.now, self.advance)
+        self.writers = Threads(lambda: self.now, self.advance)
+        self.rng = np.random.default_rng([seed, 8])
+        self.doors: list[Any] = []  # SimulatedDoor
+        self._done: set[Drawn] = set()
+        calm_s = [f.at_s + f.for_s + (NO_DOOR_S if f.kind in NO_DOOR else CALM_S) for f in faults]
+        self.end_s = max([self.rig.duration_s, *calm_s])
+
+    @property
+    def t(self) -> float:
+        """Scenario time."""
+        return self.now - self.start_s
+
+    def unix(self) -> float:
+        return round(UNIX_S + self.now + self._stepped_s, 6)
+
+    def on(self, kind: str) -> bool:
+        return any(f.kind == kind and f.at_s <= self.t < f.at_s + f.for_s for f in self.faults)
+
+    def once(self, kind: str) -> Drawn | None:
+        """A fault of a moment that has just come."""
+        for fault in self.faults:
+            if fault.kind == kind and fault.at_s <= self.t and fault not in self._done:
+                self._done.add(fault)
+                return fault
+        return None
+
+    def advance(self, until_s: float, wakes: Callable[[], bool] = lambda: False) -> None:
+        """Let time pass until then, or until `wakes`."""
+        while self.now < until_s and not wakes():
+            self.now = min(until_s, self._next_s)
+            if self.now >= self._next_s:
+                self._next_s += STEP_S
+                self._step()
+
+    def _step(self) -> None:
+        if step := self.once("clock"):
+            self._stepped_s += step.much
+        self.line.t, self.line.now = self.t, self.now
+        if self.t < self.end_s:
+            self.line.send_due()
+        # a recording keeps six digits of a second
+        poses = [(round(t, 6), *pose) for t, *pose in self.rig.poses(self.t, self.now, self.unix())]
+        for door in self.doors:
+            door.step(poses if self.moves else [])
+        self.threads.take_turns()
+        if not self.on("disk slow"):
+            self.writers.take_turns()
+
+    def write(self, write: Callable[[Any], int], data: Any) -> int:
+        """To the disk, of which a part is taken before it is full."""
+        if self.on("disk error"):
+            raise OSError(errno.EIO, "Input/output error")
+        if self.on("disk full"):
+            if len(data) < 3:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return write(data[: len(data) // 2])
+        return write(data)
+
+
+class Line(MemoryLine):
+    """The wire; what comes is stamped with Unix time."""
+
+    def __init__(self, world: World) -> None:
+        super().__init__(world.rig)
+        self._world = world
+
+    def _deliver(self, units: list[Any]) -> None:
+        now, self.now = self.now, self._world.unix()
+        super()._deliver(units)
+        self.now = now
+
+    @property
+    def is_readable(self) -> bool:
+        return bool(self._waiting) or not self.is_plugged
+
+
+class SimulatedDevice(MemoryDevice):
+    """The daemon's end of the wire."""
+
+    def __init__(self, world: World) -> None:
+        if world.on("no descriptor for the device"):
+            raise AwayError("source.channel: cannot be opened (Too many open files)")
+        try:
+            super().__init__(world.line)
+        except SetupError as error:
+            raise AwayError(str(error)) from None
+
+    @staticmethod
+    def fileno() -> int:
+        return 1 << 20  # which nobody waits on but `SimulatedInputs`
+
+    def read(self) -> Any:
+        if items := self._line.take():
+            return items
+        if not self._line.is_plugged:
+            raise LostError
+        return items
+
+
+class SimulatedInputs:
+    """`inputs.Inputs` on the fake clock."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._device: Any = None
+        self._robot: Any = None
+
+    def follow(self, device: Any, robot: Any) -> None:
+        self._device, self._robot = device, robot
+
+    def wait(self, until_s: float) -> Ready:
+        self._world.advance(self._world.now + WORK_S)
+        self._world.advance(until_s, lambda: any(self._ready()))
+        return self._ready()
+
+    def rest(self, until_s: float) -> Ready:
+        device, self._device = self._device, None
+        try:
+            return self.wait(until_s)
+        finally:
+            self._device = device
+
+    def close(self) -> None: ...
+
+    def _ready(self) -> Ready:
+        has_pose = self._robot is not None and bool(select.select([self._robot], [], [], 0)[0])
+        return Ready(self._device is not None and self._world.line.is_readable, has_pose)

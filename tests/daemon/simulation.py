@@ -1,0 +1,249 @@
+"""A whole daemon on a fake clock, with faults that are drawn from a seed.
+
+Real are the loop, the source, the bring-up, the pipeline, the link, the doorkeeper and the recorder
+with their threads, which run one at a time when the simulation lets them. The skin with its robot
+is the harness's; the door's process, the disk and both clocks are simulated. The same seed leads to
+the same run.
+"""
+
+import contextlib
+import errno
+import json
+import traceback
+import types
+from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
+from io import FileIO
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+from taxeld.commands import replay
+from taxeld.config import file as config_file
+from taxeld.estimator.estimate import Estimate, Status
+from taxeld.pipeline.outcome import Outcome
+from taxeld.service import health
+from taxeld.service.clock import WallClock
+from taxeld.service.gathering import Gathering
+from taxeld.service.loop import Daemon
+from taxeld.service.notify import Notifier
+from taxeld.service.ticker import Ticker
+from taxeld.source import session
+from taxeld.source.recorder import Recorder
+from taxeld.stream import messages, pair
+from taxeld.stream.link import Link
+from taxeld.stream.pair import Kind
+from taxeld_hil.grade.reconcile import laws
+from tests.daemon.simulated_door import SimulatedDoor
+from tests.daemon.simulated_world import (
+    DISK,
+    DOOR,
+    NO_DOOR,
+    UNIX_S,
+    Drawn,
+    SimulatedDevice,
+    SimulatedInputs,
+    World,
+    draw,
+)
+
+REST_S = 0.2  # at the end, for what is on its way
+LOSES_NO_POSE = {"door slow", "door nonsense", *DISK}
+NOT_IN_A_RECORDING = {"clock", "reset", "tare", "pose_late"}
+# poses are recorded with the time of their measurement, not of their arrival: which of two came
+# first, a scan's patience or the next pose, is not known where poses fail for a while
+GAPS_IN_POSES = {*DOOR, *NO_DOOR, "pose_silent"} - LOSES_NO_POSE
+
+
+class Run:
+    """One life of a daemon."""
+
+    def __init__(
+        self, seed: int, place: Path, faults: list[Drawn], moves: bool, end_s: float = 0.0
+    ) -> None:
+        """The session is recorded into `place`; `end_s`: of the run, by scenario time."""
+        self.broken: list[str] = []
+        self.estimates: list[Estimate] = []  # one for each scan, as it was told last
+        self.unsent = 0
+        self.compared: list[str] = []  # the estimates were compared with those of these
+        self.taken: list[tuple[int, bytes]] = []  # packets, by the pair
+        self.world = World(seed, faults, moves)
+        self.world.end_s = end_s or self.world.end_s
+        self._sent: list[dict[str, Any]] = []  # estimates
+        self._outcomes: list[Outcome] = []
+        self._poses = 0  # that were taken
+        self._kinds = {fault.kind for fault in faults}
+        self._place = place
+        self._config = config_file.parse(
+            '[source]\nkind = "can"\ninterface = "slcan"\nchannel = "memory"\n'
+            f'[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\nseed = {seed}\n'
+            '[publish]\nendpoints = ["ipc:///nowhere/s"]\n[control]\nendpoint = ""\n'
+            + '[sensor_pose]\nendpoint = "ipc:///nowhere/p"\nextrapolate_s = 0.0\n'
+            * moves
+        )
+        try:
+            with self._patched():
+                self._live()
+            self._judge_recording()
+        except Exception as error:
+            self.broken.append("".join(traceback.format_exception(error)[-3:]))
+        for thread in (*self.world.threads.errors, *self.world.writers.errors):
+            self.broken.append(f"a thread has ended: {thread!r}")
+
+    def _live(self) -> None:
+        world = self.world
+        self._recorder = Recorder(self._place, moves=world.moves)
+        daemon = Daemon(self._config, self._recorder)
+        try:
+            daemon.clock = WallClock(world.unix, lambda: world.now)
+            self._listen_to(daemon)
+            daemon._loop(Notifier({}), lambda: self._between(daemon))
+            self._judge_end(daemon)
+            daemon.link.detach()
+            world.advance(world.now + 0.2)  # the door reads what is left, and ends
+        finally:
+            daemon.close()
+        got = [packet for door in world.doors for packet in door.got]
+        self._law(got == self.taken, "doors got other packets than the pair took")
+
+    def _between(self, daemon: Daemon) -> None:
+        daemon.stopping = self.world.t >= self.world.end_s + REST_S
+
+    @contextlib.contextmanager
+    def _patched(self) -> Iterator[None]:
+        """Clocks, threads, processes and disk, for as long as the daemon lives."""
+        world, pairs, give, pose = self.world, pair.open_pair, Link._give, Daemon._on_pose
+
+        class File(FileIO):
+            def write(self, data: Any) -> int:
+                return world.write(super().write, data)
+
+        def sync(_: int) -> None:
+            world.write(len, b"")
+
+        def open_pair() -> Any:
+            if world.on("no descriptor for the pair"):
+                raise OSError(errno.EMFILE, "Too many open files")
+            return pairs()
+
+        def given(link: Link, kind: Kind, body: bytes) -> None:
+            there, before = link.end is not None, link.counters.unsent
+            give(link, kind, body)
+            if there and link.counters.unsent == before:
+                self.taken.append((kind, body))
+
+        def posed(*given: Any) -> None:
+            self._poses += 1
+            pose(*given)
+
+        processes = types.SimpleNamespace(Popen=partial(SimulatedDoor, world), DEVNULL=-3)
+        fakes = {
+            "time.time": world.unix, "time.monotonic": lambda: world.now,
+            "time.monotonic_ns": lambda: int(world.now * 1e9),
+            "time.perf_counter_ns": lambda: int(world.now * 1e9), "time.thread_time_ns": lambda: 0,
+            "time.sleep": lambda s: world.advance(world.now + s), "os.fsync": sync,
+            "taxeld.service.loop.Inputs": lambda: SimulatedInputs(world),
+            "taxeld.service.loop.Ticker": partial(Ticker, clock=lambda: world.now),
+            "taxeld.service.loop.Gathering": lambda: Gathering(lambda: world.now),
+            "taxeld.service.doorkeeper.threading": world.threads,
+            "taxeld.service.doorkeeper.subprocess": processes,
+            "taxeld.stream.pair.open_pair": open_pair, "taxeld.stream.link.Link._give": given,
+            "taxeld.service.loop.Daemon._on_pose": posed,
+            "taxeld.source.recorder.threading": world.writers,
+            "taxeld.source.recorder.FileIO": File,
+            "taxeld.source.sources.open_device": lambda *_: SimulatedDevice(world),
+        }  # fmt: skip
+        with contextlib.ExitStack() as patches:
+            for name, fake in fakes.items():
+                patches.enter_context(mock.patch(name, fake))
+            yield
+
+    def _listen_to(self, daemon: Daemon) -> None:
+        link, pipeline = daemon.link, daemon.pipeline
+        send, advance = link.send, pipeline.advance
+
+        def sent(topic: bytes, message: Mapping[str, Any], t: float) -> None:
+            if topic == messages.ESTIMATE:
+                self._sent.append(dict(message))
+            send(topic, message, t)
+
+        def advanced(scans: Any, now: float) -> Iterator[Outcome]:
+            for outcome in advance(scans, now):
+                self._outcomes.append(outcome)
+                yield outcome
+
+        link.send, pipeline.advance = sent, advanced  # type: ignore[method-assign,assignment]
+
+    def _judge_end(self, daemon: Daemon) -> None:
+        """All faults are long over."""
+        self.unsent = daemon.link.counters.unsent
+        self._law(daemon.link.is_ready, "no door at the end")
+        self._law(self._sent[-1]["status"] != Status.STALE, "stale at the end")
+        used = [o for o in self._outcomes if o.is_used and not o.is_afterthought]
+        told = iter(self._sent)
+        in_order = all(any(e["t"] == o.estimate.t for e in told) for o in used)
+        self._law(in_order, "a scan that was used has no estimate, or not in the order of scans")
+        numbers = [e["seq"] for e in self._sent]
+        self._law(numbers == list(range(1, len(numbers) + 1)), "estimates are not numbered in turn")
+        counted = health.of(daemon, 0, self.world.now, self.world.unix())
+        self._law(counted["estimator"]["scans"] == len(used), "a scan has no outcome")
+        self.world.rig.ledger.poses_heard = self._poses
+        for law in laws(self.world.rig.ledger, counted, line=False, exact_times=False):
+            self._law(law.holds, f"{law.name}: {law.expected}, where {law.counted} are counted")
+        self.estimates = of_scans(self._outcomes)
+
+    def _judge_recording(self) -> None:
+        """It replays to the same estimates, or, where the disk failed, to the first of them."""
+        written, whole = self._recorder.counters, not self._kinds & {"disk full", "disk error"}
+        lost = written.failed or written.dropped > 0
+        self._law(not (whole and lost), "the recording has ended")
+        if self._kinds & NOT_IN_A_RECORDING:
+            return
+        self.compared.append("recording cut" if written.failed else "recording")
+        pipeline = replay.open_pipeline(self._place, self._config)
+        replayed = of_scans(replay.outcomes(self._place, pipeline))
+        live = self.estimates
+        if not written.failed:
+            self._law(len(replayed) - len(live) in (0, 1), "scans are not in the recording")
+        elif self.world.moves:  # of the last, the poses may not have been written
+            until = session.read(self._place).poses[-1:]
+            replayed = [e for e in replayed if until and e.t <= until[0][0]]
+        if self.world.moves and self._kinds & GAPS_IN_POSES:
+            first_s = min(f.at_s for f in self.world.faults if f.kind in GAPS_IN_POSES)
+            replayed = [e for e in replayed if e.t < UNIX_S + self.world.start_s + first_s]
+        alike = (
+            list(map(as_bytes, replayed[: len(live)])) == list(map(as_bytes, live))[: len(replayed)]
+        )
+        self._law(alike, "the recording replays to other estimates")
+
+    def _law(self, holds: bool, otherwise: str) -> None:
+        if not holds:
+            self.broken.append(otherwise)
+
+
+def of_scans(outcomes: Iterable[Outcome]) -> list[Estimate]:
+    """The last estimate of each scan."""
+    found: dict[float, Estimate] = {}
+    for outcome in outcomes:
+        found[outcome.estimate.t] = outcome.estimate
+    return list(found.values())
+
+
+def as_bytes(estimate: Estimate) -> str:
+    return json.dumps(messages.estimate(estimate, seq=0, valid=False))
+
+
+def simulate(seed: int, place: Path) -> tuple[Run, list[str]]:
+    """A run, and the laws that it broke; where door or disk alone failed, and no pose was lost by
+    that, its estimates must be those of a run without faults."""
+    faults, moves = draw(seed)
+    run = Run(seed, place / "faults", faults, moves)
+    broken, kinds = run.broken, {fault.kind for fault in faults}
+    allowed = LOSES_NO_POSE if moves else {*DOOR, *NO_DOOR, *DISK}
+    if kinds <= allowed:
+        run.compared.append("undisturbed")
+        calm = Run(seed, place / "calm", [], moves, run.world.end_s)
+        broken = broken + [f"without faults: {law}" for law in calm.broken]
+        if list(map(as_bytes, calm.estimates)) != list(map(as_bytes, run.estimates)):
+            broken.append("estimates are others than without faults")
+    return run, broken

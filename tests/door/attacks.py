@@ -1,0 +1,238 @@
+"""Programs that do a door harm, or are careless: each says that it is ready by an empty line, and
+goes on until it is killed. Their arguments stand beside them.
+"""
+
+_HELLO = """
+import os, select, socket, struct, sys, time
+
+def frame(body, flags=0):
+    return bytes((flags, len(body))) + body
+
+def hello(kind):
+    ready = b"\\x05READY\\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind
+    return b"\\xff" + bytes(8) + b"\\x7f\\x03\\x00NULL" + bytes(48) + frame(ready, 4)
+
+def until_greeted(peer, kind):
+    said = b""
+    while kind not in said:
+        said += peer.recv(4096) or kind
+
+def connected(path, kind=b"SUB", other=b"XPUB"):
+    peer = socket.socket(socket.AF_UNIX)
+    peer.connect(path)
+    peer.sendall(hello(kind))
+    until_greeted(peer, other)
+    return peer
+"""
+
+# A descriptor whose close waits for 8 seconds is passed to the stream: its path
+LINGER = """
+import socket, struct, sys
+listens = socket.create_server(("127.0.0.1", 0))
+slow = socket.create_connection(listens.getsockname())
+slow.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 8))
+slow.setblocking(False)
+try:
+    while True:
+        slow.send(bytes(65536))
+except BlockingIOError:
+    pass
+peer = socket.socket(socket.AF_UNIX)
+peer.connect(sys.argv[1])
+try:
+    socket.send_fds(peer, [b"\\xff"], [slow.fileno()])
+except PermissionError:
+    slow.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 0, 0))
+slow.close()
+print(flush=True)
+sys.stdin.read()
+"""
+
+# A message to the stream whose last frame never comes: its path
+HOARD = (
+    _HELLO
+    + """
+print(flush=True)
+while True:
+    peer = connected(sys.argv[1])
+    try:
+        while True:
+            peer.sendall(frame(b"\\xff" + bytes(254), 1) * 200)
+    except OSError:
+        pass
+"""
+)
+
+# Requests without end by clients that read the answers: the endpoint of control
+REQUESTS = """
+import sys, zmq, msgpack
+context, request = zmq.Context(), msgpack.packb({"cmd": "status"})
+print(flush=True)
+sockets = [context.socket(zmq.DEALER) for _ in range(8)]
+for socket in sockets:
+    socket.connect(sys.argv[1])
+while True:
+    for socket in sockets:
+        try:
+            socket.send_multipart([b"", request], zmq.NOBLOCK)
+            while socket.poll(0):
+                socket.recv_multipart(zmq.NOBLOCK)
+        except zmq.Again:
+            pass
+"""
+
+# What is no ZeroMQ, on the robot's port: its number
+NONSENSE = """
+import socket, sys
+listens = socket.create_server(("127.0.0.1", int(sys.argv[1])), reuse_port=False)
+print(flush=True)
+peer, _ = listens.accept()
+peer.sendall(b"\\xff" * 200)
+sys.stdin.read()
+"""
+
+# A robot's message whose last frame never comes, on the robot's port: its number
+ENDLESS_POSE = (
+    _HELLO
+    + """
+import threading
+listens = socket.create_server(("127.0.0.1", int(sys.argv[1])))
+print(flush=True)
+def flood(peer):
+    try:
+        peer.sendall(hello(b"PUB"))
+        until_greeted(peer, b"SUB")
+        while True:
+            peer.sendall(frame(b"/robot/sensor_pose".ljust(255, b"x"), 1) * 200)
+    except OSError:
+        pass
+while True:
+    threading.Thread(target=flood, args=(listens.accept()[0],), daemon=True).start()
+"""
+)
+
+# Handshakes with keys that nobody knows, without end: the server's public key, and an endpoint
+STRANGE_KEYS = """
+import sys, zmq
+server, endpoint = sys.argv[1].encode(), sys.argv[2]
+print(flush=True)
+with zmq.Context() as context:
+    while True:
+        sockets = []
+        for _ in range(20):
+            socket = context.socket(zmq.SUB)
+            socket.setsockopt(zmq.LINGER, 0)
+            public, secret = zmq.curve_keypair()
+            socket.curve_serverkey, socket.curve_publickey, socket.curve_secretkey = (
+                server, public, secret)
+            socket.connect(endpoint)
+            sockets.append(socket)
+        sockets[0].poll(50)
+        for socket in sockets:
+            socket.close()
+"""
+
+# Subscribers that shut their reading side, or leave, as a message comes: the stream's path
+SHUT = (
+    _HELLO
+    + """
+print(flush=True)
+while True:
+    try:
+        with connected(sys.argv[1]) as peer:
+            peer.sendall(frame(b"\\x01/taxeld/e"))
+            select.select([peer], [], [], 1.0)
+            peer.sendall(b"\\x00")
+            peer.shutdown(socket.SHUT_RD)
+            time.sleep(0.06)
+    except OSError:
+        time.sleep(0.01)
+"""
+)
+
+# Subscribers who never read and ask for the description of the stream again and again: its path
+ASK_AGAIN = (
+    _HELLO
+    + """
+peers = [connected(sys.argv[1]) for _ in range(150)]
+for peer in peers:
+    peer.setblocking(False)
+print(flush=True)
+while True:
+    for n, peer in enumerate(peers):
+        try:
+            peer.sendall(frame(b"\\x00/taxeld/info") + frame(b"\\x01/taxeld/info"))
+        except BlockingIOError:
+            pass
+        except OSError:
+            try:
+                peers[n] = connected(sys.argv[1])
+                peers[n].setblocking(False)
+            except OSError:
+                pass
+    time.sleep(0.005)
+"""
+)
+
+# Every place of a socket file, by another user where that is possible: its path
+PLACES = """
+import os, socket, sys, time
+if not os.geteuid():
+    os.setgroups([])
+    os.setgid(65534)
+    os.setuid(65534)
+print(flush=True)
+peers = []
+while True:
+    peer = socket.socket(socket.AF_UNIX)
+    peer.setblocking(False)
+    try:
+        peer.connect(sys.argv[1])
+        peers.append(peer)
+    except OSError:
+        peer.close()
+        time.sleep(0.01)
+    if len(peers) > 900:
+        peers.pop(0).close()
+"""
+
+# A robot with large messages and control characters in the names of its topics: its endpoint
+CARELESS_ROBOT = """
+import sys, time, zmq
+robot = zmq.Context().socket(zmq.PUB)
+robot.bind(sys.argv[1])
+print(flush=True)
+while True:
+    robot.send_multipart([b"/robot/sensor_pose_history", bytes(2000)])
+    robot.send_multipart([b"/robot/sensor_pose\\n<0>\\x1b]0;x", b"x", b"1.0"])
+    robot.send_multipart([b"/robot/sensor_pose", *[b"x"] * 5000])
+    time.sleep(0.02)
+"""
+
+# A subscriber that reads a message in four seconds: the stream's endpoint
+SLOW = """
+import sys, time, zmq
+slow = zmq.Context().socket(zmq.SUB)
+slow.setsockopt(zmq.RCVHWM, 1)
+slow.setsockopt(zmq.RCVBUF, 4096)
+slow.setsockopt(zmq.SUBSCRIBE, b"/taxeld/")
+slow.connect(sys.argv[1])
+print(flush=True)
+while True:
+    slow.recv_multipart()
+    time.sleep(4.0)
+"""
+
+# Clients whose requests carry a number that must come back: the endpoint of control
+CORRELATED = """
+import sys, zmq, msgpack
+asking = zmq.Context().socket(zmq.REQ)
+asking.setsockopt(zmq.REQ_CORRELATE, 1)
+asking.setsockopt(zmq.REQ_RELAXED, 1)
+asking.connect(sys.argv[1])
+print(flush=True)
+while True:
+    asking.send(msgpack.packb({"cmd": "status"}))
+    if asking.poll(50):
+        asking.recv()
+"""

@@ -1,0 +1,180 @@
+"""A door as the daemon starts it, a process of its own, and the loop's end in the test's hands."""
+
+import contextlib
+import os
+import signal
+import socket as kernel
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import zmq
+
+from taxeld.door.settings import Settings
+from taxeld.service.doorkeeper import Doorkeeper
+from taxeld.stream.link import Link
+
+INFO = {"taxeld": "0"}
+QUEUE = 60
+PATIENCE_S = 60.0
+NOBODY = 65_534
+needs_root = os.geteuid() != 0, "only root can be another user"
+
+
+class Stand(contextlib.ExitStack):
+    """A door that serves a stream and control in a directory."""
+
+    def __init__(self, place: Path, **settings: Any) -> None:
+        super().__init__()
+        self.stream, self.control = f"ipc://{place}/stream", f"ipc://{place}/control"
+        served = {"publish": (self.stream,), "control": self.control, "robot": ""} | settings
+        self.poses: list[tuple[float, float, float, float]] = []
+        self.done: list[str] = []
+        changes = {name: lambda name=name: self.done.append(name) for name in ("tare", "reset")}
+        self.link = Link(INFO, lambda *pose: self.poses.append(pose), changes)
+        group = {"change_group": "", "queue": QUEUE}
+        self.keeper = Doorkeeper(Settings(**group | served))
+        self.callback(self.keeper.close)
+        self.callback(self.link.detach)
+        self.context: zmq.Context[Any] = self.enter_context(zmq.Context())
+        self._next_estimate_s = 0.0
+        self.sent = 0
+        try:
+            self.keeper.wait(self.link)
+        except BaseException:
+            self.close()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Of the door that is there."""
+        process = self.keeper._process
+        assert process is not None
+        return process.pid
+
+    def look(self) -> None:
+        """As the loop does: an estimate twenty times a second, and a look at the door."""
+        now_s = time.monotonic()
+        if now_s >= self._next_estimate_s:
+            self._next_estimate_s = now_s + 0.05
+            self.sent += 1
+            self.link.send(b"/taxeld/estimate", {"seq": self.sent}, 1.0)
+        self.keeper.look(self.link, now_s)
+
+    def until(self, holds: Callable[[], object], seconds: float = PATIENCE_S) -> None:
+        deadline = time.monotonic() + seconds
+        while not holds():
+            assert time.monotonic() < deadline, "it does not come to that"
+            self.look()
+            time.sleep(0.002)
+
+    def socket(self, kind: int, endpoint: str = "", **options: int) -> zmq.Socket[Any]:
+        made: zmq.Socket[Any] = self.enter_context(self.context.socket(kind))
+        for name, value in {"LINGER": 0, **options}.items():
+            made.setsockopt(getattr(zmq, name), value)
+        if endpoint:
+            made.connect(endpoint)
+        return made
+
+    def losses(self, socket: zmq.Socket[Any]) -> zmq.Socket[Any]:
+        """Readable once the socket has lost its connection."""
+        made: zmq.Socket[Any] = self.enter_context(
+            socket.get_monitor_socket(zmq.EVENT_DISCONNECTED)
+        )
+        made.setsockopt(zmq.LINGER, 0)
+        return made
+
+    def subscriber(self, *topics: bytes, endpoint: str = "", **options: int) -> zmq.Socket[Any]:
+        made = self.socket(zmq.SUB, **options)
+        for topic in topics:
+            made.setsockopt(zmq.SUBSCRIBE, topic)
+        made.connect(endpoint or self.stream)
+        return made
+
+    def received(self, socket: zmq.Socket[Any]) -> list[bytes]:
+        """The next message of a socket."""
+        self.until(lambda: socket.poll(0))
+        parts: list[bytes] = socket.recv_multipart()
+        return parts
+
+    def answer(self, request: object, endpoint: str = "", **options: int) -> dict[str, Any]:
+        asking = self.socket(zmq.REQ, endpoint or self.control, **options)
+        asking.send(msgpack.packb(request))
+        made: dict[str, Any] = msgpack.unpackb(self.received(asking)[0])
+        return made
+
+    def until_bound(self, socket: zmq.Socket[Any], endpoint: str) -> None:
+        """Where another socket has just been closed."""
+
+        def bound() -> bool:
+            try:
+                socket.bind(endpoint)
+            except zmq.ZMQError:
+                return False
+            return True
+
+        self.until(bound)
+
+    def robot(self) -> zmq.Socket[Any]:
+        """A publisher of poses, which is not bound yet."""
+        return self.socket(zmq.PUB)
+
+
+def free_port() -> int:
+    """Of TCP on this machine, a moment ago."""
+    with kernel.create_server(("127.0.0.1", 0)) as probe:
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def robots_endpoint() -> str:
+    return f"tcp://127.0.0.1:{free_port()}"
+
+
+def pose(x: float) -> list[bytes]:
+    """A message of the robot."""
+    body = msgpack.packb({"t": 1.0, "x": x, "y": 0.0, "theta": 0.0})
+    return [b"/robot/sensor_pose", body, b"1.0"]
+
+
+@contextlib.contextmanager
+def another_user(does: Callable[[], None], groups: Sequence[int] = ()) -> Iterator[int]:
+    """Meanwhile another user's process does something; → its number."""
+    number = os.fork()
+    if not number:
+        with contextlib.suppress(BaseException):
+            os.setgroups(groups)
+            os.setgid(NOBODY)
+            os.setuid(NOBODY)
+            does()
+        os._exit(0)
+    try:
+        yield number
+    finally:
+        os.kill(number, signal.SIGKILL)
+        os.waitpid(number, 0)
+
+
+@contextlib.contextmanager
+def program(code: str, *arguments: object) -> Iterator[None]:
+    """Meanwhile a Python program runs, which has said that it is ready."""
+    with subprocess.Popen(
+        [sys.executable, "-c", code, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stdin=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        try:
+            yield
+        finally:
+            process.kill()
+
+
+def resident_bytes(pid: int) -> int:
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")

@@ -1,0 +1,233 @@
+"""Requests at the door: each gets an answer, and only those who may change anything do."""
+
+import grp
+import os
+import socket as kernel
+import tempfile
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taxeld.door.control import Control, for_members, open_router, packed_ok
+from taxeld.stream import client, topics
+from taxeld.stream.link import ControlCounters
+
+from . import attacks
+from .stand import PATIENCE_S, Stand, another_user, free_port, needs_root, program
+
+
+@pytest.fixture
+def stand(tmp_path: Path) -> Iterator[Stand]:
+    with Stand(tmp_path) as made:
+        yield made
+
+
+def test_status_and_info_are_the_last_messages(stand: Stand) -> None:
+    assert stand.answer({"cmd": "info"}) == {"ok": True, "info": {"taxeld": "0"}}
+    stand.link.send(topics.HEALTH, {"uptime_s": 1.0}, 1.0)
+    stand.link.tell({"waits_for": "the device"})
+    status = stand.answer({"cmd": "status"})
+    assert status["ok"]
+    assert status["health"] == {"uptime_s": 1.0}
+    assert status["estimate"]["seq"] > 0
+    assert status["waits_for"] == "the device"
+
+
+def test_unknown_requests_are_named_and_counted(stand: Stand) -> None:
+    known = "known: status, info, tare, reset"
+    assert stand.answer({"cmd": "play"})["error"] == f"unknown cmd 'play'; {known}"
+    assert (
+        stand.answer({"cmd": "tare", "hard": 1})["error"] == "unknown key 'hard'; tare takes none"
+    )
+    assert stand.answer({})["error"].startswith("unknown cmd None")
+    assert stand.answer({"cmd": ["tare"]})["error"].startswith("unknown cmd ['tare']")
+    assert stand.done == []
+    stand.until(lambda: stand.link.report.control.requests == 4)
+    assert stand.link.report.control.refused == 4
+
+
+def test_changes_are_done_by_the_loop(stand: Stand) -> None:
+    assert stand.answer({"cmd": "tare"}) == {"ok": True}
+    assert stand.answer({"cmd": "reset"}) == {"ok": True}
+    assert stand.done == ["tare", "reset"]
+
+
+def test_a_loop_that_does_not_answer_is_said_to_the_client(stand: Stand) -> None:
+    stand.until(lambda: stand.sent > 2)
+    asking = stand.socket(zmq.REQ, stand.control)
+    asking.send(msgpack.packb({"cmd": "tare"}))
+    assert asking.poll(1000 * PATIENCE_S)
+    assert msgpack.unpackb(asking.recv())["error"].startswith("the loop does not answer")
+    status = stand.socket(zmq.REQ, stand.control)
+    status.send(msgpack.packb({"cmd": "status"}))
+    assert status.poll(1000 * PATIENCE_S)
+    assert msgpack.unpackb(status.recv())["error"].startswith("the loop is silent")
+
+
+@pytest.mark.parametrize("parts", [[b""], [b"", b""], [b"x"] * 2, [b"x"] * 3, [b"x"] * 7])
+def test_messages_of_any_shape_get_an_answer(stand: Stand, parts: list[bytes]) -> None:
+    odd = stand.socket(zmq.DEALER, stand.control)
+    odd.send_multipart(parts)
+    assert not msgpack.unpackb(stand.received(odd)[-1])["ok"]
+
+
+def test_clients_with_correlated_requests_are_answered(stand: Stand) -> None:
+    """REQ_CORRELATE puts a number before the delimiter, which must come back."""
+    asking = stand.socket(zmq.REQ, stand.control, REQ_CORRELATE=1, REQ_RELAXED=1)
+    for _ in range(3):
+        asking.send(msgpack.packb({"cmd": "info"}))
+        assert msgpack.unpackb(stand.received(asking)[0])["ok"]
+
+
+def test_clients_behind_a_proxy_are_answered(stand: Stand, tmp_path: Path) -> None:
+    with zmq.Context() as context:
+        front, back = context.socket(zmq.ROUTER), context.socket(zmq.DEALER)
+        front.bind(f"ipc://{tmp_path}/proxy")
+        back.connect(stand.control)
+
+        def serve() -> None:
+            try:
+                zmq.proxy(front, back)
+            except zmq.ContextTerminated:
+                front.close(linger=0)
+                back.close(linger=0)
+
+        threading.Thread(target=serve, daemon=True).start()
+        assert stand.answer({"cmd": "info"}, f"ipc://{tmp_path}/proxy")["ok"]
+        context.term()
+
+
+def test_a_message_of_very_many_frames_is_not_read_to_its_end(stand: Stand) -> None:
+    flooder = stand.socket(zmq.DEALER, stand.control)
+    flooder.send_multipart([b"x"] * 200_000)
+    stand.until(lambda: stand.link.report.control.refused)
+    assert stand.answer({"cmd": "tare"})["ok"]
+
+
+def test_a_client_takes_turns_with_those_who_flood(stand: Stand) -> None:
+    with program(attacks.REQUESTS, stand.control), program(attacks.REQUESTS, stand.control):
+        for _ in range(5):
+            assert stand.answer({"cmd": "info"})["ok"]
+
+
+def open_to_all(place: Path) -> None:
+    for directory in (place, *place.parents):
+        if directory.is_relative_to(tempfile.gettempdir()) and directory.name != "tmp":
+            directory.chmod(0o755)
+    (place / "control").chmod(0o666)
+
+
+@pytest.mark.skipif(needs_root[0], reason=needs_root[1])
+def test_places_are_left_for_root_where_another_user_takes_all(
+    stand: Stand, tmp_path: Path
+) -> None:
+    open_to_all(tmp_path)
+    door = stand.pid
+    with program(attacks.PLACES, tmp_path / "control"):
+        stand.until(lambda: stand.link.report.crowded_out > 100)
+        for _ in range(2):
+            assert stand.answer({"cmd": "info"})["ok"]
+    assert stand.pid == door
+
+
+def ask(endpoint: str, command: str, into: Path) -> None:
+    with zmq.Context() as context, context.socket(zmq.REQ) as socket:
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.connect(endpoint)
+        socket.send(msgpack.packb({"cmd": command}))
+        if socket.poll(20_000):
+            into.write_bytes(socket.recv())
+
+
+@pytest.mark.skipif(needs_root[0], reason=needs_root[1])
+@pytest.mark.parametrize(("groups", "may"), [([], False), ([1], True)], ids=["other", "member"])
+def test_only_members_of_the_group_change_anything(
+    tmp_path: Path, groups: list[int], may: bool
+) -> None:
+    group = grp.getgrgid(1).gr_name
+    (tmp_path / "answers").mkdir()
+    (tmp_path / "answers").chmod(0o777)
+    with Stand(tmp_path, change_group=group) as stand:
+        open_to_all(tmp_path)
+        answers = {}
+        for command in ("status", "tare"):
+            made = tmp_path / "answers" / command
+            with another_user(lambda: ask(stand.control, command, made), groups):  # noqa: B023
+                stand.until(lambda: made.exists() and made.stat().st_size)  # noqa: B023
+            answers[command] = msgpack.unpackb(made.read_bytes())
+    assert answers["status"]["ok"]
+    assert answers["tare"]["ok"] is may
+    refusal = f"tare: is for members of the group {group}: sudo usermod -aG {group} USER"
+    assert may or answers["tare"]["error"].startswith(refusal)
+    assert stand.done == ["tare"] * may
+
+
+PLAIN = st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text()
+
+
+@settings(max_examples=60)
+@given(
+    request=st.recursive(
+        PLAIN | st.binary(),
+        lambda inner: st.lists(inner) | st.dictionaries(st.text() | st.just("cmd"), inner),
+        max_leaves=8,
+    )
+)
+def test_no_request_ends_the_answers(request: object) -> None:
+    answers = {"status": packed_ok, "info": packed_ok}
+    with zmq.Context() as context, tempfile.TemporaryDirectory() as place:
+        made = Control(
+            lambda: open_router(context), f"ipc://{place}/c", "c", ControlCounters(), lambda _: "no"
+        )
+        with context.socket(zmq.REQ) as asking:
+            asking.setsockopt(zmq.LINGER, 0)
+            asking.connect(f"ipc://{place}/c")
+            asking.send(msgpack.packb(request))
+            made.socket.poll(10_000)
+            made.poll(0.0, answers, lambda *_: True)
+            assert asking.poll(10_000)
+            assert isinstance(msgpack.unpackb(asking.recv())["ok"], bool)
+        made.close()
+
+
+class Late:
+    """A frame whose connection was closed, and whose descriptor is another connection's now."""
+
+    def __init__(self, number: int) -> None:
+        self._number = number
+
+    def get(self, name: object) -> object:
+        return self._number if name == zmq.SRCFD else "localhost:65534:65534:1"
+
+
+def test_nobody_may_change_anything_by_the_descriptor_of_another_connection() -> None:
+    own, peer = kernel.socketpair()
+    with own, peer:
+        assert for_members("")(Late(own.fileno())).startswith("is for the daemon's own user")  # type: ignore[arg-type]
+
+
+def test_over_tcp_nothing_is_changed_unless_that_is_configured(tmp_path: Path) -> None:
+    for change in (False, True):
+        tcp = f"tcp://127.0.0.1:{free_port()}"
+        with Stand(tmp_path, relay_control=tcp, relay_change=change) as stand:
+            assert stand.answer({"cmd": "info"}, tcp)["ok"]
+            assert stand.answer({"cmd": "reset"}, tcp)["ok"] is change
+            assert stand.done == ["reset"] * change
+
+
+def test_the_command_line_client_outlives_a_door(stand: Stand) -> None:
+    asked: list[Any] = []
+    thread = threading.Thread(
+        target=lambda: asked.append(client.ask(stand.control, "info", timeout_s=PATIENCE_S))
+    )
+    os.kill(stand.pid, 9)
+    thread.start()
+    stand.until(lambda: not thread.is_alive())
+    assert asked[0]["ok"]

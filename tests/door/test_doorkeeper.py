@@ -1,0 +1,261 @@
+"""The door as a process: it ends without the loop, is back soon, and may do little."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import zmq
+
+from taxeld.door import sandbox
+from taxeld.door.settings import OOM_SCORE, Settings
+from taxeld.errors import SetupError
+from taxeld.service import doorkeeper
+from taxeld.service.doorkeeper import Doorkeeper
+from taxeld.stream import pair
+
+from .stand import INFO, Stand, free_port
+
+
+def test_a_killed_door_is_back_and_subscribers_come_back_by_themselves(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with Stand(tmp_path) as stand:
+        heard = stand.subscriber(b"/taxeld/")
+        for number in (signal.SIGKILL, signal.SIGABRT, signal.SIGSEGV):
+            before = stand.pid
+            os.kill(before, number)
+            stand.until(lambda before=before: stand.link.is_ready and stand.pid != before)
+            while heard.poll(0):
+                heard.recv_multipart()
+            stand.received(heard)
+        assert stand.keeper.starts == 4
+        assert stand.answer({"cmd": "info"})["info"] == INFO
+    assert "door: ended by SIGKILL; it is started again" in caplog.messages
+
+
+def test_a_door_that_hangs_is_ended_and_replaced(tmp_path: Path) -> None:
+    with Stand(tmp_path) as stand:
+        before = stand.pid
+        os.kill(before, signal.SIGSTOP)
+        stand.until(lambda: stand.link.is_ready and stand.pid != before)
+        stand.received(stand.subscriber(b"/taxeld/e"))
+
+
+def test_a_door_that_no_descriptor_is_left_for_is_started_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def refused() -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(doorkeeper, "REFUSED_S", 0.1)
+    with Stand(tmp_path) as stand:
+        before = stand.pid
+        with monkeypatch.context() as scarce:
+            scarce.setattr(pair, "open_pair", refused)
+            os.kill(before, signal.SIGKILL)
+            stand.until(lambda: "(Too many open files)" in caplog.text)
+        stand.until(lambda: stand.link.is_ready and stand.pid != before)
+
+
+def test_a_door_ends_with_its_loop(tmp_path: Path) -> None:
+    code = (
+        "import sys, time\nfrom pathlib import Path\nsys.path.insert(0, sys.argv[2])\n"
+        "from tests.door.stand import Stand\nstand = Stand(Path(sys.argv[1]))\n"
+        "print(stand.pid, flush=True)\ntime.sleep(60)"
+    )
+    root = str(Path(__file__).parents[2])
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(tmp_path), root], stdout=subprocess.PIPE, text=True
+    ) as loop:
+        assert loop.stdout is not None
+        door = int(loop.stdout.readline())
+        loop.kill()
+        loop.wait()
+        deadline = time.monotonic() + 20.0
+        while Path(f"/proc/{door}").exists() and "taxeld.door" in cmdline(door):
+            assert time.monotonic() < deadline
+            time.sleep(0.02)
+
+
+def cmdline(pid: int) -> str:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_text(encoding="utf-8")
+    except OSError:
+        return ""
+
+
+def test_signals_of_a_terminal_or_a_service_that_stops_leave_the_door_to_its_loop(
+    tmp_path: Path,
+) -> None:
+    with Stand(tmp_path) as stand:
+        before = stand.pid
+        os.kill(before, signal.SIGINT)
+        os.kill(before, signal.SIGTERM)
+        stand.received(stand.subscriber(b"/taxeld/e"))
+        assert stand.pid == before
+    assert not Path(f"/proc/{before}").exists()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("kind", ["stream", "control", "tcp", "keys"])
+def test_an_endpoint_that_cannot_be_served_is_one_line(tmp_path: Path, kind: str) -> None:
+    (tmp_path / "precious").write_text("x", encoding="ascii")
+    port = free_port()
+    taken = {
+        "stream": {"publish": (f"ipc://{tmp_path}/precious",)},
+        "control": {"control": f"ipc://{tmp_path}/precious"},
+        "tcp": {"relay_publish": (f"tcp://127.0.0.1:{port}",)},
+        "keys": {"relay_publish": (f"tcp://127.0.0.1:{port}",), "keys": str(tmp_path)},
+    }[kind]
+    said = {
+        "stream": "publish.endpoints: .* is no socket; remove it",
+        "control": "control.endpoint: .* is no socket; remove it",
+        "tcp": r"relay.publish: cannot bind tcp://127.0.0.1:\d+ \(Address already in use",
+        "keys": "curve.directory: .*server.key_secret is not there",
+    }[kind]
+    with zmq.Context() as context, context.socket(zmq.PUB) as other:
+        other.bind(f"tcp://127.0.0.1:{port}")
+        with pytest.raises(SetupError, match=said) as error:
+            Stand(tmp_path, **taken)
+    assert "\n" not in str(error.value)
+
+
+def test_a_second_daemon_leaves_the_first_ones_sockets_alone(tmp_path: Path) -> None:
+    with Stand(tmp_path) as first:
+        with pytest.raises(SetupError, match="another daemon serves"):
+            Stand(tmp_path)
+        first.received(first.subscriber(b"/taxeld/e"))
+
+
+def test_where_nothing_is_served_there_is_no_door() -> None:
+    keeper = Doorkeeper(Settings(publish=(), control="", change_group="", robot="", queue=20))
+    assert keeper.starts == 0
+    keeper.close()
+
+
+def limit_of(pid: int, name: str) -> int:
+    text = Path(f"/proc/{pid}/limits").read_text(encoding="ascii")
+    (line,) = [line for line in text.splitlines() if line.startswith(name)]
+    return int(line[len(name) :].split()[0])
+
+
+def test_the_kernel_limits_the_door_and_ends_it_first(tmp_path: Path) -> None:
+    with Stand(tmp_path) as stand:
+        place = Path(f"/proc/{stand.pid}")
+        assert limit_of(stand.pid, "Max data size") == sandbox.MEMORY_BYTES
+        assert limit_of(stand.pid, "Max processes") == 0
+        assert limit_of(stand.pid, "Max core file size") == 0
+        assert limit_of(stand.pid, "Max open files") <= sandbox.DESCRIPTORS
+        assert int((place / "oom_score_adj").read_text(encoding="ascii")) == OOM_SCORE
+        assert len(list((place / "task").iterdir())) < 8
+
+
+def test_where_memory_is_short_a_door_that_is_starting_goes_before_the_loop_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starting = tmp_path / "python"
+    starting.write_text("#!/bin/sh\nexec sleep 60\n", encoding="ascii")
+    starting.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(starting))
+    keeper = Doorkeeper(Settings((f"ipc://{tmp_path}/stream",), "", "", "", 1))
+    deadline = time.monotonic() + 20.0
+    while keeper._started is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+    process = keeper._started.process
+    score = Path(f"/proc/{process.pid}/oom_score_adj").read_text(encoding="ascii")
+    keeper._stops.set()
+    process.kill()
+    keeper.close()
+    assert int(score) == OOM_SCORE
+
+
+GREEDY = """
+from taxeld.door import sandbox
+sandbox.limit()
+try:
+    held = [bytearray(1 << 20) for _ in range(4096)]
+except MemoryError:
+    print("no more", end="")
+"""
+
+
+def test_a_greedy_door_gets_no_more_memory_than_its_limit() -> None:
+    run = subprocess.run([sys.executable, "-c", GREEDY], capture_output=True, text=True, check=True)
+    assert run.stdout == "no more"
+
+
+CONFINED = """
+import os, signal, socket, sys
+from pathlib import Path
+from taxeld.door import sandbox
+place, secret, port = Path(sys.argv[1]), Path(sys.argv[2]), int(sys.argv[3])
+if not sandbox.confine([place], [port], []):
+    sys.exit(77)
+def refused(does):
+    try:
+        does()
+    except PermissionError:
+        return True
+    return False
+server = socket.socket(socket.AF_UNIX)
+server.bind(str(place / "socket"))
+(place / "socket").unlink()
+print(refused(lambda: secret.read_text()), refused(lambda: secret.write_text("x")),
+      refused(lambda: open("/dev/null", "rb")), refused(lambda: (place / "file").write_text("x")),
+      refused(lambda: Path(f"/proc/{os.getppid()}/mem").open("rb")),
+      refused(lambda: socket.socket().bind(("127.0.0.1", port + 1))),
+      refused(lambda: os.kill(os.getppid(), 0)))
+"""
+
+
+def test_a_confined_door_reads_no_file_no_device_and_signals_nobody(tmp_path: Path) -> None:
+    secret, place = tmp_path / "secret", tmp_path / "sockets"
+    secret.write_text("s", encoding="ascii")
+    place.mkdir()
+    run = subprocess.run(
+        [sys.executable, "-c", CONFINED, str(place), str(secret), str(free_port())],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if run.returncode == 77:
+        pytest.skip("this kernel has no Landlock")
+    files, ports, signals = run.stdout.split()[:5], run.stdout.split()[5], run.stdout.split()[6]
+    assert files == ["True"] * 5, run.stderr
+    release = tuple(map(int, os.uname().release.split(".")[:2]))
+    assert ports == "True" or release < (6, 7)
+    assert signals == "True" or release < (6, 12)
+
+
+def test_the_loops_process_has_no_zeromq_and_no_peer(tmp_path: Path) -> None:
+    config = tmp_path / "t.toml"
+    config.write_text(
+        f'[source]\nkind = "can"\ninterface = "virtual"\nchannel = "x"\n[scene]\nbundle = "box"\n'
+        f'[publish]\nendpoints = ["ipc://{tmp_path}/stream"]\n'
+        f'[control]\nendpoint = "ipc://{tmp_path}/control"\n'
+        f'[sensor_pose]\nendpoint = "tcp://127.0.0.1:{free_port()}"\n',
+        encoding="utf-8",
+    )
+    environment = {k: v for k, v in os.environ.items() if k != "NOTIFY_SOCKET"}
+    with subprocess.Popen(
+        [sys.executable, "-m", "taxeld.cli", "run", str(config)],
+        stderr=subprocess.PIPE, text=True, env=environment,
+    ) as loop:  # fmt: skip
+        assert loop.stderr is not None
+        while "ready: " not in loop.stderr.readline():
+            pass
+        place = Path(f"/proc/{loop.pid}")
+        mapped = (place / "maps").read_text(encoding="ascii")
+        links = [str(fd.readlink()) for fd in (place / "fd").iterdir()]
+        loop.terminate()
+        loop.communicate()
+    assert "libzmq" not in mapped
+    assert "_zmq" not in mapped
+    assert sum(link.startswith("socket:") for link in links) == 1, links
+    assert loop.returncode == 0

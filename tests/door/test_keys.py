@@ -1,0 +1,190 @@
+"""Keys: who holds one gets everything, who does not gets nothing, and is counted."""
+
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zmq
+from zmq.auth import create_certificates, load_certificate
+
+from taxeld.errors import SetupError
+from taxeld.stream import curve, topics
+
+from . import attacks
+from .stand import PATIENCE_S, Stand, free_port, pose, program, resident_bytes, robots_endpoint
+
+
+def pair(directory: Path, name: str) -> tuple[bytes, bytes]:
+    directory.mkdir(exist_ok=True)
+    create_certificates(directory, name)
+    secret = directory / f"{name}.key_secret"
+    secret.chmod(0o600)
+    public, private = load_certificate(secret)
+    assert private is not None
+    return public, private
+
+
+@pytest.fixture
+def keys(tmp_path: Path) -> Path:
+    """A daemon's directory, with one client and a robot; the client's own stands beside it."""
+    directory, client_side = tmp_path / "keys", tmp_path / "client"
+    pair(directory, "server")
+    pair(client_side, "client")
+    pair(tmp_path / "robot", "robot")
+    (directory / "clients").mkdir()
+    (directory / "clients" / "client.key").write_bytes((client_side / "client.key").read_bytes())
+    (directory / "robot.key").write_bytes((tmp_path / "robot" / "robot.key").read_bytes())
+    (client_side / "server.key").write_bytes((directory / "server.key").read_bytes())
+    return directory
+
+
+class Keyed(Stand):
+    """A door that takes keys on TCP, and its clients."""
+
+    def __init__(self, place: Path, **settings: Any) -> None:
+        self.tcp = f"tcp://127.0.0.1:{free_port()}"
+        self.asked = f"tcp://127.0.0.1:{free_port()}"
+        taken = {"relay_publish": (self.tcp,), "relay_control": self.asked}
+        super().__init__(place, keys=str(place / "keys"), loopback_keys=True, **(taken | settings))
+        self.server = curve.public_key(place / "keys" / "server.key")
+
+    def listener(self, *own: bytes, server: bytes = b"", kind: int = zmq.SUB) -> zmq.Socket[Any]:
+        """A socket on TCP with a pair of keys; without one it is plain."""
+        made = self.socket(kind)
+        if own:
+            curve.as_client(made, server or self.server, *own)
+        if kind == zmq.SUB:
+            made.setsockopt(zmq.SUBSCRIBE, b"")
+        made.connect(self.tcp if kind == zmq.SUB else self.asked)
+        return made
+
+
+@pytest.fixture
+def keyed(keys: Path, tmp_path: Path) -> Iterator[Keyed]:
+    assert keys.is_dir()
+    with Keyed(tmp_path) as made:
+        yield made
+
+
+def test_only_the_holder_of_an_authorised_key_hears_anything(keyed: Keyed, tmp_path: Path) -> None:
+    own = curve.secret_key(tmp_path / "client/client.key_secret")
+    known = keyed.listener(*own)
+    while keyed.received(known)[0] != topics.INFO:
+        pass
+    assert keyed.link.report.keys_refused == 0
+    stranger = keyed.listener(*pair(tmp_path / "stranger", "stranger"))
+    plain = keyed.listener()
+    misled = keyed.listener(*own, server=pair(tmp_path / "fake", "fake")[0])
+    keyed.until(lambda: keyed.link.report.keys_refused)
+    for _ in range(20):
+        keyed.received(known)
+    assert not any(socket.poll(0) for socket in (stranger, plain, misled))
+    keyed.received(keyed.subscriber(b"/taxeld/e"))  # the socket file takes none
+
+
+def test_questions_take_keys_too(keyed: Keyed, tmp_path: Path) -> None:
+    own = curve.secret_key(tmp_path / "client/client.key_secret")
+    plain, known = keyed.listener(kind=zmq.REQ), keyed.listener(*own, kind=zmq.REQ)
+    for asking in (plain, known):
+        asking.send(b"\x81\xa3cmd\xa4info")
+    keyed.received(known)
+    assert not plain.poll(100)
+
+
+def test_newcomers_with_a_key_are_served_beside_a_flood_of_those_without_and_after_it(
+    keyed: Keyed, tmp_path: Path
+) -> None:
+    own = curve.secret_key(tmp_path / "client/client.key_secret")
+    with program(attacks.STRANGE_KEYS, keyed.server.decode(), keyed.tcp):
+        keyed.until(lambda: keyed.link.report.keys_refused > 300)
+        for _ in range(3):
+            keyed.received(keyed.listener(*own))
+    keyed.received(keyed.listener(*own))
+    assert resident_bytes(keyed.pid) < 100 << 20
+
+
+def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
+    keys: Path, tmp_path: Path
+) -> None:
+    assert keys.is_dir()
+    endpoint = robots_endpoint()
+    with Keyed(tmp_path, robot=endpoint) as keyed:
+
+        def robot(x: float, secret: bytes) -> zmq.Socket[Any]:
+            made = keyed.robot()
+            made.setsockopt(zmq.CURVE_SERVER, 1)
+            made.setsockopt(zmq.CURVE_SECRETKEY, secret)
+            keyed.until_bound(made, endpoint)
+            made.send_multipart(pose(x))
+            return made
+
+        with robot(1.0, pair(tmp_path / "fake", "fake")[1]) as false:
+
+            def refused() -> bool:
+                false.send_multipart(pose(1.0))
+                return keyed.link.report.robot.refused
+
+            keyed.until(refused)
+        true = robot(2.0, curve.secret_key(tmp_path / "robot/robot.key_secret")[1])
+
+        def heard() -> bool:
+            true.send_multipart(pose(2.0))
+            return bool(keyed.poses)
+
+        keyed.until(heard, PATIENCE_S)
+        assert {p[1] for p in keyed.poses} == {2.0}
+
+
+@pytest.mark.parametrize(
+    ("damage", "fault"),
+    [
+        (lambda keys: (keys / "server.key_secret").unlink(), "server.key_secret is not there"),
+        (lambda keys: (keys / "server.key_secret").chmod(0o644), "is open to others; chmod 640"),
+        (lambda keys: (keys / "server.key_secret").write_text("x"), "is no certificate"),
+        (lambda keys: (keys / "robot.key").unlink(), "robot.key is not there"),
+        (lambda keys: (keys / "clients" / "client.key").unlink(), "no clients/*.key in"),
+        (
+            lambda keys: (keys / "clients" / "b.key").write_text('public-key = "short"'),
+            "b.key is no certificate",
+        ),
+        (lambda keys: (keys / "robot.key").write_text("public-key"), "robot.key is no certificate"),
+        (
+            lambda keys: (keys / "robot.key").write_text(f'public-key = "{"#" * 40}"'),
+            "robot.key is no certificate",
+        ),
+    ],
+)
+def test_keys_that_cannot_be_used_are_one_line(
+    keys: Path, damage: Callable[[Path], object], fault: str
+) -> None:
+    def load() -> None:
+        curve.relay_keys(str(keys), ["tcp://127.0.0.1:9"], loopback=True)
+        curve.robot_keys(str(keys), "tcp://127.0.0.1:8", loopback=True)
+
+    damage(keys)
+    with pytest.raises(SetupError) as error:
+        load()
+    assert str(error.value).startswith("curve.directory: ")
+    assert fault in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_secret_that_the_group_may_read_is_fine(keys: Path) -> None:
+    (keys / "server.key_secret").chmod(0o640)
+    loaded = curve.relay_keys(str(keys), ["tcp://127.0.0.1:9"], loopback=True)
+    assert loaded is not None
+    assert len(loaded.clients) == 1
+
+
+def test_the_documented_commands_make_a_pair_that_is_taken(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "docs" / "stream.md").read_text(encoding="utf-8")
+    commands = text.split("```sh\n", maxsplit=1)[1].split("```", maxsplit=1)[0]
+    commands = commands.replace("python3", sys.executable).replace("/etc/taxeld", str(tmp_path))
+    subprocess.run(commands, shell=True, check=True)
+    public, secret = curve.secret_key(tmp_path / "keys" / "server.key_secret")
+    assert public == curve.public_key(tmp_path / "keys" / "server.key")
+    assert zmq.curve_public(secret) == public
+    assert (tmp_path / "keys" / "clients").is_dir()

@@ -1,0 +1,110 @@
+"""A skin of known gains, response and mount that presses an object, for a calibration to find."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from taxeld.arrays import Floats, Poses
+from taxeld.layout.layout import Layout
+from taxeld.model import se2
+from taxeld.model.observation import ObservationModel
+from taxeld.model.response import response
+from taxeld_hil.calibration.fit import depths
+from taxeld_hil.calibration.presses import Presses
+from taxeld_hil.world import calibration_touches
+from taxeld_protocol import cyskin
+from taxeld_protocol.frames import Frame, format_log_line
+from taxeld_protocol.modules import wired
+from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.virtual_hub import told
+
+PLACED = np.array([0.05, -0.04, 0.6])  # of the object
+PERIOD_S, BASE = 0.05, 10_000
+
+
+@dataclass(frozen=True)
+class PressedSkin:
+    """M taxels, and K places of the sensor at which it presses."""
+
+    model: ObservationModel
+    sensor: Poses  # (K, 3) of the sensor itself
+    mount: Poses
+    full_scale: float
+    gain: Floats
+    onset: Floats
+    bend: float
+    noise: float
+
+    @classmethod
+    def drawn(cls, model: ObservationModel, seed: int, presses: int = 20) -> "PressedSkin":
+        rng, taxels = np.random.default_rng(seed), len(model.layout)
+        plan = calibration_touches.plan(model, PLACED, seed, presses, idle_s=1.0)
+        held = [plan.path.at(float(np.mean(touch.held_s))) for touch in plan.touches]
+        return cls(
+            model, np.array(held), rng.uniform(-1.0, 1.0, 3) * [0.004, 0.004, 0.07],
+            float(rng.uniform(12_000.0, 30_000.0)), np.exp(0.15 * rng.standard_normal(taxels)),
+            0.1 + 0.5 * rng.standard_normal(taxels), float(rng.uniform(-0.05, 0.15)), 20.0,
+        )  # fmt: skip
+
+    @property
+    def told(self) -> Poses:
+        """(K, 3) what the robot says."""
+        return se2.compose(self.sensor, se2.inverse(self.mount))
+
+    def counts(self, sensor: Poses) -> Floats:
+        """(K, M) over baseline, at poses of the sensor itself."""
+        h = depths(self.model, se2.compose(se2.inverse(sensor), PLACED))
+        return self.full_scale * self.gain * response(h, self.bend, self.onset)
+
+    def presses(self, seed: int = 0) -> Presses:
+        counts = self.counts(self.sensor)
+        counts = counts + self.noise * np.random.default_rng(seed).standard_normal(counts.shape)
+        return Presses(self.told, counts, np.ones_like(counts, dtype=bool))
+
+
+def write_session(
+    directory: Path, skin: PressedSkin, idle_s: float = 12.0, held_s: float = 0.4,
+    frozen: tuple[int, ...] = (), config: str = "",
+) -> None:  # fmt: skip
+    """A CAN session of that skin: idle, then each press held, and away between."""
+    layout: Layout = skin.model.layout
+    modules = wired(layout.uid.tolist())
+    hub, rng = VirtualIhb(modules), np.random.default_rng(1)
+    uids = [uid for module in modules for uid in module.uids]
+    index = {int(uid): i for i, uid in enumerate(layout.uid)}
+    taxel = np.array([index.get(uid, -1) for uid in uids])
+    frames: list[Frame] = []
+    poses: list[tuple[float, Poses]] = []
+
+    def send(answers: list[tuple[int, bytes]], t: float) -> None:
+        for command, payload in answers:
+            frames.extend(cyskin.to_frames(command, payload, ihb=1, t=t))
+
+    away = np.array([0.6, 0.6, 0.0])
+    stays = [(away, idle_s)]
+    for told_at in skin.told:
+        stays += [(told_at, held_s), (away, 0.25)]
+    send(told(hub), 100.0)
+    t = 100.0
+    for told_at, seconds in stays:
+        pressed = skin.counts(se2.compose(told_at, skin.mount)[None])[0]
+        for _ in range(round(seconds / PERIOD_S)):
+            t += PERIOD_S
+            counts = BASE + pressed + skin.noise * rng.standard_normal(len(pressed))
+            counts[list(frozen)] = BASE
+            values = np.where(taxel >= 0, counts[taxel], 12_000.0)
+            poses += [(t - 0.03, told_at), (t, told_at)]
+            send(hub.sensor_data(np.round(values).astype(int).tolist()), t)
+    directory.mkdir(parents=True)
+    log = "".join(format_log_line(frame) + "\n" for frame in frames)
+    (directory / "frames.log").write_text(log, encoding="ascii")
+    rows = "".join(f"{at:.6f},{x!r},{y!r},{yaw!r}\n" for at, (x, y, yaw) in
+                   ((at, pose.tolist()) for at, pose in poses))  # fmt: skip
+    (directory / "sensor_pose.csv").write_text("t,x,y,theta\n" + rows, encoding="ascii")
+    (directory / "config.toml").write_text(
+        config
+        or '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
+        '[filter]\nproposal = "manifold"\nparticles = 60\nparticles_max = 60\ninjected = 20\n',
+        encoding="utf-8",
+    )

@@ -1,0 +1,186 @@
+"""`taxeld calibrate`: a session to a file that a daemon uses; and a skin that is pressed now."""
+
+import contextlib
+import io
+import json
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+
+from taxeld.cli import main
+from taxeld.config.file import load
+from taxeld.config.tables import SkinConfig
+from taxeld.layout import read as layouts
+from taxeld.model import se2
+from taxeld.proposals import bundle
+from taxeld.service import calibration_file
+from taxeld.skin.calibration import Calibration
+from taxeld.stream import messages
+from taxeld_hil.calibration import calibrate, guided
+from taxeld_hil.calibration.guided import Guided
+from taxeld_protocol.modules import wired
+from tests.hil.pressed_skin import BASE, PLACED, PressedSkin, write_session
+from tests.virtual_hub import VirtualHub
+
+SKIN = layouts.load(SkinConfig().layout)
+MODEL = bundle.load("box", SKIN, 0.005).model
+OBJECT = [f"{value!r}" for value in PLACED.tolist()]
+DEADLINE_S = 120.0
+
+
+def read(path: Path) -> Calibration:
+    return calibration_file.read(path, SKIN, 0.005)
+
+
+def assert_right(found: Calibration, skin: PressedSkin) -> None:
+    off = found.mount - skin.mount
+    assert np.hypot(*off[:2]) < 5e-4
+    assert abs(off[2]) < np.radians(0.4)
+    gain = found.full_scale_counts * found.gain / (skin.full_scale * skin.gain)
+    known = found.gain_sd < 0.06
+    assert known.sum() > 20
+    assert np.median(np.abs(gain[known] - 1.0)) < 0.03
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> tuple[PressedSkin, Path]:
+    skin = PressedSkin.drawn(MODEL, 11)
+    place = tmp_path_factory.mktemp("calibrate") / "session"
+    write_session(place, skin, idle_s=25.0, frozen=(13,))
+    return skin, place
+
+
+@pytest.fixture(scope="module")
+def calibrated(recorded: tuple[PressedSkin, Path]) -> tuple[Path, str]:
+    """The file that the session becomes, and what the command printed."""
+    out = recorded[1].parent / "made" / "skin.toml"
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said):
+        assert main(["calibrate", str(recorded[1]), "--out", str(out), "--object", *OBJECT]) == 0
+    return out, said.getvalue()
+
+
+def test_a_session_becomes_a_file_a_text_and_a_picture(
+    recorded: tuple[PressedSkin, Path], calibrated: tuple[Path, str]
+) -> None:
+    skin, _ = recorded
+    out, printed = calibrated
+    found = read(out)
+    assert_right(found, skin)
+    assert found.presses == 20
+    assert np.flatnonzero(found.frozen).tolist() == [13]
+    assert np.median(found.noise_counts) == pytest.approx(20.0, rel=0.15)
+    assert out.with_suffix(".txt").read_text(encoding="utf-8") in printed
+    assert out.with_suffix(".png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_session_replays_better_with_its_calibration(
+    recorded: tuple[PressedSkin, Path], calibrated: tuple[Path, str],
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    _, session = recorded
+    config = calibrated[0].with_name("with.toml")
+    text = (session / "config.toml").read_text(encoding="utf-8")
+    config.write_text(f'{text}[skin]\ncalibration = "skin.toml"\n', encoding="utf-8")
+
+    def off_mm(*arguments: str) -> float:
+        capsys.readouterr()
+        assert main(["replay", str(session), *arguments]) == 0
+        last = json.loads(capsys.readouterr().out.splitlines()[-1])["map"]
+        return 1e3 * float(np.hypot(last["x"] - PLACED[0], last["y"] - PLACED[1]))
+
+    assert off_mm("--config", str(config)) < 0.5 * off_mm()
+
+
+def test_a_session_without_a_robot_or_without_rest_is_refused(
+    recorded: tuple[PressedSkin, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    skin, session = recorded
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    for name in ("frames.log", "config.toml"):
+        (bare / name).write_bytes((session / name).read_bytes())
+    assert main(["calibrate", str(bare), "--out", str(tmp_path / "c.toml")]) == 2
+    assert "sensor_pose.csv: is missing; a calibration needs" in capsys.readouterr().err
+    hasty = tmp_path / "hasty"
+    write_session(hasty, replace(skin, sensor=skin.sensor[:2]), idle_s=4.0)
+    assert main(["calibrate", str(hasty), "--out", str(tmp_path / "c.toml")]) == 2
+    assert "and its noise takes 10; touch nothing in the first minute" in capsys.readouterr().err
+    few = tmp_path / "few"
+    write_session(few, replace(skin, sensor=skin.sensor[:2]), idle_s=12.0)
+    assert (
+        main(["calibrate", str(few), "--out", str(tmp_path / "c.toml"), "--object", *OBJECT]) == 2
+    )
+    assert "2 presses were held still, and it takes 12" in capsys.readouterr().err
+    assert not (tmp_path / "c.toml").exists()
+
+
+def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for module in (calibrate, guided):
+        monkeypatch.setattr(module, "LEAST_IDLE_S", 1.0)
+    skin = PressedSkin.drawn(MODEL, 4, presses=18)
+    modules = wired(SKIN.uid.tolist())
+    uids = [uid for module in modules for uid in module.uids]
+    index = {int(uid): i for i, uid in enumerate(SKIN.uid)}
+    taxel = np.array([index.get(uid, -1) for uid in uids])
+    said: list[str] = []
+    with VirtualHub(tmp_path / "skin", modules) as hub, zmq.Context() as context:
+        robot = context.socket(zmq.PUB)
+        robot.bind(f"ipc://{tmp_path}/poses")
+        config = tmp_path / "config.toml"
+        config.write_text(
+            f'[source]\nkind = "can"\ninterface = "slcan"\nchannel = "{hub.device}"\n'
+            f'period_ms = 20\n[scene]\nbundle = "box"\n'
+            f'[sensor_pose]\nendpoint = "ipc://{tmp_path}/poses"\n'
+            '[filter]\nproposal = "manifold"\nparticles = 40\nparticles_max = 40\ninjected = 10\n',
+            encoding="utf-8",
+        )
+        out = tmp_path / "skin.toml"
+        place = Guided.place(out)
+        asking = Guided(load(config), config, place, 1.5, 16, said.append)
+        ended: list[bool] = []
+        worker = threading.Thread(target=lambda: ended.append(asking.run()))
+        worker.start()
+        away, rng = np.array([0.6, 0.6, 0.0]), np.random.default_rng(0)
+        moves = [pose for told in skin.told for pose in (told, away)]
+        at, next_s, next_pose_s = away, np.inf, 0.0
+        begun_s = time.monotonic()
+        while worker.is_alive() and time.monotonic() < begun_s + DEADLINE_S:
+            now_s = time.monotonic()
+            if next_s == np.inf and any(line.startswith("2. press") for line in said):
+                next_s = now_s
+            if now_s >= next_s and moves:
+                pressing = len(moves) % 2 == 0
+                at, next_s = moves.pop(0), now_s + (0.5 if pressing else 0.25)
+            if now_s >= next_pose_s:
+                next_pose_s = now_s + 0.01
+                x, y, theta = at.tolist()
+                pose = {"t": time.time(), "x": x, "y": y, "theta": theta}
+                robot.send_multipart([messages.SENSOR_POSE, msgpack.packb(pose), b"0"])
+
+            def counts(_: int, at: np.ndarray = at) -> list[int]:
+                pressed = skin.counts(se2.compose(at, skin.mount)[None])[0]
+                noisy = BASE + pressed + skin.noise * rng.standard_normal(len(pressed))
+                return np.round(np.where(taxel >= 0, noisy[taxel], 12_000.0)).astype(int).tolist()
+
+            hub.serve(now_s, counts)
+            time.sleep(0.001)
+        asking.stop()
+        worker.join(DEADLINE_S)
+        robot.close(0)
+    assert ended == [True], "\n".join(said)
+    assert said[0].startswith("1. touch nothing for 2 s")
+    assert "   16 of 16" in said
+    assert any("next with the skin's side at" in line for line in said)
+    assert place != Guided.place(out)  # another attempt has a session of its own
+    result = calibrate.of_session(place, load(config), PLACED)
+    assert abs(result.calibration.t - time.time()) < 3600.0
+    assert_right(result.calibration, skin)

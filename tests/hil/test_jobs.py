@@ -1,0 +1,156 @@
+"""Jobs of an experiment: remembered, whole, in time, on one machine or on a cluster."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from taxeld.errors import SetupError
+from taxeld_hil import jobs
+from taxeld_hil.jobs import Job
+
+
+def note(place: str, value: int) -> dict[str, int]:
+    """Leave a mark for every time it runs, and say with how many threads it may."""
+    with (Path(place) / f"ran-{value}").open("a", encoding="ascii") as file:
+        file.write("x")
+    return {"square": value * value, "threads": int(os.environ.get("OPENBLAS_NUM_THREADS", "0"))}
+
+
+def refuse(place: str, value: int) -> None:
+    raise ValueError(f"{place} {value}")
+
+
+def die(_: str, value: int) -> None:
+    os._exit(value)
+
+
+def three(place: Path) -> list[Job]:
+    return [Job(f"job-{i}", note, (str(place), i)) for i in range(3)]
+
+
+def times_run(place: Path) -> list[int]:
+    return [len(path.read_text(encoding="ascii")) for path in sorted(place.glob("ran-*"))]
+
+
+def test_a_finished_job_is_not_run_again(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    first = jobs.run(three(tmp_path), memory)
+    assert {name: result["square"] for name, result in first.items()} == {
+        "job-0": 0, "job-1": 1, "job-2": 4,
+    }  # fmt: skip
+    assert jobs.run(three(tmp_path), memory) == first
+    assert times_run(tmp_path) == [1, 1, 1]
+
+
+def test_other_arguments_are_another_job(tmp_path: Path) -> None:
+    assert len({job.key for job in three(tmp_path)}) == 3
+    assert Job("job-0", note, (str(tmp_path), 0)).key == three(tmp_path)[0].key
+    assert Job("job-0", refuse, (str(tmp_path), 0)).key != three(tmp_path)[0].key
+
+
+def test_an_argument_beside_the_others_does_not_make_another_job(tmp_path: Path) -> None:
+    one = Job("job-0", note, (), (str(tmp_path), 0))
+    assert one.key == Job("job-0", note, (), ("elsewhere", 0)).key
+    assert jobs.run([one], tmp_path / "memory")["job-0"]["square"] == 0
+
+
+def test_a_job_with_a_torn_result_runs_again(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    job = three(tmp_path)[2]
+    jobs.run([job], memory)
+    (memory / f"{job.key}.json").write_text('{"squ', encoding="ascii")
+    assert jobs.run([job], memory)["job-2"]["square"] == 4
+    assert times_run(tmp_path) == [2]
+
+
+def test_results_before_a_failure_are_kept(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    with pytest.raises(ValueError, match="9"):
+        jobs.run([*three(tmp_path), Job("bad", refuse, ("", 9))], memory, workers=1)
+    assert jobs.run(three(tmp_path), memory)["job-1"]["square"] == 1
+    assert times_run(tmp_path) == [1, 1, 1]
+
+
+def test_no_job_begins_when_the_time_is_over(tmp_path: Path) -> None:
+    memory = tmp_path / "memory"
+    jobs.run(three(tmp_path)[:1], memory)
+    late = jobs.run(three(tmp_path), memory, until=time.monotonic() - 1.0)
+    assert late["job-0"]["square"] == 0
+    assert late["job-1"] is None
+    assert times_run(tmp_path) == [1]
+
+
+def test_a_worker_has_one_thread(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Though this process may have more."""
+    for name in jobs.ONE_THREAD:
+        monkeypatch.delenv(name, raising=False)
+    assert jobs.run(three(tmp_path), tmp_path / "memory")["job-0"]["threads"] == 1
+
+
+def test_each_job_is_told_of_with_its_result_and_what_is_remembered_is_counted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    memory = tmp_path / "memory"
+    jobs.run(three(tmp_path)[:1], memory, describe=lambda result: f"square {result['square']}")
+    first, *_ = capsys.readouterr().err.splitlines()
+    assert first.startswith("1 of 1, ")
+    assert first.endswith(" s: job-0: square 0")
+    jobs.run(three(tmp_path), memory, workers=1)
+    remembered, *rest = capsys.readouterr().err.splitlines()
+    assert remembered == f"1 of 3 runs are remembered in {memory}"
+    assert [line.split(": ")[1] for line in rest] == ["job-1", "job-2"]
+
+
+def test_a_worker_prepares_for_each_job(tmp_path: Path) -> None:
+    def prepare() -> None:
+        (tmp_path / "ready").touch()
+
+    done = [Job("job", os.path.exists, (str(tmp_path / "ready"),))]
+    assert jobs.run(done, tmp_path / "memory", workers=1, prepare=prepare) == {"job": True}
+
+
+def test_the_name_of_a_result_fits_a_file_however_long_the_name_of_the_job(tmp_path: Path) -> None:
+    job = Job(f"{'/a' * 200}, seed 0", json.loads, ("[1]",))
+    assert jobs.run([job], tmp_path) == {job.name: [1]}
+    assert jobs.read(job, tmp_path) == [1]
+
+
+def test_a_worker_that_dies_and_a_memory_that_cannot_be_written_are_refused_in_one_line(
+    tmp_path: Path,
+) -> None:
+    dead = [Job(f"dead-{i}", die, ("", 3)) for i in range(2)]
+    with pytest.raises(SetupError, match="a worker process died"):
+        jobs.run(dead, tmp_path / "memory")
+    (tmp_path / "file").touch()
+    with pytest.raises(SetupError, match=f"--memory: {tmp_path / 'file'}: "):
+        jobs.run(dead, tmp_path / "file")
+    (tmp_path / "memory" / f"{three(tmp_path)[0].key}.part").mkdir()
+    with pytest.raises(SetupError, match=f"--memory: {tmp_path / 'memory'}: .*name a directory"):
+        jobs.run(three(tmp_path)[:1], tmp_path / "memory")
+    with pytest.raises(SetupError, match="--workers must be at least 1"):
+        jobs.run(dead, tmp_path / "memory", workers=0)
+
+
+@pytest.mark.filterwarnings("ignore")  # of the cluster's own
+def test_the_same_jobs_run_on_a_dask_cluster(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None
+    ) as cluster:
+        address = cluster.scheduler_address
+        found = jobs.run(three(tmp_path), tmp_path / "memory", dask=address)
+    assert [found[f"job-{i}"]["square"] for i in range(3)] == [0, 1, 4]
+    assert times_run(tmp_path) == [1, 1, 1]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_missing_scheduler_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(jobs, "PATIENCE", "300ms")
+    with pytest.raises(SetupError, match=r"--dask: no scheduler answers at tcp://127.0.0.1:9"):
+        jobs.run(three(tmp_path), tmp_path / "memory", dask="tcp://127.0.0.1:9")
