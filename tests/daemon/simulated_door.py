@@ -62,7 +62,7 @@ class SimulatedDoor:
             self._say(Kind.WANTED, b"\x1f")
             self._say(Kind.READY, b"")
         for pose in poses:
-            self._say(Kind.POSE, pair.POSE.pack(*pose))
+            self._say(Kind.POSES, pair.POSE.pack(*pose))
         for name in ("reset", "tare"):
             if world.once(name):
                 self._say(Kind.CHANGE, pair.REQUEST.pack(1) + name.encode())
@@ -72,10 +72,10 @@ class SimulatedDoor:
         if world.on("door nonsense"):
             kind = int(rng.choice([0, 1, 3, 17, 19, 20, 21, 22, 99, 255]))
             body = rng.bytes(int(rng.integers(4, 4200)))
-            if kind != Kind.FAULT and not (kind == Kind.POSE and len(body) == pair.POSE.size):
+            if kind != Kind.FAULT and not (kind == Kind.POSES and len(body) == pair.POSE.size):
                 self._say(kind, body)
         for _ in range(400 * world.on("door floods")):
-            self._say(Kind.POSE, b"")
+            self._say(Kind.POSES, b"")
 
     def _listen(self) -> None:
         slow = self._world.on("door slow")

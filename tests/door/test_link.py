@@ -75,14 +75,21 @@ def test_a_new_door_is_told_first_who_speaks(ends: Ends) -> None:
 
 def test_poses_and_changes_reach_the_loop(ends: Ends) -> None:
     ends.heard()
-    ends.say(Kind.POSE, pair.POSE.pack(1.0, 2.0, 3.0, 4.0))
+    ends.say(Kind.POSES, pair.POSE.pack(1.0, 2.0, 3.0, 4.0) + pair.POSE.pack(5.0, 6.0, 7.0, 8.0))
     ends.say(Kind.CHANGE, pair.REQUEST.pack(7) + b"tare")
     ends.say(Kind.WANTED, bytes((1 << topics.TOPICS.index(topics.TAXELS),)))
     ends.look()
-    assert ends.poses == [(1.0, 2.0, 3.0, 4.0)]
+    assert ends.poses == [(1.0, 2.0, 3.0, 4.0), (5.0, 6.0, 7.0, 8.0)]
     assert ends.done == ["tare"]
     assert [t for t in topics.TOPICS if ends.link.wants(t)] == [topics.TAXELS]
     assert ends.heard() == [(Kind.ANSWER, pair.REQUEST.pack(7))]
+
+
+def test_the_door_is_asked_for_poses(ends: Ends) -> None:
+    ends.heard()
+    ends.link.ask_poses(also_next=True)
+    ends.link.ask_poses(also_next=False)
+    assert ends.heard() == [(Kind.ASK, b"\x01"), (Kind.ASK, b"\x00")]
 
 
 def test_a_door_that_starts_gets_no_message_that_would_be_old_when_it_is_ready(ends: Ends) -> None:
@@ -107,7 +114,7 @@ def test_whatever_a_door_sends_the_loop_goes_on(packets: list[bytes]) -> None:
     for packet in packets:
         ends.door.send(packet)
     ends.look()
-    ends.say(Kind.POSE, pair.POSE.pack(1.0, 2.0, 3.0, 4.0))
+    ends.say(Kind.POSES, pair.POSE.pack(1.0, 2.0, 3.0, 4.0))
     ends.look()
     assert ends.poses[-1] == (1.0, 2.0, 3.0, 4.0)
     ends.close()
@@ -119,9 +126,11 @@ REPORT = asdict(Report())
 @pytest.mark.parametrize(
     ("kind", "body"),
     [
-        (Kind.POSE, b"\0" * 31),
-        (Kind.POSE, pair.POSE.pack(1.0, math.nan, 0.0, 0.0)),
-        (Kind.POSE, pair.POSE.pack(math.inf, 0.0, 0.0, 0.0)),
+        (Kind.POSES, b""),
+        (Kind.POSES, b"\0" * 31),
+        (Kind.POSES, pair.POSE.pack(1.0, 0.0, 0.0, 0.0) + pair.POSE.pack(1.0, 0.0, 0.0, math.nan)),
+        (Kind.POSES, pair.POSE.pack(1.0, math.nan, 0.0, 0.0)),
+        (Kind.POSES, pair.POSE.pack(math.inf, 0.0, 0.0, 0.0)),
         (Kind.CHANGE, pair.REQUEST.pack(1) + b"stop"),
         (Kind.CHANGE, b"\0"),
         (Kind.WANTED, b""),
@@ -176,7 +185,7 @@ def test_a_door_that_sends_without_end_is_let_go(
     pose = pair.POSE.pack(1.0, 0.0, 0.0, 0.0)
     for _ in range(round(2 * PACKETS_HZ / 64)):
         for _ in range(64):
-            ends.say(Kind.POSE, pose)
+            ends.say(Kind.POSES, pose)
         ends.look(0.0001)
         if ends.link.end is None:
             break

@@ -1,7 +1,9 @@
 """The robot's poses through the door: whole, whatever else is published beside them."""
 
 import os
+import statistics
 import struct
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -52,6 +54,37 @@ def test_the_poses_of_another_arm_are_not_taken(robot: Robot) -> None:
     robot.until_heard(1.0)
     assert {p[1] for p in robot.stand.poses} == {0.0, 1.0}
     assert robot.line.malformed == 0
+
+
+def test_a_door_is_not_woken_by_each_pose(robot: Robot) -> None:
+    def sleeps() -> int:
+        status = Path(f"/proc/{robot.stand.pid}/status").read_text(encoding="ascii")
+        return int(status.partition("\nvoluntary_ctxt_switches:")[2].split()[0])
+
+    before, sent = sleeps(), 1000
+    for number in range(1, sent + 1):
+        robot.socket.send_multipart(pose(float(number)))
+        time.sleep(0.001)
+        robot.stand.look()
+    robot.stand.until(lambda: robot.stand.poses[-1][1] == sent)
+    assert len(robot.stand.poses) >= sent
+    assert sleeps() - before < sent / 4
+
+
+def test_the_next_pose_comes_at_once_where_the_loop_awaits_it(robot: Robot) -> None:
+    """Compared with poses that nobody has asked for, which come in bunches."""
+    took_s: dict[bool, list[float]] = {False: [], True: []}
+    for number in range(1, 41):
+        is_asked = bool(number % 2)
+        if is_asked:
+            robot.stand.link.ask_poses(also_next=True)
+        begin_s = time.monotonic()
+        robot.socket.send_multipart(pose(float(number)))
+        while robot.stand.poses[-1][1] != number:
+            robot.stand.keeper.look(robot.stand.link, time.monotonic())
+            time.sleep(0.0005)
+        took_s[is_asked].append(time.monotonic() - begin_s)
+    assert statistics.median(took_s[True]) < statistics.median(took_s[False]) / 2
 
 
 def test_messages_of_very_many_frames_starve_no_pose(robot: Robot) -> None:

@@ -28,8 +28,8 @@ from taxeld.stream.link import SEVERITIES, Report, line_of
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, TOPICS
 
-WAIT_MS, HURRY_MS = 50, 2  # for a peer or the loop; the second while memory grows
-LOOK_S, REPORT_S = 0.05, 1.0
+WAIT_MS, HURRY_MS = 100, 2  # for a peer or the loop; the second while memory grows
+LOOK_S, REPORT_S = 0.1, 1.0
 PACKETS_PER_LOOK = 256
 SILENT_S = 2.0  # without an estimate for so long, the loop hangs
 NOTHING = b"\x80"  # an empty map
@@ -95,11 +95,9 @@ class Door:
 
     def _pass(self, ready: dict[Any, int]) -> None:
         now_s = time.monotonic()
-        if self._end.fileno() in ready:
-            self._take_from_loop(now_s)
-        changed = False
+        changed = self._end.fileno() in ready and self._take_from_loop(now_s)
         if self._robot is not None and self._robot.socket in ready:
-            changed = self._robot.poll(now_s)
+            changed |= self._take_poses(self._robot, now_s)
         if self._admission is not None and self._admission.socket in ready:
             self._admission.answer()
         for stream in self._streams:
@@ -128,13 +126,27 @@ class Door:
         if now_s >= self._next_report_s:
             self._next_report_s = now_s + REPORT_S
             self._send_report()
-        return self._robot is not None and self._robot.look(now_s)
+        if self._robot is None:
+            return False
+        changed = self._take_poses(self._robot, now_s)
+        return self._robot.look(now_s) or changed
 
-    def _take_from_loop(self, now_s: float) -> None:
+    def _take_poses(self, robot: Robot, now_s: float) -> bool:
+        """Pass on the poses that have come; → whether the poller must change.
+
+        The robot's socket is waited on only while the loop awaits a pose: a wake for each pose
+        would cost more than all else that this process does.
+        """
+        was_awaited = robot.is_awaited
+        return robot.poll(now_s) or robot.is_awaited is not was_awaited
+
+    def _take_from_loop(self, now_s: float) -> bool:
+        """→ whether the poller must change."""
+        changed = False
         for _ in range(PACKETS_PER_LOOK):
             packet = pair.receive(self._end)
             if packet is None:
-                return
+                break
             kind, body = packet
             if kind == Kind.MESSAGE:
                 number, t = pair.HEAD.unpack_from(body)
@@ -145,6 +157,12 @@ class Door:
                 (number,) = pair.REQUEST.unpack_from(body)
                 for served in self._controls:
                     served.done(number, body[pair.REQUEST.size :].decode())
+            elif kind == Kind.ASK and self._robot is not None:
+                was_awaited = self._robot.is_awaited
+                changed |= self._take_poses(self._robot, now_s)
+                self._robot.is_awaited = bool(body[0])
+                changed |= self._robot.is_awaited is not was_awaited
+        return changed
 
     def _forward(self, now_s: float, topic: bytes, body: bytes, t: float) -> None:
         self._latest[topic] = body
@@ -165,8 +183,8 @@ class Door:
             return []
         return [INFO, self._latest[INFO], b"%.6f" % time.time()]
 
-    def _on_pose(self, *pose: float) -> bool:
-        return pair.send(self._end, Kind.POSE, pair.POSE.pack(*pose))
+    def _on_poses(self, packed: bytes) -> bool:
+        return pair.send(self._end, Kind.POSES, packed)
 
     def _pass_on(self, number: int, command: str) -> bool:
         return pair.send(self._end, Kind.CHANGE, pair.REQUEST.pack(number) + command.encode())
@@ -213,7 +231,7 @@ class Door:
         self._serve(context, settings, settings.relay_control, "relay.control", lambda _: refused)
         if settings.robot:
             now_s = time.monotonic()
-            self._robot = Robot(context, settings.robot, self._on_pose, keys.robot, now_s)
+            self._robot = Robot(context, settings.robot, self._on_poses, keys.robot, now_s)
             self._report.robot = self._robot.line
 
     def _guard_of(self, endpoint: str, settings: Settings) -> Admission | None:
@@ -252,8 +270,8 @@ class Door:
         self._poller = zmq.Poller()
         self._poller.register(self._end.fileno(), zmq.POLLIN)
         controls = self._controls if self._is_at_work else ()
-        owners = (*self._streams, *controls, self._robot, self._admission)
-        for owner in owners:
+        robot = self._robot if self._robot is not None and self._robot.is_awaited else None
+        for owner in (*self._streams, *controls, robot, self._admission):
             if owner is not None:
                 self._poller.register(owner.socket, zmq.POLLIN)
 

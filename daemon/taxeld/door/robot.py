@@ -12,14 +12,14 @@ from typing import Any
 
 import zmq
 
-from taxeld.stream import curve, sockets
+from taxeld.stream import curve, pair, sockets
 from taxeld.stream.curve import RobotKeys
 from taxeld.stream.link import TOPIC_MAX, TOPICS_MAX, RobotLine
 from taxeld.stream.sockets import connect, open_socket, unpack
 from taxeld.stream.topics import SENSOR_POSE
 
 POSES_PER_LOOK = 200
-QUEUED = 64  # messages
+QUEUED = 256  # messages, between two looks as well
 POSE_FRAMES = 3
 MESSAGE_BYTES = 65_536  # of anything that the robot publishes under a topic that begins like ours
 EVENTS_PER_LOOK = 64
@@ -42,7 +42,7 @@ WATCHED = (
 EVENT = struct.Struct("=HI")  # an event and its value: pyzmq's own reader brings all of asyncio
 NUMBERS = itertools.count()  # each monitor has a name of its own
 
-OnPose = Callable[[float, float, float, float], bool]
+OnPoses = Callable[[bytes], bool]
 
 
 class Robot:
@@ -52,36 +52,43 @@ class Robot:
         self,
         context: zmq.Context[Any],
         endpoint: str,
-        on_pose: OnPose,
+        on_poses: OnPoses,
         keys: RobotKeys | None,
         now_s: float,
     ) -> None:
-        """`on_pose` is given each pose (t, x, y, θ) that is well-formed, → whether it was taken;
-        `now_s` is monotonic.
+        """`on_poses` is given up to `pair.POSES_MAX` well-formed poses, packed as `pair.POSE`, →
+        whether they were taken; `now_s` is monotonic.
 
         Raises:
             SetupError: the endpoint is none.
         """
         self.line = RobotLine()
         self.lost = 0  # poses that were not taken
+        self.is_awaited = False  # whether the loop waits for the next pose
         self._context, self._endpoint, self._keys = context, endpoint, keys
-        self._on_pose = on_pose
+        self._on_poses = on_poses
+        self._packed: list[bytes] = []  # poses that have not been passed on
         self._pose_s = now_s  # when the last one came
         self._listens_s: float | None = None  # since when to other topics
         self._pauses_s = -math.inf  # until then not again
         self._open()
 
     def poll(self, now_s: float) -> bool:
-        """Take the poses that have arrived; → whether the socket is another one now."""
-        for _ in range(POSES_PER_LOOK):
+        """Pass on the poses that have arrived; → whether the socket is another one now."""
+        try:
             if not sockets.is_waiting(self.socket):
                 return False
-            parts = sockets.contents(self.socket)
-            if parts is None:
-                self.line.oversized += 1
-                self._reopen()
-                return True
-            self._take(now_s, parts)
+            for _ in range(POSES_PER_LOOK):
+                parts = sockets.contents(self.socket)
+                if parts is None:
+                    self.line.oversized += 1
+                    self._reopen()
+                    return True
+                self._take(now_s, parts)
+        except zmq.Again:
+            pass
+        finally:
+            self._pass_on()
         return False
 
     def look(self, now_s: float) -> bool:
@@ -139,8 +146,15 @@ class Robot:
         if pose is None:
             self.line.malformed += 1
             return
-        self._pose_s = now_s
-        self.lost += not self._on_pose(*pose)
+        self._pose_s, self.is_awaited = now_s, False
+        self._packed.append(pair.POSE.pack(*pose))
+        if len(self._packed) == pair.POSES_MAX:
+            self._pass_on()
+
+    def _pass_on(self) -> None:
+        if self._packed and not self._on_poses(b"".join(self._packed)):
+            self.lost += len(self._packed)
+        self._packed.clear()
 
     def _note(self, event: int, now_s: float) -> None:
         line = self.line

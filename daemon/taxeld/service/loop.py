@@ -186,6 +186,8 @@ class Daemon:
         """Wait until the next pass is due, by an arrival or by the clock. The device is left alone
         for `rest_s`, and while the frames of a scan gather."""
         pipeline, source = self.pipeline, self.source
+        if pipeline.has_waiting:
+            self.link.ask_poses(also_next=True)
         inputs.follow(source.device, self.link.end if pipeline.has_waiting else None)
         until_s = ticker.until(busy=pipeline.is_busy or source.is_busy)
         now_s = time.monotonic()
@@ -201,6 +203,7 @@ class Daemon:
             ready = inputs.wait(until_s)
             if not ready.device or ready.robot:
                 return ready
+        self.link.ask_poses(also_next=False)
         return gathering.gather(inputs, source.gather, until_s)
 
     def tick(self, now_s: float, left_s: float = math.inf, ready: Ready = ALL) -> None:

@@ -7,6 +7,7 @@ import socket
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from itertools import chain
 from typing import Any
 
 import msgpack
@@ -16,7 +17,7 @@ from taxeld.stream.pair import Kind
 from taxeld.stream.topics import INFO, TOPICS
 
 PACKETS_PER_LOOK = 64
-PACKETS_HZ = 20_000.0  # more than that of a second, and the door is not one of ours
+PACKETS_HZ = 20_000.0  # with more packets and poses a second the door is not one of ours
 BODY_MAX = 4096  # bytes of a packet from the door
 CHANGES_HZ = 20.0  # tare and reset that are done, at most
 COUNT_MAX = 2**53
@@ -150,6 +151,12 @@ class Link:
         if self.is_ready:
             self._give(Kind.STATE, self._pack(state))
 
+    def ask_poses(self, *, also_next: bool) -> None:
+        """Have the door pass on the robot's poses that have come, and, if `also_next`, the next
+        one when it comes. Without being asked it passes them on every tenth of a second."""
+        if self.is_ready:
+            self._give(Kind.ASK, bytes((also_next,)))
+
     def look(self, now_s: float) -> None:
         """Take what the door has said, up to a bound; without a word for too long it is let go."""
         if self._socket is None:
@@ -184,11 +191,13 @@ class Link:
         """Whether the packet is one."""
         try:
             match kind:
-                case Kind.POSE:
-                    pose = pair.POSE.unpack(body)
-                    if not all(map(math.isfinite, pose)):
+                case Kind.POSES:
+                    poses = list(pair.POSE.iter_unpack(body))
+                    if not poses or not all(map(math.isfinite, chain(*poses))):
                         return False
-                    self._on_pose(*pose)
+                    self._allowed -= len(poses)
+                    for pose in poses:
+                        self._on_pose(*pose)
                 case Kind.WANTED:
                     (self._wanted,) = body
                 case Kind.CHANGE:

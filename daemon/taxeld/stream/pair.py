@@ -5,13 +5,14 @@ A packet is one byte for its kind, and a body. To the door:
     MESSAGE  topic's number (1 byte), Unix time of the measurement (double), msgpack map
     STATE    msgpack map: the part of the answer to `status` that no message has
     ANSWER   number of the request (4 bytes), a text; empty: it was done
+    ASK      poses are wanted now: those that have come (0), and the next one as well (1)
 
 To the loop:
 
     READY    all endpoints are served
     FAULT    a line: an endpoint or a key cannot be used, and the door ends
     WANTED   a bit for each topic that somebody has subscribed to (1 byte)
-    POSE     t, x, y, theta of the sensor (4 doubles)
+    POSES    t, x, y, theta of the sensor (4 doubles), once or more
     CHANGE   number of the request (4 bytes), and its command
     REPORT   msgpack map: what the door counts, once a second
     LOG      severity (1 byte), a line
@@ -29,6 +30,7 @@ SO_PASSRIGHTS = 83  # Linux 6.16
 PACKET_MAX = 65_536  # bytes, kind and body
 HEAD = struct.Struct("=Bd")  # of a MESSAGE: topic's number, time
 POSE = struct.Struct("=4d")
+POSES_MAX = 100  # of a packet
 REQUEST = struct.Struct("=I")  # number of a request
 
 
@@ -38,10 +40,11 @@ class Kind(IntEnum):
     MESSAGE = 1
     STATE = 2
     ANSWER = 3
+    ASK = 4
     READY = 16
     FAULT = 17
     WANTED = 18
-    POSE = 19
+    POSES = 19
     CHANGE = 20
     REPORT = 21
     LOG = 22
