@@ -72,7 +72,7 @@ class SimulatedDoor:
         if world.on("door nonsense"):
             kind = int(rng.choice([0, 1, 3, 17, 19, 20, 21, 22, 99, 255]))
             body = rng.bytes(int(rng.integers(4, 4200)))
-            if kind != Kind.FAULT and not (kind == Kind.POSES and len(body) == pair.POSE.size):
+            if kind != Kind.FAULT and not (kind == Kind.POSES and len(body) % pair.POSE.size == 0):
                 self._say(kind, body)
         for _ in range(400 * world.on("door floods")):
             self._say(Kind.POSES, b"")
