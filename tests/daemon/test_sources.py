@@ -14,8 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import dialects, session
 from taxeld.source.can_device import CanDevice
-from taxeld.source.device import LostError, Noticed
-from taxeld.source.outbox import Unit
+from taxeld.source.device import LostError
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld.source.sources import LiveSource, Source, open_source
@@ -25,6 +24,7 @@ from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import Answer, HubLink, Phase, VirtualIhb
+from tests.daemon.given_device import GivenDevice
 from tests.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
@@ -251,33 +251,6 @@ def test_a_bus_without_a_descriptor_is_polled_and_one_that_fails_is_lost_after_i
     device.close()
 
 
-class Speaker:
-    """A device that says what it is told to, and is lost then."""
-
-    waits_for = ""
-
-    def __init__(self) -> None:
-        self.noticed = Noticed()
-        self.says: list[list[Frame]] = []
-
-    def fileno(self) -> int:
-        return -1
-
-    def read(self) -> list[Frame]:
-        if not self.says:
-            raise LostError from OSError("gone")
-        return self.says.pop(0)
-
-    def tend(self, now_s: float) -> None: ...
-
-    def pack(self, command: int, payload: bytes) -> list[Unit]:  # noqa: ARG002
-        return []
-
-    def put(self, unit: Unit) -> None: ...
-
-    def close(self, wait_s: float = 0.0) -> None: ...
-
-
 def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_device(
     tmp_path: Path,
 ) -> None:
@@ -289,17 +262,23 @@ def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_de
         for frame in cyskin.to_frames(command, payload, ihb=1, t=1.0 + 0.05 * k)
     ]
     cut = len(frames) // 2
-    speaker = Speaker()
+    device = GivenDevice()
     with Recorder(tmp_path / "session", moves=False) as recorder:
-        source = LiveSource(settings, dialects.live(settings, SKIN), lambda *_: speaker, recorder)
-        speaker.says = [frames[:5], [], frames[5:cut], frames[cut:]]
-        assert [source.gather() for _ in range(3)] == [5, 5, cut]
+        source = LiveSource(settings, dialects.live(settings, SKIN), lambda *_: device, recorder)
+        held = []
+        for part in (frames[:5], [], frames[5:cut]):
+            device.frames = part
+            held.append(source.gather())
+        assert held == [5, 5, cut]
         assert source.poll(0.0, hear=False) == []
         scans = source.poll(0.1)
-        assert [source.gather() for _ in range(2)] == [len(frames) - cut] * 2, "lost by now"
+        device.frames = frames[cut:]
+        source.gather()
+        device.is_lost = True
+        assert source.gather() == len(frames) - cut
         scans += source.poll(0.2, hear=False)
         assert source.counters.lost == 0
-        assert source.device is speaker
+        assert source.device is device
         source.poll(0.3, hear=False)
         assert source.counters.lost == 1
         assert source.device is None

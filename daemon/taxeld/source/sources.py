@@ -202,11 +202,11 @@ class LiveSource:
         for packet, ended in self._hear() if hear or self._failed else ():
             scans += ended
             if packet is not None and bring_up is not None:
-                outbox.add_all(bring_up.on_packet(packet), now_s)
+                outbox.add(bring_up.on_packet(packet), now_s)
         if bring_up is not None:
             for scan in scans:
                 bring_up.on_scan(scan.ihb, now_s)
-            outbox.add_all(bring_up.due(now_s), now_s)
+            outbox.add(bring_up.due(now_s), now_s)
             for line in bring_up.news():
                 self._say(logging.INFO, line, now_s)
         if self._listening is not None:
@@ -254,8 +254,7 @@ class LiveSource:
     def _stop(self, outbox: Outbox) -> None:
         """Tell the skin to stop, if its device takes the request in time."""
         now_s = time.monotonic()
-        for request in self._bring_up.stop() if self._bring_up else []:
-            outbox.add(request, now_s)
+        outbox.add(self._bring_up.stop() if self._bring_up else [], now_s)
         with contextlib.suppress(LostError):
             self._flush(outbox, now_s)
             while outbox and time.monotonic() < now_s + CLOSE_S:
