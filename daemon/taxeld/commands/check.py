@@ -88,7 +88,7 @@ def notes(config: Config) -> list[str]:
 def _read_source(source: SourceConfig, skin: Layout) -> None:
     if source.kind == "replay":
         recorded = session.read(Path(source.path)).items
-        dialects.check_recording(source, skin, recorded, source.path)
+        dialects.replayed(source, skin, recorded, source.path)
     else:
         dialects.live(source, skin)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source import can_log, serial_log
-from taxeld.source.module_order import Given, missing
+from taxeld.source.module_order import ListedModules, missing
 from taxeld.source.wire import Heard, Wire
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 
 def decode(
-    path: Path, given: Given | None = None, dialect: str = "cyskin", interface: str = ""
+    path: Path, given: ListedModules | None = None, dialect: str = "cyskin", interface: str = ""
 ) -> Iterator[str]:
     """The log's scans and a last line {"stats": …}. `interface`: the one to decode, where the log
     has several.
@@ -123,7 +123,7 @@ class _Pass:
             raise SetupError(f"--interface: {self._path} has no frame of {wanted}; {cure}")
 
 
-def _tables(path: Path, interface: str, given: Given | None) -> dict[int, Sequence[Module]]:
+def _tables(path: Path, interface: str, given: ListedModules | None) -> dict[int, Sequence[Module]]:
     """The module table of each hub of the log."""
     decoder = Decoder()
     reached: dict[int, int] = {}  # hub → channels of full modules that its packets reach

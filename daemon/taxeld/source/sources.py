@@ -163,7 +163,7 @@ class LiveSource(Source):
         if self._recorder is not None:
             for item in items:
                 self._recorder.take(item)
-        for packet, ended in self.wire.take_all(items):
+        for packet, ended in self.wire.take(items):
             scans += ended
             if packet is not None and bring_up is not None:
                 outbox.add(bring_up.on_packet(packet), now_s)
@@ -293,7 +293,7 @@ class ReplaySource(Source):
         scans: list[Scan] = []
         while not self.finished and self._items[self._at].t <= until:
             item = self._items[self._at]
-            for heard in self.wire.take(item, item.t + self._shift_s):
+            for heard in self.wire.take([item._replace(t=item.t + self._shift_s)]):
                 scans += heard.scans
             self._at += 1
         return scans

@@ -28,19 +28,8 @@ class Wire:
         self._slcan = SlcanReader() if config.framing == "slcan" else None
         self._native = SerialReader()
 
-    def frame(self, frame: Frame) -> Heard:
-        """Take a CAN frame."""
-        return Heard(*self.decoder.feed(frame))
-
-    def take(self, item: Frame | Chunk, t: float) -> list[Heard]:
-        """Take a frame or a chunk, stamped with `t`."""
-        if isinstance(item, Frame):
-            return [self.frame(item if item.t == t else item._replace(t=t))]
-        return self.data(item.data, t)
-
-    def take_all(self, items: Sequence[Frame | Chunk]) -> list[Heard]:
-        """Take the items read from a device with their own stamps; frames that end nothing are left
-        out."""
+    def take(self, items: Sequence[Frame | Chunk]) -> list[Heard]:
+        """Take frames or chunks with their own stamps; frames that end nothing are left out."""
         heard: list[Heard] = []
         feed = self.decoder.feed
         for item in items:
@@ -61,7 +50,7 @@ class Wire:
         """
         if self._slcan is not None:
             foreign = self._slcan.counters.foreign
-            heard = self.take_all(self._slcan.feed(data, t))
+            heard = self.take(self._slcan.feed(data, t))
             for _ in range(self._slcan.counters.foreign - foreign):
                 self.decoder.drop_foreign()
             return heard
