@@ -1,4 +1,4 @@
-"""The lines of `taxeld layout`."""
+"""`taxeld layout`: the facts about a layout, a line each."""
 
 import math
 
