@@ -42,7 +42,7 @@ def configured(device: str, bus: bool, **more: object) -> SourceConfig:
     return SourceConfig(kind="serial", framing="slcan", channel=device, **more)  # type: ignore[arg-type]
 
 
-class Skin:
+class ServedSkin:
     """A source, and a hub behind an adapter, on a clock that stands while the test does not run."""
 
     def __init__(self, hub: VirtualHub, config: SourceConfig) -> None:
@@ -83,21 +83,21 @@ class Skin:
 
 
 @pytest.fixture
-def opened(tmp_path: Path) -> Iterator[Callable[..., Skin]]:
+def opened(tmp_path: Path) -> Iterator[Callable[..., ServedSkin]]:
     """A skin behind an adapter of a kind, opened as a bus or as a line, and more of the table."""
     with ExitStack() as stack:
 
-        def made(kind: str = "plain", bus: bool = True, at: str = "", **more: object) -> Skin:
+        def made(kind: str = "plain", bus: bool = True, at: str = "", **more: object) -> ServedSkin:
             link = tmp_path / f"adapter{len(list(tmp_path.iterdir()))}"
             hub = stack.enter_context(VirtualHub(link, MODULES, adapter=kind))
-            skin = Skin(hub, configured(hub.device + at, bus, **more))
+            skin = ServedSkin(hub, configured(hub.device + at, bus, **more))
             stack.callback(skin.source.close)
             return skin
 
         yield made
 
 
-Opened = Callable[..., Skin]
+Opened = Callable[..., ServedSkin]
 
 
 @kinds

@@ -314,7 +314,7 @@ def check_reading(content: bytes) -> None:
     assert skin.turns.shape[1] == len(skin)
 
 
-class TestAnyInput:
+class TestAnyJson:
     @given(anything)
     @settings(max_examples=60, deadline=None)
     def test_json_of_any_shape(self, value):

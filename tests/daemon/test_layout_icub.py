@@ -207,7 +207,7 @@ class TestThermalPads:
         assert (skin.source.missing, skin.source.pads) == (18, 6)
 
 
-class TestAnyInput:
+class TestAnyPositions:
     """Reading ends in a layout or in one line; numpy's warnings would be errors here."""
 
     @given(st.integers(0), st.integers(0, 30), st.binary())

@@ -10,7 +10,7 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source import can_log, serial_log
 from taxeld.source.module_order import ListedModules, missing
-from taxeld.source.wire import Heard, Wire
+from taxeld.source.wire import Decoded, Wire
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
 from taxeld_protocol.icub_decoder import IcubDecoder
@@ -76,7 +76,7 @@ class _Pass:
             framing = serial_log.framing(path)
             self._wire = Wire(SourceConfig(kind="serial", framing=framing), decoder)
 
-    def heard(self) -> Iterator[Heard]:
+    def heard(self) -> Iterator[Decoded]:
         """Packets and scans from the decoder.
 
         Raises:
@@ -95,7 +95,7 @@ class _Pass:
         stats = self._decoder.stats() if self._wire is None else self._wire.stats()
         return {**stats, "bad_lines": self.damage.count}
 
-    def _of_frames(self) -> Iterator[Heard]:
+    def _of_frames(self) -> Iterator[Decoded]:
         feed, drop, wanted = self._decoder.feed, self._decoder.drop_foreign, self._interface
         names: set[str] = set()
         for name, frame in can_log.frames(self._path, self.damage):
@@ -113,7 +113,7 @@ class _Pass:
                 continue
             packet, scans = feed(frame)
             if packet is not None or scans:
-                yield Heard(packet, scans)
+                yield Decoded(packet, scans)
         if not names:
             first = f" ({self.damage.first})" if self.damage.count else ""
             raise SetupError(f"{self._path}: has no frame{first}; {KNOWN}")
