@@ -24,7 +24,6 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import outbox as outboxes
-from taxeld.source.device import AwayError
 from taxeld.source.lines import SerialLine
 from taxeld.source.outbox import Outbox
 from taxeld.source.recorder import Recorder
@@ -263,11 +262,6 @@ def test_a_line_that_another_process_has_locked_is_waited_for(
     source.poll(10.0)
     assert source.waits_for == ""
     source.close()
-
-
-def test_who_does_not_wait_hears_of_a_missing_device_at_once(tmp_path: Path) -> None:
-    with pytest.raises(AwayError, match=r"^source\.channel: cannot open .*plugged in\?\)$"):
-        open_source(SourceConfig(kind="serial", channel=str(tmp_path / "skin")), SKIN)
 
 
 def refuse(*_: object, **__: object) -> int:

@@ -222,15 +222,6 @@ def test_check_tells_a_listener_without_a_list_when_it_must_be_started(
     )
 
 
-def test_decode_without_a_configuration_takes_full_modules(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = log(tmp_path, scan(VirtualIhb(MODULES)))
-    assert main(["decode", str(path)]) == 0
-    line = capsys.readouterr().out.splitlines()[0]
-    assert json.loads(line)["modules"] == [m.uids for m in MODULES]
-
-
 def test_what_is_written_for_a_listener_can_be_pasted(tmp_path: Path) -> None:
     for name, tables in (("one", {1: MODULES}), ("two", {1: MODULES[:2], 5: MODULES[2:]})):
         module_order.write(tmp_path / name, tables)

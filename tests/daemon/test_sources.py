@@ -10,7 +10,6 @@ import can
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source.can_device import CanDevice
 from taxeld.source.device import LostError
@@ -176,21 +175,6 @@ def test_a_clock_that_is_set_back_while_a_bus_is_read_makes_nobody_wait(
     assert source.poll(0.0) == []
     source.close()
     assert waits == [0.0]
-
-
-@pytest.mark.parametrize(
-    "settings",
-    [
-        SourceConfig(kind="can", interface="slcan", channel="/dev/nothing"),
-        SourceConfig(kind="can", interface="no_such", channel="x"),
-        SourceConfig(kind="serial", channel="/dev/nothing"),
-        SourceConfig(kind="replay", path="/nowhere"),
-    ],
-)
-def test_what_cannot_be_opened_is_one_line(settings: SourceConfig) -> None:
-    with pytest.raises(SetupError) as error:
-        open_source(settings, SKIN)
-    assert "\n" not in str(error.value)
 
 
 def test_a_session_is_replayed_at_its_own_pace(tmp_path: Path) -> None:
