@@ -83,7 +83,7 @@ class VirtualIhb:
         self.reboot()
 
     def reboot(self) -> None:
-        """As after power-on: what the host set is lost."""
+        """Begin as after power-on: the host's settings are lost."""
         modules, self.short_id, self.phase = self._built
         self.modules = list(modules)
         self.period_ms = DEFAULT_PERIOD_MS
@@ -113,7 +113,7 @@ class VirtualIhb:
             yield Command.SENSOR_DATA, struct.pack(f">BB{len(values)}H", *places[at], *values)
 
     def answer(self, packet: Packet) -> list[Answer]:
-        """What the hub says to a request; nothing if it is for another hub."""
+        """The hub's answers to a request; none if it is for another hub."""
         if packet.ihb not in (self.short_id, BROADCAST) or packet.command == Command.ERROR:
             return []
         if packet.command == LEAVE_BOOTLOADER:
