@@ -83,5 +83,6 @@ def tilted(layout: Layout) -> int:
 
 
 def _matrix(name: str, matrix: NDArray[np.float64], meaning: str) -> list[str]:
+    """Lines of a matrix (4, 4)."""
     rows = ["  " + " ".join(f"{value:9.5f}" for value in row) for row in matrix]
     return [f"{name:<10}{meaning}", *rows]
