@@ -129,8 +129,8 @@ def _calibrate(args: argparse.Namespace) -> int:
 
 
 def _layout(args: argparse.Namespace) -> int:
+    from taxeld.commands.layout import summary
     from taxeld.layout import read as layouts
-    from taxeld.layout.summary import summary
 
     skin = layouts.read(args.layout)
     print("\n".join(summary(skin)))

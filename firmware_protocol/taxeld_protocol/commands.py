@@ -1,65 +1,31 @@
 """CySkin's command table, both ways: the fields of each request and answer, and their bytes.
 
-A payload is a map of named integers, big-endian. What a table does not list has no payload; the
-versions' answers are text, and DECLARE's answer and SENSOR_DATA have lists: they stand apart. So do
-the shorter answers of a hub whose modules are in their bootloader (`modules`).
+A payload is a map of named integers, big-endian. A command that a table does not list has no
+payload, but for the versions' answers (text), DECLARE's answer and SENSOR_DATA (lists), and the
+shorter answers of a hub whose modules are in their bootloader (`modules`).
 """
 
 import struct
 from collections.abc import Mapping
-from enum import IntEnum
 
 from taxeld_protocol.cyskin import Command
 
 Fields = Mapping[str, int]
 
 
-class Grouping(IntEnum):
-    """How a module's taxels are read together."""
-
-    NONE = 0x00
-    THREE = 0x50
-    ALL = 0xF0
-    AUTO = 0x88
-
-
-class CdcControl(IntEnum):
-    """State of a module's capacitance-to-digital converter."""
-
-    ENABLE = 0x00
-    DISABLE_EXCITATION = 0x50
-    DISABLE = 0xF0
-
-
-class CdcSpeed(IntEnum):
-    """Decimation of the converter: 256, 128, 64."""
-
-    SLOW = 0
-    AVERAGE = 1
-    FAST = 2
-
-
-COMM_SPEEDS_MBPS = (1, 2, 3, 4, 8)  # of the SPI between hub and modules
-
 Table = Mapping[Command, tuple[str, tuple[str, ...]]]  # struct format and the fields' names
 
 REQUESTS: Table = {
     Command.DISCOVERY_RECV_ID: (">IB", ("uid", "short_id")),
-    Command.SET_MODULE_GROUPING: (">BB", ("module", "grouping")),
     Command.SET_AUTO_SYNC: (">B", ("on",)),
     Command.SET_AUTO_SYNC_PERIOD: (">H", ("period_ms",)),
-    Command.SET_COMM_SPEED: (">B", ("mbps",)),
     Command.MODULE_DETAILS: (">B", ("module",)),
-    Command.MODULE_CDC_SPEED: (">BB", ("module", "speed")),
-    Command.MODULE_CDC_CONTROL: (">BB", ("module", "control")),
-    Command.MODULE_PHASE_SHIFT: (">B", ("value",)),
     Command.MODULE_SET_CUT_SENSORS: (">BH", ("module", "cut")),  # bits that are set are cut
 }
 ANSWERS: Table = {
     Command.DISCOVERY_PING: (">I", ("uid",)),
     Command.ERROR: (">BB", ("failed", "error")),
     Command.UID: (">I", ("uid",)),
-    Command.GET_COMM_SPEED: (">B", ("mbps",)),
     Command.MODULE_DETAILS: (
         ">BIBBHBB",
         ("module", "sui", "channels", "grouping", "mask", "cdc_control", "cdc_speed"),

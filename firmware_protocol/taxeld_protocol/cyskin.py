@@ -17,12 +17,11 @@ BROADCAST = 0xFF
 FRAGMENT_BYTES = 8
 MAX_PAYLOAD = 255
 MAX_FRAGMENTS = -(-(MAX_PAYLOAD + 3) // FRAGMENT_BYTES)
-MAX_VALUES = 126  # of a SENSOR_DATA packet
+MAX_VALUES = 126  # values in a SENSOR_DATA packet
 EXCESS_MAX = FRAGMENT_BYTES - 1  # bytes after a packet: the padding of its last fragment
 
-# The hub's own bootloader is no CySkin's: one frame with a 29-bit id leads every hub out of it. It
-# is "exit" of Cypress's protocol: 01, command 3B, no data, CRC-16/X-25, 17. As a request it has a
-# number that no command can have.
+# One frame with a 29-bit id leads every hub out of its own bootloader: "exit" of Cypress's protocol
+# (01, command 3B, no data, CRC-16/X-25, 17). As a request it has a number that no command can have.
 LEAVE_BOOTLOADER = 0x100
 BOOTLOADER_ID, BOOTLOADER_EXIT = 0x17FFFFFF, bytes.fromhex("013B00004F6D17")
 
@@ -81,7 +80,7 @@ class ErrorCode(IntEnum):
 class Packet(NamedTuple):
     """A packet whose length and checksum are right."""
 
-    t: float  # of its first fragment, in the reader's clock
+    t: float  # time of its first fragment, by the reader's clock [s]
     ihb: int  # short id in the CAN id: sender of a response, receiver of a request
     command: int
     payload: bytes
@@ -138,9 +137,9 @@ class LinkCounters:
     used: int = 0  # carried a good packet
     foreign: int = 0  # extended ids and ids that are no fragment
     orphan: int = 0  # a middle or last fragment without a first
-    length: int = 0  # of packets whose length is wrong
-    crc: int = 0  # of packets whose checksum is wrong
-    # packets, not frames:
+    length: int = 0  # frames of packets with a wrong length
+    crc: int = 0  # frames of packets with a wrong checksum
+    # The counts below are of packets.
     packets: int = 0
     length_errors: int = 0
     crc_errors: int = 0
@@ -194,7 +193,7 @@ class Reassembler:
             partial.frames += 1
             return self._deliver(ihb, partial)
         if partial is not None:
-            self._drop_length(partial.frames)  # cut short by this one
+            self._drop_length(partial.frames)  # the new packet cuts the old one short
         partial = _Partial(frame.t, bytearray(data), 1)
         if kind == SINGLE:
             return self._deliver(ihb, partial)
@@ -203,8 +202,8 @@ class Reassembler:
 
     def _deliver(self, ihb: int, partial: _Partial) -> Packet | None:
         data = partial.data
-        # more than its padding after a packet: fragments of two packets, which the checksum of the
-        # first, in one of 256, would let pass
+        # More bytes than padding after a packet come from fragments of two packets. The first's
+        # checksum would let one of 256 of these pass.
         if len(data) <= 2 or not 0 <= len(data) - (data[1] + 3) <= EXCESS_MAX:
             self._drop_length(partial.frames)
             return None

@@ -12,20 +12,20 @@ from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, ModuleTable, is_of_bootloader
 
 MISSING = -1  # a channel of a scan that no packet filled
-DEFAULT_PERIOD_S = 0.05  # between scans
-GAP_SHARE = 0.8  # of the period: two packets farther apart are of two scans
-MISSED_SHARE = 1.5  # of the period: between two scans farther apart, one is missing
-PAUSE_MAX_S = 1.0  # after a longer one the hub, or the clock, has begun anew
+DEFAULT_PERIOD_S = 0.05  # time between scans
+GAP_SHARE = 0.8  # share of the period: packets farther apart belong to two scans
+MISSED_SHARE = 1.5  # share of the period: between scans farther apart, one is missing
+PAUSE_MAX_S = 1.0  # after a longer pause the hub, or the clock, has begun anew
 
 
 @dataclass(frozen=True, slots=True)
 class Scan:
     """One pass over all channels of a hub."""
 
-    t: float  # of the first fragment of the first packet, in the reader's clock
+    t: float  # time of the first packet's first fragment, by the reader's clock [s]
     ihb: int
     counts: tuple[int, ...]  # channel by channel, MISSING where lost
-    table: tuple[Module, ...]  # that the channels are walked by
+    table: tuple[Module, ...]  # modules of the channels, in the order of the counts
     table_version: int
 
     @property
@@ -61,13 +61,13 @@ class Counters:
     """Packets and scans; frames are counted by the link."""
 
     index_errors: int = 0  # SENSOR_DATA past the declared tree, or malformed
-    malformed: int = 0  # other packets whose payload is not what their command asks for
+    malformed: int = 0  # other packets whose payload does not suit their command
     unknown: int = 0  # packets of no known command, and frames of no known id
     undeclared: int = 0  # SENSOR_DATA before the module table was known
     bootloader: int = 0  # answers of hubs whose modules are in their bootloader
     scans: int = 0
-    incomplete: int = 0  # of the scans
-    missed: int = 0  # that a short pause between two scans of a hub had room for
+    incomplete: int = 0  # scans with a lost channel
+    missed: int = 0  # scans that a short pause between two scans of a hub had room for
 
 
 @dataclass(slots=True)
@@ -75,15 +75,15 @@ class _Hub:
     """A hub's table, and the scan under way."""
 
     table: ModuleTable = field(default_factory=ModuleTable)
-    asked: bool = False  # whether it streams, and its table was looked for where the wire lacks it
-    walk_version: int = -1  # of the table that the walk below was made from
+    asked: bool = False  # whether `assumed` was asked for its table
+    walk_version: int = -1  # version of the table from which the walk was made
     walk: tuple[Module, ...] = ()
-    first: list[int] = field(default_factory=list)  # channel of the scan that each module begins at
+    first: list[int] = field(default_factory=list)  # first channel of each module in the scan
     channels: int = 0
     counts: list[int] | None = None  # None: no scan is under way
     t: float | None = None
-    last_t: float = 0.0  # of its last packet
-    reached: int = 0  # one past the last channel filled: a scan only ever walks forward
+    last_t: float = 0.0  # time of its last packet [s]
+    reached: int = 0  # one past the last channel filled: a scan only walks forward
 
     def learn(self) -> None:
         """Make the walk from the table."""
@@ -115,7 +115,7 @@ class Decoder:
         self.counters = Counters()
         self.hubs: dict[int, _Hub] = {}
         self._assumed = assumed
-        self._versions = 0  # where those of the next hub's table begin
+        self._versions = 0  # first version of the next hub's table
         self._period_s = period_s
         self._gap_s = GAP_SHARE * period_s
 
@@ -124,9 +124,9 @@ class Decoder:
         return self.hubs[ihb].table if ihb in self.hubs else ModuleTable()
 
     def forget(self, ihb: int) -> None:
-        """What was declared under a short id is not of the hub that has it now."""
+        """Forget the declarations under a short id: another hub has it now."""
         hub = self.hubs.pop(ihb, None)
-        if hub is not None:  # who keeps what a table led to must not take the next for the same
+        if hub is not None:  # the next table under this id must have a version of its own
             self._versions = max(self._versions, hub.table.version + 1)
 
     def feed(self, frame: Frame) -> tuple[Packet | None, list[Scan]]:
@@ -201,7 +201,7 @@ class Decoder:
         if start is None:
             self.counters.index_errors += 1
             return scans
-        # the walk only goes forward, and without a pause: else this is the next scan
+        # a step back or a pause begins the next scan
         if start < hub.reached or packet.t - hub.last_t > self._gap_s:
             self._end(packet.ihb, hub, scans)
         hub.last_t = packet.t

@@ -7,18 +7,18 @@ from typing import NamedTuple
 class Frame(NamedTuple):
     """A classic CAN data frame."""
 
-    t: float  # seconds; the reader's clock, as CySkin has none
+    t: float  # s, by the reader's clock: CySkin has none
     can_id: int
-    data: bytes  # at most 8
+    data: bytes  # at most 8 bytes
     extended: bool = False
 
 
-# What a log holds: the interface that it was heard on, and the frame; None is one that carries
-# nothing for a skin: remote, error and FD frames
+# A log's entry: the interface that heard a frame, and the frame; None for a remote, error or FD
+# frame, which carries nothing for a skin.
 Logged = tuple[str, Frame | None]
 
-# candump -L: "(1700000000.123456) can0 101#431A000027102711", ids of 8 digits are extended. The
-# digits of a time are bounded: no clock has more, and no float holds 400
+# candump -L: "(1700000000.123456) can0 101#431A000027102711"; ids of 8 digits are extended. The
+# digits of a time are bounded, as no clock has more and no float holds 400.
 _LINE = re.compile(
     r"(?:\((?P<t>\d{1,12}\.\d{1,9})\)\s+\S+\s+)?(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})#"
     r"(?P<data>(?:[0-9A-Fa-f]{2}){0,8})(?:\s+[RT])?\s*",

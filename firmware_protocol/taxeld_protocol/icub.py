@@ -22,8 +22,8 @@ from typing import NamedTuple
 from taxeld_protocol.frames import Frame
 
 BOARDS = range(1, 15)
-TRIANGLES = 16  # that a board has places for
-CHANNELS = 12  # of a triangle
+TRIANGLES = 16  # places for triangles on a board
+CHANNELS = 12  # channels of a triangle
 THERMAL = (6, 10)  # channels of the common triangle that are thermal pads; a palm's are taxels
 
 COMMAND, OLD_DATA, DATA = 0x200, 0x300, 0x400
@@ -37,16 +37,16 @@ ALL_CHANNELS = (1 << CHANNELS) - 1
 
 SET_TX_MODE, GET_VERSION, SET_BOARD, SET_TRIANGLES = 0x07, 0x1C, 0x4D, 0x50
 START, STOP = bytes((SET_TX_MODE, 0)), bytes((SET_TX_MODE, 1))
-ASK = bytes((GET_VERSION, 0, 0))  # for what it is; 0.0: of any version of the protocol
+ASK = bytes((GET_VERSION, 0, 0))  # asks for kind and firmware; 0.0: any version of the protocol
 ANSWER_SIZE = 8
 SKIN_BOARDS = {5: "MTB", 11: "MTB4", 16: "MTB4w", 20: "MTB4c"}  # other kinds answer as well
 PERIOD_MAX_MS = 255
-# how a board makes up for its temperature: 0 first gains, 1 palm and fingertips, 2 not at all,
+# A board's compensation of its temperature: 0 first gains, 1 palm and fingertips, 2 not at all,
 # 3 ergoCub's hand, 8 second gains
 SKIN_TYPES = (0, 1, 2, 3, 8)
 SKIN_TYPE = 8
-NO_LOAD = 0xF0  # the value that boards are asked to idle at
-SHIFT, CDC_OFFSET = 2, 0x2200  # of the firmware
+NO_LOAD = 0xF0  # idle value that boards are asked for
+SHIFT, CDC_OFFSET = 2, 0x2200  # the firmware's own values
 
 
 class Drop(StrEnum):
@@ -72,11 +72,11 @@ class Half(NamedTuple):
 
 
 class Answer(NamedTuple):
-    """What a board says of itself when it is asked."""
+    """A board's answer to ASK."""
 
     board: int
     kind: int  # a key of SKIN_BOARDS, or another kind of board
-    version: tuple[int, int, int]  # of its firmware
+    version: tuple[int, int, int]  # version of its firmware
 
     @property
     def is_skin(self) -> bool:
@@ -88,7 +88,7 @@ class Answer(NamedTuple):
 
 
 def read_answer(frame: Frame) -> Answer | None:
-    """What a board answers to ASK; None for any other frame."""
+    """A board's answer to ASK; None for any other frame."""
     board, data = frame.can_id >> 4 & 0xF, frame.data
     if frame.can_id != COMMAND | board << 4 or frame.extended or board not in BOARDS:
         return None

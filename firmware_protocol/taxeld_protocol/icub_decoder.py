@@ -33,15 +33,14 @@ class Triangle(Module):
 
 @dataclass(slots=True)
 class IcubCounters:
-    """Since start."""
+    """Counters since start."""
 
     scans: int = 0
-    incomplete: int = 0  # of the scans
-    answers: int = 0  # of boards that were asked what they are
-    # tails whose error word says so:
-    no_acknowledge: int = 0
-    not_connected: int = 0
-    out_of_range: int = 0
+    incomplete: int = 0  # scans with a lost channel
+    answers: int = 0  # answers to ASK
+    no_acknowledge: int = 0  # tails whose error word says that a taxel did not acknowledge
+    not_connected: int = 0  # tails whose error word says that no taxel is connected
+    out_of_range: int = 0  # tails whose error word has a taxel out of range
 
     def on_error(self, error: int) -> None:
         self.no_acknowledge += bool(error & icub.NO_ACKNOWLEDGE)
@@ -51,15 +50,15 @@ class IcubCounters:
 
 @dataclass(slots=True)
 class _Board:
-    """What a board's traffic has told of it, and the scan under way."""
+    """A board as its traffic shows it, and the scan under way."""
 
-    table: dict[int, Triangle] = field(default_factory=dict)  # by triangle, ascending
+    table: dict[int, Triangle] = field(default_factory=dict)  # triangle → its module, ascending
     version: int = 0
     error: dict[int, int] = field(default_factory=dict)  # a triangle's last error word
     missed: dict[int, int] = field(default_factory=dict)  # a triangle's scans since it came last
-    heard: int = 0  # halves
-    halves: dict[tuple[int, int], Half] = field(default_factory=dict)  # of the scan, in wire order
-    t: float = 0.0  # of its first half
+    heard: int = 0  # halves since start
+    halves: dict[tuple[int, int], Half] = field(default_factory=dict)  # scan's, in wire order
+    t: float = 0.0  # time of the scan's first half [s]
 
     def learn(self, triangle: int, sui: int, taxels: int, version: int) -> None:
         table = self.table | {triangle: Triangle(CHANNELS, sui, taxels)}
@@ -78,7 +77,7 @@ class _Board:
         return True
 
     def counts(self) -> tuple[int, ...]:
-        """Of the scan under way, MISSING where a half is, or where the error word says so."""
+        """Counts of the scan under way, MISSING where a half is lost or the error word says so."""
         counts = [MISSING] * (CHANNELS * len(self.table))
         place = {triangle: CHANNELS * i for i, triangle in enumerate(self.table)}
         for (triangle, first), half in self.halves.items():

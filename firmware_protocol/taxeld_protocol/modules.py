@@ -19,8 +19,7 @@ ALL_NAMES = (1 << NAMES) - 1
 MAX_MODULES = 248
 ABSENT_UID = -1
 
-# What a hub answers while its modules are in their bootloader, and know no channels:
-BOOTLOADER_BYTES = {
+BOOTLOADER_BYTES = {  # lengths of answers while the modules are in their bootloader
     Command.DECLARE: 1,  # the number of modules
     Command.MODULE_DETAILS: 5,  # module u8, SUI u32
 }
@@ -30,7 +29,7 @@ BOOTLOADER_BYTES = {
 class Module:
     """One triangular module as its hub describes it."""
 
-    channels: int  # that SENSOR_DATA carries for it
+    channels: int  # number that SENSOR_DATA carries for it
     sui: int | None = None  # None until MODULE_DETAILS was heard
     mask: int = 0  # uncut taxels, LSB = T0
     grouping: int = 0
@@ -53,12 +52,12 @@ class Module:
 class ModuleTable:
     """The modules of one hub, filled from its answers; `version` changes with every change."""
 
-    modules: list[Module] = field(default_factory=list)  # up to the first that nothing is known of
+    modules: list[Module] = field(default_factory=list)  # up to the first unknown one
     version: int = 0
     in_bootloader: bool = False  # whether its last answer says so
-    _size: int = 0  # how many modules there are, as far as is known
-    _counts: dict[int, int] = field(default_factory=dict)  # of channels, by DECLARE
-    _details: dict[int, Module] = field(default_factory=dict)  # channels as possible, not as sent
+    _size: int = 0  # number of modules, as far as known
+    _counts: dict[int, int] = field(default_factory=dict)  # module → channels by DECLARE
+    _details: dict[int, Module] = field(default_factory=dict)  # with possible channels, not sent
 
     def __post_init__(self) -> None:
         """`modules` that are given are as if heard."""
@@ -106,7 +105,7 @@ class ModuleTable:
         self._counts = {i: known for i, known in self._counts.items() if i < count}
         self._details = {i: known for i, known in self._details.items() if i < count}
         for i, value in enumerate(channels, first):
-            if self._counts.get(i, value) != value:  # cut anew, or another: told before that
+            if self._counts.get(i, value) != value:  # cut anew: the details are of before
                 self._details.pop(i, None)
             self._counts[i] = value
         self._take()
@@ -149,20 +148,20 @@ class ModuleTable:
             elif count is not None:
                 modules.append(Module(count))
             else:
-                break  # where its channels end, and the next module's begin, is not known
+                break  # the channels of the next modules have no known place
         if modules != self.modules:
             self.modules = modules
             self.version += 1
 
 
 def is_of_bootloader(command: int, payload: bytes) -> bool:
-    """Whether that is an answer of a hub whose modules are in their bootloader."""
+    """Whether the answer is of a hub whose modules are in their bootloader."""
     return BOOTLOADER_BYTES.get(command) == len(payload)  # type: ignore[call-overload,no-any-return]
 
 
 def encode_details(index: int, module: Module, *, channels: int | None = None) -> bytes:
-    """The MODULE_DETAILS answer of a module whose serial number is known; `channels` that it tells,
-    where that is not what the module sends."""
+    """The MODULE_DETAILS answer of a module whose serial number is known; it tells `channels` where
+    given, else the number that the module sends."""
     if module.sui is None:
         raise ValueError(f"module {index} has no serial number")
     told = module if channels is None else replace(module, channels=channels)
@@ -170,7 +169,7 @@ def encode_details(index: int, module: Module, *, channels: int | None = None) -
 
 
 def encode_bootloader_details(index: int, module: Module) -> bytes:
-    """The same while the module is in its bootloader."""
+    """The MODULE_DETAILS answer of a module in its bootloader."""
     if module.sui is None:
         raise ValueError(f"module {index} has no serial number")
     return struct.pack(">BI", index, module.sui)

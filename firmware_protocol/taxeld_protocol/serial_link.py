@@ -51,7 +51,7 @@ def encode(command: int, payload: bytes = b"", *, ihb: int) -> bytes:
 
 @dataclass(slots=True)
 class SerialCounters:
-    """Bytes that were fed and belong to no good packet are those not counted as used."""
+    """Counts of bytes and packets; `bytes` less `used` and the pending belong to no good packet."""
 
     bytes: int = 0
     used: int = 0
@@ -84,7 +84,7 @@ class SerialReader:
             del frames[0]  # the end of a line that was too long
         if len(rest) > MAX_ENCODED and not self._skipping:
             counters.length_errors += 1
-            self._skipping = True  # no frame is that long: what follows, to its end, is none either
+            self._skipping = True  # no frame is that long: its end is no frame either
         self._rest = bytearray() if self._skipping else rest
         packets = []
         for frame in frames:
@@ -97,7 +97,7 @@ class SerialReader:
 
     def _decode(self, frame: bytes, t: float) -> Packet | None:
         if not frame:
-            return None  # repeated delimiters: a way to resynchronise, no error
+            return None  # repeated delimiters resynchronise, and are no error
         data = cobs_decode(frame)
         if data is None or len(data) < 5 or len(data) != data[2] + 5:
             self.counters.length_errors += 1

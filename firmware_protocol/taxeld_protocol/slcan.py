@@ -14,9 +14,9 @@ from taxeld_protocol.frames import Frame
 CR, BEL = b"\r", b"\a"
 ZERO, ID_MAX = ord("0"), 0x7FF
 STAMP_BYTES = (0, 2, 4)  # an adapter may add its time: none, in ms, or in µs
-MAX_LINE = 1 + 8 + 1 + 16 + 8  # of a frame with the longest stamp; anything longer is noise
-ACCEPTED = (b"", b"z", b"Z")  # answers: to a command, and of some adapters to `t` and to `T`
-NO_DATA = (b"d", b"D", b"b", b"B")  # CAN FD's lines, which are longer than is kept
+MAX_LINE = 1 + 8 + 1 + 16 + 8  # bytes of a frame with the longest stamp; a longer line is noise
+ACCEPTED = (b"", b"z", b"Z")  # answers to a command; some adapters answer `t` by z, `T` by Z
+NO_DATA = (b"d", b"D", b"b", b"B")  # lines of CAN FD, longer than a kept line
 
 # Lawicel's bit rate codes; CANable's S7 is 750 000
 BITRATES = {
@@ -37,17 +37,16 @@ def encode(frame: Frame) -> bytes:
 
 
 def split(buffer: bytes) -> tuple[list[bytes], bytes]:
-    """Whole lines without their CR, and the rest; a line that BEL ended keeps it. Of one that is
-    too long enough is kept to know it by, so that its end is not taken for a line of its own
-    however the bytes are cut."""
+    """Whole lines without their CR, and the rest; a line that BEL ended keeps it. The rest is cut
+    to MAX_LINE + 1 bytes: so a line that is too long stays too long, however its bytes come."""
     *lines, rest = buffer.replace(BEL, BEL + CR).split(CR)
     return lines, rest[: MAX_LINE + 1]
 
 
 def parse(line: bytes, t: float = 0.0) -> Frame | None:
-    """A line as a data frame, its time stamp passed over; None for answers and damage."""
+    """A line as a data frame without its time stamp; None for answers and damage."""
     if line[:1] == b"t" and 5 <= len(line) <= 21 and len(line) == 5 + 2 * (line[4] - ZERO):
-        try:  # as nearly all
+        try:  # nearly all lines are of this form
             read = unhexlify(b"0" + line[1:4] + line[5:])
         except ValueError:
             return None
@@ -71,12 +70,12 @@ def carries_no_data(line: bytes) -> bool:
 
 @dataclass(slots=True)
 class SlcanCounters:
-    """Bytes that were fed and were no data frame are those not counted as used."""
+    """Counts of bytes and lines; `bytes` less `used` and the pending belong to no data frame."""
 
     bytes: int = 0
     used: int = 0
     frames: int = 0
-    foreign: int = 0  # remote frames, and those of CAN FD
+    foreign: int = 0  # remote frames and CAN FD frames
     noise: int = 0  # lines that are neither a frame nor an answer
 
 

@@ -17,7 +17,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals import bundle, choice, seal
+from taxeld.proposals import bundle, choice, manifest
 from taxeld.proposals.analytic import Projection, Table, check_contacts
 from tests.logged import warnings
 
@@ -65,7 +65,7 @@ def fault(config: Path, capsys: pytest.CaptureFixture[str]) -> str:
 
 def sealed(box: Path) -> None:
     """Have bundle.json name the files as they are now."""
-    digests = {path.name: seal.digest(path.read_bytes()) for path in box.glob("*.[no]*[zx]")}
+    digests = {path.name: manifest.digest(path.read_bytes()) for path in box.glob("*.[no]*[zx]")}
     about(lambda info: info.update(files=digests))(box)
 
 

@@ -1,5 +1,4 @@
-"""`taxeld check` refuses what `taxeld run` cannot open, in the same words; and who may not ask a
-daemon is told so."""
+"""`taxeld check` opens what `taxeld run` opens, and names each fault; and why no daemon answers."""
 
 import ctypes
 import fcntl
@@ -9,6 +8,7 @@ import pty
 import socket
 import tempfile
 import threading
+import tty
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -16,11 +16,10 @@ import pytest
 import zmq
 
 from taxeld.cli import main
-from taxeld.commands import check, openings
+from taxeld.commands import check
 from taxeld.config import endpoints
-from taxeld.door.binding import Binding
-from taxeld.errors import SetupError
 from taxeld.stream import client
+from tests.daemon.given_device import GivenDevice
 
 NAMES = {"publish": "publish.endpoints", "control": "control.endpoint"}
 CAPABILITIES = 0x20080522  # version 3 of the kernel's interface
@@ -77,117 +76,119 @@ def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     return err
 
 
-def test_a_device_of_another_group_is_refused_by_both_in_the_same_words(
+def test_a_device_of_another_group_is_refused(
     place: Path, line: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
 ) -> None:
     path = str(configuration(place, line))
     line.chmod(0)
     request.getfixturevalue("plain_user")
-    told = said(capsys, "check", path)
-    assert told == said(capsys, "run", path)
-    assert "permission denied; is this user in the group" in told
+    assert "permission denied; is this user in the group" in said(capsys, "check", path)
 
 
-@pytest.mark.parametrize("device", ["{place}", "{place}/file"])
-def test_what_is_no_serial_line_is_refused_by_both_in_the_same_words(
-    place: Path, capsys: pytest.CaptureFixture[str], device: str
+@pytest.mark.parametrize(
+    ("device", "reason"),
+    [
+        ("{place}", "it is a directory"),
+        ("{place}/file", "it is no serial line"),
+        ("{place}/ttyACM0", "it is not there; is it plugged in?"),
+    ],
+)
+def test_a_device_that_cannot_be_opened_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str], device: str, reason: str
 ) -> None:
     (place / "file").touch()
-    path = str(configuration(place, device.format(place=place)))
-    assert said(capsys, "check", path) == said(capsys, "run", path)
+    device = device.format(place=place)
+    told = said(capsys, "check", str(configuration(place, device)))
+    assert told == f"source.channel: cannot open {device} ({reason})\n"
 
 
-def test_a_missing_device_is_refused_in_the_words_of_record(
-    place: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = str(configuration(place, place / "ttyACM0"))
-    recorded = said(capsys, "record", "--out", str(place / "session"), path)
-    assert said(capsys, "check", path) == recorded
-
-
-def test_a_device_that_another_process_has_is_refused_in_the_words_of_record(
+def test_a_device_that_another_process_has_is_refused_unless_a_daemon_runs(
     place: Path, line: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The locks of two open files of one process keep each other out as those of two do."""
     path = str(configuration(place, line))
-    assert main(["check", path]) == 0
-    capsys.readouterr()
     with line.open("rb", buffering=0) as held:
         assert main(["check", path]) == 0, "who only has it open keeps nobody out"
         capsys.readouterr()
         fcntl.flock(held, fcntl.LOCK_EX)
         told = said(capsys, "check", path)
-        assert told == said(capsys, "record", "--out", str(place / "session"), path)
         assert main(["check", "--running", path]) == 0
     assert f"another process has it open; stop that first, 'fuser {line}' tells which" in told
 
 
-@pytest.mark.parametrize("key", ["publish", "control"])
-@pytest.mark.parametrize("fault", ["served", "no socket", "no directory", "closed"])
-def test_an_endpoint_that_cannot_be_had_is_refused_by_both_in_the_same_words(
-    place: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, key: str,
-    fault: str,
-) -> None:  # fmt: skip
-    at = place / "run"
-    at.mkdir()
-    channel = f'kind = "can"\ninterface = "virtual"\nchannel = "{place.name}"'
-    named = f'endpoint = "ipc://{at}/s"' if key == "control" else f'endpoints = ["ipc://{at}/s"]'
-    path = str(configuration(place, "", source=channel, **{key: named}))
-    with socket.socket(socket.AF_UNIX) as other:
-        if fault == "served":
-            other.bind(f"{at}/s")
-            other.listen()
-        elif fault == "no socket":
-            (at / "s").touch()
-        elif fault == "no directory":
-            at.rmdir()
-        else:
-            at.chmod(0o555)
-            request.getfixturevalue("plain_user")
-        told = said(capsys, "check", path)
-        if fault == "closed":  # where the tests run as root, that user has no Python for a door
-            with pytest.raises(SetupError) as error:
-                Binding(f"ipc://{at}/s", NAMES[key])
-            assert told == f"{error.value}\n"
-        else:
-            assert told == said(capsys, "run", path)
-        assert main(["check", "--running", path]) == (0 if fault == "served" else 2)
-        if fault == "closed":
-            at.chmod(0o755)
-
-
-def test_a_socket_that_a_killed_daemon_left_is_fine(
-    place: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with socket.socket(socket.AF_UNIX) as left:
-        left.bind(f"{place}/s")
-    channel = f'kind = "can"\ninterface = "virtual"\nchannel = "{place.name}"'
-    named = f'endpoint = "ipc://{place}/s"'
-    assert main(["check", str(configuration(place, "", source=channel, control=named))]) == 0
-    assert (place / "s").is_socket(), "a check takes nothing away"
+def test_nothing_is_sent_to_a_device(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    ours, theirs = pty.openpty()
+    tty.setraw(theirs)
+    os.set_blocking(ours, False)
+    for kind in ('kind = "serial"\n', 'kind = "can"\ninterface = "slcan"\n'):
+        source = f'{kind}channel = "{os.ttyname(theirs)}"'
+        assert main(["check", str(configuration(place, "", source=source))]) == 0
+        with pytest.raises(BlockingIOError):
+            os.read(ours, 1)
+    os.close(ours)
+    os.close(theirs)
     assert capsys.readouterr().err == ""
 
 
-def test_an_interface_that_is_no_can_bus_or_is_down_is_told(
-    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(openings, "SYS_NET", place)
-    for name, kind, flags in (("can0", 280, 0x40C0), ("can1", 280, 0x40C1), ("lo", 772, 0x9)):
-        (place / name).mkdir()
-        (place / name / "type").write_text(f"{kind}\n", encoding="ascii")
-        (place / name / "flags").write_text(f"{flags:#x}\n", encoding="ascii")
+@pytest.mark.parametrize("key", ["publish", "control"])
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("", ""),
+        ("left", ""),  # by a daemon that was killed
+        ("served", "another daemon serves {at}"),
+        ("no socket", "{at} is no socket; remove it"),
+        ("no directory", "does not exist; the service makes it"),
+        ("closed", "cannot bind ipc://{at} (Permission denied); is another daemon there?"),
+    ],
+)
+def test_an_endpoint_that_cannot_be_had_is_refused(
+    place: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, key: str,
+    fault: str, words: str,
+) -> None:  # fmt: skip
+    at = place / "run" / "s"
+    at.parent.mkdir()
+    channel = f'kind = "can"\ninterface = "virtual"\nchannel = "{place.name}"'
+    named = f'endpoint = "ipc://{at}"' if key == "control" else f'endpoints = ["ipc://{at}"]'
+    path = str(configuration(place, "", source=channel, **{key: named}))
+    with socket.socket(socket.AF_UNIX) as other:
+        if fault in ("served", "left"):
+            other.bind(str(at))
+        if fault == "served":
+            other.listen()
+        elif fault == "left":
+            other.close()
+        elif fault == "no socket":
+            at.touch()
+        elif fault == "no directory":
+            at.parent.rmdir()
+        elif fault == "closed":
+            at.parent.chmod(0o555)
+            request.getfixturevalue("plain_user")
+        if words:
+            told = said(capsys, "check", path)
+            assert told.startswith(f"{NAMES[key]}: ")
+            assert words.format(at=at) in told
+        else:
+            assert main(["check", path]) == 0
+        assert main(["check", "--running", path]) == (2 if words and fault != "served" else 0)
+        if fault == "closed":
+            at.parent.chmod(0o755)
 
-    def check(name: str) -> int:
-        source = f'kind = "can"\nchannel = "{name}"'
-        return main(["check", str(configuration(place, "", source=source))])
 
-    assert check("can1") == 0
-    assert "note" not in capsys.readouterr().out
-    assert check("can0") == 0
-    told = capsys.readouterr().out
-    assert "note: source.channel: can0 is down; bring it up: ip link set can0 up type can" in told
-    assert check("lo") == 2
-    assert capsys.readouterr().err.startswith("source.channel: lo is no CAN interface")
+@pytest.mark.parametrize(("flags", "is_down"), [(0x40C0, True), (0x40C1, False)])
+def test_an_interface_that_is_down_is_noted(
+    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, flags: int,
+    is_down: bool,
+) -> None:  # fmt: skip
+    monkeypatch.setattr(check, "SYS_NET", place)
+    monkeypatch.setattr(check, "open_device", lambda *_: GivenDevice())
+    (place / "can0").mkdir()
+    (place / "can0" / "flags").write_text(f"{flags:#x}\n", encoding="ascii")
+    path = configuration(place, "", source='kind = "can"\nchannel = "can0"')
+    assert main(["check", str(path)]) == 0
+    noted = "note: source.channel: can0 is down; bring it up: ip link set can0 up type can"
+    assert (noted in capsys.readouterr().out) == is_down
 
 
 class TestStatus:

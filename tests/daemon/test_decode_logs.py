@@ -4,7 +4,6 @@ import gzip
 import json
 import subprocess
 import sys
-import tracemalloc
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -15,7 +14,7 @@ import pytest
 from taxeld.commands.decode import decode
 from taxeld.errors import SetupError
 from taxeld.source import can_log
-from taxeld.source.module_order import Given
+from taxeld.source.module_order import ListedModules
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld_protocol import cyskin, serial_link, slcan
@@ -232,7 +231,7 @@ def test_the_bytes_of_a_recorded_serial_line_are_decoded_with_their_times(
             for at in range(0, len(line), 50):
                 recorder.take(Chunk(START_S + 0.05 * scan + 1e-6 * at, line[at : at + 50]))
     log = tmp_path / "session" / "serial.bin"
-    *lines, last = decode(log, Given([(m.sui, m.mask) for m in MODULES]))
+    *lines, last = decode(log, ListedModules([(m.sui, m.mask) for m in MODULES]))
     scans, stats = [json.loads(line) for line in lines], json.loads(last)["stats"]
     assert [scan["modules"] for scan in scans] == counts()
     assert [scan["t"] for scan in scans] == pytest.approx(
@@ -270,18 +269,6 @@ def test_bytes_whose_times_are_damaged_are_decoded_all_the_same(
     assert [scan["modules"] for scan in scans] == [scan["modules"] for scan in whole]
     assert stats["bad_lines"] == bad
     assert part in "".join(caplog.messages)
-
-
-def test_a_line_without_an_end_takes_little_memory(tmp_path: Path) -> None:
-    log = tmp_path / "frames.log"
-    log.write_bytes(b"x" * (20 << 20))
-    tracemalloc.start()
-    try:
-        with pytest.raises(SetupError, match="has no frame"):
-            decoded(log)
-        assert tracemalloc.get_traced_memory()[1] < 1 << 20
-    finally:
-        tracemalloc.stop()
 
 
 MEMORY = """

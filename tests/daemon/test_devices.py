@@ -24,9 +24,10 @@ from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import outbox as outboxes
-from taxeld.source.device import AwayError
-from taxeld.source.outbox import Outbox, Unit
+from taxeld.source.lines import SerialLine
+from taxeld.source.outbox import Outbox
 from taxeld.source.recorder import Recorder
+from taxeld.source.session import Chunk
 from taxeld.source.sources import LiveSource, open_source
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.modules import wired
@@ -147,47 +148,48 @@ def test_requests_go_out_again_and_whole_once_the_far_end_reads(far_end: FarEnd)
     source.close()
 
 
-class Narrow:
-    """A device that takes so many bytes, and then nothing until it has room again."""
+class Narrow(SerialLine):
+    """A line that takes so many bytes, and then nothing until it has room again."""
 
-    def __init__(self) -> None:
+    def __init__(self, where: str) -> None:
+        super().__init__(where, 115_200)
         self.room = 0
         self.taken = b""
 
-    @staticmethod
-    def pack(command: int, payload: bytes) -> list[Unit]:
-        return [Unit(None, bytes([command]) * 4 + payload)]
+    def read(self) -> list[Chunk]:
+        return []
 
-    def put(self, unit: Unit) -> Unit | None:
-        if not self.room:
-            raise BlockingIOError
-        part = unit.line[: self.room]
+    def pack(self, command: int, payload: bytes) -> list[bytes]:
+        return [bytes([command]) * 4 + payload]
+
+    def _write(self, data: bytes) -> int:
+        part = data[: self.room]
         self.taken += part
         self.room -= len(part)
-        return unit._replace(line=unit.line[len(part) :]) if len(part) < len(unit.line) else None
+        return len(part)
 
 
-def test_a_request_that_has_begun_is_finished_and_one_that_is_too_old_is_dropped() -> None:
-    device = Narrow()
+def test_a_request_that_has_begun_is_finished_and_one_that_is_too_old_is_dropped(
+    far_end: FarEnd,
+) -> None:
+    device = Narrow(far_end.device)
     outbox = Outbox(device)
-    outbox.add((1, b""), 0.0)
-    outbox.add((2, b""), 0.0)
+    outbox.add([(1, b""), (2, b""), (3, b"")], 0.0)
     device.room = 3
     outbox.flush(0.0)
     outbox.flush(outboxes.PATIENCE_S + 0.1)
     assert outbox.dropped == 1
-    outbox.add((3, b""), 1.0)
+    outbox.add([(4, b"")], 1.0)
     device.room = 100
     outbox.flush(1.0)
-    assert device.taken == b"\1\1\1\1\3\3\3\3"
+    assert device.taken == b"\1\1\1\1\2\2\2\2\4\4\4\4"
     assert not outbox
 
 
-def test_no_more_than_so_many_requests_wait() -> None:
-    device = Narrow()
+def test_no_more_than_so_many_requests_wait(far_end: FarEnd) -> None:
+    device = Narrow(far_end.device)
     outbox = Outbox(device)
-    for _ in range(1000):
-        outbox.add((1, b""), 0.0)
+    outbox.add([(1, b"")] * 1000, 0.0)
     assert outbox.dropped == 1000 - outboxes.MOST
     device.room = 10_000
     outbox.flush(0.0)
@@ -260,11 +262,6 @@ def test_a_line_that_another_process_has_locked_is_waited_for(
     source.poll(10.0)
     assert source.waits_for == ""
     source.close()
-
-
-def test_who_does_not_wait_hears_of_a_missing_device_at_once(tmp_path: Path) -> None:
-    with pytest.raises(AwayError, match=r"^source\.channel: cannot open .*plugged in\?\)$"):
-        open_source(SourceConfig(kind="serial", channel=str(tmp_path / "skin")), SKIN)
 
 
 def refuse(*_: object, **__: object) -> int:

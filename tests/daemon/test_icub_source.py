@@ -56,7 +56,7 @@ def settings(channel: str, **more: object) -> SourceConfig:
     )
 
 
-class Bus:
+class BoardsBus:
     """The boards' end of a python-can virtual bus, and the daemon's, on one clock."""
 
     def __init__(self, config: SourceConfig, boards: Boards, layout: Layout | None = None) -> None:
@@ -100,7 +100,7 @@ def test_every_taxel_of_the_layout_is_heard_from_boards_that_behave_as_the_firmw
     boards = Boards(*BOARDS)
     for board in boards.boards.values():
         board.running = sending
-    bus = Bus(settings("all", period_ms=20), boards)
+    bus = BoardsBus(settings("all", period_ms=20), boards)
     heard = {uid for scan in bus.run(5.0) for module in scan.table for uid in module.uids}
     late = bus.run(1.0)
     assert all(board.period_ms == 20 for board in boards.boards.values())
@@ -116,7 +116,7 @@ def test_every_taxel_of_the_layout_is_heard_from_boards_that_behave_as_the_firmw
 def test_every_row_of_an_official_file_that_is_a_taxel_comes(name: str) -> None:
     skin = layouts.load(str(POSITIONS / f"{name}.txt"))
     boards = tuple(range(8, 8 + int(skin.uid.max()) // 256 + 1))
-    bus = Bus(settings(name, boards=boards), Boards(*boards), skin)
+    bus = BoardsBus(settings(name, boards=boards), Boards(*boards), skin)
     heard: set[int] = set()
     for scan in bus.run(3.0):
         uids = [uid for module in scan.table for uid in module.uids]
@@ -129,7 +129,7 @@ def test_boards_that_are_not_named_are_found_and_what_is_missing_is_said(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     boards = Boards(9)
-    bus = Bus(settings("found", boards=()), boards)
+    bus = BoardsBus(settings("found", boards=()), boards)
     assert bus.run(5.0) == []
     assert "board 9 answers, but cylinder" in bus.source.waits_for
     assert [record.getMessage() for record in caplog.records] == [bus.source.waits_for]
@@ -142,7 +142,7 @@ def test_boards_that_are_not_named_are_found_and_what_is_missing_is_said(
 
 def test_a_touch_is_felt_by_the_taxel_that_the_layout_names() -> None:
     boards = Boards(*BOARDS)
-    bus = Bus(settings("touch"), boards)
+    bus = BoardsBus(settings("touch"), boards)
     skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200, baseline_scans=8))
     for scan in bus.run(3.0):
         skin.on_scan(scan)
@@ -161,7 +161,7 @@ def test_a_touch_is_felt_by_the_taxel_that_the_layout_names() -> None:
 def test_a_taxel_that_fails_does_not_blind_its_triangle() -> None:
     """The board says so of the whole triangle, and marks which it is."""
     boards = Boards(*BOARDS)
-    bus = Bus(settings("fails"), boards)
+    bus = BoardsBus(settings("fails"), boards)
     skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200, baseline_scans=8))
     for scan in bus.run(3.0):
         skin.on_scan(scan)
@@ -176,7 +176,7 @@ def test_a_taxel_that_fails_does_not_blind_its_triangle() -> None:
 
 def test_a_listening_source_sends_nothing_and_counts_what_is_no_data_frame() -> None:
     boards = Boards(*BOARDS)
-    bus = Bus(settings("quiet", listen_only=True), boards)
+    bus = BoardsBus(settings("quiet", listen_only=True), boards)
     bus.bus.send(can.Message(arbitration_id=0x491, is_remote_frame=True, is_extended_id=False))
     for board in boards.boards.values():
         board.running = True
@@ -281,7 +281,7 @@ def test_a_good_icub_configuration_is_fine() -> None:
 
 def test_the_configured_skin_type_reaches_the_boards() -> None:
     boards = Boards(*BOARDS)
-    bus = Bus(settings("type", skin_type=2), boards)
+    bus = BoardsBus(settings("type", skin_type=2), boards)
     bus.run(2.0)
     bus.close()
     assert [board.skin_type for board in boards.boards.values()] == [2, 2]

@@ -5,6 +5,7 @@ import pty
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import get_type_hints
@@ -21,9 +22,12 @@ FLAGS = ["--source", "slcan:{device}", "--bundle", "box", "--poses", "tcp://127.
 
 
 @pytest.fixture
-def flags(tmp_path: Path) -> list[str]:
-    (tmp_path / "ttyACM0").symlink_to("/dev/null")  # which is a device
-    return [flag.format(device=tmp_path / "ttyACM0") for flag in FLAGS]
+def flags(tmp_path: Path) -> Iterator[list[str]]:
+    ours, theirs = os.openpty()
+    (tmp_path / "ttyACM0").symlink_to(os.ttyname(theirs))
+    yield [flag.format(device=tmp_path / "ttyACM0") for flag in FLAGS]
+    os.close(ours)
+    os.close(theirs)
 
 
 def test_what_is_written_from_options_is_fine(

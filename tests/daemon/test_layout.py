@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from taxeld.cli import main
+from taxeld.commands.layout import arc_rad, pitch_m, tilted
 from taxeld.errors import SetupError
 from taxeld.layout import cylinder_fit
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
-from taxeld.layout.summary import arc_rad, pitch_m, tilted
 from taxeld_protocol.modules import wired
 
 DEFAULT = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"

@@ -1,18 +1,15 @@
 """iCub skin positions: every trap of the format on a small file of its own, then any input."""
 
 import math
-import tempfile
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
+from taxeld.commands.layout import summary
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
-from taxeld.layout.summary import summary
 
 RADIUS_M = 0.05
 
@@ -205,34 +202,3 @@ class TestThermalPads:
         rows = [*icub_rows(36), *["0 0 0 0 0 0"] * 12]
         skin = read(tmp_path, icub_text(rows, [12 * (i // 12) + 3 for i in range(36)] + [-1] * 12))
         assert (skin.source.missing, skin.source.pads) == (18, 6)
-
-
-class TestAnyInput:
-    """Reading ends in a layout or in one line; numpy's warnings would be errors here."""
-
-    @given(st.integers(0), st.integers(0, 30), st.binary())
-    @settings(max_examples=100, deadline=None)
-    def test_a_stretch_of_a_good_file_overwritten(self, at, length, patch):
-        content = icub_text(icub_rows(), [3] * 48).encode()
-        at %= len(content)
-        self.check_reading(content[:at] + patch + content[at + length :])
-
-    @given(st.text(), st.text(alphabet="0123456789.-e \t\n()nainf[calibration]taxel2Repr"))
-    @settings(max_examples=100, deadline=None)
-    def test_text_of_any_kind(self, header, rows):
-        self.check_reading(f"{header}[calibration]{rows}".encode("utf-8", "replace"))
-
-    @given(st.lists(st.lists(st.floats(-10, 10), min_size=6, max_size=6), max_size=12))
-    @settings(max_examples=150, deadline=None)
-    def test_rows_of_any_numbers(self, rows):
-        lines = "\n".join(" ".join(map(repr, row)) for row in rows)
-        self.check_reading(f"[calibration]\n{lines}\n".encode())
-
-    def check_reading(self, content: bytes) -> None:
-        message = ""
-        with tempfile.TemporaryDirectory() as directory:
-            try:
-                read(Path(directory), content)
-            except SetupError as error:
-                message = str(error)
-        assert "\n" not in message

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taxeld.commands.layout import arc_rad, pitch_m, tilted
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.layout.summary import arc_rad, pitch_m, tilted
 from taxeld_protocol.icub import THERMAL
 
 ROOT = Path(__file__).parents[2]

@@ -16,15 +16,14 @@ from taxeld.config.tables import SkinConfig, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import dialects, module_order
-from taxeld.source.device import Device, Noticed
 from taxeld.source.module_order import UNPLACED_S
-from taxeld.source.outbox import Unit
 from taxeld.source.sources import LiveSource
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import listed, wired
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
+from tests.daemon.given_device import GivenDevice
 from tests.logged import warnings
 from tests.virtual_hub import VirtualHub, told
 
@@ -76,32 +75,9 @@ def is_right(scans: Sequence[Scan]) -> bool:
     )
 
 
-class Heard(Device):
-    """A device that has heard what it is given, and is never spoken to."""
-
-    waits_for = ""
-
-    def __init__(self) -> None:
-        self.noticed = Noticed()
-        self.frames: list[Frame] = []
-
-    def fileno(self) -> int:
-        return -1
-
-    def read(self) -> list[Frame]:
-        heard, self.frames = self.frames, []
-        return heard
-
-    def put(self, unit: Unit) -> Unit | None:
-        raise AssertionError(unit)
-
-    def close(self, wait_s: float = 0.0) -> None:
-        """Nothing is held open."""
-
-
-def listener(modules: tuple[tuple[int, ...], ...] = ()) -> tuple[LiveSource, Heard]:
+def listener(modules: tuple[tuple[int, ...], ...] = ()) -> tuple[LiveSource, GivenDevice]:
     config = SourceConfig(kind="can", channel="x", listen_only=True, modules=modules)
-    device = Heard()
+    device = GivenDevice()
     return LiveSource(config, dialects.live(config, SKIN), lambda *_: device, None), device
 
 
@@ -244,15 +220,6 @@ def test_check_tells_a_listener_without_a_list_when_it_must_be_started(
     assert [note.startswith("note: source.modules: lists none") for note in notes] == (
         [] if source else [True]
     )
-
-
-def test_decode_without_a_configuration_takes_full_modules(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = log(tmp_path, scan(VirtualIhb(MODULES)))
-    assert main(["decode", str(path)]) == 0
-    line = capsys.readouterr().out.splitlines()[0]
-    assert json.loads(line)["modules"] == [m.uids for m in MODULES]
 
 
 def test_what_is_written_for_a_listener_can_be_pasted(tmp_path: Path) -> None:

@@ -14,11 +14,9 @@ from typing import Any
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.errors import SetupError
 from taxeld.source import dialects, socketcan_device
 from taxeld.source.device import AwayError, LostError
 from taxeld.source.devices import open_device
-from taxeld.source.outbox import Unit
 from taxeld.source.socketcan_device import SocketCanDevice
 from taxeld.source.sources import LiveSource
 from taxeld_protocol import cyskin
@@ -126,7 +124,7 @@ def test_requests_go_out_and_wait_while_the_kernel_takes_none(
     device: SocketCanDevice, bus: socket.socket
 ) -> None:
     for frame in (Frame(0.0, 0x5FF, b"\x38\x02"), Frame(0.0, 0x17FF_FFFF, b"\x01", extended=True)):
-        device.put(Unit(frame))
+        device.put(frame)
         assert bus.recv(64) == packed(frame)
     with pytest.raises(BlockingIOError):
         put_many(device, frame)
@@ -134,7 +132,7 @@ def test_requests_go_out_and_wait_while_the_kernel_takes_none(
 
 def put_many(device: SocketCanDevice, frame: Frame) -> None:
     for _ in range(100_000):
-        device.put(Unit(frame))
+        device.put(frame)
 
 
 def test_an_interface_that_goes_down_is_lost_after_the_frames_that_came_before(
@@ -155,18 +153,14 @@ def test_a_skin_is_heard_by_it(bus: socket.socket) -> None:
         for command, payload in VirtualIhb(MODULES).sensor_data(counts(k)):
             for frame in cyskin.to_frames(command, payload, ihb=1):
                 bus.send(packed(frame))
-                source.gather()
-        scans += source.poll(float(k))
+                scans += source.poll(float(k))
         time.sleep(0.05)
     assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
     assert all(began <= scan.t <= time.time() for scan in scans)
     source.close()
 
 
-@pytest.mark.parametrize("channel", ["can77", "a name that is far too long for an interface"])
-def test_an_interface_that_is_not_there_is_one_line(channel: str) -> None:
-    with pytest.raises(SetupError) as error:
+@pytest.mark.parametrize("channel", ["can77", "lo", "a name that is far too long for an interface"])
+def test_an_interface_that_is_no_can_bus_is_one_line(channel: str) -> None:
+    with pytest.raises(AwayError, match=rf"^source\.channel: .*{channel}.*$"):
         open_device(SourceConfig(kind="can", channel=channel), lambda *_: [])
-    assert str(error.value).startswith(f"source.channel: cannot open socketcan {channel} (")
-    assert "\n" not in str(error.value)
-    assert isinstance(error.value, AwayError)

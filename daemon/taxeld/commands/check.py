@@ -1,16 +1,28 @@
-"""`taxeld check`: whether everything that a run needs is there, without disturbing any of it."""
+"""`taxeld check`: opens everything that a run opens, by the same functions, and closes it again.
 
+Nothing is sent to a device, and no request of a peer is answered.
+"""
+
+import contextlib
+from collections.abc import Callable
 from pathlib import Path
 
-from taxeld.commands import openings
+from taxeld.config import endpoints
 from taxeld.config.tables import Config, SourceConfig
+from taxeld.door.binding import Binding, ServedError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file
 from taxeld.source import dialects, session
-from taxeld.source.session import Items
+from taxeld.source.device import BusyError
+from taxeld.source.devices import open_device
+from taxeld.source.socketcan_device import bring_up
 from taxeld.stream import client, curve
+
+SYS_NET = Path("/sys/class/net")
+IS_UP = 0x1  # IFF_UP
 
 MODULES_TO_COME = (
     "source.modules: lists none, so taxeld must listen already when the skin is started, to hear "
@@ -28,45 +40,31 @@ POSES_UNUSED = (
 def faults(config: Config, is_running: bool = False) -> list[str]:
     """Lines on the faults of a configuration with valid keys, each with its path. While a daemon
     `is_running` with the configuration, a device or endpoint in use is no fault."""
-    found = []
-    recorded, away = _source(config.source)
-    try:
+    found: list[str] = []
+
+    def attempt(step: Callable[[], object]) -> None:
+        try:
+            step()
+        except (BusyError, ServedError) as error:
+            if not is_running:
+                found.append(str(error))
+        except SetupError as error:
+            found.append(str(error))
+
+    def use_layout() -> None:
         skin = layouts.load(config.skin.layout)
-    except SetupError as error:
-        found.append(str(error))
-    else:
-        try:
-            if config.source.kind != "replay":
-                dialects.live(config.source, skin)
-            elif not away:
-                dialects.check_recording(config.source, skin, recorded, config.source.path)
-            loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
-            choice.open_all(loaded, config.filter)
-        except SetupError as error:
-            found.append(str(error))
-        try:
-            calibration_file.of(config, skin)
-        except SetupError as error:
-            found.append(str(error))
-    found += away
-    try:
-        keys, loopback = config.curve.directory, config.curve.loopback
-        curve.robot_keys(keys, config.sensor_pose.endpoint, loopback)
-        curve.relay_keys(keys, (*config.relay.publish, config.relay.control), loopback)
-    except SetupError as error:
-        found.append(str(error))
-    for key, endpoints in (
-        ("publish.endpoints", config.publish.endpoints),
-        ("control.endpoint", (config.control.endpoint,)),
-    ):
-        for endpoint in endpoints:
-            fault = openings.closed(endpoint, key)
-            if fault is None and not is_running:
-                fault = openings.served(endpoint, key)
-            found += [fault] if fault else []
-    if config.source.kind != "replay" and not away and not is_running:
-        busy = openings.taken(config.source)
-        found += [busy] if busy else []
+        attempt(lambda: _read_source(config.source, skin))
+        attempt(lambda: _open_bundle(config, skin))
+        attempt(lambda: calibration_file.of(config, skin))
+
+    attempt(use_layout)
+    if config.source.kind != "replay":
+        attempt(lambda: open_device(config.source, lambda *_: []).close())
+    attempt(lambda: _read_keys(config))
+    served = [(endpoint, "publish.endpoints") for endpoint in config.publish.endpoints]
+    for endpoint, key in [*served, (config.control.endpoint, "control.endpoint")]:
+        if endpoint:
+            attempt(lambda at=endpoint, key=key: _serve(at, key))  # type: ignore[misc]
     return found
 
 
@@ -75,8 +73,7 @@ def notes(config: Config) -> list[str]:
     source = config.source
     if source.kind == "replay":
         return []
-    down = openings.down(source)
-    found = [down] if down else []
+    found = [line] if (line := _down(source)) else []
     if not config.sensor_pose.endpoint and client.hears_poses(POSES_USUAL, HEAR_POSES_S):
         found.append(POSES_UNUSED)
     if source.dialect != "icub":
@@ -88,12 +85,36 @@ def notes(config: Config) -> list[str]:
     ]
 
 
-def _source(source: SourceConfig) -> tuple[Items, list[str]]:
-    """The items of a session, and lines on why the source cannot be opened."""
-    if source.kind != "replay":
-        away = openings.absent(source)
-        return [], [away] if away else []
-    try:
-        return session.read(Path(source.path)).items, []
-    except SetupError as error:
-        return [], [str(error)]
+def _read_source(source: SourceConfig, skin: Layout) -> None:
+    if source.kind == "replay":
+        recorded = session.read(Path(source.path)).items
+        dialects.replayed(source, skin, recorded, source.path)
+    else:
+        dialects.live(source, skin)
+
+
+def _open_bundle(config: Config, skin: Layout) -> None:
+    loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
+    choice.open_all(loaded, config.filter)
+
+
+def _read_keys(config: Config) -> None:
+    keys, relay, loopback = config.curve.directory, config.relay, config.curve.loopback
+    curve.robot_keys(keys, config.sensor_pose.endpoint, loopback)
+    curve.relay_keys(keys, (*relay.publish, relay.control), loopback)
+
+
+def _serve(endpoint: str, key: str) -> None:
+    endpoints.make_directory(endpoint)
+    with contextlib.closing(Binding(endpoint, key)):
+        pass
+
+
+def _down(source: SourceConfig) -> str:
+    """A line on how to bring up a CAN interface that exists and is down; a run waits for that."""
+    if source.kind == "can" and source.interface == "socketcan":
+        with contextlib.suppress(OSError, ValueError):
+            flags = (SYS_NET / source.channel / "flags").read_text(encoding="ascii")
+            if not int(flags, 16) & IS_UP:
+                return f"source.channel: {source.channel} is down; bring it up: {bring_up(source)}"
+    return ""

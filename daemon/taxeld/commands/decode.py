@@ -9,8 +9,8 @@ from pathlib import Path
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source import can_log, serial_log
-from taxeld.source.module_order import Given, missing
-from taxeld.source.wire import Heard, Wire
+from taxeld.source.module_order import ListedModules, missing
+from taxeld.source.wire import Decoded, Wire
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
 from taxeld_protocol.icub_decoder import IcubDecoder
@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 
 def decode(
-    path: Path, given: Given | None = None, dialect: str = "cyskin", interface: str = ""
+    path: Path, given: ListedModules | None = None, dialect: str = "cyskin", interface: str = ""
 ) -> Iterator[str]:
     """The log's scans and a last line {"stats": …}. `interface`: the one to decode, where the log
     has several.
@@ -76,7 +76,7 @@ class _Pass:
             framing = serial_log.framing(path)
             self._wire = Wire(SourceConfig(kind="serial", framing=framing), decoder)
 
-    def heard(self) -> Iterator[Heard]:
+    def heard(self) -> Iterator[Decoded]:
         """Packets and scans from the decoder.
 
         Raises:
@@ -95,7 +95,7 @@ class _Pass:
         stats = self._decoder.stats() if self._wire is None else self._wire.stats()
         return {**stats, "bad_lines": self.damage.count}
 
-    def _of_frames(self) -> Iterator[Heard]:
+    def _of_frames(self) -> Iterator[Decoded]:
         feed, drop, wanted = self._decoder.feed, self._decoder.drop_foreign, self._interface
         names: set[str] = set()
         for name, frame in can_log.frames(self._path, self.damage):
@@ -113,7 +113,7 @@ class _Pass:
                 continue
             packet, scans = feed(frame)
             if packet is not None or scans:
-                yield Heard(packet, scans)
+                yield Decoded(packet, scans)
         if not names:
             first = f" ({self.damage.first})" if self.damage.count else ""
             raise SetupError(f"{self._path}: has no frame{first}; {KNOWN}")
@@ -123,7 +123,7 @@ class _Pass:
             raise SetupError(f"--interface: {self._path} has no frame of {wanted}; {cure}")
 
 
-def _tables(path: Path, interface: str, given: Given | None) -> dict[int, Sequence[Module]]:
+def _tables(path: Path, interface: str, given: ListedModules | None) -> dict[int, Sequence[Module]]:
     """The module table of each hub of the log."""
     decoder = Decoder()
     reached: dict[int, int] = {}  # hub → channels of full modules that its packets reach

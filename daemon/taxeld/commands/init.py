@@ -13,7 +13,7 @@ from taxeld.config.tables import Config
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.layout import generated
-from taxeld.proposals import bundle, manifest, seal
+from taxeld.proposals import bundle, manifest
 
 SOURCES = {  # connection as named by `taxeld-hil accept` → keys of [source]
     "can": {"kind": "can"},
@@ -140,7 +140,7 @@ def _source(text: str) -> dict[str, Any]:
 def _layout_of(name: str) -> str | None:
     """The generated layout that a bundle was built for; None where it came from a file."""
     found = bundle.find(name) / manifest.NAME
-    spec = manifest.parse(seal.read(found), found)[0].layout.name
+    spec = manifest.parse(manifest.read(found), found)[0].layout.name
     return spec if ":" in spec else None
 
 

@@ -77,7 +77,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
             pipeline.clock_stepped(now[1] - before[1])
         before = now
         if isinstance(came, Frame | Chunk):
-            scans = [scan for heard in wire.take(came, now[1]) for scan in heard.scans]
+            scans = [scan for heard in wire.take([came]) for scan in heard.scans]
             yield from pipeline.advance(scans, now[1])
         else:
             yield from pipeline.advance((), now[1])

@@ -21,6 +21,10 @@ TRIES, TRY_S = 100, 0.01  # to have a port again that a socket before has left
 log = logging.getLogger(__name__)
 
 
+class ServedError(SetupError):
+    """Another daemon serves the endpoint."""
+
+
 class Binding:
     """An endpoint that is served by one socket of ZeroMQ's after another.
 
@@ -148,4 +152,4 @@ def make_way(path: Path, key: str) -> None:
             return
         except OSError as error:
             raise SetupError(f"{key}: cannot take over {path} ({error.strerror})") from None
-    raise SetupError(f"{key}: another daemon serves {path}; stop it or name another endpoint")
+    raise ServedError(f"{key}: another daemon serves {path}; stop it or name another endpoint")

@@ -22,7 +22,7 @@ ITERATIONS = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class CylinderFit:
     """A sensor frame, and the cylinder about its z axis if there is one."""
 
     frame: Floats  # (4, 4) rigid transform from the file's frame to the sensor frame
@@ -31,7 +31,7 @@ class Fit:
     why_none: str = ""  # why there is no cylinder, in words
 
 
-def fit(position_m: Floats, normal: Floats) -> Fit:
+def fit(position_m: Floats, normal: Floats) -> CylinderFit:
     """Fit a cylinder to taxels (M, 3) with unit normals (M, 3), both in the file's frame.
 
     The axis is the direction of which the normals have least; the circle across it has the least
@@ -67,16 +67,17 @@ def fit(position_m: Floats, normal: Floats) -> Fit:
     mean = np.where(inwards[:, None], -normal, normal).mean(axis=0)
     if np.linalg.norm(mean - (mean @ axis) * axis) > ROUND:
         x, y = _across(axis, mean)
-    return Fit(_frame(x, y, axis, origin), radius_m, inwards)
+    return CylinderFit(_frame(x, y, axis, origin), radius_m, inwards)
 
 
-def _flat(position_m: Floats, normal: Floats, why: str) -> Fit:
+def _flat(position_m: Floats, normal: Floats, why: str) -> CylinderFit:
+    """The frame of taxels (M, 3) with unit normals (M, 3) on no cylinder."""
     mean = normal.mean(axis=0)
     length = float(np.linalg.norm(mean))
     axis = mean / length if length > ROUND else np.eye(3)[2]
     x, y = _across(axis, np.roll(np.eye(3)[np.abs(axis).argmax()], 1))
     frame = _frame(x, y, axis, position_m.mean(axis=0))
-    return Fit(frame, math.inf, np.zeros(len(normal), dtype=np.bool_), why)
+    return CylinderFit(frame, math.inf, np.zeros(len(normal), dtype=np.bool_), why)
 
 
 def _across(axis: Floats, towards: Floats) -> tuple[Floats, Floats]:
@@ -88,6 +89,7 @@ def _across(axis: Floats, towards: Floats) -> tuple[Floats, Floats]:
 
 
 def _frame(x: Floats, y: Floats, z: Floats, origin: Floats) -> Floats:
+    """The transform (4, 4) to the frame with axes x, y, z (3,) and an origin (3,)."""
     frame = np.eye(4)
     frame[:3, :3] = x, y, z
     frame[:3, 3] = -frame[:3, :3] @ origin

@@ -40,6 +40,7 @@ def draw(layout: Layout, out: Path) -> None:
 
 
 def _unrolled(axes: Axes, layout: Layout, flat: bool, colour: NDArray[np.float64]) -> None:
+    """Draw the taxels unrolled, in their colours (M, 4)."""
     x, y = plane(layout.position_m, layout.radius_m)
     axes.scatter(x, y, c=colour, s=22)
     axes.set_xlabel("x [mm]" if flat else "angle · radius [mm]")
@@ -48,6 +49,7 @@ def _unrolled(axes: Axes, layout: Layout, flat: bool, colour: NDArray[np.float64
 
 
 def _section(axes: Axes, layout: Layout, flat: bool, colour: NDArray[np.float64]) -> None:
+    """Draw the taxels and their normals across the axis, in their colours (M, 4)."""
     up = 2 if flat else 1
     x, y = layout.position_m[:, 0] * MM, layout.position_m[:, up] * MM
     dx, dy = layout.normal[:, 0] * NORMAL_MM, layout.normal[:, up] * NORMAL_MM

@@ -69,10 +69,7 @@ class _Gathered:
     uid: list[int] = field(default_factory=list)
     position: list[list[float]] = field(default_factory=list)
     normal: list[list[float]] = field(default_factory=list)
-    missing: int = 0
-    cut: int = 0
-    duplicates: int = 0
-    pads: int = 0
+    source: Provenance = field(default_factory=Provenance)
 
     def add(self, uid: int, position: list[float], normal: list[float], place: str) -> None:
         """Add a taxel. Raises ValueError where the normal is zero, unless `place` is empty."""
@@ -82,33 +79,28 @@ class _Gathered:
         self.position.append(position)
         self.normal.append(normal)
 
-    def patch(self, parent: Floats | None = None) -> Patch:
+    def patch(self) -> Patch:
+        source = self.source
         if not 0 < len(self.uid) <= MAX_TAXELS:
             raise ValueError(
-                f"holds {len(self.uid)} usable taxels ({self.missing} missing, {self.cut} cut, "
-                f"{self.duplicates} duplicate); 1..{MAX_TAXELS} are needed"
+                f"holds {len(self.uid)} usable taxels ({source.missing} missing, {source.cut} cut, "
+                f"{source.duplicates} duplicate); 1..{MAX_TAXELS} are needed"
             )
         position, normal = np.array(self.position), np.array(self.normal)
         extent = float(np.ptp(position, axis=0).max())
-        unit, metres = ("mm", 1e-3) if extent > METRES_MAX else ("m", 1.0)
+        source.unit, metres = ("mm", 1e-3) if extent > METRES_MAX else ("m", 1.0)
         if extent * metres > METRES_MAX:
             raise ValueError(
                 f"taxels span {extent:g}, too far for metres or millimetres; correct the positions"
             )
-        if parent is not None:
-            parent[:3, 3] *= metres
+        if source.parent is not None:
+            source.parent[:3, 3] *= metres
         position = position * metres
-        tells_none = normals.tells_none(position, normal)
-        if tells_none:
+        source.own_normals = not normals.tells_none(position, normal)
+        if not source.own_normals:
             normal = normals.of_positions(position)
-        return Patch(
-            np.array(self.uid, dtype=np.int64),
-            position,
-            normal / np.linalg.norm(normal, axis=1, keepdims=True),
-            Provenance(
-                unit, self.missing, self.cut, self.duplicates, parent, self.pads, not tells_none
-            ),
-        )
+        unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+        return Patch(np.array(self.uid, dtype=np.int64), position, unit, source)
 
 
 _CURE = "correct it, or mark the taxel as missing"
@@ -135,11 +127,11 @@ def _robotskinlib(text: str) -> Patch:
         if not isinstance(cut, int):
             raise ValueError(f"{place}.cut: must be 0, or 1 for a cut taxel, not {_show(cut)}")
         if uid == MISSING_ID or not uid & 0xF or taxel.get("type", "pressure") != "pressure":
-            gathered.missing += 1
+            gathered.source.missing += 1
         elif cut:
-            gathered.cut += 1
+            gathered.source.cut += 1
         elif uid in seen:
-            gathered.duplicates += 1
+            gathered.source.duplicates += 1
         elif uid & 0xF >= NAMES:
             raise ValueError(
                 f"{place}.id: {uid} is taxel {uid & 0xF} of its module, "
@@ -150,7 +142,8 @@ def _robotskinlib(text: str) -> Patch:
             position = _numbers(taxel.get("x"), 3, f"{place}.x")
             normal = _numbers(taxel.get("n"), 3, f"{place}.n")
             gathered.add(uid, position, normal, f"{place}.n")
-    return gathered.patch(_parent(skin.get("parent_frames")))
+    gathered.source.parent = _parent(skin.get("parent_frames"))
+    return gathered.patch()
 
 
 def _taxels(value: Any, place: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -212,8 +205,8 @@ def _icub(text: str) -> Patch:
             number, row = here[slot]
             uid = first // TRIANGLE << 4 | slot
             gathered.add(uid, row[:3], row[3:], "" if bare else f"line {number}")
-        gathered.missing += len(here) - len(placed)
-        gathered.pads += len(no_taxels) if placed else 0
+        gathered.source.missing += len(here) - len(placed)
+        gathered.source.pads += len(no_taxels) if placed else 0
     return gathered.patch()
 
 

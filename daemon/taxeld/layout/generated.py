@@ -3,11 +3,13 @@
 Both have ten taxels a module on one hub, with UIDs `SUI << 4 | name`: SUI 1, 2, … and name 1..10.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from typing import get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
+from taxeld.arrays import Floats
+from taxeld.layout.layout import Layout
 from taxeld_protocol.modules import MAX_MODULES
 
 TAXELS_PER_MODULE = 10  # wiring of a generated cylinder; a real CySkin triangle has ten as well
@@ -28,25 +30,9 @@ EXAMPLES = {
     "cylinder": "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015",
     "wrap": "wrap:modules=12,radius_m=0.04,rows=2",
 }
-_KEYS: dict[str, dict[str, type[int] | type[float]]] = {
-    "cylinder": {"rows": int, "columns": int, "radius_m": float, "pitch_m": float},
-    "wrap": {"modules": int, "radius_m": float, "rows": int},
-}
-_DEFAULTS: dict[str, dict[str, int]] = {"cylinder": {}, "wrap": {"rows": 1}}
 
 
-@dataclass(frozen=True, slots=True)
-class Generated:
-    """M taxels in the sensor frame, exactly on a cylinder about its z axis."""
-
-    name: str
-    uid: NDArray[np.int64]  # (M,)
-    position_m: NDArray[np.float64]  # (M, 3)
-    normal: NDArray[np.float64]  # (M, 3) unit, outwards
-    radius_m: float
-
-
-def cylinder(rows: int, columns: int, radius_m: float, pitch_m: float) -> Generated:
+def cylinder(rows: int, columns: int, radius_m: float, pitch_m: float) -> Layout:
     """An even grid: row by row from below, column 0 at angle 0, counter-clockwise.
 
     Raises:
@@ -61,7 +47,7 @@ def cylinder(rows: int, columns: int, radius_m: float, pitch_m: float) -> Genera
     return _around(name, 2.0 * np.pi * c / columns, height, radius_m)
 
 
-def wrap(modules: int, radius_m: float, rows: int = 1) -> Generated:
+def wrap(modules: int, radius_m: float, rows: int = 1) -> Layout:
     """CySkin triangles, `modules` of them in each row, apex down and apex up in turn.
 
     Module 0 of the lowest row stands at angle 0 with its apex down; modules go counter-clockwise
@@ -91,42 +77,44 @@ def wrap(modules: int, radius_m: float, rows: int = 1) -> Generated:
     return _around(name, angle.ravel(), height.ravel(), radius_m)
 
 
-def parse(spec: str) -> Generated | None:
+KINDS: dict[str, Callable[..., Layout]] = {"cylinder": cylinder, "wrap": wrap}
+
+
+def parse(spec: str) -> Layout | None:
     """The layout that `kind:key=value,…` describes; None if `kind` is not one of these.
 
     Raises:
         ValueError: a key or value that the kind does not take, with an example that works.
     """
     kind, colon, rest = spec.partition(":")
-    keys = _KEYS.get(kind) if colon else None
-    if keys is None:
+    make = KINDS.get(kind) if colon else None
+    if make is None:
         return None
-    values: dict[str, int | float] = dict(_DEFAULTS[kind])
+    keys = get_type_hints(make)
+    del keys["return"]
+    values: dict[str, int | float] = {}
     for item in rest.split(","):
         key, _, text = item.partition("=")
-        number = keys.get(key)
-        if number is None:
+        if key not in keys:
             raise ValueError(f"unknown {kind} key '{key}'; use '{EXAMPLES[kind]}'")
         try:
-            values[key] = number(text)
+            values[key] = keys[key](text)
         except ValueError:
-            raise ValueError(f"'{item}' is not {key}=<{number.__name__}>") from None
-    missing = keys.keys() - values
+            raise ValueError(f"'{item}' is not {key}=<{keys[key].__name__}>") from None
+    missing = keys.keys() - values - ({"rows"} if make is wrap else set())
     if missing:
         raise ValueError(f"{kind} lacks {', '.join(sorted(missing))}; use '{EXAMPLES[kind]}'")
-    make = cylinder if kind == "cylinder" else wrap
-    return make(**values)  # type: ignore[arg-type]  # _KEYS holds each function's own types
+    return make(**values)
 
 
-def _around(
-    name: str, angle: NDArray[np.float64], height_m: NDArray[np.float64], radius_m: float
-) -> Generated:
+def _around(name: str, angle: Floats, height_m: Floats, radius_m: float) -> Layout:
+    """Taxels on a cylinder, at angles (M,) [rad] and heights (M,)."""
     normal = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
     position = radius_m * normal
     position[:, 2] = height_m
     i = np.arange(len(angle))
     uid = (i // TAXELS_PER_MODULE + 1) << 4 | (i % TAXELS_PER_MODULE + 1)
-    return Generated(name, uid, position, normal, radius_m)
+    return Layout(name, uid, position, normal, radius_m)
 
 
 def _check_lengths(**lengths_m: float) -> None:

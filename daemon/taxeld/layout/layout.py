@@ -12,7 +12,7 @@ TURN_TOLERANCE_M = 1e-4
 BLOCK = 64  # taxels matched at a time
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Provenance:
     """Facts about a layout from its file, beside its taxels."""
 
@@ -20,10 +20,8 @@ class Provenance:
     missing: int = 0  # entries without a taxel: id −1, temperatures and thermal pads, rows of zeros
     cut: int = 0
     duplicates: int = 0  # taxels left out because their UID came before
-    parent: NDArray[np.float64] | None = (
-        None  # (4, 4) tf_matrix of the first parent frame, in metres
-    )
     pads: int = 0  # thermal pads among the missing, on triangles that have taxels
+    parent: NDArray[np.float64] | None = None  # (4, 4) first parent frame's tf_matrix, in metres
     own_normals: bool = True  # whether the file's normals tell more than one direction
 
 

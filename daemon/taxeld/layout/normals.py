@@ -54,4 +54,5 @@ def _axes(points: Floats) -> tuple[Floats, Floats]:
 
 
 def _is_plane(widths: Floats) -> bool:
+    """Whether points with these widths (3,) along their principal axes lie on a plane."""
     return bool(widths[2] <= FLAT * widths[0])

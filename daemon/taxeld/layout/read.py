@@ -35,7 +35,7 @@ def read(spec: str) -> Layout:
     try:
         made = generated.parse(spec)
         if made is not None:
-            return Layout(made.name, made.uid, made.position_m, made.normal, made.radius_m)
+            return made
         if Path(spec).suffix.lower() not in files.READERS:
             raise ValueError(
                 f"'{spec}' is no known layout; use '{generated.EXAMPLES['cylinder']}', "

@@ -189,14 +189,15 @@ class ObservationModel:
         return Nearby(*(np.concatenate(part) for part in zip(*blocks, strict=True)))
 
     def _cell(self, u: Reals, v: Reals) -> Index:
-        """The grid's cells that hold points (u, v), both in cells from the grid's origin. One look
-        at the sensor's axis tells whether the link reaches the object."""
+        """The grid's cells that hold points (u, v), in cells from the grid's origin; u and v are of
+        one shape, and so is the result."""
         ny, nx = self.scene.silhouette.shape
         column = np.minimum(np.maximum(u, 0.0), nx - 1.001).astype(np.int32)
         row = np.minimum(np.maximum(v, 0.0), ny - 1.001).astype(np.int32)
         return np.asarray(row * nx + column, dtype=np.intp)
 
     def _look_up(self, rows: Index, x: Floats, y: Floats, turn: Floats, about: int) -> Nearby:
+        """`_near` for a block of `rows` (n,), whose sensors are at x, y, turn, each (n,)."""
         scene, most = self.scene, self.grid.taxel.shape[1]
         ny, nx = scene.silhouette.shape
         about = int(np.searchsorted(rows, about))
@@ -257,7 +258,8 @@ def _touched(silhouette: NDArray[np.float32], band_m: float) -> Bools:
 
 
 def _padded(group: NDArray[np.intp], groups: int) -> NDArray[np.intp]:
-    """(groups, most) the members of each group, −1 where it has fewer than the largest."""
+    """Numbers of groups (M,) → (groups, most) the members of each group, −1 where it has fewer than
+    the largest."""
     count = np.bincount(group, minlength=groups)
     members = np.full((groups, int(count.max())), -1)
     order = np.argsort(group, kind="stable")

@@ -12,7 +12,7 @@ from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
-from taxeld.proposals import manifest, scene_file, seal
+from taxeld.proposals import manifest, scene_file
 from taxeld.proposals.analytic import ANALYTIC, Table, check_contacts
 from taxeld.proposals.ladder import Ladder, Rung, Step
 from taxeld.proposals.manifest import Manifest, SamplerEntry
@@ -108,28 +108,27 @@ class Bundle:
 
 
 def is_shipped(name: str) -> bool:
-    return any(
-        path.name == name and (path / manifest.NAME).is_file() for path in _shipped().iterdir()
-    )
+    return name in _shipped()
 
 
 def find(name: str) -> Path:
     """The directory of a shipped bundle's name or of a path."""
     shipped = _shipped()
-    for path in (shipped / name, Path(name)):
-        # the name may not be a path, or lie where this user may not look
-        with contextlib.suppress(OSError, ValueError):
-            if (path / manifest.NAME).is_file():
-                return path
-    names = ", ".join(sorted(p.name for p in shipped.glob("*") if (p / manifest.NAME).is_file()))
+    if name in shipped:
+        return shipped[name]
+    with contextlib.suppress(OSError, ValueError):  # no path, or one where this user may not look
+        if (Path(name) / manifest.NAME).is_file():
+            return Path(name)
     raise SetupError(
-        f"scene.bundle: no bundle {name!r:.100}; shipped are {names}; "
+        f"scene.bundle: no bundle {name!r:.100}; shipped are {', '.join(sorted(shipped))}; "
         "others are built by 'taxeld-train build'"
     )
 
 
-def _shipped() -> Path:
-    return Path(str(resources.files("taxeld") / "bundles"))
+def _shipped() -> dict[str, Path]:
+    """The shipped bundles by their names."""
+    folder = Path(str(resources.files("taxeld") / "bundles"))
+    return {path.parent.name: path.parent for path in folder.glob(f"*/{manifest.NAME}")}
 
 
 def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
@@ -139,7 +138,7 @@ def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
         SetupError: it is missing, damaged, or of another layout or depth.
     """
     path = find(name)
-    found, info = manifest.parse(seal.read(path / manifest.NAME), path / manifest.NAME)
+    found, info = manifest.parse(manifest.read(path / manifest.NAME), path / manifest.NAME)
     if found.layout.digest != layout.digest:
         raise SetupError(
             f"scene.bundle: {path.name} is for the layout {found.layout.name} "
@@ -151,7 +150,7 @@ def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
             f"skin.full_scale_depth_m: is {depth_max_m:g}, but {path.name} was built for "
             f"{found.depth_max_m:g}; set it to that"
         )
-    files = seal.unbroken(path, found.files)
+    files = manifest.unbroken(path, found.files)
     scene = scene_file.parse(files[manifest.SCENE], path / manifest.SCENE)
     try:
         model = ObservationModel(scene, layout, depth_max_m)

@@ -1,12 +1,15 @@
-"""`bundle.json`: the description of a bundle, checked before any of it is used."""
+"""`bundle.json`: the description of a bundle, and the digests of its other files.
 
+Each file is read once: the compared bytes are the ones that are parsed.
+"""
+
+import hashlib
 import json
 from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
 from taxeld.errors import SetupError
-from taxeld.proposals import seal
 from taxeld.proposals.analytic import ANALYTIC
 
 NAME = "bundle.json"
@@ -78,7 +81,40 @@ def parse(text: bytes, path: Path) -> tuple[Manifest, dict[str, Any]]:
             )
         return _checked(Manifest, info, ""), info
     except (ValueError, RecursionError) as error:
-        raise SetupError(f"{path}: {seal.reason(error)}; build the bundle again") from None
+        raise SetupError(f"{path}: {reason(error)}; build the bundle again") from None
+
+
+def read(path: Path) -> bytes:
+    """Raises SetupError where the file is missing or unreadable."""
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise SetupError(f"{path}: {error.strerror}; build the bundle again") from None
+
+
+def unbroken(path: Path, digests: dict[str, str]) -> dict[str, bytes]:
+    """The content of the files {name: SHA-256} in a directory.
+
+    Raises:
+        SetupError: one is missing, or has another digest.
+    """
+    files = {name: read(path / name) for name in digests}
+    for name, data in files.items():
+        if digest(data) != digests[name]:
+            raise SetupError(
+                f"{path / name}: is damaged or was changed: its SHA-256 is not that of "
+                "bundle.json; copy or build the bundle again"
+            )
+    return files
+
+
+def digest(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def reason(error: Exception) -> str:
+    """A parser's message, as a part of one line."""
+    return str(error).partition("\n")[0] or type(error).__name__
 
 
 def _checked(kind: Any, value: object, key: str) -> Any:

@@ -15,7 +15,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.errors import SetupError, one_line
 from taxeld.layout.layout import Layout
-from taxeld.proposals import seal
+from taxeld.proposals import manifest
 
 os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")  # the wheels send telemetry
 import onnxruntime as ort
@@ -53,7 +53,7 @@ class Sampler:
     @classmethod
     def read(cls, path: Path, layout: Layout, name: str) -> Self:
         """A sampler from a file of its own, outside a bundle."""
-        return cls(seal.read(path), layout, name, path)
+        return cls(manifest.read(path), layout, name, path)
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
         """z (M,), live (M,) → poses (n, 3)."""
@@ -111,7 +111,7 @@ def _told_of(path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # onnxruntime's own exceptions share no public base
-        raise SetupError(_fault(path, seal.reason(error))) from None
+        raise SetupError(_fault(path, manifest.reason(error))) from None
 
 
 @contextlib.contextmanager

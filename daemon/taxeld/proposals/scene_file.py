@@ -7,7 +7,7 @@ import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld.model.scene import Scene
-from taxeld.proposals import seal
+from taxeld.proposals import manifest
 
 
 def save(scene: Scene, path: Path) -> None:
@@ -18,7 +18,7 @@ def save(scene: Scene, path: Path) -> None:
 
 def load(path: Path) -> Scene:
     """The scene in the file at `path`, by the rules of `parse`."""
-    return parse(seal.read(path), path)
+    return parse(manifest.read(path), path)
 
 
 def parse(data: bytes, path: Path) -> Scene:
@@ -34,5 +34,5 @@ def parse(data: bytes, path: Path) -> Scene:
         return Scene(**values, cell=cell, symmetry=symmetry)
     except Exception as error:  # exceptions of zip, zlib and numpy's headers share no base
         raise SetupError(
-            f"{path}: unusable scene ({seal.reason(error)}); build the bundle again"
+            f"{path}: unusable scene ({manifest.reason(error)}); build the bundle again"
         ) from None

@@ -49,6 +49,7 @@ class Idle:
         return self._judge(full) if len(full) else NONE
 
     def _judge(self, taxels: Index) -> Index:
+        """Judge the full windows of taxels (n,); → the taxels that were quiet."""
         window = self._window[:, taxels].astype(np.float64)
         self._n[taxels] = 0
         sd = SD_OF_STEP * np.median(np.abs(np.diff(window, axis=0)), axis=0)

@@ -136,13 +136,15 @@ class Drift:
         return free & (np.abs(over) <= threshold)
 
     def _learn_temperature(self, mean: Floats, free: Bools, usable: Bools) -> None:
-        """Learn from the common drift of modules whose taxels are all free."""
+        """Learn from the common drift of modules whose taxels are all free. `mean` (M,) [counts],
+        `free` (M,) and `usable` (M,) are of a slice."""
         number = self._by_module(usable)
         common = self._by_module(np.where(usable, mean - self._zero, 0.0)) / np.maximum(number, 1.0)
         self.temperature.learn(common, (number > 0) & (self._by_module(free) == number))
 
     def _correct(self, mean: Floats, below: Bools, usable: Bools, threshold: Floats) -> None:
-        """Lower baselines that are too high, and raise those of taxels that had only dipped."""
+        """Lower baselines that are too high, and raise those of taxels that had only dipped. All
+        arrays are (M,); `mean` and `threshold` are in counts."""
         wrong = self.dips.lower(self.baseline - mean, below)
         self._zero[wrong] += mean[wrong] - self.baseline[wrong]
         self.baseline[wrong] = mean[wrong]

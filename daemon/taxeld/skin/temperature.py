@@ -87,6 +87,7 @@ class Temperature:
         self.coefficient = np.where(moves, np.where(explains, slope, 0.0), self.coefficient)
 
     def _learn_leak(self, jump: Floats, press: Floats) -> None:
+        """Learn from jumps (K,) of T0 and of the summed press [counts]."""
         used = (np.abs(press) > self._press_min) & ~np.isnan(jump)
         self._leak_xx[used] += press[used] ** 2
         self._leak_xy[used] += press[used] * jump[used]

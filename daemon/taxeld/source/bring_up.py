@@ -29,7 +29,7 @@ SHORT_IDS = 254  # short ids that can be given
 Request = tuple[int, bytes]
 
 
-class Step(IntEnum):
+class RoundStep(IntEnum):
     """Steps of a round: the requests sent, and the answers that end the step."""
 
     REST = 0  # nothing is sent
@@ -54,7 +54,7 @@ class BringUp:
         self._short_ids: dict[int, int] = {}  # hub UID → its short id
         self._unsure: set[int] = set()  # ids that were given and are not acknowledged yet
         self._misnamed: set[int] = set()  # ids whose tables may be another hub's
-        self._step = Step.REST
+        self._step = RoundStep.REST
         self._until_s = -math.inf  # time when the step is given up
         self._anew = True  # whether no hub was sending when the round began
         self._tries = 0  # tries left
@@ -94,10 +94,10 @@ class BringUp:
         """The requests to send now."""
         self._now_s = now_s
         self.waits_for = self._stuck()
-        if self._step in (Step.REST, Step.STREAM):
+        if self._step in (RoundStep.REST, RoundStep.STREAM):
             speaking = self._speaking()
             if speaking and speaking >= {*self._scan_s, *self._found, *self._unsure}:
-                self._step = Step.REST
+                self._step = RoundStep.REST
                 return []
             if not speaking and not self._anew:  # the hubs that were sending have fallen silent too
                 self._begin()
@@ -116,16 +116,16 @@ class BringUp:
 
     def _begin(self) -> None:
         """Begin a round at once."""
-        self._step, self._until_s = Step.REST, -math.inf
+        self._step, self._until_s = RoundStep.REST, -math.inf
 
     def _is_done(self) -> bool:
         """Whether a step has reached its end."""
         match self._step:
-            case Step.FIND | Step.START:
+            case RoundStep.FIND | RoundStep.START:
                 return bool(self._found) and self._found <= self._answered and not self._unsure
-            case Step.ASK:
+            case RoundStep.ASK:
                 return bool(self._told) and self._found <= self._told
-            case Step.ASK_AGAIN:
+            case RoundStep.ASK_AGAIN:
                 known = all(map(self._is_known, self._found | self._told))
                 return bool(self._told) and known
         return False
@@ -135,40 +135,40 @@ class BringUp:
         table = self._decoder.table(ihb)
         return ihb in self._told and table.complete and not table.in_bootloader
 
-    def _next(self) -> Step:
+    def _next(self) -> RoundStep:
         """The step after one that is done, or that took too long."""
         match self._step:
-            case Step.FIND if self._found:
-                return Step.ASK
-            case Step.ASK:
-                return Step.START
-            case Step.START:
-                return Step.ASK_AGAIN
-            case Step.ASK_AGAIN if self._is_done() or not self._tries:
+            case RoundStep.FIND if self._found:
+                return RoundStep.ASK
+            case RoundStep.ASK:
+                return RoundStep.START
+            case RoundStep.START:
+                return RoundStep.ASK_AGAIN
+            case RoundStep.ASK_AGAIN if self._is_done() or not self._tries:
                 if any(map(self._is_known, self._told)):
-                    return Step.STREAM  # the other hubs are asked again in the next round
-            case Step.ASK_AGAIN if self._told:
-                return Step.ASK_AGAIN
-        in_vain = self._step in (Step.FIND, Step.ASK_AGAIN)
-        return Step.REST if in_vain and not self._anew else Step.FIND
+                    return RoundStep.STREAM  # the other hubs are asked again in the next round
+            case RoundStep.ASK_AGAIN if self._told:
+                return RoundStep.ASK_AGAIN
+        in_vain = self._step in (RoundStep.FIND, RoundStep.ASK_AGAIN)
+        return RoundStep.REST if in_vain and not self._anew else RoundStep.FIND
 
-    def _enter(self, step: Step) -> None:
+    def _enter(self, step: RoundStep) -> None:
         wait_s = RETRY_S
         match step:
-            case Step.REST:
+            case RoundStep.REST:
                 wait_s = OTHERS_RETRY_S
-            case Step.FIND:
+            case RoundStep.FIND:
                 self._anew = not self._speaking()
                 self._found, self._answered = set(), set()
-            case Step.START:
+            case RoundStep.START:
                 self._answered = set()
                 self._tries = STARTING_TRIES
-            case Step.ASK:
+            case RoundStep.ASK:
                 self._told = set()
-            case Step.ASK_AGAIN:
+            case RoundStep.ASK_AGAIN:
                 self._told = set()
                 self._tries -= 1
-            case Step.STREAM:
+            case RoundStep.STREAM:
                 wait_s = max(RETRY_S, self._patience_s) if self._anew else OTHERS_RETRY_S
         self._step, self._until_s = step, self._now_s + wait_s
 
@@ -176,17 +176,17 @@ class BringUp:
         """The first requests of a step."""
         find = _request(Command.DISCOVERY_PING)
         match self._step:
-            case Step.FIND:
+            case RoundStep.FIND:
                 return [(LEAVE_BOOTLOADER, b""), find]
-            case Step.ASK | Step.ASK_AGAIN:
+            case RoundStep.ASK | RoundStep.ASK_AGAIN:
                 details = _request(Command.MODULE_DETAILS, module=ALL_MODULES)
                 return [_request(Command.DECLARE), details]
-            case Step.START:
+            case RoundStep.START:
                 start = [_request(Command.MODULE_PROGRAM_END)]
                 if self._anew:
                     return [_request(Command.SET_AUTO_SYNC, on=0), *start, find]
                 return [*(start if self._cold else []), find]
-            case Step.STREAM:
+            case RoundStep.STREAM:
                 period = _request(Command.SET_AUTO_SYNC_PERIOD, period_ms=self._period_ms)
                 return [period, _request(Command.SET_AUTO_SYNC, on=1)]
         return []
@@ -206,7 +206,7 @@ class BringUp:
             self._misnamed |= {packet.ihb, short_id}
         else:
             self._is_named(short_id)
-            if self._step in (Step.REST, Step.STREAM):  # another host asked
+            if self._step in (RoundStep.REST, RoundStep.STREAM):  # another host asked
                 return []
         self._unsure.add(short_id)
         return [_request(Command.DISCOVERY_RECV_ID, uid=uid, short_id=short_id)]
@@ -222,10 +222,10 @@ class BringUp:
             self._scan_s.pop(ihb, None)
             self._cold.pop(ihb, None)
         self._misnamed = set()
-        if self._step in (Step.ASK, Step.ASK_AGAIN):
-            self._step = Step(self._step - 1)
+        if self._step in (RoundStep.ASK, RoundStep.ASK_AGAIN):
+            self._step = RoundStep(self._step - 1)
             self._answered |= self._found
-        elif self._step in (Step.REST, Step.STREAM):
+        elif self._step in (RoundStep.REST, RoundStep.STREAM):
             self._begin()
 
     def _note_bootloader(self, packet: Packet) -> None:

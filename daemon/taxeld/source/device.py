@@ -1,12 +1,36 @@
-"""The interface of a device to the source that reads it."""
+"""A device that connects a skin: its interface to the source that reads it, and its faults."""
 
+import errno
+import os
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from taxeld.errors import SetupError
-from taxeld.source.outbox import Unit
+from taxeld.source.dialects import ToFrames
 from taxeld.source.session import Chunk
 from taxeld_protocol.frames import Frame
+
+FRAMES_PER_POLL = 1000  # limit on a pass, so that a flooded bus cannot hold the loop
+FOREIGN_CLOCK_S = 86_400.0  # a stamp farther from now is not from this machine's clock
+
+ABSENT = "it is not there; is it plugged in?"
+DENIED = "permission denied; is this user in the group that owns it?"
+REASONS = {  # words in place of the system's own
+    errno.ENOENT: ABSENT,
+    errno.ENODEV: ABSENT,
+    errno.ENXIO: ABSENT,
+    errno.EACCES: DENIED,
+    errno.EPERM: DENIED,
+    errno.ENOTTY: "it is no serial line",
+    errno.EISDIR: "it is a directory",
+}
+BUSY = {errno.EAGAIN, errno.EBUSY}
+# faults that waiting does not cure
+FOR_A_PERSON = {errno.EACCES, errno.EPERM, errno.ENOTTY, errno.EISDIR}
+
+Piece = Frame | bytes  # the part of a request that is sent at once: on a bus, on a serial line
 
 
 class LostError(Exception):
@@ -21,6 +45,34 @@ class BusyError(AwayError):
     """A device that another process has open."""
 
 
+def unopened(where: str, error: Exception) -> SetupError:
+    """The exception for `error` when opening a device at `where`."""
+    number = _errno(error)
+    if number in BUSY:
+        return BusyError(
+            f"source.channel: cannot open {where} (another process has it open; stop that first, "
+            f"'fuser {where}' tells which)"
+        )
+    reason = REASONS.get(number) or (os.strerror(number) if number else first_line(error))
+    for_a_person = number in FOR_A_PERSON or (not number and isinstance(error, ValueError))
+    kind = SetupError if for_a_person else AwayError
+    return kind(f"source.channel: cannot open {where} ({reason})")
+
+
+def first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else type(error).__name__
+
+
+def _errno(error: BaseException | None) -> int:
+    """The system's number of the fault behind an exception; 0 where there is none."""
+    while error is not None:
+        number = getattr(error, "errno", None) or next(iter(error.args), None)
+        if isinstance(number, int):
+            return number
+        error = error.__cause__ or error.__context__
+    return 0
+
+
 @dataclass(slots=True)
 class Noticed:
     """Faults that a device has noticed since they were last taken."""
@@ -32,36 +84,95 @@ class Noticed:
     lines: list[str] = field(default_factory=list)  # lines for the log
 
 
-class Device(Protocol):
-    """An open CAN interface or serial line."""
+class Device(ABC):
+    """An open CAN interface or serial line. Neither reading nor writing waits."""
 
-    noticed: Noticed  # faults so far; the reader takes them and leaves a fresh object
+    waits_for = ""  # a line on why nothing comes; empty where nothing is amiss
 
-    @property
-    def waits_for(self) -> str:
-        """A line on why nothing comes; empty where nothing is amiss."""
-        ...
+    def __init__(self) -> None:
+        self.noticed = Noticed()  # faults so far; the reader takes them and leaves a fresh object
 
     def fileno(self) -> int:
-        """A descriptor that is readable when something has arrived; negative where there is
-        none."""
-        ...
+        """A descriptor that is readable when something has arrived; negative without one."""
+        return -1
 
+    @abstractmethod
     def read(self) -> list[Frame] | list[Chunk]:
         """The frames of a bus, or the bytes of a line, that have arrived. Raises LostError."""
-        ...
 
-    def tend(self, now_s: float) -> None:
+    def tend(self, now_s: float) -> None:  # noqa: B027  (most have none)
         """Do work beside requests; `now_s` is monotonic. Raises LostError."""
 
-    def pack(self, command: int, payload: bytes) -> list[Unit]:
-        """A request as units for a broadcast."""
-        ...
+    @abstractmethod
+    def pack(self, command: int, payload: bytes) -> Sequence[Piece]:
+        """A request to all hubs, as the pieces that this device sends."""
 
-    def put(self, unit: Unit) -> Unit | None:
-        """Hand over a unit, by the rules of `outbox.Taker`."""
-        ...
+    @abstractmethod
+    def put(self, piece: Piece) -> None:
+        """Send a piece whole, some of it perhaps later.
 
+        Raises:
+            BlockingIOError: the device takes nothing now.
+            LostError: the device is gone.
+        """
+
+    @abstractmethod
     def close(self, wait_s: float = 0.0) -> None:
         """Close. The last written bytes have `wait_s` to leave, and are lost after that."""
-        ...
+
+
+class BusDevice(Device):
+    """A CAN interface that gives and takes one frame after the other."""
+
+    def __init__(self, to_frames: ToFrames) -> None:
+        super().__init__()
+        self._to_frames = to_frames
+        self._fault: OSError | None = None  # reported after the frames that came before it
+
+    def read(self) -> list[Frame]:
+        frames: list[Frame] = []
+        now = time.time()
+        for _ in range(FRAMES_PER_POLL):
+            try:
+                frame = self._receive()
+            except BlockingIOError:
+                break
+            except ValueError:
+                self.noticed.noise += 1
+                break
+            except OSError as error:
+                self._fault = error
+                break
+            if frame is None:
+                self.noticed.foreign += 1
+            elif abs(frame.t - now) < FOREIGN_CLOCK_S:
+                frames.append(frame)
+            else:
+                frames.append(frame._replace(t=now))
+        if self._fault is not None and not frames:
+            raise LostError from self._fault
+        return frames
+
+    def pack(self, command: int, payload: bytes) -> Sequence[Piece]:
+        return self._to_frames(command, payload)
+
+    def put(self, piece: Piece) -> None:
+        assert isinstance(piece, Frame)  # noqa: S101  (as packed)
+        try:
+            self._send(piece)
+        except OSError as error:  # full or down; reading finds a lost device
+            raise BlockingIOError from error
+
+    @abstractmethod
+    def _receive(self) -> Frame | None:
+        """The next frame; None for one that is not a classic data frame.
+
+        Raises:
+            BlockingIOError: there is none now.
+            ValueError: it could not be decoded.
+            OSError: the device is gone.
+        """
+
+    @abstractmethod
+    def _send(self, frame: Frame) -> None:
+        """Raises OSError where the frame is not taken."""

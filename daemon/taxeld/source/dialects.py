@@ -1,40 +1,21 @@
 """The skins' protocols: for each, its decoder, its bring-up, and the form of its requests."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 from taxeld.config.tables import SourceConfig
 from taxeld.layout.layout import Layout
 from taxeld.source import icub_part, module_order
-from taxeld.source.bring_up import BringUp, Request
+from taxeld.source.bring_up import BringUp
 from taxeld.source.icub_bring_up import IcubBringUp
-from taxeld.source.module_order import Listening, Recorded
+from taxeld.source.module_order import Listening, RecordedModules
 from taxeld.source.session import Items
 from taxeld_protocol import cyskin, icub
-from taxeld_protocol.cyskin import BROADCAST, Packet
+from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.decoder import Decoder, ScanDecoder
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.icub_decoder import IcubDecoder
-
-
-class Starter(Protocol):
-    """A bring-up: decides what to send to get scans and to keep them coming."""
-
-    waits_for: str  # a line on what the skin must still do; empty where nothing is missing
-
-    def restart(self) -> None: ...
-
-    def on_packet(self, packet: Packet, /) -> list[Request]: ...
-
-    def on_scan(self, ihb: int, now_s: float) -> None: ...
-
-    def due(self, now_s: float) -> Iterable[Request]: ...
-
-    def stop(self) -> list[Request]: ...
-
-    def news(self) -> list[str]: ...
-
 
 ToFrames = Callable[[int, bytes], list[Frame]]
 
@@ -43,7 +24,7 @@ class Dialect(NamedTuple):
     """A protocol, ready for one source."""
 
     decoder: ScanDecoder
-    bring_up: Starter | None  # None: never send
+    bring_up: BringUp | IcubBringUp | None  # None: never send
     to_frames: ToFrames  # a request as CAN frames
     listening: Listening | None = None  # set where something else starts the skin
 
@@ -73,23 +54,13 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
 
 def replayed(config: SourceConfig, layout: Layout, items: Items, what: str) -> ScanDecoder:
     """The decoder of the configured dialect for a recording, named by `what`. CySkin's decoder
-    raises SetupError while it decodes, where the modules are unknown.
+    raises SetupError later on for a hub whose modules are unknown.
 
     Raises:
-        SetupError: the layout needs more boards than are configured, or their order is unknown.
+        SetupError: the modules or boards of the first scan are unknown.
     """
     if config.dialect == "icub":
         return icub_part.replayed(config, layout, items, what)
-    module_order.given(config, layout)
-    return Decoder(Recorded(config, items, what).of, config.period_ms / 1000.0)
-
-
-def check_recording(config: SourceConfig, layout: Layout, items: Items, what: str) -> None:
-    """Check that `replayed` can decode the first scan of a recording.
-
-    Raises:
-        SetupError: the modules or boards are unknown.
-    """
-    replayed(config, layout, items, what)
-    if config.dialect == "cyskin":
-        Recorded(config, items, what).check()
+    given = module_order.given(config, layout)
+    known = RecordedModules(config, given, items, what)
+    return Decoder(known.of, config.period_ms / 1000.0)

@@ -33,7 +33,7 @@ Step = tuple[bytes, float]  # a command, and the pause after it
 
 
 @dataclass(slots=True)
-class _Board:
+class _BoardStart:
     """A board's bring-up: its next step, and when."""
 
     number: int
@@ -75,7 +75,7 @@ class IcubBringUp:
         self._named = tuple(boards)
         self._head = [(icub.ASK, ANSWER_S), (icub.set_board(period_ms, skin_type), PAUSE_S)]
         self._calibration_s = CALIBRATION_S + 2 * period_ms / 1000.0
-        self._boards: list[_Board] = []
+        self._boards: list[_BoardStart] = []
         self._answered: tuple[int, ...] = ()  # boards that have answered so far
         # times when asking began, and when the last board answered
         self._begun_s = self._found_s = math.inf
@@ -120,7 +120,7 @@ class IcubBringUp:
         """Take these boards for the part's. Boards without its triangles are left alone."""
         self._decoder.assign(boards)
         self._boards = [
-            _Board(number, [*self._head, *self._triangles(mask), (icub.START, SILENCE_S)])
+            _BoardStart(number, [*self._head, *self._triangles(mask), (icub.START, SILENCE_S)])
             for number, mask in zip(boards, self._part.triangles, strict=False)
             if mask
         ]
@@ -144,7 +144,7 @@ class IcubBringUp:
             return [(board, icub.ASK) for board in icub.BOARDS]
         return []
 
-    def _step(self, board: _Board, now_s: float) -> list[Request]:
+    def _step(self, board: _BoardStart, now_s: float) -> list[Request]:
         """The requests to send to one board."""
         heard = self._decoder.heard(board.number)
         speaks, board.heard = heard > board.heard, heard

@@ -108,9 +108,7 @@ def replayed(
 def _answering(config: SourceConfig, recorded: Sequence[Frame | Chunk]) -> tuple[int, ...]:
     """The skin boards that answer in a recording."""
     skin = IcubDecoder()
-    wire = Wire(config, skin)
-    for item in recorded:
-        wire.take(item, item.t)
+    Wire(config, skin).take(recorded)
     return tuple(sorted(answer.board for answer in skin.answered.values() if answer.is_skin))
 
 

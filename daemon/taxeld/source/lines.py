@@ -8,13 +8,12 @@ import time
 import serial
 
 from taxeld.config.tables import SourceConfig
-from taxeld.source.device import LostError, Noticed
+from taxeld.source.device import Device, LostError, Piece, unopened
 from taxeld.source.dialects import ToFrames
-from taxeld.source.opening import unopened
-from taxeld.source.outbox import Unit
 from taxeld.source.session import Chunk
-from taxeld_protocol import serial_link
+from taxeld_protocol import serial_link, slcan
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER
+from taxeld_protocol.frames import Frame
 
 BYTES_PER_POLL = 65536
 SPEEDS = range(1200, 12_000_001)  # bit/s
@@ -26,11 +25,12 @@ def line_speed(text: str) -> int | None:
     return int(text) if digits and int(text) in SPEEDS else None
 
 
-class SerialLine:
+class SerialLine(Device):
     """An open serial line."""
 
     def __init__(self, where: str, baud: int) -> None:
-        self.noticed = Noticed()
+        super().__init__()
+        self._rest = b""  # rest of a piece of which the line has taken a part
         try:
             self._port = serial.Serial(where, baud, timeout=0, exclusive=True)
         except (OSError, ValueError, termios.error) as error:
@@ -39,11 +39,15 @@ class SerialLine:
     def fileno(self) -> int:
         return int(self._port.fileno())
 
-    def put(self, unit: Unit) -> Unit | None:
-        taken = self._write(unit.line)
+    def tend(self, now_s: float) -> None:  # noqa: ARG002
+        self._send_rest()
+
+    def put(self, piece: Piece) -> None:
+        data = slcan.encode(piece) if isinstance(piece, Frame) else piece
+        taken = 0 if self._send_rest() else self._write(data)
         if not taken:
             raise BlockingIOError
-        return unit._replace(line=unit.line[taken:]) if taken < len(unit.line) else None
+        self._rest = data[taken:]
 
     def close(self, wait_s: float = 0.0) -> None:
         with contextlib.suppress(OSError, termios.error):
@@ -52,6 +56,12 @@ class SerialLine:
                 self._port.reset_output_buffer()
         with contextlib.suppress(OSError):
             self._port.close()
+
+    def _send_rest(self) -> bytes:
+        """Send what is left of the last piece; → the part that is left now. Raises LostError."""
+        if self._rest:
+            self._rest = self._rest[self._write(self._rest) :]
+        return self._rest
 
     def _receive(self) -> bytes:
         try:
@@ -64,7 +74,7 @@ class SerialLine:
             raise LostError from error
 
     def _write(self, data: bytes) -> int:
-        """Write without waiting; → the number of bytes taken."""
+        """Write without waiting; → the number of bytes taken. Raises LostError."""
         try:
             # pyserial's `write` either waits or, told not to, spins while the line is full
             return os.write(self._port.fileno(), data)
@@ -76,14 +86,13 @@ class SerialLine:
     def _drain(self, wait_s: float) -> None:
         """Give written bytes `wait_s` to leave."""
         deadline = time.monotonic() + wait_s
-        while self._port.out_waiting and time.monotonic() < deadline:
-            time.sleep(wait_s / 20.0)
+        with contextlib.suppress(LostError):
+            while (self._send_rest() or self._port.out_waiting) and time.monotonic() < deadline:
+                time.sleep(wait_s / 20.0)
 
 
 class SerialDevice(SerialLine):
     """A hub's own link on a serial line."""
-
-    waits_for = ""
 
     def __init__(self, config: SourceConfig, _: ToFrames) -> None:
         super().__init__(config.channel, config.baud)
@@ -92,12 +101,7 @@ class SerialDevice(SerialLine):
         data = self._receive()
         return [Chunk(time.time(), data)] if data else []
 
-    def tend(self, now_s: float) -> None:
-        """Do nothing: the bring-up asks a hub for everything."""
-
-    @staticmethod
-    def pack(command: int, payload: bytes) -> list[Unit]:
-        # a recording of a line holds only the bytes read from it
+    def pack(self, command: int, payload: bytes) -> list[bytes]:
         if command == LEAVE_BOOTLOADER:  # a hub that speaks this link runs its application
             return []
-        return [Unit(None, serial_link.encode(command, payload, ihb=BROADCAST))]
+        return [serial_link.encode(command, payload, ihb=BROADCAST)]

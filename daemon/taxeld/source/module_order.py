@@ -6,6 +6,7 @@ in a recording, or is unknown.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 
 from taxeld.config.tables import SourceConfig
@@ -24,7 +25,7 @@ CURE = (
 )
 
 
-class Given:
+class ListedModules:
     """The modules listed by `source.modules`, by hub. A list without hubs belongs to one hub: the
     first that asks."""
 
@@ -43,14 +44,18 @@ class Given:
         return listed(self._by_hub.get(ihb, ()))
 
 
-class Recorded:
+class RecordedModules:
     """The modules found in a recording, or listed by `source.modules`."""
 
-    def __init__(self, config: SourceConfig, items: Items, what: str) -> None:
-        """`what`: name of the recording in messages."""
-        self._config, self._items, self._what = config, items, what
-        self._given = Given(config.modules)
-        self._told: dict[int, list[Module]] | None = None
+    def __init__(self, config: SourceConfig, given: ListedModules, items: Items, what: str) -> None:
+        """`what`: name of the recording in messages.
+
+        Raises:
+            SetupError: the modules of the first scan are unknown.
+        """
+        self._config, self._given, self._items, self._what = config, given, items, what
+        wire = Wire(config, Decoder(self.of))
+        any(heard.scans for item in items for heard in wire.take([item]))  # up to the first scan
 
     def of(self, ihb: int) -> list[Module]:
         """The modules of a hub that streams before it has declared them; empty where only other
@@ -59,33 +64,20 @@ class Recorded:
         Raises:
             SetupError: no hub's modules are known.
         """
-        if self._told is None:
-            self._told = self._search()
-        found = self._told.get(ihb) or self._given.of(ihb)
-        if not (found or self._told or self._given):
+        declared = self._declared
+        found = declared.get(ihb) or self._given.of(ihb)
+        if not (found or declared or self._given):
             raise SetupError(missing(f"hub {ihb} of {self._what}"))
         return found
 
-    def check(self) -> None:
-        """Check that the first scan can be decoded.
-
-        Raises:
-            SetupError: the modules are unknown.
-        """
-        wire = Wire(self._config, Decoder(self.of))
-        for item in self._items:
-            if any(heard.scans for heard in wire.take(item, item.t)):
-                return
-
-    def _search(self) -> dict[int, list[Module]]:
+    @cached_property
+    def _declared(self) -> dict[int, list[Module]]:
         decoder = Decoder()
-        wire = Wire(self._config, decoder)
-        for item in self._items:
-            wire.take(item, item.t)
-        return _told(decoder)
+        Wire(self._config, decoder).take(self._items)
+        return _placed(decoder)
 
 
-def given(config: SourceConfig, layout: Layout) -> Given:
+def given(config: SourceConfig, layout: Layout) -> ListedModules:
     """The modules listed by `source.modules`.
 
     Raises:
@@ -98,7 +90,7 @@ def given(config: SourceConfig, layout: Layout) -> Given:
             f"source.modules: none of its {len(config.modules)} modules is in {layout.name}, "
             f"not even {first}; list those of this skin"
         )
-    return Given(config.modules)
+    return ListedModules(config.modules)
 
 
 class Listening:
@@ -114,7 +106,7 @@ class Listening:
         counters = self._decoder.counters
         if self._can or not (counters.undeclared or counters.scans):
             return ""
-        self._can = bool(_told(self._decoder))
+        self._can = bool(_placed(self._decoder))
         if self._since_s is None:
             self._since_s = now_s
         if self._can or now_s - self._since_s < UNPLACED_S:  # the host may be asking just now
@@ -127,7 +119,7 @@ def complete(decoder: Decoder) -> dict[int, list[Module]]:
     return {ihb: hub.table.modules for ihb, hub in decoder.hubs.items() if hub.table.detailed}
 
 
-def _told(decoder: Decoder) -> dict[int, list[Module]]:
+def _placed(decoder: Decoder) -> dict[int, list[Module]]:
     """Short id → modules, for the hubs that declared any; an undeclared module has no taxels."""
     tables = {ihb: hub.table.modules for ihb, hub in decoder.hubs.items()}
     return {ihb: t for ihb, t in tables.items() if any(m.sui is not None for m in t)}

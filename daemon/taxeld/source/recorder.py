@@ -86,7 +86,7 @@ class Recorder:
         self._waiting: deque[Item] = deque()
         self._came = self._refused = 0  # records taken so far, and records refused
         self._came_bytes = self._taken_bytes = 0  # bytes put by the caller, and taken
-        self._frames = self._chunks = self._bytes = self._poses = 0  # counts of what is written
+        self._written = {"frames": 0, "chunks": 0, "bytes": 0, "poses": 0}
         self._failed = False
         self._closing = threading.Event()
         # a hanging disk must not keep the process from ending
@@ -95,9 +95,9 @@ class Recorder:
     @property
     def counters(self) -> RecordCounters:
         """The counts as far as written."""
-        unwritten = self._came - self._frames - self._chunks - self._poses
-        dropped = self._refused + (unwritten if self._failed else 0)
-        return RecordCounters(self._frames, self._bytes, self._poses, dropped, self._failed)
+        frames, chunks, size, poses = self._written.values()
+        unwritten = self._came - frames - chunks - poses if self._failed else 0
+        return RecordCounters(frames, size, poses, self._refused + unwritten, self._failed)
 
     def pose(self, t: float, x: float, y: float, theta: float) -> None:
         """Record a sensor pose in the world."""
@@ -153,7 +153,9 @@ class Recorder:
                 files.sync()
                 next_sync_s = time.monotonic() + SYNC_S
         if has_begun:
-            files.append(ABOUT, self._totals().encode())
+            totals = {"dropped": self._refused, **self._written}
+            text = "".join(f"{name} = {count}\n" for name, count in totals.items())
+            files.append(ABOUT, text.encode())
             files.sync()
 
     def _begin(self, files: "_Files") -> None:
@@ -164,36 +166,27 @@ class Recorder:
             files.append(POSES, b"")
 
     def _write(self, files: "_Files", items: list[Item]) -> None:
-        line, rows, frames, poses = bytearray(), bytearray(), bytearray(), bytearray()
-        chunks = 0
+        parts = {name: bytearray() for name in (SERIAL, SERIAL_TIMES, FRAMES, POSES)}
+        written = self._written.copy()
         for item in items:
             if isinstance(item, Frame):
-                frames += format_log_line(item).encode() + b"\n"
+                parts[FRAMES] += format_log_line(item).encode() + b"\n"
+                written["frames"] += 1
             elif isinstance(item, Chunk):
-                rows += b"%.6f,%d\n" % (item.t, self._bytes + len(line))
-                line += item.data
-                chunks += 1
+                parts[SERIAL_TIMES] += b"%.6f,%d\n" % (item.t, written["bytes"])
+                parts[SERIAL] += item.data
+                written["bytes"] += len(item.data)
+                written["chunks"] += 1
             else:
                 t, x, y, theta = item
-                poses += f"{t:.6f},{x!r},{y!r},{theta!r}\n".encode()
-        if chunks:
+                parts[POSES] += f"{t:.6f},{x!r},{y!r},{theta!r}\n".encode()
+                written["poses"] += 1
+        if parts[SERIAL]:
             files.append(SERIAL_TIMES, b"")  # each line needs a file that dates it
-            files.append(SERIAL, line)
-            files.append(SERIAL_TIMES, rows)
-        if frames:
-            files.append(FRAMES, frames)
-        if poses:
-            files.append(POSES, poses)
-        self._chunks += chunks
-        self._bytes += len(line)
-        self._frames += frames.count(b"\n")
-        self._poses += poses.count(b"\n")
-
-    def _totals(self) -> str:
-        return (
-            f"dropped = {self._refused}\nframes = {self._frames}\nchunks = {self._chunks}\n"
-            f"bytes = {self._bytes}\nposes = {self._poses}\n"
-        )
+        for name, data in parts.items():
+            if data:
+                files.append(name, data)
+        self._written = written
 
 
 class _Files:

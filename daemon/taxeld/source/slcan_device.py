@@ -13,10 +13,9 @@ import time
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source.device import LostError
+from taxeld.source.device import LostError, Piece
 from taxeld.source.dialects import ToFrames
 from taxeld.source.lines import SerialLine, line_speed
-from taxeld.source.outbox import Unit
 from taxeld.source.session import Chunk
 from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame
@@ -72,31 +71,17 @@ class SlcanDevice(SerialLine):
         self._where = line[0]
         self._to_frames = to_frames
         self._reader = slcan.SlcanReader()
-        rate = slcan.BITRATES[config.bitrate] + slcan.CR
         self._listen_only = config.listen_only
-        self._opening = [CLOSE_TWICE, rate, *((LISTEN, SILENT) if self._listen_only else (NORMAL,))]
-        self._opening.append(OPEN)
+        quiet = (LISTEN, SILENT) if self._listen_only else (NORMAL,)
+        self._opening = [CLOSE_TWICE, slcan.BITRATES[config.bitrate] + slcan.CR, *quiet, OPEN]
         self._steps = list(self._opening)  # commands still to be sent
-        self._unsent = b""  # rest of a command that the line has not taken yet
-        self._line = b""  # command sent last: an answer is taken to be for it
+        self._line = b""  # command or frame sent last: an answer is taken to be for it
         self._answer: bool | None = None  # whether a command was accepted; None: not answered yet
-        self._cut = False  # whether the line has taken only a part of a request
         self._step_s = -math.inf  # monotonic time of the last command
         self._heard_s = math.inf  # monotonic time of the last frame, or of the last command
         self._silence_s = max(SILENCE_S, SILENT_PERIODS * config.period_ms / 1000.0)
         self._frame_came = False  # whether a frame came since the last `tend`
-        self._is_silent = False
         self._complained: set[bytes] = set()  # first letters of refused lines that were logged
-
-    @property
-    def waits_for(self) -> str:
-        if not self._is_silent:
-            return ""
-        every = f"{self._silence_s:g} s"
-        return (
-            f"source.channel: nothing has come from {self._where} for {every}; "
-            f"its channel is opened again every {every}"
-        )
 
     def read(self) -> list[Frame] | list[Chunk]:
         data, now = self._receive(), time.time()
@@ -121,39 +106,51 @@ class SlcanDevice(SerialLine):
     def tend(self, now_s: float) -> None:
         """Open the channel, and open it again when frames stop."""
         if self._frame_came:
-            self._frame_came = self._is_silent = False
-            self._heard_s = now_s
+            self._frame_came = False
+            self._heard_s, self.waits_for = now_s, ""
         if now_s >= self._heard_s + self._silence_s:
-            self.noticed.silences += not self._is_silent
-            self._is_silent = True
-            self._set_line()
-            self._steps, self._unsent = list(self._opening), b""
-            self._line, self._answer = b"", None
-            self._step_s, self._heard_s = -math.inf, now_s
-        if self._steps and not self._unsent and self._may_go_on(now_s):
-            self._line = self._unsent = self._steps.pop(0)
+            self._begin_anew()
+            self._heard_s = now_s
+        if not self._send_rest() and self._steps and self._may_go_on(now_s):
+            self._line = self._rest = self._steps.pop(0)
             self._answer = None
             self._step_s = self._heard_s = now_s
-        if self._unsent and not self._cut:
-            self._unsent = self._unsent[self._write(self._unsent) :]
+            self._send_rest()
 
-    def pack(self, command: int, payload: bytes) -> list[Unit]:
+    def pack(self, command: int, payload: bytes) -> list[Frame] | list[bytes]:
         frames = self._to_frames(command, payload)
-        return [Unit(f if self._is_bus else None, slcan.encode(f)) for f in frames]
+        return frames if self._is_bus else [slcan.encode(frame) for frame in frames]
 
-    def put(self, unit: Unit) -> Unit | None:
-        if not self._cut and (self._steps or self._unsent):
+    def put(self, piece: Piece) -> None:
+        if self._steps:
             raise BlockingIOError
-        rest = super().put(unit)
-        self._line, self._cut = unit.line, rest is not None
-        return rest
+        super().put(piece)
+        self._line = slcan.encode(piece) if isinstance(piece, Frame) else piece
 
     def close(self, wait_s: float = 0.0) -> None:
         with contextlib.suppress(OSError, termios.error):
-            self._drain(wait_s)
-            time.sleep(min(wait_s, LEAVE_S))
-            os.write(self._port.fileno(), CLOSE + NORMAL if self._listen_only else CLOSE)
+            if self._line:
+                self._drain(wait_s)
+                time.sleep(min(wait_s, LEAVE_S))
+                os.write(self._port.fileno(), CLOSE + NORMAL if self._listen_only else CLOSE)
         super().close(wait_s)
+
+    def _begin_anew(self) -> None:
+        """Open the channel again, after a silence that is counted once."""
+        if not self.waits_for:
+            every = f"{self._silence_s:g} s"
+            self.waits_for = (
+                f"source.channel: nothing has come from {self._where} for {every}; "
+                f"its channel is opened again every {every}"
+            )
+            self.noticed.silences += 1
+        try:
+            # another process that closed the channel may have set the line otherwise
+            self._port.baudrate = self._port.baudrate
+        except (OSError, termios.error) as error:
+            raise LostError from error
+        self._steps = list(self._opening)
+        self._line, self._answer, self._step_s = b"", None, -math.inf
 
     def _may_go_on(self, now_s: float) -> bool:
         """Whether the next step may be taken; the last answer ends the steps."""
@@ -174,10 +171,3 @@ class SlcanDevice(SerialLine):
             name = line.removesuffix(slcan.CR).decode()
             cure = REFUSALS.get(kind, "is it another kind of adapter?")
             self.noticed.lines.append(f"source.channel: {self._where} refused {name} ({cure})")
-
-    def _set_line(self) -> None:
-        """Set the line again: another process that closed the channel may have changed it."""
-        try:
-            self._port.baudrate = self._port.baudrate
-        except (OSError, termios.error) as error:
-            raise LostError from error

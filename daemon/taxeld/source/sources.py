@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
@@ -24,8 +23,8 @@ from taxeld.source.devices import open_device
 from taxeld.source.dialects import Dialect, ToFrames
 from taxeld.source.outbox import Outbox
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Chunk, Items, Session, joined
-from taxeld.source.wire import Heard, Wire
+from taxeld.source.session import Session
+from taxeld.source.wire import Wire
 from taxeld_protocol.decoder import Scan
 
 OnPose = Callable[[float, float, float, float], None]
@@ -51,48 +50,31 @@ class SourceCounters:
     silences: int = 0  # times that an SLCAN adapter fell silent and was opened again
 
 
-class Source(Protocol):
+class Source:
     """A source as the loop sees it."""
 
-    wire: Wire
-    counters: SourceCounters
-    device: Device | None  # the open device; the loop waits on its descriptor
+    device: Device | None = None  # the open device; the loop waits on its descriptor
+    is_busy = True  # whether it must be polled at every tick, as no descriptor would wake the loop
+    finished = False  # whether nothing more will ever come
+    waits_for = ""  # a line on why no scans come; empty where nothing is amiss
+    fault = ""  # a line on why no scan can ever be used; empty where nothing is amiss
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether the source must be polled at every tick, as no descriptor would wake the loop."""
-        ...
-
-    @property
-    def finished(self) -> bool:
-        """Whether nothing more will ever come."""
-        ...
-
-    @property
-    def waits_for(self) -> str:
-        """A line on why no scans come; empty where nothing is amiss."""
-        ...
-
-    @property
-    def fault(self) -> str:
-        """A line on why no scan can ever be used; empty where nothing is amiss."""
-        ...
+    def __init__(self, wire: Wire) -> None:
+        self.wire = wire
+        self.counters = SourceCounters()
 
     def gather(self) -> int:
-        """Read the device and keep the items for the next `poll` with `hear`; → the number of
-        frames, or of bytes of a line, now kept."""
-        ...
+        return 0
 
     def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:
-        """Scans that have arrived; `now_s` is monotonic. Without `hear` the device is not read:
-        only its channel and the requests to the skin are served."""
-        ...
+        """Scans that have arrived; `now_s` is monotonic."""
+        raise NotImplementedError
 
     def clock_stepped(self, by: float) -> None:
         """The Unix clock was set forward by `by` seconds."""
-        ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Stop the skin and close the device, if there is one."""
 
 
 def open_source(
@@ -119,10 +101,8 @@ def open_source(
     return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
 
 
-class LiveSource:
+class LiveSource(Source):
     """A device that may go and come back, and the bring-up of the skin behind it."""
-
-    finished = False
 
     def __init__(
         self,
@@ -133,18 +113,12 @@ class LiveSource:
         *,
         wait: bool = False,
     ) -> None:
-        self.wire = Wire(config, dialect.decoder)
-        self.counters = SourceCounters()
-        self.waits_for = self.fault = ""
+        super().__init__(Wire(config, dialect.decoder))
         self._open: Callable[[], Device] = lambda: device(config, dialect.to_frames)
         self._recorder = recorder
         self._bring_up = dialect.bring_up
         self._listening = dialect.listening
-        self.device: Device | None = None
         self._outbox: Outbox | None = None
-        self._held: Items = []  # items read from the device and not decoded yet
-        self._size = 0  # size of the held items, in frames or bytes
-        self._failed: LostError | None = None  # loss of the device, after the held items
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._lines, self._next_line_s = LOG_BURST, 0.0
         try:
@@ -155,34 +129,19 @@ class LiveSource:
             self._wait(str(error), -math.inf)
 
     @property
-    def is_busy(self) -> bool:
+    def is_busy(self) -> bool:  # type: ignore[override]
         return bool(self._outbox) or (self.device is not None and self.device.fileno() < 0)
 
-    def gather(self) -> int:
-        if self.device is not None and self._failed is None:
-            try:
-                items = self.device.read()
-            except LostError as error:
-                self._failed = error
-            else:
-                self._held = [*self._held, *items]
-                self._size += sum(len(i.data) if isinstance(i, Chunk) else 1 for i in items)
-        return self._size
-
-    def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:
+    def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:  # noqa: ARG002
         if self.device is None:
             self._reopen(now_s)
-            hear = True
         if self.device is None or self._outbox is None:
             return []
         try:
-            return self._exchange(self.device, self._outbox, now_s, hear=hear)
+            return self._exchange(self.device, self._outbox, now_s)
         except LostError as error:
             self._lose(self.device, str(error.__cause__ or "no cause is known"), now_s)
             return []
-
-    def clock_stepped(self, by: float) -> None:
-        """Do nothing: each read takes the time anew."""
 
     def close(self) -> None:
         if self.device is not None and self._outbox is not None:
@@ -192,28 +151,34 @@ class LiveSource:
             self.device = None
 
     def _take(self, device: Device) -> None:
-        self.device, self._outbox, self._failed = device, Outbox(device), None
+        self.device, self._outbox = device, Outbox(device)
         self._pause_s = REOPEN_S[0]
         self.waits_for = ""
 
-    def _exchange(self, device: Device, outbox: Outbox, now_s: float, *, hear: bool) -> list[Scan]:
+    def _exchange(self, device: Device, outbox: Outbox, now_s: float) -> list[Scan]:
+        """One turn: hear what has come, and send what is due. Raises LostError."""
         scans: list[Scan] = []
         bring_up = self._bring_up
-        for packet, ended in self._hear() if hear or self._failed else ():
+        items = device.read()
+        if self._recorder is not None:
+            for item in items:
+                self._recorder.take(item)
+        for packet, ended in self.wire.take(items):
             scans += ended
             if packet is not None and bring_up is not None:
-                outbox.add_all(bring_up.on_packet(packet), now_s)
+                outbox.add(bring_up.on_packet(packet), now_s)
+        lacks = ""
         if bring_up is not None:
             for scan in scans:
                 bring_up.on_scan(scan.ihb, now_s)
-            outbox.add_all(bring_up.due(now_s), now_s)
+            outbox.add(bring_up.due(now_s), now_s)
             for line in bring_up.news():
                 self._say(logging.INFO, line, now_s)
+            lacks = bring_up.waits_for
         if self._listening is not None:
             self.fault = self._listening.fault(now_s)
         device.tend(now_s)
         self._follow(device, outbox, now_s)
-        lacks = "" if bring_up is None else bring_up.waits_for
         self._heed(device.waits_for or lacks, now_s)
         self._flush(outbox, now_s)
         return scans
@@ -231,17 +196,6 @@ class LiveSource:
         if noticed.silences:
             outbox.clear()  # a skin that still streams behind it must not be set up anew
 
-    def _hear(self) -> list[Heard]:
-        if not self._held:  # the descriptor wakes the loop for later items
-            self.gather()
-        items, self._held, self._size = joined(self._held), [], 0
-        if self._failed is not None and not items:
-            raise self._failed
-        if self._recorder is not None:
-            for item in items:
-                self._recorder.take(item)
-        return self.wire.take_all(items)
-
     def _flush(self, outbox: Outbox, now_s: float) -> None:
         try:
             for frame in outbox.flush(now_s) if outbox else ():
@@ -254,8 +208,7 @@ class LiveSource:
     def _stop(self, outbox: Outbox) -> None:
         """Tell the skin to stop, if its device takes the request in time."""
         now_s = time.monotonic()
-        for request in self._bring_up.stop() if self._bring_up else []:
-            outbox.add(request, now_s)
+        outbox.add(self._bring_up.stop() if self._bring_up else [], now_s)
         with contextlib.suppress(LostError):
             self._flush(outbox, now_s)
             while outbox and time.monotonic() < now_s + CLOSE_S:
@@ -312,16 +265,11 @@ class LiveSource:
             log.log(level, "%s", line)
 
 
-class ReplaySource:
-    """A recorded session at its own pace, its times moved to now."""
-
-    waits_for = fault = ""
-    device: Device | None = None
-    is_busy = True  # ticks give its pace
+class ReplaySource(Source):
+    """A recorded session at its own pace, which ticks give, its times moved to now."""
 
     def __init__(self, recorded: Session, wire: Wire, on_pose: OnPose | None) -> None:
-        self.wire = wire
-        self.counters = SourceCounters()
+        super().__init__(wire)
         self._shift_s: float | None = None  # Unix time less recorded time, from the first poll
         self._items = recorded.items
         self._at = 0
@@ -330,11 +278,8 @@ class ReplaySource:
         self._start_s = 0.0
 
     @property
-    def finished(self) -> bool:
+    def finished(self) -> bool:  # type: ignore[override]
         return self._at >= len(self._items)
-
-    def gather(self) -> int:
-        return 0
 
     def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:  # noqa: ARG002
         first_t = self._items[0].t
@@ -348,7 +293,7 @@ class ReplaySource:
         scans: list[Scan] = []
         while not self.finished and self._items[self._at].t <= until:
             item = self._items[self._at]
-            for heard in self.wire.take(item, item.t + self._shift_s):
+            for heard in self.wire.take([item._replace(t=item.t + self._shift_s)]):
                 scans += heard.scans
             self._at += 1
         return scans
@@ -356,6 +301,3 @@ class ReplaySource:
     def clock_stepped(self, by: float) -> None:
         if self._shift_s is not None:
             self._shift_s += by
-
-    def close(self) -> None:
-        """Do nothing: no device is open."""

@@ -13,7 +13,7 @@ from taxeld_protocol.serial_link import SerialCounters, SerialReader
 from taxeld_protocol.slcan import SlcanReader
 
 
-class Heard(NamedTuple):
+class Decoded(NamedTuple):
     """A packet, if one is complete, and the scans that it ended."""
 
     packet: Packet | None
@@ -28,31 +28,20 @@ class Wire:
         self._slcan = SlcanReader() if config.framing == "slcan" else None
         self._native = SerialReader()
 
-    def frame(self, frame: Frame) -> Heard:
-        """Take a CAN frame."""
-        return Heard(*self.decoder.feed(frame))
-
-    def take(self, item: Frame | Chunk, t: float) -> list[Heard]:
-        """Take a frame or a chunk, stamped with `t`."""
-        if isinstance(item, Frame):
-            return [self.frame(item if item.t == t else item._replace(t=t))]
-        return self.data(item.data, t)
-
-    def take_all(self, items: Sequence[Frame | Chunk]) -> list[Heard]:
-        """Take the items read from a device with their own stamps; frames that end nothing are left
-        out."""
-        heard: list[Heard] = []
+    def take(self, items: Sequence[Frame | Chunk]) -> list[Decoded]:
+        """Take frames or chunks with their own stamps; frames that end nothing are left out."""
+        heard: list[Decoded] = []
         feed = self.decoder.feed
         for item in items:
             if isinstance(item, Frame):
                 packet, scans = feed(item)
                 if scans or packet is not None:
-                    heard.append(Heard(packet, scans))
+                    heard.append(Decoded(packet, scans))
             else:
                 heard += self.data(item.data, item.t)
         return heard
 
-    def data(self, data: bytes, t: float) -> list[Heard]:
+    def data(self, data: bytes, t: float) -> list[Decoded]:
         """Take bytes of a serial line, in pieces of any size, that were read at time `t`; frames
         that end nothing are left out.
 
@@ -61,14 +50,14 @@ class Wire:
         """
         if self._slcan is not None:
             foreign = self._slcan.counters.foreign
-            heard = self.take_all(self._slcan.feed(data, t))
+            heard = self.take(self._slcan.feed(data, t))
             for _ in range(self._slcan.counters.foreign - foreign):
                 self.decoder.drop_foreign()
             return heard
         if not isinstance(self.decoder, Decoder):
             raise SetupError("source.framing: 'native' carries CySkin packets alone; use slcan")
         packets = self._native.feed(data, t)
-        return [Heard(packet, self.decoder.on_packet(packet)) for packet in packets]
+        return [Decoded(packet, self.decoder.on_packet(packet)) for packet in packets]
 
     def stats(self) -> dict[str, object]:
         """The decoder's counters, and the line's own."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats
 from taxeld.skin.channels import TEMPERATURE
-from taxeld.skin.frozen import NOISE_TELLS
+from taxeld.skin.rest import NOISE_TELLS
 from taxeld.skin.skin import INVALID_FROM
 from taxeld_hil.acceptance import cures
 from taxeld_hil.acceptance.idle import INVALID

@@ -12,7 +12,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model.activation import FLOOR
 from taxeld.skin.capture import NOISE_MAX, SD_OF_STEP
 from taxeld.skin.channels import TEMPERATURE
-from taxeld.skin.frozen import NOISE_TELLS
+from taxeld.skin.rest import NOISE_TELLS
 from taxeld.skin.skin import INVALID_FROM
 from taxeld.skin.temperature import STEP
 from taxeld_protocol.decoder import MISSING, Scan

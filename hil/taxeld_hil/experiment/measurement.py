@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
-from taxeld.proposals import bundle, manifest, seal
+from taxeld.proposals import bundle, manifest
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import solid_of
@@ -41,7 +41,7 @@ def digest(subject: Scenario) -> str:
     Raises:
         SetupError: the bundle cannot be found or read.
     """
-    info = seal.read(bundle.find(subject.bundle) / manifest.NAME)  # has digests of its files
+    info = manifest.read(bundle.find(subject.bundle) / manifest.NAME)  # has digests of its files
     return hashlib.sha256(f"{_code()}\0{subject!r}".encode() + info).hexdigest()[:16]
 
 

@@ -3,8 +3,7 @@
 from typing import Any
 
 from taxeld.errors import SetupError
-from taxeld.source.device import LostError, Noticed
-from taxeld.source.outbox import Unit
+from taxeld.source.device import Device, LostError, Piece
 from taxeld.source.session import Chunk
 from taxeld_hil.rig.rig import Rig
 from taxeld_protocol.cyskin import BROADCAST, Packet
@@ -55,37 +54,28 @@ class MemoryLine:
                 self._waiting.append(item if item.t == self.now else item._replace(t=self.now))
 
 
-class MemoryDevice:
-    """The daemon's end of the wire."""
-
-    waits_for = ""
+class MemoryDevice(Device):
+    """The daemon's end of the wire. It has no descriptor: nobody waits on a fake clock."""
 
     def __init__(self, line: MemoryLine) -> None:
         """Raises SetupError where it is not plugged in."""
-        self.noticed = Noticed()
+        super().__init__()
         self._line = line
         if not line.is_plugged:
             raise SetupError("unplugged")
         line.take()  # as a serial port is flushed when it is opened
-
-    @staticmethod
-    def fileno() -> int:
-        return -1  # nobody waits on a fake clock
 
     def read(self) -> list[Frame] | list[Chunk]:
         if not self._line.is_plugged:
             raise LostError
         return self._line.take()
 
-    def tend(self, now_s: float) -> None:
-        """A wire needs nothing."""
+    def pack(self, command: int, payload: bytes) -> list[bytes]:
+        return [command.to_bytes(2) + payload]  # LEAVE_BOOTLOADER does not fit one byte
 
-    @staticmethod
-    def pack(command: int, payload: bytes) -> list[Unit]:
-        return [Unit(None, command.to_bytes(2) + payload)]  # LEAVE_BOOTLOADER fills no byte
-
-    def put(self, unit: Unit) -> None:
-        self._line.ask(int.from_bytes(unit.line[:2]), unit.line[2:])
+    def put(self, piece: Piece) -> None:
+        assert isinstance(piece, bytes)  # noqa: S101  (as packed)
+        self._line.ask(int.from_bytes(piece[:2]), piece[2:])
 
     def close(self, wait_s: float = 0.0) -> None:
         """Nothing is held open."""

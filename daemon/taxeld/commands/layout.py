@@ -1,4 +1,4 @@
-"""The lines of `taxeld layout`."""
+"""`taxeld layout`: the facts about a layout, a line each."""
 
 import math
 
@@ -83,5 +83,6 @@ def tilted(layout: Layout) -> int:
 
 
 def _matrix(name: str, matrix: NDArray[np.float64], meaning: str) -> list[str]:
+    """Lines of a matrix (4, 4)."""
     rows = ["  " + " ".join(f"{value:9.5f}" for value in row) for row in matrix]
     return [f"{name:<10}{meaning}", *rows]
