@@ -20,7 +20,7 @@ from taxeld.arrays import Floats
 from taxeld.service.notify import Notifier
 from taxeld.stream import messages
 from taxeld.view import ros_messages as ros
-from taxeld.view.live import Streams
+from taxeld.view.streams import Subscriber
 from taxeld_ros2.dds import Participant
 from taxeld_ros2.markers import markers
 from taxeld_ros2.poses_in import FromTopic, FromTransforms, SensorPose
@@ -66,7 +66,7 @@ class Bridge:
         topics = [messages.ESTIMATE, messages.HEALTH, messages.INFO]
         topics += [messages.PARTICLES] * settings.markers
         with contextlib.ExitStack() as opened:
-            self._streams = Streams(settings.stream, settings.keys, topics, "--stream")
+            self._streams = Subscriber(settings.stream, settings.keys, topics, "--stream")
             opened.callback(self._streams.close)
             dds, name = Participant(settings.domain), settings.prefix.strip("/")
             kind = "geometry_msgs/PoseWithCovarianceStamped"

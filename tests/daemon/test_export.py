@@ -12,7 +12,7 @@ import pytest
 from taxeld.cli import main
 from taxeld.estimator.estimate import Status
 from taxeld.stream import messages
-from taxeld.view.recorded import Recording
+from taxeld.view.stage import recorded
 
 from .recorded import configuration, write_session
 from .test_stream_document import documented
@@ -34,7 +34,7 @@ Heard = dict[str, list[Any]]
 def said() -> dict[bytes, list[dict[str, Any]]]:
     """What a replay says, by topic."""
     found: dict[bytes, list[dict[str, Any]]] = {}
-    for topic, message in Recording(SESSION):
+    for topic, message in recorded(SESSION)[1]:
         found.setdefault(topic, []).append(message)
     return found
 
@@ -99,7 +99,7 @@ def test_modes_and_particles_are_arrays_of_poses(
 def test_taxels_are_points_with_their_activation_in_a_frame_that_moves_with_the_sensor(
     heard: Heard, said: dict[bytes, list[dict[str, Any]]]
 ) -> None:
-    position = Recording(SESSION).stage.position_m
+    position = recorded(SESSION)[0].position_m
     taxels = said[messages.TAXELS]
     assert max(max(one["z"]) for one in taxels) > 0.1
     for (_, cloud), one in zip(heard["/taxeld/taxels"], taxels, strict=True):

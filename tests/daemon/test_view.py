@@ -1,10 +1,13 @@
 """`taxeld view`: a session's and a daemon's picture, and what stops it."""
 
+import re
+import signal
 import subprocess
 import sys
 import threading
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -20,10 +23,8 @@ from taxeld.cli import main
 from taxeld.config.file import load
 from taxeld.errors import SetupError
 from taxeld.stream import messages
-from taxeld.view.colour import DEAD, QUIET, of_taxels
-from taxeld.view.recorded import Recording
-from taxeld.view.stage import Stage, from_config, from_info
-from taxeld.view.viewer import Viewer
+from taxeld.view.picture import DEAD, QUIET, colours_of, slices_of
+from taxeld.view.stage import from_config, from_info, recorded
 
 from .conftest import Sockets
 from .test_stream_document import documented
@@ -69,7 +70,7 @@ def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(
     whole: Counter[str],
 ) -> None:
     assert whole.keys() >= ALWAYS
-    said = list(Recording(SESSION))
+    said = list(recorded(SESSION)[1])
     felt = [(m["z"], m["live"]) for topic, m in said if topic == messages.TAXELS]
     always = 1  # a row for what stays as it is
     changes = always + 1 + sum(a != b for a, b in pairwise(felt))
@@ -141,13 +142,14 @@ def test_the_error_is_that_of_the_true_pose_and_none_without_it() -> None:
 
 
 def test_slices_lie_on_the_object_at_each_height_of_taxels() -> None:
-    stage = Recording(SESSION).stage
+    stage, _ = recorded(SESSION)
     scene = stage.scene
     assert scene is not None
-    assert {height for height, _ in stage.slices} == set(scene.heights)
-    for height, line in stage.slices:
-        (k,) = np.flatnonzero(scene.heights == height)
-        at = np.round((line - scene.origin) / scene.cell).astype(int)
+    slices = slices_of(stage)
+    assert {line[0, 2] for line in slices} == set(scene.heights)
+    for line in slices:
+        (k,) = np.flatnonzero(scene.heights == line[0, 2])
+        at = np.round((line[:, :2] - scene.origin) / scene.cell).astype(int)
         assert np.abs(scene.slices[k][at[:, 1], at[:, 0]]).max() < 1.5 * scene.cell
 
 
@@ -161,55 +163,51 @@ def test_an_info_that_lacks_something_is_refused(key: str) -> None:
 
 def test_taxels_have_the_colour_of_their_activation() -> None:
     z, live = np.array([0.0, 0.2, 1.0, 0.5]), np.array([True, True, True, False])
-    quiet, low, high, dead = of_taxels(z, live).astype(int)
+    quiet, low, high, dead = colours_of(z, live).astype(int)
     assert (tuple(quiet), tuple(dead)) == (QUIET, DEAD)
     assert high.sum() > low.sum(), "the stronger is the brighter"
 
 
-def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    status = main(["view", *arguments])
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    return status, said
+REFUSED = [
+    ([str(SESSION)], 2, "view: no screen here; use --save FILE, or --web"),
+    (["--endpoint", "ipc://{place}/none", "--save", "{out}"], 1, "no daemon answers at ipc://"),
+    (["--endpoint", "foo"], 2, "--endpoint: 'foo' is no endpoint"),
+    (["{place}", "--save", "{out}"], 2, "{place}: is no session"),
+    (["{place}/none.toml", "--save", "{out}"], 2, "none.toml"),
+    ([str(SESSION), "--save", "{place}/no/x.rrd"], 2, "--save: cannot write"),
+    ([str(SESSION), "--truth", "0", "0", "0"], 2, "are for a running daemon"),
+    (["--truth", "0", "0", "0"], 2, "--truth: needs CONFIG"),
+    ([str(SESSION), "--seconds", "0", "--save", "{out}"], 2, "--seconds: must be more than 0"),
+]
 
 
+@pytest.mark.parametrize(("arguments", "status", "text"), REFUSED, ids=[r[2] for r in REFUSED])
 def test_no_screen_no_daemon_and_wrong_arguments_are_one_line_each(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    arguments: list[str], status: int, text: str,
+) -> None:  # fmt: skip
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr("taxeld.view.view.ANSWER_S", 0.1)
-    out, nobody = str(tmp_path / "x.rrd"), f"ipc://{tmp_path}/none"
-    for arguments, status, text in (
-        ([str(SESSION)], 2, "view: no screen here; use --save FILE, or --web"),
-        (["--endpoint", nobody, "--save", out], 1, f"no daemon answers at {nobody}"),
-        (["--endpoint", "foo"], 2, "--endpoint: 'foo' is no endpoint"),
-        ([str(tmp_path), "--save", out], 2, f"{tmp_path}: is no session"),
-        ([str(tmp_path / "none.toml"), "--save", out], 2, "none.toml"),
-        ([str(SESSION), "--save", str(tmp_path / "no" / "x.rrd")], 2, "--save: cannot write"),
-        ([str(SESSION), "--truth", "0", "0", "0"], 2, "are for a running daemon"),
-        (["--truth", "0", "0", "0"], 2, "--truth: needs CONFIG"),
-        ([str(SESSION), "--seconds", "0", "--save", out], 2, "--seconds: must be more than 0"),
-    ):
-        got, said = refused(arguments, capsys)
-        assert (got, text in said) == (status, True), said
-    assert not Path(out).exists()
+    out = tmp_path / "x.rrd"
+    typed = [one.format(place=tmp_path, out=out) for one in arguments]
+    assert main(["view", *typed]) == status
+    said = capsys.readouterr().err
+    assert text.format(place=tmp_path) in said
+    assert said.count("\n") == 1
+    assert not out.exists()
 
 
 def test_a_configuration_of_another_skin_than_the_daemons_is_refused(
     daemon: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def other(*_: object) -> Stage:
-        found = from_info(maps()[messages.INFO])
-        return Stage(found.object, "x", found.position_m[:5], 0.04, found.slices)
-
+    other = replace(from_info(maps()[messages.INFO]), position_m=np.zeros((5, 3)))
     config = tmp_path / "can0.toml"
     config.write_text(CONFIG, encoding="utf-8")
-    monkeypatch.setattr("taxeld.view.stage.from_config", other)
-    arguments = [str(config), "--endpoint", daemon, "--save", str(tmp_path / "x.rrd")]
-    status, said = refused(arguments, capsys)
-    assert status == 2
-    assert "has 80 taxels, that of the configuration 5" in said
+    monkeypatch.setattr("taxeld.view.stage.from_config", lambda *_: other)
+    out = str(tmp_path / "x.rrd")
+    assert main(["view", str(config), "--endpoint", daemon, "--save", out]) == 2
+    assert "has 80 taxels, that of the configuration 5" in capsys.readouterr().err
 
 
 def test_the_daemon_loads_nothing_of_the_view() -> None:
@@ -221,17 +219,24 @@ def test_the_daemon_loads_nothing_of_the_view() -> None:
     assert ran.stdout.split() == []
 
 
+def listening(ports: list[str]) -> set[str]:
+    """Addresses and ports, in hexadecimal, at which something listens on one of these ports."""
+    found = set()
+    for table in ("tcp", "tcp6"):
+        rows = Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:]
+        found |= {row.split()[1] for row in rows if row.split()[3] == "0A"}
+    return {one for one in found if one.rpartition(":")[2] in ports}
+
+
 def test_the_viewer_in_a_browser_is_reached_from_this_machine_alone_and_ends() -> None:
-    started = Viewer(web=True)
-    try:
-        listening = set()  # address and port of TCP sockets, in hexadecimal
-        for table in ("tcp", "tcp6"):
-            rows = Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:]
-            listening |= {row.split()[1] for row in rows if row.split()[3] == "0A"}
-        ports = {f"{port:04X}" for port in started.ports}
-        found = {one for one in listening if one.rpartition(":")[2] in ports}
-        assert found == {f"0100007F:{port}" for port in ports}, "127.0.0.1 alone"
-        assert len(found) == 2
-    finally:
-        started.close()
-    assert started.is_gone
+    command = [sys.executable, "-m", "taxeld.cli", "view", str(SESSION), "--web"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
+        assert view.stdout is not None
+        page = view.stdout.readline()
+        ports = [f"{int(port):04X}" for port in re.findall(r"127.0.0.1:(\d+)", page)]
+        assert len(ports) == 2
+        assert listening(ports) == {f"0100007F:{port}" for port in ports}
+        assert view.stdout.readline() == "the session is shown\n"
+        view.send_signal(signal.SIGTERM)
+    assert view.returncode == 0
+    assert not listening(ports)

@@ -25,7 +25,7 @@ from taxeld.cli import main
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.stream import messages
-from taxeld.view.live import Streams
+from taxeld.view.streams import Subscriber
 from taxeld.view.watch import Page
 
 from .conftest import Sockets
@@ -137,7 +137,7 @@ def test_a_stream_of_another_version_or_program_is_refused_with_what_is_wrong(
     changed = maps()[messages.TAXELS] | change
     body = msgpack.packb({key: value for key, value in changed.items() if value is not ...})
     topics = [messages.TAXELS]
-    with contextlib.closing(Streams(f"ipc://{tmp_path}/stream", None, topics)) as streams:
+    with contextlib.closing(Subscriber(f"ipc://{tmp_path}/stream", None, topics)) as streams:
         assert publisher.poll(round(1e3 * WAIT_S))
         publisher.recv()
         publisher.send_multipart([messages.TAXELS, body, b"0.0"])

@@ -69,23 +69,24 @@ def _add_keys(parser: argparse.ArgumentParser) -> None:
 
 def _view(args: argparse.Namespace) -> int:
     from taxeld.view import view
-    from taxeld.view.stage import from_config
+    from taxeld.view.stage import from_config, recorded
 
     source, truth = args.source, args.truth
     if not args.seconds > 0.0:
         raise SetupError("--seconds: must be more than 0")
-    shown = view.Shown(args.save, args.web, args.seconds, _stopping())
+    target = view.Target(args.save, args.web, args.seconds, _stopping())
     if source is not None and (source.is_dir() or source.suffix != ".toml"):
         if args.endpoint or args.keys or truth:
             raise SetupError(
                 "--endpoint, --keys, --truth: are for a running daemon, not for a session"
             )
-        view.recorded(source, shown)
+        if not view.show(*recorded(source), target, is_live=False) and not target.stopping():
+            raise SetupError(f"{source}: holds no scan to show")
         return 0
     if truth and source is None:
         raise SetupError("--truth: needs CONFIG, which names the object")
     known = None if source is None else from_config(load(source), truth)
-    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, known, shown) else FAILED
+    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, known, target) else FAILED
 
 
 def _watch(args: argparse.Namespace) -> int:

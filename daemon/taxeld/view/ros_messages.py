@@ -12,7 +12,7 @@ import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import ProposalKind, Status
-from taxeld.view.stage import name_of
+from taxeld.view.streams import name_of
 
 Map = dict[str, Any]
 
