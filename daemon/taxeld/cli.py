@@ -94,10 +94,7 @@ def _init(args: argparse.Namespace) -> int:
     """
     from taxeld.commands import init
 
-    answers = init.Answers(
-        args.source, args.bundle, args.layout, args.poses, args.dialect, args.keys
-    )
-    config = init.write(args.config, answers, init.person())
+    config = init.write(args.config, vars(args))
     source = f"{config.source.kind} {config.source.channel}, object {config.scene.bundle}"
     print(f"written: {args.config} ({source}); next: taxeld check {args.config}")
     return 0

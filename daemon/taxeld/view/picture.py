@@ -25,7 +25,6 @@ from taxeld.estimator.estimate import Status
 from taxeld.model import se2
 from taxeld.stream import messages
 from taxeld.view.stage import Stage, pose_of
-from taxeld.view.streams import name_of
 
 TIME = "scan"  # the time line: Unix time of the measurement
 TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii
@@ -127,7 +126,7 @@ class Picture:
             self._stream.log("plot/latency", rr.Scalars(took_ms))
 
     def _say(self, e: dict[str, Any], error_mm: float | None) -> None:
-        status, pose = name_of(Status, e["status"]), e["map"]
+        status, pose = messages.name_of(Status, e["status"]), e["map"]
         rows = {
             "valid": "yes" if e["valid"] else "no",
             "touching": "yes" if e["contact"] else "no",

@@ -12,7 +12,7 @@ import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import ProposalKind, Status
-from taxeld.view.streams import name_of
+from taxeld.stream import messages
 
 Map = dict[str, Any]
 
@@ -104,7 +104,7 @@ def diagnostics(t: float, name: str, e: Map, health: Map | None = None, hardware
     level, message, values = STALE, SILENT, {}
     if e:
         level = LEVELS.get(e["status"], WARN)
-        message = name_of(Status, e["status"])
+        message = messages.name_of(Status, e["status"])
         values = {
             "valid": e["valid"],
             "contact": e["contact"],
@@ -113,7 +113,7 @@ def diagnostics(t: float, name: str, e: Map, health: Map | None = None, hardware
             "ess": e["ess"],
             "particles": e["particles"],
             "injected": e["injected"],
-            "proposal": name_of(ProposalKind, e["proposal"]),
+            "proposal": messages.name_of(ProposalKind, e["proposal"]),
             "log_evidence": e["log_evidence"],
         }
     if e and health:

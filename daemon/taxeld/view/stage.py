@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
-from taxeld.commands.replayed import Replay
+from taxeld.commands.replay import Replay
 from taxeld.config import file as config_file
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError

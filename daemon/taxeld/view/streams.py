@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -72,12 +71,6 @@ class Subscriber:
             topic, *rest = self.socket.recv_multipart()
             if topic in NEEDED:
                 yield topic, _checked(topic, unpack(rest[0] if rest else b""))
-
-
-def name_of(kind: type[IntEnum], number: int) -> str:
-    """The name of a status or proposal; a newer daemon may send one that is not known here."""
-    names = {int(one): one.name.lower() for one in kind}
-    return names.get(number, f"unknown ({number})")
 
 
 def _checked(topic: bytes, message: dict[str, Any]) -> dict[str, Any]:

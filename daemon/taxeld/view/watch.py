@@ -20,7 +20,7 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.stream import messages
 from taxeld.view.stage import Stage, from_info
-from taxeld.view.streams import Message, Subscriber, name_of
+from taxeld.view.streams import Message, Subscriber
 
 REFRESH_S = 0.1
 SILENT_S = 2.0  # without a message; the page is called old after it
@@ -171,7 +171,7 @@ def _belief(e: dict[str, Any]) -> list[Text]:
     touch = "touching" if e["contact"] else "not touching"
     head = Text("status  ", style="dim")
     colour = COLOURS.get(e["status"], "default")
-    head.append(name_of(Status, e["status"]).upper(), style=f"bold {colour}")
+    head.append(messages.name_of(Status, e["status"]).upper(), style=f"bold {colour}")
     head.append(f", {'valid' if e['valid'] else 'not valid'}, {touch}, ")
     head.append(f"{e['contacts']} contacts, {e['ess']:.0f} effective particles")
     lines = [head, Text("mode     x [mm]    y [mm]   yaw [°]  weight", style="dim")]
