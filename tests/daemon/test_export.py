@@ -23,7 +23,7 @@ pytest.importorskip("rosbags")
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from taxeld.view import export, ros_messages, ros_types
+from taxeld.view import export, ros
 
 RELEASES = [*dropwhile(lambda store: store is not Stores.ROS2_HUMBLE, Stores)]
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
@@ -135,9 +135,9 @@ def test_every_estimate_has_a_status_by_its_name(
 def test_definitions_are_those_of_ros_2(release: Stores) -> None:
     """rosbags has those of each release since Humble, and reads ours to the same fields."""
     theirs = get_typestore(release).fielddefs
-    for name in ros_types.TYPES:
+    for name in ros.TYPES:
         full = name.replace("/", "/msg/")
-        ours = get_types_from_msg(ros_types.definition(name), full)
+        ours = get_types_from_msg(ros.definition(name), full)
         assert full in ours
         for one, (_, fields) in ours.items():
             assert fields == theirs[one][1]
@@ -147,24 +147,24 @@ def test_definitions_are_those_of_ros_2(release: Stores) -> None:
 def test_every_status_has_a_level_and_its_name(status: Status) -> None:
     estimate = {**documented("/taxeld/estimate")[1], "status": int(status)}
     health = documented("/taxeld/health")[1]
-    (told,) = ros_messages.diagnostics(5.0, "taxeld", estimate, health)["status"]
+    (told,) = ros.diagnostics(5.0, "taxeld", estimate, health)["status"]
     assert told["message"] == status.name.lower()
     good = {Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED}
-    assert (told["level"] == ros_messages.OK) == (status in good)
+    assert (told["level"] == ros.OK) == (status in good)
     assert {"key": "dead taxels", "value": "4 17 30"} in told["values"]
 
 
 def test_a_status_of_a_later_daemon_is_told_by_its_number() -> None:
     estimate = {**documented("/taxeld/estimate")[1], "status": 99}
-    (told,) = ros_messages.diagnostics(5.0, "taxeld", estimate)["status"]
-    assert (told["level"], told["message"]) == (ros_messages.WARN, "unknown (99)")
+    (told,) = ros.diagnostics(5.0, "taxeld", estimate)["status"]
+    assert (told["level"], told["message"]) == (ros.WARN, "unknown (99)")
 
 
 @pytest.mark.parametrize("t", [1700000005.121, 1.9999999999, 0.0, 1795357978.776642])
 def test_a_stamp_is_the_measurements_time_and_its_nanoseconds_are_less_than_a_second(
     t: float,
 ) -> None:
-    stamp = ros_messages.header(t)["stamp"]
+    stamp = ros.header(t)["stamp"]
     assert 0 <= stamp["nanosec"] < 1_000_000_000
     assert stamp["sec"] + stamp["nanosec"] * 1e-9 == pytest.approx(t, abs=1e-6)
 

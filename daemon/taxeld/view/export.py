@@ -9,8 +9,7 @@ from mcap_ros2.writer import Writer
 
 from taxeld.errors import SetupError
 from taxeld.stream import messages
-from taxeld.view import ros_messages as ros
-from taxeld.view.ros_types import definition
+from taxeld.view import ros
 from taxeld.view.stage import Stage, recorded
 from taxeld.view.streams import Message
 
@@ -51,7 +50,7 @@ def export(directory: Path, out: Path, config: Path | None = None) -> Counter[st
 
 def _write(writer: Writer, stage: Stage, heard: Iterable[Message]) -> Counter[str]:
     schemas = {
-        name: writer.register_msgdef(name.replace("/", "/msg/"), definition(name))
+        name: writer.register_msgdef(name.replace("/", "/msg/"), ros.definition(name))
         for name in TYPES.values()
     }
     written: Counter[str] = Counter()
