@@ -19,9 +19,7 @@ def add(commands: Commands) -> None:
     view.add_argument("source", type=Path, nargs="?", metavar="CONFIG|SESSION", help=about)
     view.add_argument("--endpoint", help="where the daemon publishes")
     add_keys(view)
-    about = "where the object stands [m, m, rad], for its error; needs CONFIG"
-    view.add_argument("--truth", type=float, nargs=3, metavar=("X", "Y", "YAW"), help=about)
-    about = "so long alone, from the first scan"
+    about = "of scans to show, from the first on"
     view.add_argument("--seconds", type=float, default=math.inf, metavar="S", help=about)
     where = view.add_mutually_exclusive_group()
     where.add_argument("--save", type=Path, metavar="FILE", help="into an .rrd file, no viewer")
@@ -43,24 +41,20 @@ def _view(args: argparse.Namespace) -> int:
     taxeld view session --save session.rrd
     """
     from taxeld.view import view
-    from taxeld.view.stage import from_config, recorded
+    from taxeld.view.stage import recorded, scene_of
 
-    source, truth = args.source, args.truth
+    source = args.source
     if not args.seconds > 0.0:
         raise SetupError("--seconds: must be more than 0")
     target = view.Target(args.save, args.web, args.seconds, _stopping())
     if source is not None and (source.is_dir() or source.suffix != ".toml"):
-        if args.endpoint or args.keys or truth:
-            raise SetupError(
-                "--endpoint, --keys, --truth: are for a running daemon, not for a session"
-            )
+        if args.endpoint or args.keys:
+            raise SetupError("--endpoint, --keys: are for a running daemon, not for a session")
         if not view.show(*recorded(source), target, is_live=False) and not target.stopping():
             raise SetupError(f"{source}: holds no scan to show")
         return 0
-    if truth and source is None:
-        raise SetupError("--truth: needs CONFIG, which names the object")
-    known = None if source is None else from_config(load(source), truth)
-    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, known, target) else FAILED
+    scene = None if source is None else scene_of(load(source))
+    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, scene, target) else FAILED
 
 
 def _watch(args: argparse.Namespace) -> int:

@@ -1,6 +1,6 @@
 """The skin and the object of a picture, and a session as the messages that a daemon would send."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,6 @@ from taxeld.config import file as config_file
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.layout.layout import Layout
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
@@ -70,16 +69,14 @@ def from_info(info: dict[str, Any]) -> Stage:
         ) from None
 
 
-def from_config(config: Config, truth: Sequence[float] | None = None) -> Stage:
-    """Stage of a configuration, with the scene of its bundle. `truth`: x [m], y [m], yaw [rad].
+def scene_of(config: Config) -> Scene:
+    """The scene of a configuration's bundle.
 
     Raises:
         SetupError: what the configuration names cannot be used.
     """
     skin = layouts.load(config.skin.layout)
-    loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
-    name = Path(str(loaded.info["object"])).name
-    return _of_scene(skin, loaded.model.scene, name, None if truth is None else np.array(truth))
+    return bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m).model.scene
 
 
 def recorded(directory: Path, config: Path | None = None) -> tuple[Stage, Iterator[Message]]:
@@ -97,9 +94,16 @@ def recorded(directory: Path, config: Path | None = None) -> tuple[Stage, Iterat
             "'taxeld run --record' make one"
         )
     replay = Replay(directory, config_file.load(path))
-    name = Path(replay.config.scene.bundle).name
-    truth = truth_of(directory / session.TRUTH)
-    stage = _of_scene(replay.pipeline.skin.layout, replay.model.scene, name, truth)
+    skin, scene = replay.pipeline.skin.layout, replay.model.scene
+    stage = Stage(
+        object=Path(replay.config.scene.bundle).name,
+        layout=skin.name,
+        position_m=skin.position_m,
+        radius_m=skin.radius_m,
+        outline=scene.outline,
+        scene=scene,
+        truth=truth_of(directory / session.TRUTH),
+    )
     return stage, _messages(replay)
 
 
@@ -111,11 +115,6 @@ def truth_of(path: Path) -> Poses | None:
     """
     rows = session.read_poses(path) if path.exists() else None
     return np.array(rows[-1][1:]) if rows else None
-
-
-def _of_scene(skin: Layout, scene: Scene, name: str, truth: Poses | None) -> Stage:
-    """`truth`: (3,)."""
-    return Stage(name, skin.name, skin.position_m, skin.radius_m, scene.outline, scene, truth)
 
 
 def _messages(replay: Replay) -> Iterator[Message]:
@@ -130,5 +129,4 @@ def _messages(replay: Replay) -> Iterator[Message]:
         yield messages.ESTIMATE, messages.estimate(estimate, seq=seq, valid=valid)
         if estimate.contact and not estimate.t < next_s < estimate.t + 1.0:
             next_s = estimate.t + PARTICLES_S
-            cloud = messages.particles(estimate.t, seq, *replay.belief)
-            yield messages.PARTICLES, cloud
+            yield messages.PARTICLES, messages.particles(estimate.t, seq, *replay.belief)

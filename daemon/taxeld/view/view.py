@@ -7,7 +7,7 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import rerun as rr
@@ -15,6 +15,7 @@ import rerun_bindings
 
 from taxeld.commands.unanswered import unanswered
 from taxeld.errors import SetupError
+from taxeld.model.scene import Scene
 from taxeld.stream import messages
 from taxeld.view.picture import Picture
 from taxeld.view.stage import Stage, from_info
@@ -38,25 +39,20 @@ class Target:
     stopping: Callable[[], bool]
 
 
-def live(endpoint: str, keys: Path | None, known: Stage | None, target: Target) -> bool:
-    """Show a daemon's streams; → whether there was one. `known` has what the streams do not tell:
-    the scene and the truth.
+def live(endpoint: str, keys: Path | None, scene: Scene | None, target: Target) -> bool:
+    """Show a daemon's streams; → whether there was one. `scene`: the object, where more of it is
+    known than the outline that the streams have.
 
     Raises:
         SetupError: nothing can be shown, the endpoint is none, or a stream of another version.
     """
     with contextlib.closing(Subscriber(endpoint, keys)) as streams:
         stage = _introduced(streams, target.stopping)
-        if stage is None:
-            if not target.stopping():
-                print(unanswered(endpoint), file=sys.stderr)  # noqa: T201
-            return target.stopping()
-        if known is not None and len(known.position_m) != len(stage.position_m):
-            raise SetupError(
-                f"{endpoint}: its skin has {len(stage.position_m)} taxels, that of the "
-                f"configuration {len(known.position_m)}; name the daemon's own"
-            )
-        show(known or stage, _heard(streams), target, is_live=True)
+        if stage is not None:
+            show(replace(stage, scene=scene), _heard(streams), target, is_live=True)
+        elif not target.stopping():
+            print(unanswered(endpoint), file=sys.stderr)  # noqa: T201
+            return False
     return True
 
 
