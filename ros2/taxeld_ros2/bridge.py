@@ -105,7 +105,8 @@ class Bridge:
         settings = self._settings
         source: FromTransforms | FromTopic
         if settings.sensor_frames is not None:
-            source = FromTransforms(dds, *settings.sensor_frames, wake=self._woken)
+            world, skin = settings.sensor_frames
+            source = FromTransforms(dds, world, skin, self._woken)
         elif settings.sensor_topic:
             source = FromTopic(dds, settings.sensor_topic, self._woken)
         else:

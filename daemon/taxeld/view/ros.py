@@ -154,8 +154,8 @@ def point_cloud(taxels: Map, position_m: Floats) -> Map:
         "height": 1,
         "width": len(points),
         "fields": [
-            {"name": name, "offset": offset, "datatype": kinds.get(name, FLOAT32), "count": 1}
-            for name, (_, offset) in (POINT.fields or {}).items()
+            {"name": name, "offset": field[1], "datatype": kinds.get(name, FLOAT32), "count": 1}
+            for name, field in (POINT.fields or {}).items()
         ],
         "is_bigendian": False,
         "point_step": POINT.itemsize,
