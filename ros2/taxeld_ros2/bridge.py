@@ -26,9 +26,9 @@ from taxeld_ros2.markers import markers
 from taxeld_ros2.poses_in import FromTopic, FromTransforms, SensorPose
 
 STEP_MS = 50
-SILENT_S = 2.0  # without an estimate; no daemon is there after it
-DIAGNOSTICS_S = 1.0  # between two diagnostics, while the status stays
-MARKERS_S = 0.1  # between two messages of markers
+SILENT_S = 2.0  # after this long without an estimate no daemon is there
+DIAGNOSTICS_S = 1.0  # period of the diagnostics while the status stays
+MARKERS_S = 0.1  # shortest period of the markers
 DEPTH = 10  # messages kept for a reader, as ROS 2's own publishers do
 TOPICS = (messages.ESTIMATE, messages.HEALTH, messages.INFO, messages.PARTICLES)
 

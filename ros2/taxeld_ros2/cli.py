@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from taxeld_ros2.bridge import BridgeSettings
 
 NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-FRAMES = ("world", "sensor")  # of poses, with a sensor pose configured and without
+FRAMES = ("world", "sensor")  # frames of poses, with a sensor pose configured and without
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -21,9 +21,9 @@ from taxeld.view import ros
 
 DOMAIN = "ROS_DOMAIN_ID"
 DOMAIN_MAX = 232  # higher domains have no ports
-BLOCKED_MS = 1  # for how long a reliable reader that does not keep up may hold a writer
-TAKEN = 200  # messages at once
-AGAIN_S = 30.0  # between two log lines of one kind
+BLOCKED_MS = 1  # a reliable reader that does not keep up holds a writer no longer
+TAKEN = 200  # messages taken at once
+AGAIN_S = 30.0  # shortest period of log lines of one kind
 # ROS 2 writes and reads this representation
 CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=BLOCKED_MS))

@@ -17,7 +17,7 @@ from taxeld.stream.sockets import open_socket, why
 from taxeld_ros2.dds import AGAIN_S, BEST_EFFORT, LATCHED, RELIABLE, Participant, taken
 from taxeld_ros2.transforms import Transforms, matrix
 
-TILT_RAD = 0.1  # of the link from upright; the pose of one that leans farther is not planar
+TILT_RAD = 0.1  # a link that leans farther from upright has no planar pose
 PATIENCE_S = 5.0  # without a pose before a line says so
 OFF_S = 1.0  # stamps farther from this machine's clock are of another clock
 QUEUE = 1000  # poses that wait for the daemon

@@ -20,10 +20,9 @@ import zmq
 pytest.importorskip("rerun")
 
 from taxeld.cli import main
-from taxeld.errors import SetupError
 from taxeld.stream import messages
 from taxeld.view.picture import DEAD, QUIET, colours_of, slices_of
-from taxeld.view.stage import from_info, recorded
+from taxeld.view.stage import recorded
 
 from .conftest import Sockets
 from .test_stream_document import documented
@@ -130,14 +129,6 @@ def test_slices_lie_on_the_object_at_each_height_of_taxels() -> None:
         (k,) = np.flatnonzero(scene.heights == line[0, 2])
         at = np.round((line[:, :2] - scene.origin) / scene.cell).astype(int)
         assert np.abs(scene.slices[k][at[:, 1], at[:, 0]]).max() < 1.5 * scene.cell
-
-
-@pytest.mark.parametrize("key", ["layout", "outline", "object"])
-def test_an_info_that_lacks_something_is_refused(key: str) -> None:
-    info = maps()[messages.INFO]
-    del info[key]
-    with pytest.raises(SetupError, match="/taxeld/info: is not what a taxeld daemon sends"):
-        from_info(info)
 
 
 def test_taxels_have_the_colour_of_their_activation() -> None:

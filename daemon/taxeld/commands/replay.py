@@ -114,7 +114,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     config, layout = pipeline.config.source, pipeline.skin.layout
     wire = Wire(config, dialects.replayed(config, layout, recorded.items, str(directory)))
     before = 0, recorded.items[0].t
-    # like the daemon: poses up to the arrival of a scan's last frame are known
+    # as the daemon does: poses up to the arrival of a scan's last frame are known
     arrivals = heapq.merge(_ordered(recorded.poses), _ordered(recorded.items), key=itemgetter(0))
     for now, came in arrivals:
         if now[0] > before[0]:

@@ -50,7 +50,7 @@ def _view(args: argparse.Namespace) -> int:
     if source is not None and (source.is_dir() or source.suffix != ".toml"):
         if args.endpoint or args.keys:
             raise SetupError("--endpoint, --keys: are for a running daemon, not for a session")
-        if not view.show(*recorded(source), target, is_live=False) and not target.stopping():
+        if not view.show(*recorded(source), target) and not target.stopping():
             raise SetupError(f"{source}: holds no scan to show")
         return 0
     scene = None if source is None else scene_of(load(source))

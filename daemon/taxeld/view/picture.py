@@ -27,23 +27,22 @@ from taxeld.stream import messages
 from taxeld.view.stage import Stage, pose_of
 
 TIME = "scan"  # the time line: Unix time of the measurement
-TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii
-ARROW_M = 0.02
-ABOVE_M = 0.01  # of the link, beyond the highest and the lowest taxel
-EYE_M = (0.065, -0.2, 0.25)  # from the point that is looked at
+TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii of points and lines
+ARROW_M = 0.02  # length of a particle's arrow
+ABOVE_M = 0.01  # the link is drawn so far beyond the highest and the lowest taxel
+EYE_M = (0.065, -0.2, 0.25)  # position of the eye from the point that it looks at
 FOUND, MODE, PARTICLE, TRUTH = (230, 60, 60), (70, 150, 255), (130, 180, 230), (240, 240, 240)
 LINK, QUIET, DEAD = (90, 90, 90), (120, 120, 120), (200, 30, 30)
-LEAST = 0.25  # of the colour scale: darker colours are not seen on the viewer's black
+LEAST = 0.25  # beginning on the colour scale: darker colours do not show on black
 SPREADS = {"x [mm]": (255, 120, 90), "y [mm]": (110, 200, 120), "yaw [°]": (240, 200, 80)}
-SHOWN_AS = np.array([1e3, 1e3, math.degrees(1.0)])  # units of the spreads
+PER_UNIT = np.array([1e3, 1e3, math.degrees(1.0)])  # mm and degrees in m and rad
 
 
 class Picture:
     """The entities of one recording stream."""
 
-    def __init__(self, stage: Stage, stream: rr.RecordingStream, *, is_live: bool) -> None:
-        """`is_live`: scans have latencies."""
-        self._stage, self._stream, self._is_live = stage, stream, is_live
+    def __init__(self, stage: Stage, stream: rr.RecordingStream) -> None:
+        self._stage, self._stream = stage, stream
         self._status: int | None = None
         self._felt: object = None  # the activations that were drawn last
         self._is_placed = False
@@ -90,16 +89,16 @@ class Picture:
             self._stream.log(entity, thing, static=True)
 
     def _taxels(self, m: dict[str, Any]) -> None:
-        if len(m["z"]) != len(self._stage.position_m):  # of another skin: its info has not come yet
+        if len(m["z"]) != len(self._stage.position_m):  # the daemon got another skin
             return
         if m["placed"]:
             self._place("world/link", pose_of(m["sensor"]))
-            if not self._is_placed:  # now it is known where there is something to see
+            if not self._is_placed:  # the eye can be placed now
                 self._is_placed = True
                 seen = [pose_of(m["sensor"])]
                 seen += [] if self._stage.truth is None else [self._stage.truth]
                 self._arrange(np.mean(seen, axis=0))
-        if self._felt == (m["z"], m["live"]):  # most scans: to send one costs far more
+        if self._felt == (m["z"], m["live"]):  # true of most scans
             return
         self._felt = m["z"], m["live"]
         z, live = np.array(m["z"], dtype=float), np.array(m["live"], dtype=bool)
@@ -118,7 +117,7 @@ class Picture:
         if valid:
             sd = np.sqrt(np.maximum(np.diag(np.array(e["cov"], dtype=float)), 0.0))
             self._stream.log("plot/belief", rr.Scalars(e["modes"][0]["weight"]))
-            self._stream.log("plot/spread", rr.Scalars(sd * SHOWN_AS))
+            self._stream.log("plot/spread", rr.Scalars(sd * PER_UNIT))
         if error_mm is not None:
             self._stream.log("plot/error", rr.Scalars(error_mm))
         if e["lat_us"].get("skin"):
@@ -172,7 +171,7 @@ class Picture:
         plots = {"spread": "spread: 1 standard deviation", "belief": "weight of the heaviest mode"}
         if has_errors:
             plots["error"] = "error: ADD [mm]"
-        if self._is_live:
+        if self._stage.is_live:
             plots["latency"] = "latency of a scan, by stage [ms]"
         views = [
             rrb.TimeSeriesView(origin=f"/plot/{name}", name=title) for name, title in plots.items()

@@ -16,7 +16,7 @@ from taxeld.stream.messages import name_of
 
 Map = dict[str, Any]
 
-WORLD, SENSOR = "world", "taxeld_sensor"  # the frame of the robot's poses, and the skin's own
+WORLD, SENSOR = "world", "taxeld_sensor"  # frames of the robot's poses and of the skin
 FLOAT32, UINT8 = 7, 2  # sensor_msgs/PointField
 OK, WARN, STALE = 0, 1, 3  # diagnostic_msgs/DiagnosticStatus
 LEVELS = {
@@ -32,8 +32,8 @@ SILENT = "the daemon is silent"
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("live", "u1")], align=True
 )
-IN_6X6 = [0, 1, 5]  # x, y and yaw among x, y, z, roll, pitch, yaw
-RULE = "=" * 80  # between the parts of a definition (https://mcap.dev/spec/registry, `ros2msg`)
+IN_6X6 = [0, 1, 5]  # places of x, y and yaw among x, y, z, roll, pitch, yaw
+RULE = "=" * 80  # parts of a definition stand between such lines (mcap.dev/spec/registry)
 
 # Fields as the `.msg` files of Humble and later have them, in the order of the wire
 TYPES = {

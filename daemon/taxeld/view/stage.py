@@ -27,13 +27,14 @@ PARTICLES_S = 0.05  # between two clouds of particles, as the daemon sends them
 class Stage:
     """Skin and object of one daemon or session. Lengths in metres."""
 
-    object: str
-    layout: str
+    object: str  # its name
+    layout: str  # its name
     position_m: Floats  # (M, 3) taxels in the sensor frame
     radius_m: float  # of the link
     outline: Floats  # (P, 2) of the object, in its own frame
     scene: Scene | None = None  # None where only the streams are known
     truth: Poses | None = None  # (3,) true pose of the object
+    is_live: bool = False  # scans of a daemon have latencies, those of a session have none
 
     def error_mm(self, estimate: dict[str, Any]) -> float | None:
         """Symmetry-aware ADD of the heaviest mode; None without scene, truth or valid estimate."""
@@ -47,26 +48,18 @@ def pose_of(planar: dict[str, float]) -> Poses:
     return np.array([planar["x"], planar["y"], planar["theta"]])
 
 
-def from_info(info: dict[str, Any]) -> Stage:
-    """Stage of `/taxeld/info`.
-
-    Raises:
-        SetupError: the message lacks what it must have.
-    """
-    try:
-        layout = info["layout"]
-        return Stage(
-            object=Path(str(info["object"])).name,
-            layout=str(layout["name"]),
-            position_m=np.array(layout["position_m"], dtype=float).reshape(-1, 3),
-            radius_m=float(layout["radius_m"]),
-            outline=np.array(info["outline"], dtype=float).reshape(-1, 2),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise SetupError(
-            f"{messages.INFO.decode()}: is not what a taxeld daemon sends ({error}); is the "
-            "endpoint another program's?"
-        ) from None
+def from_info(info: dict[str, Any], scene: Scene | None = None) -> Stage:
+    """Stage of `/taxeld/info`, with the scene where it is known."""
+    layout = info["layout"]
+    return Stage(
+        object=Path(info["object"]).name,
+        layout=layout["name"],
+        position_m=np.array(layout["position_m"]),
+        radius_m=layout["radius_m"],
+        outline=np.array(info["outline"]),
+        scene=scene,
+        is_live=True,
+    )
 
 
 def scene_of(config: Config) -> Scene:
@@ -118,7 +111,7 @@ def truth_of(path: Path) -> Poses | None:
 
 
 def _messages(replay: Replay) -> Iterator[Message]:
-    next_s = -np.inf  # time of the next cloud of particles
+    next_s = -np.inf  # the next cloud of particles is due at this time
     for seq, outcome in enumerate(replay):
         estimate, activation = outcome.estimate, outcome.activation
         if activation is not None:

@@ -7,8 +7,9 @@ import socket
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import rerun as rr
 import rerun_bindings
@@ -21,11 +22,11 @@ from taxeld.view.picture import Picture
 from taxeld.view.stage import Stage, from_info
 from taxeld.view.streams import Message, Subscriber
 
-ANSWER_S = 5.0  # a daemon that is there has said who it is by then
-LOOK_S = 0.2  # between looks whether to end
+ANSWER_S = 5.0  # a running daemon has said who it is by then
+LOOK_S = 0.2  # pause between two looks whether to end
 HOST = "127.0.0.1"
-PORT, WEB_PORT = 9876, 9090  # Rerun's own; others where they are taken
-MEMORY = "2GB"  # of the viewer, which drops the oldest data beyond it
+PORT, WEB_PORT = 9876, 9090  # Rerun's own; free ones where these are taken
+MEMORY = "2GB"  # limit for the viewer, which then drops the oldest data
 VIEWER = Path(rr.__file__).parents[1] / "rerun_cli" / "rerun"
 
 
@@ -35,7 +36,7 @@ class Target:
 
     save: Path | None
     web: bool
-    seconds: float  # from the first scan, by the times of the scans
+    seconds: float  # duration from the first scan, by the times of the scans
     stopping: Callable[[], bool]
 
 
@@ -47,17 +48,17 @@ def live(endpoint: str, keys: Path | None, scene: Scene | None, target: Target) 
         SetupError: nothing can be shown, the endpoint is none, or a stream of another version.
     """
     with contextlib.closing(Subscriber(endpoint, keys)) as streams:
-        stage = _introduced(streams, target.stopping)
-        if stage is not None:
-            show(replace(stage, scene=scene), _heard(streams), target, is_live=True)
+        info = _first_info(streams, target.stopping)
+        if info:
+            show(from_info(info, scene), _heard(streams), target)
         elif not target.stopping():
             print(unanswered(endpoint), file=sys.stderr)  # noqa: T201
             return False
     return True
 
 
-def show(stage: Stage, heard: Iterable[Message], target: Target, *, is_live: bool) -> bool:
-    """Draw all messages; → whether there was a scan. `is_live`: scans have latencies.
+def show(stage: Stage, heard: Iterable[Message], target: Target) -> bool:
+    """Draw all messages; → whether there was a scan.
 
     Raises:
         SetupError: nothing can be shown, or the messages cannot be used.
@@ -69,7 +70,7 @@ def show(stage: Stage, heard: Iterable[Message], target: Target, *, is_live: boo
         _save(stream, target.save)
     begun_s = 0.0
     try:
-        picture = Picture(stage, stream, is_live=is_live)
+        picture = Picture(stage, stream)
         for topic, message in heard:
             if target.stopping() or _has_ended(viewer):
                 break
@@ -82,7 +83,7 @@ def show(stage: Stage, heard: Iterable[Message], target: Target, *, is_live: boo
         stream.disconnect()
         if begun_s and target.save is not None:
             _say(f"written: {target.save}; see it with: rerun {target.save}")
-        elif begun_s and not is_live:
+        elif begun_s and not stage.is_live:
             _say("the session is shown")
         while target.web and not target.stopping():  # the browser asks the viewer's process
             time.sleep(LOOK_S)
@@ -93,14 +94,14 @@ def show(stage: Stage, heard: Iterable[Message], target: Target, *, is_live: boo
     return bool(begun_s)
 
 
-def _introduced(streams: Subscriber, stopping: Callable[[], bool]) -> Stage | None:
-    """The stage of the daemon's first `/taxeld/info`; None where none comes."""
+def _first_info(streams: Subscriber, stopping: Callable[[], bool]) -> dict[str, Any]:
+    """The daemon's first `/taxeld/info`; empty where none comes."""
     end_s = time.monotonic() + ANSWER_S
     while time.monotonic() < end_s and not stopping():
         for topic, message in streams.wait(LOOK_S):
             if topic == messages.INFO:
-                return from_info(message)
-    return None
+                return message
+    return {}
 
 
 def _heard(streams: Subscriber) -> Iterator[Message]:

@@ -23,12 +23,12 @@ from taxeld.view.stage import Stage, from_info
 from taxeld.view.streams import Message, Subscriber
 
 REFRESH_S = 0.1
-SILENT_S = 2.0  # without a message; the page is called old after it
-LOOK_S = 1.0  # between looks why nothing comes
-RATE_S = 3.0  # over which rates are counted
-COLUMNS, ROWS, MODES = 24, 8, 5  # at most: of the skin's map, and modes shown
+SILENT_S = 2.0  # after this long without a message the page is called old
+LOOK_S = 1.0  # pause between two looks why nothing comes
+RATE_S = 3.0  # rates are counted over this long
+COLUMNS, ROWS, MODES = 24, 8, 5  # at most, of the skin's map; modes shown at most
 CELL = 3  # characters a taxel
-ALIKE_M, ALIKE_RAD = 0.001, 0.01  # taxels as near in height or angle stand in one row or column
+ALIKE_M, ALIKE_RAD = 0.001, 0.01  # heights of one row and angles of one column differ less
 COLOURS = {
     Status.STARTING: "cyan",
     Status.SEARCHING: "cyan",
@@ -81,11 +81,11 @@ class Page:
         self._object = ""
         self._map: SkinMap | None = None
         self._last: dict[bytes, dict[str, Any]] = {}
-        self._lat_us: dict[str, float] = {}  # of the last scan
+        self._lat_us: dict[str, float] = {}  # latencies of the last scan by stage
         self._seen: dict[bytes, deque[float]] = {}
 
     def take(self, message: Message, now_s: float) -> None:
-        """Raises SetupError for an info that is none."""
+        """Keep a message that came at `now_s`."""
         topic, m = message
         if topic == messages.INFO:
             stage = from_info(m)
@@ -123,7 +123,7 @@ class Page:
         if health is None:
             return [rates, age, _row("health", "not heard yet; it comes once a second")]
         inputs = health["inputs"]
-        old_s = inputs.get("poses_age_s", -1.0)  # negative where none came
+        old_s = inputs.get("poses_age_s", -1.0)  # negative while no pose came
         pose = "without sensor poses" if old_s < 0.0 else f"sensor pose {1e3 * old_s:.0f} ms old"
         stale = [kind for kind in ("scans", "poses") if inputs.get(f"{kind}_stale")]
         age.append(f", {pose}" + (f"; STALE {', '.join(stale)}" if stale else ""))
@@ -148,7 +148,7 @@ class SkinMap:
         x, y, z = stage.position_m.T
         self._column, columns = _places(np.arctan2(y, x) % (2.0 * np.pi), ALIKE_RAD, COLUMNS)
         row, rows = _places(z, ALIKE_M, ROWS)
-        self._row = rows - 1 - row  # the highest above
+        self._row = rows - 1 - row  # the highest taxels are the top row
         self._shape = rows, columns
         self._edges = {rows - 1: f"{1e3 * z.min():+.0f}mm", 0: f"{1e3 * z.max():+.0f}mm"}
 
