@@ -37,7 +37,7 @@ def files() -> dict[str, str]:
 def manual(parser: ArgumentParser) -> str:
     """The page of a program for section 1, without a date, so that every build makes the same."""
     for command in commands_of(parser).values():
-        command.description = command.epilog  # its examples; the page has its sentence from `help`
+        command.description = command.epilog  # the page has the sentence already
     page = Manpage(parser, format="single-commands-section")
     page.description = (parser.description or "").partition(".")[0]
     page.date, page.source, page.manual = "", "taxeld", "taxeld"

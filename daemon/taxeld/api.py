@@ -9,7 +9,7 @@ Other names may change at any time. `import taxeld` alone imports none of these 
 commands start at once.
 """
 
-from taxeld.commands.replayed import Replay
+from taxeld.commands.replay import Replay
 from taxeld.config.file import load as load_config
 from taxeld.config.tables import Config, FilterConfig, SkinConfig
 from taxeld.config.toml_tables import ConfigError

@@ -1,14 +1,16 @@
-"""The part common to the four programs: help with examples, `--version`, and one line with an exit
-status for every fault.
+"""Common to the four programs: help with examples, `--version`, and for each fault one line and an
+exit status.
 
 It is imported before the command is known, so it imports nothing slow.
 """
 
 import argparse
+import inspect
 import os
 import signal
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import TypeAlias
 
 from taxeld import __version__
@@ -16,7 +18,7 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 
 FAILED, USAGE_ERROR = 1, 2
-STDERR = 2  # number of the last standard stream
+STDERR = 2  # the last standard stream's number
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 EXTRAS = {  # extra of pyproject.toml → modules that only it installs
     "view": ("matplotlib", "rich", "rerun"),
@@ -67,6 +69,27 @@ def command(
     _add_version(made)
     made.set_defaults(command=run)
     return made
+
+
+def documented(commands: Commands, run: Run) -> argparse.ArgumentParser:
+    """Add the command `_name` of which the docstring has a sentence, and an example a line."""
+    text, *examples = filter(None, (inspect.getdoc(run) or "").splitlines())
+    return command(commands, run.__name__.lstrip("_"), text, *examples, run=run)
+
+
+def add_endpoint(made: argparse.ArgumentParser, about: str) -> None:
+    """Arguments that name a running daemon, the service's where they are left out. `about`: what
+    the endpoint is."""
+    where = made.add_mutually_exclusive_group()
+    config = "the daemon's configuration"
+    where.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help=config)
+    where.add_argument("--endpoint", help=about)
+    add_keys(made)
+
+
+def add_keys(made: argparse.ArgumentParser) -> None:
+    about = "with server.key and client.key_secret"
+    made.add_argument("--keys", type=Path, metavar="DIR", help=about)
 
 
 def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = "") -> int:

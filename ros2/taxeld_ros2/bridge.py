@@ -19,32 +19,31 @@ import zmq
 from taxeld.arrays import Floats
 from taxeld.service.notify import Notifier
 from taxeld.stream import messages
-from taxeld.view import ros_messages as ros
-from taxeld.view.live import Streams
+from taxeld.view import ros
+from taxeld.view.streams import Subscriber
 from taxeld_ros2.dds import Participant
 from taxeld_ros2.markers import markers
 from taxeld_ros2.poses_in import FromTopic, FromTransforms, SensorPose
 
 STEP_MS = 50
-SILENT_S = 2.0  # without an estimate, after which no daemon is there
-DIAGNOSTICS_S = 1.0  # between two, while the status stays
-MARKERS_S = 0.1  # between two
+SILENT_S = 2.0  # after this long without an estimate no daemon is there
+DIAGNOSTICS_S = 1.0  # period of the diagnostics while the status stays
+MARKERS_S = 0.1  # shortest period of the markers
 DEPTH = 10  # messages kept for a reader, as ROS 2's own publishers do
+TOPICS = (messages.ESTIMATE, messages.HEALTH, messages.INFO, messages.PARTICLES)
 
 log = logging.getLogger(f"taxeld.{__name__}")  # the command writes the logs of taxeld
 
 
 @dataclass(frozen=True, slots=True)
-class Settings:
+class BridgeSettings:
     """Settings of the bridge, from its command line and the daemon's configuration."""
 
-    stream: str  # where the daemon publishes
+    stream: str  # endpoint where the daemon publishes
     frame: str = "world"  # frame_id of the object's poses
     prefix: str = "taxeld"  # of the topics
     z_m: float = 0.0  # height of the poses
-    domain: int | None = None  # None: ROS_DOMAIN_ID
     keys: Path | None = None
-    markers: bool = True
     sensor_endpoint: str = ""  # where the daemon expects the robot
     sensor_frames: Sequence[str] | None = None  # the world's and the skin's, of transforms
     sensor_topic: str = ""  # in place of transforms
@@ -53,7 +52,7 @@ class Settings:
 class Bridge:
     """Opened, until `close`."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: BridgeSettings) -> None:
         """A daemon need not be there. Raises SetupError where a setting cannot be used."""
         self.stopping = False
         self._settings = settings
@@ -63,12 +62,10 @@ class Bridge:
         self._heard_s = time.monotonic()
         self._is_silent = False
         self._next_diagnostics_s = self._next_markers_s = -math.inf
-        topics = [messages.ESTIMATE, messages.HEALTH, messages.INFO]
-        topics += [messages.PARTICLES] * settings.markers
         with contextlib.ExitStack() as opened:
-            self._streams = Streams(settings.stream, settings.keys, topics, "--stream")
+            self._streams = Subscriber(settings.stream, settings.keys, TOPICS, "--stream")
             opened.callback(self._streams.close)
-            dds, name = Participant(settings.domain), settings.prefix.strip("/")
+            dds, name = Participant(), settings.prefix
             kind = "geometry_msgs/PoseWithCovarianceStamped"
             self._pose = dds.writer(f"{name}/pose", kind, DEPTH)
             self._modes = dds.writer(f"{name}/modes", "geometry_msgs/PoseArray", DEPTH)
@@ -141,8 +138,11 @@ class Bridge:
             self._last[topic] = message
         now_s = time.monotonic()
         self._watch(now_s)
-        if is_new and self._settings.markers and now_s >= self._next_markers_s:
-            self._draw(now_s)
+        if is_new and self._outline is not None and now_s >= self._next_markers_s:
+            self._next_markers_s = now_s + MARKERS_S
+            estimate, cloud = self._last[messages.ESTIMATE], self._last.get(messages.PARTICLES, {})
+            frame, z_m = self._settings.frame, self._settings.z_m
+            self._markers.write(markers(estimate, cloud, self._outline, frame, z_m))
 
     def _on_estimate(self, estimate: dict[str, Any]) -> None:
         """Poses are published while they may be used, and for each estimate of a scan."""
@@ -170,18 +170,9 @@ class Bridge:
         estimate = self._last.get(messages.ESTIMATE, {})
         if now_s >= self._next_diagnostics_s and (estimate or silent):
             self._next_diagnostics_s = now_s + DIAGNOSTICS_S
-            name = f"{self._settings.prefix.strip('/')}: estimate"
             health = self._last.get(messages.HEALTH)
+            name = f"{self._settings.prefix}: estimate"
             self._diagnostics.write(ros.diagnostics(time.time(), name, estimate, health))
-
-    def _draw(self, now_s: float) -> None:
-        """Markers of the last estimate, no more often than they can be seen."""
-        if self._outline is None:
-            return
-        self._next_markers_s = now_s + MARKERS_S
-        estimate, cloud = self._last[messages.ESTIMATE], self._last.get(messages.PARTICLES, {})
-        frame, z_m = self._settings.frame, self._settings.z_m
-        self._markers.write(markers(estimate, cloud, self._outline, frame, z_m))
 
     def _status_line(self, _: float) -> str:
         heard = "no daemon is heard" if self._is_silent else "a daemon is heard"

@@ -15,10 +15,10 @@ from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 
 if TYPE_CHECKING:
-    from taxeld_ros2.bridge import Settings
+    from taxeld_ros2.bridge import BridgeSettings
 
 NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
-FRAMES = ("world", "sensor")  # of poses, with a sensor pose configured and without
+FRAMES = ("world", "sensor")  # frames of poses, with a sensor pose configured and without
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -47,13 +47,13 @@ def _run(args: argparse.Namespace) -> int:
     return 0
 
 
-def settings_of(args: argparse.Namespace, config: Config | None) -> "Settings":
+def settings_of(args: argparse.Namespace, config: Config | None) -> "BridgeSettings":
     """The arguments' settings, with the daemon's configuration where it is given.
 
     Raises:
         SetupError: they do not fit together.
     """
-    from taxeld_ros2.bridge import Settings
+    from taxeld_ros2.bridge import BridgeSettings
 
     stream, expected = args.stream, args.sensor_endpoint
     if config is not None:
@@ -73,14 +73,12 @@ def settings_of(args: argparse.Namespace, config: Config | None) -> "Settings":
             "sensor_pose.endpoint: is empty, so the daemon takes no poses of a robot; set it, as "
             "to tcp://127.0.0.1:9874"
         )
-    return Settings(
+    return BridgeSettings(
         stream=stream,
         frame=args.frame or FRAMES[not expected],
-        prefix=args.prefix,
+        prefix=args.prefix.strip("/"),
         z_m=args.z_m,
-        domain=args.domain,
         keys=args.keys,
-        markers=not args.no_markers,
         sensor_endpoint=expected,
         sensor_frames=args.sensor_tf,
         sensor_topic=args.sensor_topic,
@@ -96,26 +94,20 @@ def _parser() -> argparse.ArgumentParser:
         "taxeld-ros2 --stream tcp://127.0.0.1:9872 --frame base",
     )
     parser.set_defaults(command=_run)
-    about = "the daemon's configuration"
-    parser.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help=about)
-    about = "in place of its publish.endpoints"
-    parser.add_argument("--stream", default="", metavar="ENDPOINT", help=about)
-    sensor = parser.add_mutually_exclusive_group()
+    add, sensor = parser.add_argument, parser.add_mutually_exclusive_group()
+    add("config", type=Path, nargs="?", metavar="CONFIG", help="the daemon's configuration")
+    add("--stream", default="", metavar="ENDPOINT", help="in place of its publish.endpoints")
     about = "take the skin's pose from /tf: its frame in the world's"
     sensor.add_argument("--sensor-tf", nargs=2, metavar=("WORLD", "SKIN"), help=about)
     about = "take it from a topic of geometry_msgs/msg/PoseStamped"
     sensor.add_argument("--sensor-topic", default="", metavar="TOPIC", help=about)
     about = "where the daemon expects it (default: its sensor_pose.endpoint)"
-    parser.add_argument("--sensor-endpoint", default="", metavar="ENDPOINT", help=about)
+    add("--sensor-endpoint", default="", metavar="ENDPOINT", help=about)
     about = "frame_id of the poses (default: world, or sensor where the daemon has no sensor pose)"
-    parser.add_argument("--frame", default="", help=about)
-    parser.add_argument("--prefix", default="taxeld", help="of the topics (default %(default)s)")
-    about = "height of the poses (default %(default)s)"
-    parser.add_argument("--z-m", type=float, default=0.0, help=about)
-    parser.add_argument("--no-markers", action="store_true", help="nothing for RViz")
-    parser.add_argument("--domain", type=int, help="in place of ROS_DOMAIN_ID")
-    about = "with server.key and client.key_secret"
-    parser.add_argument("--keys", type=Path, metavar="DIR", help=about)
+    add("--frame", default="", help=about)
+    add("--prefix", default="taxeld", help="of the topics (default %(default)s)")
+    add("--z-m", type=float, default=0.0, help="height of the poses (default %(default)s)")
+    command_line.add_keys(parser)
     return parser
 
 

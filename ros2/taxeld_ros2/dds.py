@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from cyclonedds.builtin import BuiltinDataReader, BuiltinTopicDcpsPublication
 from cyclonedds.core import DDSException, Listener, Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import make_idl_struct, types
@@ -18,19 +17,19 @@ from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
 from taxeld.errors import SetupError
-from taxeld.view import ros_types
+from taxeld.view import ros
 
 DOMAIN = "ROS_DOMAIN_ID"
-DOMAIN_MAX = 232  # beyond it there are no ports
-BLOCKED_MS = 1  # for how long a reliable reader that does not keep up may hold a writer
-TAKEN = 200  # messages at once
-AGAIN_S = 30.0  # between two log lines of one kind
-# ROS 2's writers offer this representation, and its readers take it
+DOMAIN_MAX = 232  # higher domains have no ports
+BLOCKED_MS = 1  # a reliable reader that does not keep up holds a writer no longer
+TAKEN = 200  # messages taken at once
+AGAIN_S = 30.0  # shortest period of log lines of one kind
+# ROS 2 writes and reads this representation
 CDR = Policy.DataRepresentation(use_cdrv0_representation=True)
 RELIABLE = Policy.Reliability.Reliable(duration(milliseconds=BLOCKED_MS))
 BEST_EFFORT = Policy.Reliability.BestEffort
 LATCHED = Policy.Durability.TransientLocal
-EMPTY = {"string": "", "bool": False}  # values of fields that are left out; numbers are 0
+EMPTY = {"string": "", "bool": False}  # values of fields that are left out; others are 0
 
 log = logging.getLogger(f"taxeld.{__name__}")  # the command writes the logs of taxeld
 
@@ -39,14 +38,14 @@ log = logging.getLogger(f"taxeld.{__name__}")  # the command writes the logs of 
 def kind_of(name: str) -> Any:
     """The class by which Cyclone DDS writes and reads a ROS type, as `geometry_msgs/Pose`."""
     package, _, short = name.partition("/")
-    fields = {field: _idl(ros) for ros, field in ros_types.fields(name)}
+    fields = {field: _idl(kind) for kind, field in ros.fields(name)}
     return make_idl_struct(short, f"{package}::msg::dds_::{short}_", fields)
 
 
 def message(name: str, values: dict[str, Any]) -> Any:
     """A ROS message of a map of its fields; fields that are left out are zero or empty."""
-    fields = ros_types.fields(name)
-    return kind_of(name)(*(_value(ros, values.get(field)) for ros, field in fields))
+    fields = ros.fields(name)
+    return kind_of(name)(*(_value(kind, values.get(field)) for kind, field in fields))
 
 
 class Output:
@@ -71,11 +70,11 @@ class Output:
 
 
 class Participant:
-    """One of a ROS domain; `None` is that of ROS_DOMAIN_ID, or 0."""
+    """A participant of the ROS domain that ROS_DOMAIN_ID names, or of 0."""
 
-    def __init__(self, domain: int | None = None) -> None:
+    def __init__(self) -> None:
         """Raises SetupError: the domain is none, or DDS cannot be had."""
-        self.domain = _domain(domain)
+        self.domain = _domain()
         try:
             self._participant = DomainParticipant(self.domain)
         except DDSException as error:
@@ -83,7 +82,6 @@ class Participant:
                 f"DDS cannot be had in domain {self.domain} ({error.msg.strip()}); look at "
                 "CYCLONEDDS_URI and the network"
             ) from None
-        self._seen = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
 
     def writer(self, name: str, kind: str, depth: int, *policies: Any) -> Output:
         """Of the ROS topic `/name`; the last `depth` messages are kept for a reader."""
@@ -97,13 +95,6 @@ class Participant:
         qos = Qos(CDR, Policy.History.KeepLast(100), *policies)
         return DataReader(self._participant, self._topic(name, kind), qos=qos, listener=listener)
 
-    def kinds_of(self, name: str) -> set[str]:
-        """The ROS types, as `geometry_msgs/msg/Pose`, under which others publish a topic."""
-        wanted = _dds_name(name)
-        found = (seen for seen in self._seen.read(N=1000) if seen.topic_name == wanted)
-        names = (seen.type_name.replace("::dds_::", "::").removesuffix("_") for seen in found)
-        return {name.replace("::", "/") for name in names}
-
     def _topic(self, name: str, kind: str) -> Any:
         return Topic(self._participant, _dds_name(name), kind_of(kind))
 
@@ -113,18 +104,19 @@ def taken(reader: Any) -> list[Any]:
     return [sample for sample in reader.take(N=TAKEN) if sample.sample_info.valid_data]
 
 
-def _idl(ros: str) -> Any:
-    """The type of a field for Cyclone DDS: of `float64`, `geometry_msgs/Pose[]`, `float64[36]`."""
-    base, is_many, length = ros.rstrip("]").partition("[")
+def _idl(kind: str) -> Any:
+    """A field's type for Cyclone DDS: of `float64`, `geometry_msgs/Pose[]`, `float64[36]`."""
+    base, is_many, length = kind.rstrip("]").partition("[")
     plain = {"string": str, "bool": bool}.get(base)
-    kind = plain or (kind_of(base) if "/" in base else getattr(types, base))
+    one = plain or (kind_of(base) if "/" in base else getattr(types, base))
     if not is_many:
-        return kind
-    return types.array[kind, int(length)] if length else types.sequence[kind]
+        return one
+    return types.array[one, int(length)] if length else types.sequence[one]
 
 
-def _value(ros: str, given: Any) -> Any:
-    base, is_many, _ = ros.partition("[")
+def _value(kind: str, given: Any) -> Any:
+    """A field of this type; the empty one for None."""
+    base, is_many, _ = kind.partition("[")
     if is_many:
         return [_value(base, one) for one in given] if given and "/" in base else given or []
     if "/" in base:
@@ -132,12 +124,11 @@ def _value(ros: str, given: Any) -> Any:
     return EMPTY.get(base, 0) if given is None else given
 
 
-def _domain(given: int | None) -> int:
+def _domain() -> int:
     """The number of the domain. Raises SetupError for one that DDS does not have."""
-    text = os.environ.get(DOMAIN, "0") if given is None else str(given)
+    text = os.environ.get(DOMAIN, "0")
     if not text.isascii() or not text.isdigit() or int(text) > DOMAIN_MAX:
-        told = DOMAIN if given is None else "--domain"
-        raise SetupError(f"{told}: must be 0..{DOMAIN_MAX}, not {text!r}")
+        raise SetupError(f"{DOMAIN}: must be 0..{DOMAIN_MAX}, not {text!r}")
     return int(text)
 
 

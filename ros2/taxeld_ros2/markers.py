@@ -6,14 +6,14 @@ import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.model import se2
-from taxeld.view import ros_messages as ros
+from taxeld.view import ros
 
 LINE_STRIP, POINTS = 4, 8  # types of a visualization_msgs/Marker
-ADD, DELETE = 0, 2  # its actions
+ADD, DELETE = 0, 2  # actions of a marker
 LINE_M, POINT_M = 0.002, 0.003
 BLUE, GREEN = (0.12, 0.47, 0.71), (0.17, 0.63, 0.17)
-FAINTEST = 0.15  # of a mode of hardly any weight
-MODES_MAX = 5  # as the daemon sends
+FAINTEST = 0.15  # opacity of a mode of hardly any weight
+MODES_MAX = 5  # modes in the daemon's estimates, at most
 
 
 def markers(

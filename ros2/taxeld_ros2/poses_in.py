@@ -17,11 +17,10 @@ from taxeld.stream.sockets import open_socket, why
 from taxeld_ros2.dds import AGAIN_S, BEST_EFFORT, LATCHED, RELIABLE, Participant, taken
 from taxeld_ros2.transforms import Transforms, matrix
 
-TILT_RAD = 0.1  # of the link from upright, beyond which its pose is not planar
-PATIENCE_S = 5.0  # without a pose, until that is said
+TILT_RAD = 0.1  # a link that leans farther from upright has no planar pose
+PATIENCE_S = 5.0  # without a pose before a line says so
 OFF_S = 1.0  # stamps farther from this machine's clock are of another clock
 QUEUE = 1000  # poses that wait for the daemon
-POSE = "geometry_msgs/msg/PoseStamped"
 
 Places = list[tuple[float, Floats]]  # Unix seconds, and the skin's frame in the world's (4, 4)
 
@@ -29,11 +28,14 @@ log = logging.getLogger(f"taxeld.{__name__}")  # the command writes the logs of 
 
 
 class FromTransforms:
-    """A frame in another, as robot_state_publisher and others tell it on /tf and /tf_static."""
+    """A frame in another, as robot_state_publisher and others publish it on /tf and /tf_static."""
 
     def __init__(self, dds: Participant, parent: str, child: str, wake: Callable[[], None]) -> None:
         self._transforms = Transforms(parent, child)
-        self.fault = self._transforms.fault
+        self.silence = (
+            f"no transforms that move lead from the frame '{parent}' to '{child}'; look at "
+            "'ros2 run tf2_tools view_frames'"
+        )
         kind = "tf2_msgs/TFMessage"
         self._static = dds.reader("tf_static", kind, wake, RELIABLE, LATCHED)
         self._moving = dds.reader("tf", kind, wake, RELIABLE)
@@ -56,7 +58,11 @@ class FromTopic:
     """A topic of geometry_msgs/msg/PoseStamped: the skin's sensor frame in the world."""
 
     def __init__(self, dds: Participant, topic: str, wake: Callable[[], None]) -> None:
-        self._dds, self._topic = dds, topic
+        name = "/" + topic.strip("/")
+        self.silence = (
+            f"no geometry_msgs/msg/PoseStamped came on {name} in domain {dds.domain}; look at "
+            f"'ros2 topic info {name}' and ROS_DOMAIN_ID"
+        )
         self._reader = dds.reader(topic, "geometry_msgs/PoseStamped", wake, BEST_EFFORT)
 
     def take(self) -> Places:
@@ -66,14 +72,6 @@ class FromTopic:
             for m in taken(self._reader)
         )
         return [(t, place) for t, place in found if place is not None]
-
-    def fault(self) -> str:
-        """Why none comes, as far as it is known."""
-        there = self._dds.kinds_of(self._topic)
-        name = "/" + self._topic.strip("/")
-        if not there:
-            return f"nothing publishes {name} in domain {self._dds.domain}"
-        return "" if POSE in there else f"{name} is of {', '.join(sorted(there))}, not of {POSE}"
 
 
 class SensorPose:
@@ -90,7 +88,7 @@ class SensorPose:
                 "the daemon, with an endpoint as tcp://127.0.0.1:9874"
             )
         self._source = source
-        self._next: dict[str, float] = {}  # when a line of a kind may be said again, monotonic
+        self._next_s: dict[str, float] = {}  # monotonic time when a kind of line may come again
         self._since_s = time.monotonic()
         self._socket = open_socket(context, zmq.PUB, send=QUEUE, receive=1, largest=1024)
         try:
@@ -111,12 +109,12 @@ class SensorPose:
         for t, place in self._source.take():
             self._since_s = now_s
             tilt = math.acos(min(1.0, max(-1.0, place[2, 2])))
+            off_s = t - time.time()
             if tilt > TILT_RAD:
                 degrees = math.degrees(tilt)
                 text = f"the skin's z axis is {degrees:.0f}° from upright: such poses are left out"
                 self._say("tilt", text, now_s)
                 continue
-            off_s = t - time.time()
             if abs(off_s) > OFF_S:
                 text = f"sensor poses are stamped {off_s:+.0f} s from this machine's clock, so the "
                 text += "daemon does not take them; is it a simulation's time?"
@@ -126,11 +124,11 @@ class SensorPose:
             frames = messages.SENSOR_POSE, msgpack.packb(body), b"%.6f" % t
             self._socket.send_multipart(frames, zmq.NOBLOCK)
         if now_s - self._since_s > PATIENCE_S:
-            self._say("silent", f"no sensor pose: {self._source.fault() or 'none came'}", now_s)
+            self._say("silence", f"no sensor pose: {self._source.silence}", now_s)
 
     def _say(self, kind: str, text: str, now_s: float) -> None:
-        if now_s >= self._next.get(kind, -math.inf):
-            self._next[kind] = now_s + AGAIN_S
+        if now_s >= self._next_s.get(kind, -math.inf):
+            self._next_s[kind] = now_s + AGAIN_S
             log.warning(text)
 
 
@@ -139,4 +137,5 @@ def _seconds(stamp: Any) -> float:
 
 
 def _matrix(at: Any, turn: Any) -> Floats | None:
+    """(4, 4) of a ROS position and quaternion."""
     return matrix((at.x, at.y, at.z), (turn.x, turn.y, turn.z, turn.w))

@@ -1,6 +1,6 @@
 """ROS 2's transforms: where one frame is in another, at a time that all between them know.
 
-A frame's place in another is a homogeneous matrix (4, 4); times are Unix seconds.
+A frame's place in another is a homogeneous matrix (4, 4); lengths are metres, times Unix seconds.
 """
 
 import math
@@ -20,7 +20,7 @@ LENGTH = (0.9, 1.1)  # of a rotation's quaternion, which should be 1
 
 
 def matrix(at: Sequence[float], turn: Sequence[float]) -> Floats | None:
-    """Of a position and a quaternion x, y, z, w; None where the numbers are no place."""
+    """(4, 4) of a position (3,) and a quaternion x, y, z, w; None of numbers that are no place."""
     length = math.hypot(*turn)
     if not all(map(math.isfinite, (*at, *turn))) or not LENGTH[0] <= length <= LENGTH[1]:
         return None
@@ -36,7 +36,7 @@ def matrix(at: Sequence[float], turn: Sequence[float]) -> Floats | None:
 
 
 def between(a: Floats, b: Floats, share: float) -> Floats:
-    """A place from `a` to `b`, which is near it; the mean of two rotations is made one again."""
+    """A place (4, 4) from `a` to `b`, which is near it: the mean, made a rotation again."""
     made = a + share * (b - a)
     u, _, vt = np.linalg.svd(made[:3, :3])
     made[:3, :3] = u @ vt
@@ -51,10 +51,10 @@ class Transforms:
         self._ends = _plain(parent), _plain(child)
         self._parent: dict[str, str] = {}
         self._held: dict[str, deque[tuple[float, Floats]]] = {}  # places of a frame in its parent
-        self._told = -math.inf
+        self._last_s = -math.inf  # the newest time that was asked for and known
 
     def take(self, t: float, parent: str, child: str, place: Floats | None) -> None:
-        """Keep a transform; `t` is infinite for a static one. None is left out."""
+        """Keep a transform, `place` (4, 4); `t` is infinite for a static one. None is left out."""
         parent, child = _plain(parent), _plain(child)
         if place is None or math.isnan(t) or not parent or parent == child:
             return
@@ -67,42 +67,30 @@ class Transforms:
             held.append((t, place))
 
     def news(self) -> tuple[float, Floats] | None:
-        """The newest time that all frames between know, and the place then; None where that was
-        told before, or the frames do not hang together."""
+        """The newest time that all frames between know, and the place (4, 4) then; None where it
+        is the same time as before, or no frames that move lead from one to the other."""
         ways = self._ways()
-        t = self._latest(ways) if ways else math.inf
-        if ways is None or math.isinf(t) or t == self._told:
+        t = min((self._held[name][-1][0] for way in ways for name in way), default=math.inf)
+        if math.isinf(t) or t == self._last_s:
             return None
-        places = []
-        for way in ways:
-            place = np.eye(4)
-            for name in way:
-                step = self._at(name, t)
-                if step is None:
-                    return None
-                place = step @ place
-            places.append(place)
-        self._told = t
+        places = [self._along(way, t) for way in ways]
+        if places[0] is None or places[1] is None:
+            return None
+        self._last_s = t
         return t, np.linalg.inv(places[0]) @ places[1]
 
-    def fault(self) -> str:
-        """Why no place can be told, or an empty text."""
-        named = {*self._parent, *self._parent.values()}
-        for end in self._ends:
-            if end not in named:
-                return f"no transform names the frame '{end}'"
-        ways, (parent, child) = self._ways(), self._ends
-        if ways is None:
-            return f"no transforms lead from the frame '{parent}' to '{child}'"
-        if math.isinf(self._latest(ways)):
-            return f"'{child}' never moves in '{parent}': no robot moves the skin"
-        return ""
-
-    def _latest(self, ways: list[list[str]]) -> float:
-        return min((self._held[name][-1][0] for way in ways for name in way), default=math.inf)
+    def _along(self, way: list[str], t: float) -> Floats | None:
+        """The place (4, 4) of a way's first frame in the parent of its last."""
+        place = np.eye(4)
+        for name in way:
+            step = self._at(name, t)
+            if step is None:
+                return None
+            place = step @ place
+        return place
 
     def _at(self, name: str, t: float) -> Floats | None:
-        """A frame in its parent; None where `t` is outside the times that are held."""
+        """A frame in its parent, (4, 4); None where `t` is outside the times that are held."""
         held = self._held[name]
         k = bisect_left(held, t, key=itemgetter(0))
         if k == len(held):
@@ -115,12 +103,12 @@ class Transforms:
         before, earlier = held[k - 1]
         return between(earlier, later, (t - before) / (after - before))
 
-    def _ways(self) -> list[list[str]] | None:
-        """The frames from each end up to the first frame that both hang on, which is left out;
-        None where there is none."""
+    def _ways(self) -> list[list[str]]:
+        """The frames from each end up to the first frame above both, which is left out; empty where
+        there is none."""
         up = [self._up(end) for end in self._ends]
         common = set(up[0]) & set(up[1])
-        return [list(takewhile(lambda n: n not in common, way)) for way in up] if common else None
+        return [list(takewhile(lambda n: n not in common, way)) for way in up] if common else []
 
     def _up(self, name: str) -> list[str]:
         """A frame, its parent, and so on; a ring of frames ends where it began."""
@@ -131,5 +119,5 @@ class Transforms:
 
 
 def _plain(frame: str) -> str:
-    """As tf2 names it: some still begin with a slash."""
+    """A frame's name as tf2 has it: some programs begin it with a slash."""
     return frame.removeprefix("/")

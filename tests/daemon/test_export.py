@@ -12,7 +12,7 @@ import pytest
 from taxeld.cli import main
 from taxeld.estimator.estimate import Status
 from taxeld.stream import messages
-from taxeld.view.recorded import Recording
+from taxeld.view.stage import recorded
 
 from .recorded import configuration, write_session
 from .test_stream_document import documented
@@ -23,7 +23,7 @@ pytest.importorskip("rosbags")
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from taxeld.view import export, ros_messages, ros_types
+from taxeld.view import export, ros
 
 RELEASES = [*dropwhile(lambda store: store is not Stores.ROS2_HUMBLE, Stores)]
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
@@ -34,7 +34,7 @@ Heard = dict[str, list[Any]]
 def said() -> dict[bytes, list[dict[str, Any]]]:
     """What a replay says, by topic."""
     found: dict[bytes, list[dict[str, Any]]] = {}
-    for topic, message in Recording(SESSION):
+    for topic, message in recorded(SESSION)[1]:
         found.setdefault(topic, []).append(message)
     return found
 
@@ -99,7 +99,7 @@ def test_modes_and_particles_are_arrays_of_poses(
 def test_taxels_are_points_with_their_activation_in_a_frame_that_moves_with_the_sensor(
     heard: Heard, said: dict[bytes, list[dict[str, Any]]]
 ) -> None:
-    position = Recording(SESSION).stage.position_m
+    position = recorded(SESSION)[0].position_m
     taxels = said[messages.TAXELS]
     assert max(max(one["z"]) for one in taxels) > 0.1
     for (_, cloud), one in zip(heard["/taxeld/taxels"], taxels, strict=True):
@@ -135,36 +135,31 @@ def test_every_estimate_has_a_status_by_its_name(
 def test_definitions_are_those_of_ros_2(release: Stores) -> None:
     """rosbags has those of each release since Humble, and reads ours to the same fields."""
     theirs = get_typestore(release).fielddefs
-    for name in ros_types.TYPES:
+    for name in ros.TYPES:
         full = name.replace("/", "/msg/")
-        ours = get_types_from_msg(ros_types.definition(name), full)
+        ours = get_types_from_msg(ros.definition(name), full)
         assert full in ours
         for one, (_, fields) in ours.items():
             assert fields == theirs[one][1]
 
 
-@pytest.mark.parametrize("status", list(Status))
-def test_every_status_has_a_level_and_its_name(status: Status) -> None:
+@pytest.mark.parametrize("status", [*Status, 99], ids=str)
+def test_every_status_has_a_level_and_its_name(status: int) -> None:
     estimate = {**documented("/taxeld/estimate")[1], "status": int(status)}
     health = documented("/taxeld/health")[1]
-    (told,) = ros_messages.diagnostics(5.0, "taxeld", estimate, health)["status"]
-    assert told["message"] == status.name.lower()
+    (told,) = ros.diagnostics(5.0, "taxeld", estimate, health)["status"]
+    of_a_later_daemon = "unknown (99)"
+    assert told["message"] == getattr(status, "name", of_a_later_daemon).lower()
     good = {Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED}
-    assert (told["level"] == ros_messages.OK) == (status in good)
+    assert (told["level"] == ros.OK) == (status in good)
     assert {"key": "dead taxels", "value": "4 17 30"} in told["values"]
-
-
-def test_a_status_of_a_later_daemon_is_told_by_its_number() -> None:
-    estimate = {**documented("/taxeld/estimate")[1], "status": 99}
-    (told,) = ros_messages.diagnostics(5.0, "taxeld", estimate)["status"]
-    assert (told["level"], told["message"]) == (ros_messages.WARN, "unknown (99)")
 
 
 @pytest.mark.parametrize("t", [1700000005.121, 1.9999999999, 0.0, 1795357978.776642])
 def test_a_stamp_is_the_measurements_time_and_its_nanoseconds_are_less_than_a_second(
     t: float,
 ) -> None:
-    stamp = ros_messages.header(t)["stamp"]
+    stamp = ros.header(t)["stamp"]
     assert 0 <= stamp["nanosec"] < 1_000_000_000
     assert stamp["sec"] + stamp["nanosec"] * 1e-9 == pytest.approx(t, abs=1e-6)
 
@@ -184,14 +179,19 @@ def test_a_session_without_a_whole_scan_is_one_line_and_leaves_no_file(
     assert not list(tmp_path.glob("run.mcap*"))
 
 
+@pytest.mark.parametrize(
+    ("session", "file", "text"),
+    [
+        ("{place}", "x.mcap", "{place}: is no session"),
+        (SESSION, "no/x.mcap", "--mcap: cannot write"),
+    ],
+    ids=["no session", "no directory"],
+)
 def test_what_is_no_session_and_what_cannot_be_written_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], session: object, file: str, text: str
 ) -> None:
-    assert main(["export", str(tmp_path), "--mcap", str(tmp_path / "x.mcap")]) == 2
+    arguments = [str(session).format(place=tmp_path), "--mcap", str(tmp_path / file)]
+    assert main(["export", *arguments]) == 2
     said = capsys.readouterr().err
-    assert f"{tmp_path}: is no session" in said
-    assert said.count("\n") == 1
-    assert main(["export", str(SESSION), "--mcap", str(tmp_path / "none" / "x.mcap")]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("--mcap: cannot write")
+    assert said.startswith(text.format(place=tmp_path))
     assert said.count("\n") == 1

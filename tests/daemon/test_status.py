@@ -1,6 +1,5 @@
 """Asking a running daemon from the command line."""
 
-import contextlib
 import json
 import re
 import subprocess
@@ -62,15 +61,9 @@ def test_status_is_aligned_names_and_values_with_units(
     assert values["Stale inputs"] == "none"
     assert values["Total time"].startswith("median ")
     assert " mm, y " in values["Uncertainty"]
-
-
-def test_status_as_json_is_the_whole_answer(
-    running: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
     assert main(["status", "--endpoint", f"ipc://{running}/control", "--json"]) == 0
     answer = json.loads(capsys.readouterr().out)
     assert set(answer) == {"ok", "estimate", "health", "waits_for", "sensor_pose"}
-    assert answer["waits_for"] == ""
 
 
 def test_reset_and_tare_wait_for_the_answer_and_say_what_happened(
@@ -114,57 +107,31 @@ def test_a_wrong_endpoint_is_one_line_and_status_2(
     assert err.count("\n") == 1
 
 
-@contextlib.contextmanager
-def started(place: Path, settings: str) -> Iterator[Path]:
-    """A daemon that serves in `place`; → its configuration."""
-    config = place / "config.toml"
+def test_a_device_that_is_waited_for_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = tmp_path / "config.toml"
     config.write_text(
-        f'{settings}[scene]\nbundle = "box"\n[publish]\nendpoints = []\n'
-        f'[control]\nendpoint = "ipc://{place}/control"\n',
+        f'[source]\nkind = "serial"\nchannel = "{tmp_path}/skin"\n[scene]\nbundle = "box"\n'
+        f'[publish]\nendpoints = []\n[control]\nendpoint = "ipc://{tmp_path}/control"\n',
         encoding="utf-8",
     )
     with subprocess.Popen([sys.executable, "-m", "taxeld.cli", "run", str(config)]) as daemon:
         try:
             deadline = time.monotonic() + 60.0
-            while not (place / "control").exists():
-                assert time.monotonic() < deadline, "the daemon does not start"
-                time.sleep(0.1)
-            yield config
+            answer = None
+            while answer is None or answer["health"].get("source", {}).get("unopened", 0) < 2:
+                assert time.monotonic() < deadline
+                answer = client.ask(f"ipc://{tmp_path}/control", "status", timeout_s=5.0)
+            assert main(["status", str(config)]) == 0
         finally:
             daemon.terminate()
-
-
-def test_a_device_that_is_waited_for_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with started(tmp_path, f'[source]\nkind = "serial"\nchannel = "{tmp_path}/skin"\n'):
-        deadline = time.monotonic() + 60.0
-        while True:
-            answer = client.ask(f"ipc://{tmp_path}/control", "status", timeout_s=20.0)
-            assert answer is not None
-            if answer["health"].get("source", {}).get("unopened", 0) > 1:
-                break
-            assert time.monotonic() < deadline
-        assert main(["status", str(tmp_path / "config.toml")]) == 0
     assert answer["health"]["source"]["waiting"] is True
     (line,) = (row for row in capsys.readouterr().out.splitlines() if row.startswith("Device"))
     told = re.fullmatch(r"Device        : waiting, (.*); (\d+) attempts to open it failed", line)
     assert told is not None, line
     assert told[1].startswith(f"source.channel: cannot open {tmp_path}/skin (it is not there")
     assert int(told[2]) > 1
-    answer.pop("waits_for")  # as a relay has it
-    (line,) = (row for row in lines(answer) if row.startswith("Device"))
-    assert "waiting, the log of the daemon says for what; " in line
-
-
-def test_a_daemon_whose_ticks_are_slow_answers_at_once(tmp_path: Path) -> None:
-    """A client asks anew where it has heard nothing for half a second."""
-    source = f'[source]\nkind = "can"\ninterface = "virtual"\nchannel = "{tmp_path.name}"\n'
-    with started(tmp_path, f"{source}[loop]\nrate_hz = 1.0\nstale_s = 5.0\n"):
-        assert client.ask(f"ipc://{tmp_path}/control", "info", timeout_s=60.0) is not None
-        answer = client.ask(f"ipc://{tmp_path}/control", "info", timeout_s=20.0)
-    assert answer is not None
-    assert answer["ok"]
 
 
 def test_a_daemon_without_health_yet_still_has_a_status(running: Path) -> None:
@@ -173,7 +140,7 @@ def test_a_daemon_without_health_yet_still_has_a_status(running: Path) -> None:
     answer["health"] = {}
     answer["estimate"]["status"] = 99
     text = list(lines(answer))
-    assert "99 (of a newer daemon), " in text[0]
+    assert "unknown (99), " in text[0]
     assert all(line[14] == ":" for line in text)
 
 

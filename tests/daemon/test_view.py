@@ -1,5 +1,8 @@
 """`taxeld view`: a session's and a daemon's picture, and what stops it."""
 
+import re
+import shutil
+import signal
 import subprocess
 import sys
 import threading
@@ -17,13 +20,9 @@ import zmq
 pytest.importorskip("rerun")
 
 from taxeld.cli import main
-from taxeld.config.file import load
-from taxeld.errors import SetupError
 from taxeld.stream import messages
-from taxeld.view.colour import DEAD, QUIET, of_taxels
-from taxeld.view.recorded import Recording
-from taxeld.view.stage import Stage, from_config, from_info
-from taxeld.view.viewer import Viewer
+from taxeld.view.picture import DEAD, QUIET, colours_of, slices_of
+from taxeld.view.stage import recorded
 
 from .conftest import Sockets
 from .test_stream_document import documented
@@ -31,19 +30,10 @@ from .test_watch import maps
 
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
 CONFIG = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
-ALWAYS = {
-    "/world/link",
-    "/world/link/body",
-    "/world/link/skin",
-    "/world/object",
-    "/world/object/slices",
-    "/world/modes",
-    "/world/particles",
-    "/status/now",
-    "/status/log",
-    "/plot/belief",
-    "/plot/spread",
-}
+ALWAYS = (
+    "/world/link /world/link/body /world/link/skin /world/object /world/object/slices /world/modes "
+    "/world/particles /status/now /status/log /plot/belief /plot/spread"
+)
 
 
 def entities(path: Path) -> Counter[str]:
@@ -58,18 +48,16 @@ def entities(path: Path) -> Counter[str]:
     return rows
 
 
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Counter[str]:
-    out = tmp_path_factory.mktemp("view") / "run.rrd"
-    assert main(["view", str(SESSION), "--save", str(out)]) == 0
+def drawn(out: Path, *arguments: str) -> Counter[str]:
+    """Rows of each entity that `taxeld view` draws."""
+    assert main(["view", *arguments, "--save", str(out)]) == 0
     return entities(out)
 
 
-def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(
-    whole: Counter[str],
-) -> None:
-    assert whole.keys() >= ALWAYS
-    said = list(Recording(SESSION))
+def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(tmp_path: Path) -> None:
+    whole = drawn(tmp_path / "run.rrd", str(SESSION))
+    assert whole.keys() >= set(ALWAYS.split())
+    said = list(recorded(SESSION)[1])
     felt = [(m["z"], m["live"]) for topic, m in said if topic == messages.TAXELS]
     always = 1  # a row for what stays as it is
     changes = always + 1 + sum(a != b for a, b in pairwise(felt))
@@ -81,12 +69,21 @@ def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(
     assert 2 <= whole["/status/log"] < 50, "changes alone"
     assert "/plot/error" not in whole, "nobody knows the truth of this session"
     assert whole["/plot/latency"] == always, "a replay measures no time"
+    begin = drawn(tmp_path / "begin.rrd", str(SESSION), "--seconds", "2")
+    assert 0 < begin["/world/link"] < whole["/world/link"] / 2
 
 
-def test_the_first_seconds_of_a_session_are_fewer(tmp_path: Path, whole: Counter[str]) -> None:
-    out = tmp_path / "begin.rrd"
-    assert main(["view", str(SESSION), "--save", str(out), "--seconds", "2"]) == 0
-    assert 0 < entities(out)["/world/link"] < whole["/world/link"] / 2
+def test_where_a_session_has_the_truth_the_error_is_that_of_the_true_pose(tmp_path: Path) -> None:
+    place = Path(shutil.copytree(SESSION, tmp_path / "session"))
+    (place / "truth.csv").write_text("t,x,y,theta\n1,0.1,0.2,0\n", encoding="ascii")
+    found = drawn(tmp_path / "run.rrd", str(place))
+    assert found["/world/truth"] == 1
+    assert found["/plot/error"] > 5
+    stage, _ = recorded(place)
+    estimate = documented("/taxeld/estimate")[1]
+    estimate["map"] = {"x": 0.103, "y": 0.204, "theta": 0.0}
+    assert stage.error_mm(estimate) == pytest.approx(5.0, abs=0.01)
+    assert stage.error_mm(estimate | {"valid": False}) is None
 
 
 @pytest.fixture
@@ -113,125 +110,81 @@ def daemon(sockets: Sockets, tmp_path: Path) -> Iterator[str]:
 
 
 def test_a_running_daemon_is_shown_with_its_latencies(daemon: str, tmp_path: Path) -> None:
-    out = tmp_path / "live.rrd"
-    assert main(["view", "--endpoint", daemon, "--save", str(out), "--seconds", "3"]) == 0
-    found = entities(out)
-    assert found.keys() >= ALWAYS
+    found = drawn(tmp_path / "live.rrd", "--endpoint", daemon, "--seconds", "3")
+    assert found.keys() >= set(ALWAYS.split())
     assert found["/plot/latency"] > 20
+    config = tmp_path / "can0.toml"
+    config.write_text(CONFIG + f'[publish]\nendpoints = ["{daemon}"]\n', encoding="utf-8")
+    found = drawn(tmp_path / "known.rrd", str(config), "--seconds", "1")
     assert found["/world/object/slices"] == 1
 
 
-def test_with_a_configuration_and_the_truth_the_error_is_shown(daemon: str, tmp_path: Path) -> None:
-    config, out = tmp_path / "can0.toml", tmp_path / "live.rrd"
-    config.write_text(CONFIG + f'[publish]\nendpoints = ["{daemon}"]\n', encoding="utf-8")
-    arguments = ["--truth", "0.1", "0", "0.5", "--save", str(out), "--seconds", "1"]
-    assert main(["view", str(config), *arguments]) == 0
-    found = entities(out)
-    assert found["/plot/error"] > 5
-    assert found["/world/truth"] == 1
-
-
-def test_the_error_is_that_of_the_true_pose_and_none_without_it() -> None:
-    stage = from_config(load(SESSION / "config.toml"), (0.1, 0.2, 0.0))
-    estimate = documented("/taxeld/estimate")[1]
-    estimate["map"] = {"x": 0.103, "y": 0.204, "theta": 0.0}
-    assert stage.error_mm(estimate) == pytest.approx(5.0, abs=0.01)
-    assert stage.error_mm(estimate | {"valid": False}) is None
-    assert from_config(load(SESSION / "config.toml")).error_mm(estimate) is None
-
-
 def test_slices_lie_on_the_object_at_each_height_of_taxels() -> None:
-    stage = Recording(SESSION).stage
+    stage, _ = recorded(SESSION)
     scene = stage.scene
     assert scene is not None
-    assert {height for height, _ in stage.slices} == set(scene.heights)
-    for height, line in stage.slices:
-        (k,) = np.flatnonzero(scene.heights == height)
-        at = np.round((line - scene.origin) / scene.cell).astype(int)
+    slices = slices_of(stage)
+    assert {line[0, 2] for line in slices} == set(scene.heights)
+    for line in slices:
+        (k,) = np.flatnonzero(scene.heights == line[0, 2])
+        at = np.round((line[:, :2] - scene.origin) / scene.cell).astype(int)
         assert np.abs(scene.slices[k][at[:, 1], at[:, 0]]).max() < 1.5 * scene.cell
-
-
-@pytest.mark.parametrize("key", ["layout", "outline", "object"])
-def test_an_info_that_lacks_something_is_refused(key: str) -> None:
-    info = maps()[messages.INFO]
-    del info[key]
-    with pytest.raises(SetupError, match="/taxeld/info: is not what a taxeld daemon sends"):
-        from_info(info)
 
 
 def test_taxels_have_the_colour_of_their_activation() -> None:
     z, live = np.array([0.0, 0.2, 1.0, 0.5]), np.array([True, True, True, False])
-    quiet, low, high, dead = of_taxels(z, live).astype(int)
+    quiet, low, high, dead = colours_of(z, live).astype(int)
     assert (tuple(quiet), tuple(dead)) == (QUIET, DEAD)
     assert high.sum() > low.sum(), "the stronger is the brighter"
 
 
-def refused(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> tuple[int, str]:
-    status = main(["view", *arguments])
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    return status, said
+REFUSED = [
+    ([str(SESSION)], 2, "view: no screen here; use --save FILE, or --web"),
+    (["--endpoint", "ipc://{place}/none", "--save", "{out}"], 1, "no daemon answers at ipc://"),
+    (["--endpoint", "foo"], 2, "--endpoint: 'foo' is no endpoint"),
+    (["{place}", "--save", "{out}"], 2, "{place}: is no session"),
+    (["{place}/none.toml", "--save", "{out}"], 2, "none.toml"),
+    ([str(SESSION), "--save", "{place}/no/x.rrd"], 2, "--save: cannot write"),
+    ([str(SESSION), "--endpoint", "ipc:///x"], 2, "are for a running daemon"),
+    ([str(SESSION), "--seconds", "0", "--save", "{out}"], 2, "--seconds: must be more than 0"),
+]
 
 
+@pytest.mark.parametrize(("arguments", "status", "text"), REFUSED, ids=[r[2] for r in REFUSED])
 def test_no_screen_no_daemon_and_wrong_arguments_are_one_line_each(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+    arguments: list[str], status: int, text: str,
+) -> None:  # fmt: skip
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr("taxeld.view.view.ANSWER_S", 0.1)
-    out, nobody = str(tmp_path / "x.rrd"), f"ipc://{tmp_path}/none"
-    for arguments, status, text in (
-        ([str(SESSION)], 2, "view: no screen here; use --save FILE, or --web"),
-        (["--endpoint", nobody, "--save", out], 1, f"no daemon answers at {nobody}"),
-        (["--endpoint", "foo"], 2, "--endpoint: 'foo' is no endpoint"),
-        ([str(tmp_path), "--save", out], 2, f"{tmp_path}: is no session"),
-        ([str(tmp_path / "none.toml"), "--save", out], 2, "none.toml"),
-        ([str(SESSION), "--save", str(tmp_path / "no" / "x.rrd")], 2, "--save: cannot write"),
-        ([str(SESSION), "--truth", "0", "0", "0"], 2, "are for a running daemon"),
-        (["--truth", "0", "0", "0"], 2, "--truth: needs CONFIG"),
-        ([str(SESSION), "--seconds", "0", "--save", out], 2, "--seconds: must be more than 0"),
-    ):
-        got, said = refused(arguments, capsys)
-        assert (got, text in said) == (status, True), said
-    assert not Path(out).exists()
-
-
-def test_a_configuration_of_another_skin_than_the_daemons_is_refused(
-    daemon: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def other(*_: object) -> Stage:
-        found = from_info(maps()[messages.INFO])
-        return Stage(found.object, "x", found.position_m[:5], 0.04, found.slices)
-
-    config = tmp_path / "can0.toml"
-    config.write_text(CONFIG, encoding="utf-8")
-    monkeypatch.setattr("taxeld.view.stage.from_config", other)
-    arguments = [str(config), "--endpoint", daemon, "--save", str(tmp_path / "x.rrd")]
-    status, said = refused(arguments, capsys)
-    assert status == 2
-    assert "has 80 taxels, that of the configuration 5" in said
-
-
-def test_the_daemon_loads_nothing_of_the_view() -> None:
-    code = (
-        "import sys, taxeld.service.loop\n"
-        "print(*(m for m in sys.modules if m.startswith(('taxeld.view', 'rich', 'rerun'))))"
-    )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ran.stdout.split() == []
+    out = tmp_path / "x.rrd"
+    typed = [one.format(place=tmp_path, out=out) for one in arguments]
+    assert main(["view", *typed]) == status
+    said = capsys.readouterr().err
+    assert text.format(place=tmp_path) in said
+    assert said.count("\n") == 1
+    assert not out.exists()
 
 
 def test_the_viewer_in_a_browser_is_reached_from_this_machine_alone_and_ends() -> None:
-    started = Viewer(web=True)
-    try:
-        listening = set()  # address and port of TCP sockets, in hexadecimal
-        for table in ("tcp", "tcp6"):
-            rows = Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:]
-            listening |= {row.split()[1] for row in rows if row.split()[3] == "0A"}
-        ports = {f"{port:04X}" for port in started.ports}
-        found = {one for one in listening if one.rpartition(":")[2] in ports}
-        assert found == {f"0100007F:{port}" for port in ports}, "127.0.0.1 alone"
-        assert len(found) == 2
-    finally:
-        started.close()
-    assert started.is_gone
+    def listening() -> set[str]:
+        """Hexadecimal addresses and ports, of the two ports of the page, that are listened at."""
+        rows = [
+            row.split()
+            for table in ("tcp", "tcp6")
+            for row in Path(f"/proc/net/{table}").read_text(encoding="ascii").splitlines()[1:]
+        ]
+        return {row[1] for row in rows if row[3] == "0A" and row[1].rpartition(":")[2] in ports}
+
+    command = [sys.executable, "-m", "taxeld.cli", "view", str(SESSION), "--web"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as view:
+        assert view.stdout is not None
+        page = view.stdout.readline()
+        ports = [f"{int(port):04X}" for port in re.findall(r"127.0.0.1:(\d+)", page)]
+        assert len(ports) == 2
+        assert listening() == {f"0100007F:{port}" for port in ports}
+        assert view.stdout.readline() == "the session is shown\n"
+        view.send_signal(signal.SIGTERM)
+    assert view.returncode == 0
+    assert not listening()

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from taxeld.cli import main
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.stream import messages
-from taxeld.view.live import Streams
+from taxeld.view.streams import Subscriber
 from taxeld.view.watch import Page
 
 from .conftest import Sockets
@@ -137,7 +137,7 @@ def test_a_stream_of_another_version_or_program_is_refused_with_what_is_wrong(
     changed = maps()[messages.TAXELS] | change
     body = msgpack.packb({key: value for key, value in changed.items() if value is not ...})
     topics = [messages.TAXELS]
-    with contextlib.closing(Streams(f"ipc://{tmp_path}/stream", None, topics)) as streams:
+    with contextlib.closing(Subscriber(f"ipc://{tmp_path}/stream", None, topics)) as streams:
         assert publisher.poll(round(1e3 * WAIT_S))
         publisher.recv()
         publisher.send_multipart([messages.TAXELS, body, b"0.0"])
@@ -146,11 +146,12 @@ def test_a_stream_of_another_version_or_program_is_refused_with_what_is_wrong(
 
 
 class Terminal:
-    """`taxeld watch` in a terminal of 80 by 24."""
+    """`taxeld watch` in a terminal of 80 by 24, and the publisher that it listens to."""
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, place: Path, publisher: "zmq.Socket[Any]") -> None:
+        self._endpoint, self._publisher = f"ipc://{place}/stream", publisher
         self._ours, theirs = pty.openpty()
-        command = [sys.executable, "-m", "taxeld.cli", "watch", "--endpoint", endpoint]
+        command = [sys.executable, "-m", "taxeld.cli", "watch", "--endpoint", self._endpoint]
         environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
         self.process = subprocess.Popen(
             command, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, env=environment
@@ -158,74 +159,65 @@ class Terminal:
         os.close(theirs)
         self.seen = ""
 
-    def until(self, text: str) -> None:
-        deadline = time.monotonic() + WAIT_S
-        while text not in self.seen:
-            assert time.monotonic() < deadline, f"{text!r} is not shown"
-            self._read()
+    def say(self, said: Maps) -> None:
+        """Publish messages once all topics are subscribed to."""
+        self._publisher.bind(self._endpoint)
+        for _ in messages.TOPICS:
+            assert self._publisher.poll(round(1e3 * WAIT_S))
+            self._publisher.recv()
+        for topic, body in said.items():
+            self._publisher.send_multipart([topic, msgpack.packb(body), b"0.0"])
 
-    def stop(self, number: int) -> tuple[int, str]:
-        """Exit status and what stands on stderr."""
-        self.process.send_signal(number)
+    def until(self, done: Callable[[], object]) -> None:
+        """Read what is shown until `done`, once at least."""
         deadline = time.monotonic() + WAIT_S
-        while self.process.poll() is None:
-            assert time.monotonic() < deadline, "it does not end"
-            self._read()
-        self._read()
+        while True:
+            if select.select([self._ours], [], [], 0.1)[0]:
+                with contextlib.suppress(OSError):  # its end is closed
+                    self.seen += os.read(self._ours, 1 << 16).decode(errors="replace")
+            if done():
+                return
+            assert time.monotonic() < deadline, self.seen
+
+    def end(self) -> tuple[int, str]:
+        """Exit status and standard error of a command that ends."""
+        self.until(lambda: self.process.poll() is not None)
+        self.until(lambda: True)
         assert self.process.stderr is not None
         return self.process.returncode, self.process.stderr.read().decode()
 
     def close(self) -> None:
         self.process.kill()
-        self.process.wait()
-        if self.process.stderr is not None:
-            self.process.stderr.close()
+        self.process.communicate()
         os.close(self._ours)
-
-    def _read(self) -> None:
-        if select.select([self._ours], [], [], 0.1)[0]:
-            with contextlib.suppress(OSError):  # its end is closed
-                self.seen += os.read(self._ours, 1 << 16).decode(errors="replace")
 
 
 @pytest.fixture
-def terminal(tmp_path: Path) -> Iterator[Terminal]:
-    opened = Terminal(f"ipc://{tmp_path}/stream")
+def terminal(tmp_path: Path, sockets: Sockets) -> Iterator[Terminal]:
+    opened = Terminal(tmp_path, sockets.open(zmq.XPUB))
     yield opened
     opened.close()
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_it_waits_for_a_daemon_shows_it_and_gives_the_terminal_back(
-    terminal: Terminal, sockets: Sockets, tmp_path: Path, number: int
+    terminal: Terminal, number: int
 ) -> None:
-    terminal.until("no daemon answers at")
-    publisher = sockets.open(zmq.XPUB)
-    publisher.bind(f"ipc://{tmp_path}/stream")
-    for _ in messages.TOPICS:
-        assert publisher.poll(round(1e3 * WAIT_S))
-        publisher.recv()
-    for topic, body in maps().items():
-        publisher.send_multipart([topic, msgpack.packb(body), b"0.0"])
-    terminal.until("CONVERGED")
-    assert terminal.stop(number) == (0, "")
+    terminal.until(lambda: "no daemon answers at" in terminal.seen)
+    terminal.say(maps())
+    terminal.until(lambda: "CONVERGED" in terminal.seen)
+    terminal.process.send_signal(number)
+    assert terminal.end() == (0, "")
     assert terminal.seen.count("\x1b[?1049h") == terminal.seen.count("\x1b[?1049l") == 1
     assert terminal.seen.rstrip().endswith(("\x1b[?25h", "\x1b[?1049l")), "the cursor is back"
 
 
 def test_another_version_ends_it_with_one_line_after_the_terminal_is_given_back(
-    terminal: Terminal, sockets: Sockets, tmp_path: Path
+    terminal: Terminal,
 ) -> None:
-    publisher = sockets.open(zmq.XPUB)
-    publisher.bind(f"ipc://{tmp_path}/stream")
-    for _ in messages.TOPICS:
-        assert publisher.poll(round(1e3 * WAIT_S))
-        publisher.recv()
-    body = msgpack.packb({**maps()[messages.INFO], "v": 7})
-    publisher.send_multipart([messages.INFO, body, b"0.0"])
-    assert terminal.process.wait(WAIT_S) == 2
-    assert terminal.process.stderr is not None
-    said = terminal.process.stderr.read().decode()
+    terminal.say({messages.INFO: maps()[messages.INFO] | {"v": 7}})
+    status, said = terminal.end()
+    assert status == 2
     assert said.startswith("the stream is of version 7, where this taxeld reads 1")
     assert said.count("\n") == 1
 

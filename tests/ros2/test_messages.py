@@ -14,7 +14,7 @@ pytest.importorskip("rosbags")
 from cyclonedds.core import DDSException
 from rosbags.typesys import Stores, get_typestore
 
-from taxeld.view import ros_messages, ros_types
+from taxeld.view import ros
 from taxeld_ros2 import dds
 from taxeld_ros2.markers import ADD, DELETE, FAINTEST, markers
 
@@ -31,17 +31,17 @@ def estimate() -> dict[str, Any]:
     return {**documented("/taxeld/estimate")[1], "modes": modes}
 
 
-def filled(ros: str) -> Any:
+def filled(kind: str) -> Any:
     """A value of which no field, nor any sequence, is empty."""
-    base, is_many, length = ros.rstrip("]").partition("[")
+    base, is_many, length = kind.rstrip("]").partition("[")
     if is_many:
         return [filled(base)] * int(length or 3)
     if "/" in base:
-        return {field: filled(kind) for kind, field in ros_types.fields(base)}
+        return {field: filled(one) for one, field in ros.fields(base)}
     return PLAIN.get(base, 7)
 
 
-@pytest.mark.parametrize("name", ros_types.TYPES)
+@pytest.mark.parametrize("name", ros.TYPES)
 def test_ros_reads_the_bytes_of_each_type(name: str) -> None:
     """rosbags has ROS 2's own definitions."""
     written = dds.message(name, filled(name)).serialize(use_version_2=False)
@@ -59,7 +59,7 @@ def test_fields_that_are_left_out_are_zero_or_empty() -> None:
 
 
 def test_the_covariance_stands_where_ros_has_x_y_and_yaw(estimate: dict[str, Any]) -> None:
-    values = ros_messages.pose_with_covariance(estimate, "table", 0.3)
+    values = ros.pose_with_covariance(estimate, "table", 0.3)
     made = dds.message("geometry_msgs/PoseWithCovarianceStamped", values)
     found = np.array(made.pose.covariance).reshape(6, 6)
     assert np.array_equal(found[np.ix_([0, 1, 5], [0, 1, 5])], np.array(estimate["cov"]))

@@ -59,7 +59,6 @@ def test_a_chain_of_moving_and_standing_frames_is_followed() -> None:
     tree.take(5.0, "base", "link", place(0.0, 0.0, math.pi / 2))
     tree.take(ALWAYS, "/world", "base", place(1.0, 2.0, 0.0))
     assert news(tree) == pytest.approx((5.0, 1.0, 2.1, math.pi / 2))
-    assert tree.fault() == ""
 
 
 def test_frames_on_two_branches_are_found_from_where_they_part() -> None:
@@ -119,13 +118,12 @@ def test_frames_that_go_round_end() -> None:
     assert tree.news() is None
 
 
-def test_why_no_place_can_be_told_is_said_with_the_frames_name() -> None:
+def test_frames_that_do_not_hang_together_or_never_move_have_no_place() -> None:
     tree = Transforms("world", "skin")
-    assert tree.fault() == "no transform names the frame 'world'"
+    assert tree.news() is None
     tree.take(1.0, "world", "base", NOWHERE)
-    assert tree.fault() == "no transform names the frame 'skin'"
+    assert tree.news() is None
     tree.take(ALWAYS, "flange", "skin", NOWHERE)
-    assert tree.fault() == "no transforms lead from the frame 'world' to 'skin'"
+    assert tree.news() is None
     tree.take(ALWAYS, "world", "flange", NOWHERE)
-    assert tree.fault() == "'skin' never moves in 'world': no robot moves the skin"
     assert tree.news() is None

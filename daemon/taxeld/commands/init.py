@@ -1,10 +1,10 @@
-"""`taxeld init`: a configuration with every key explained, from answers or options."""
+"""`taxeld init`: a configuration with every key explained, from options; questions ask the rest."""
 
 import json
 import os
 import sys
-from collections.abc import Callable
-from dataclasses import MISSING, Field, dataclass, fields
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -15,36 +15,34 @@ from taxeld.errors import SetupError
 from taxeld.layout import generated
 from taxeld.proposals import bundle, manifest
 
+Tables = dict[str, dict[str, Any]]  # values of keys, by table
+
 SOURCES = {  # connection as named by `taxeld-hil accept` → keys of [source]
     "can": {"kind": "can"},
     "slcan": {"kind": "can", "interface": "slcan"},
     "serial": {"kind": "serial"},
 }
 FORMS = "can:can0, slcan:/dev/ttyACM0 or serial:/dev/ttyACM0"
-Ask = Callable[[str], str]
+QUESTIONS = {  # by option
+    "source": f"the skin's connection, {FORMS}",
+    "bundle": "the object: box, mug, or the directory of a bundle",
+    "layout": "the skin's layout, as the bundle was built for",
+    "poses": "where the robot publishes the sensor's pose, tcp://HOST:PORT; empty if the sensor "
+    "stands still",
+}
+ICUB_COUNTS = 200.0  # full scale of an iCub's skin
 
 
-@dataclass(frozen=True, slots=True)
-class Answers:
-    """Answers to the questions; None: not asked yet."""
-
-    source: str | None = None
-    bundle: str | None = None
-    layout: str | None = None
-    poses: str | None = None
-    dialect: str = "cyskin"
-    keys: str = ""
-
-
-def write(path: Path, answers: Answers, ask: Ask | None) -> Config:
-    """Write the configuration; `ask` puts a question to a person, None where there is none.
+def write(path: Path, options: Mapping[str, Any]) -> Config:
+    """Write the configuration of the options `source`, `bundle`, `layout`, `poses`, `dialect` and
+    `keys`; a person at the terminal is asked for those of `QUESTIONS` that are None.
 
     Raises:
         SetupError: an answer is missing or cannot be used, or the file exists already.
     """
     if os.path.lexists(path):
         raise SetupError(f"{path}: is there already and is not overwritten; name another file")
-    text = lines(path, _given(path, answers, ask))
+    text = _text(path, _tables(path, options))
     config = config_file.parse(text, str(path))
     try:
         with path.open("x", encoding="utf-8") as file:
@@ -54,80 +52,67 @@ def write(path: Path, answers: Answers, ask: Ask | None) -> Config:
     return config
 
 
-def person() -> Ask | None:
-    """A way to ask a person at a terminal; None where there is none."""
-    return _typed if sys.stdin.isatty() and sys.stderr.isatty() else None
-
-
-def lines(path: Path, given: dict[str, dict[str, Any]]) -> str:
-    """The text: `given` keys by their tables, and all others as comments."""
+def _text(path: Path, given: Tables) -> str:
+    """The file: `given` keys, and all others as comments."""
     text = [
         "# Configuration of a taxeld daemon. A key behind a '#' has its default.",
         f"# Test it with 'taxeld check {path.name}', run it with 'taxeld run {path.name}'.",
     ]
     for table in fields(Config):
         text += ["", f"[{table.name}]"]
-        set_here = given.get(table.name, {})
+        values = given.get(table.name, {})
         for key in fields(get_type_hints(Config)[table.name]):
-            text += _key(key, set_here)
+            default = "" if key.default is MISSING else key.default
+            mark = "" if key.name in values else "#"
+            text.append(f"# {key.metadata['doc']}")
+            text.append(f"{mark}{key.name} = {_toml(values.get(key.name, default))}")
     return "\n".join(text) + "\n"
 
 
-def _key(key: Field[Any], given: dict[str, Any]) -> list[str]:
-    about = f"# {key.metadata['doc']}"
-    if key.name in given:
-        return [about, f"{key.name} = {toml(given[key.name])}"]
-    default = '""' if key.default is MISSING else toml(key.default)
-    return [about, f"#{key.name} = {default}"]
-
-
-def toml(value: object) -> str:
-    """A key's value as TOML."""
-    if isinstance(value, bool):
-        return str(value).lower()
+def _toml(value: object) -> str:
     if isinstance(value, tuple):
-        return f"[{', '.join(map(toml, value))}]"
-    return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)
+        return f"[{', '.join(map(_toml, value))}]"
+    return json.dumps(value, ensure_ascii=False)
 
 
-def _given(path: Path, answers: Answers, ask: Ask | None) -> dict[str, dict[str, Any]]:
-    """The keys that follow from the answers, by their tables."""
-
-    def answer(given: str | None, option: str, question: str, default: str | None) -> str:
-        if given is not None:
-            return given
-        if ask is not None:
-            shown = f" [{default}]" if default else ""
-            return ask(f"{question}{shown}: ").strip() or default or ""
-        if default is None:
-            raise SetupError(f"{option}: is required where nobody can be asked; {question}")
-        return default
-
-    source = _source(answer(answers.source, "--source", f"the skin's connection, {FORMS}", None))
-    named = answer(
-        answers.bundle, "--bundle", "the object: box, mug, or the directory of a bundle", None
-    )
-    its_own = _layout_of(named)  # also refuses a directory that is no bundle
-    layout = answers.layout or its_own
-    if layout is None:
-        layout = answer(None, "--layout", "the skin's layout, as the bundle was built for", None)
-    poses = answer(
-        answers.poses, "--poses",
-        "where the robot publishes the sensor's pose, tcp://HOST:PORT; empty if the sensor stands "
-        "still", "",
-    )  # fmt: skip
-    given: dict[str, dict[str, Any]] = {
+def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
+    """The keys that follow from the options and the answers."""
+    source = _source(_answer(options, "source"))
+    named = _answer(options, "bundle")
+    manifest_path = bundle.find(named) / manifest.NAME  # refuses a directory that is no bundle
+    built_for = manifest.parse(seal.read(manifest_path), manifest_path)[0].layout.name
+    is_generated = ":" in built_for  # a layout from a file is not found by its name
+    layout = options["layout"] or (built_for if is_generated else _answer(options, "layout"))
+    poses = _answer(options, "poses")
+    skin: dict[str, Any] = {"layout": layout if generated.parse(layout) else _from(path, layout)}
+    if options["dialect"] == "icub":
+        source["dialect"] = "icub"
+        skin["full_scale_counts"] = ICUB_COUNTS
+    keys = options["keys"]
+    return {
         "scene": {"bundle": _from(path, named)},
-        "source": source | ({"dialect": answers.dialect} if answers.dialect != "cyskin" else {}),
-        "skin": {"layout": layout if generated.parse(layout) else _from(path, layout)},
+        "source": source,
+        "skin": skin,
+        "sensor_pose": {"endpoint": poses} if poses else {},
+        "curve": {"directory": str(Path(keys).absolute())} if keys else {},
     }
-    if answers.dialect == "icub":
-        given["skin"]["full_scale_counts"] = 200.0
-    if poses:
-        given["sensor_pose"] = {"endpoint": poses}
-    if answers.keys:
-        given["curve"] = {"directory": str(Path(answers.keys).absolute())}
-    return given
+
+
+def _answer(options: Mapping[str, Any], option: str) -> str:
+    """An option's value, or the answer of a person at the terminal."""
+    if options[option] is not None:
+        return str(options[option])
+    question = QUESTIONS[option]
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        if option == "poses":
+            return ""
+        raise SetupError(f"--{option}: is required where nobody can be asked; {question}")
+    sys.stderr.write(f"{question}: ")
+    sys.stderr.flush()
+    line = sys.stdin.readline()
+    if not line:
+        raise ConfigError(["taxeld init: the questions were not answered; nothing is written"])
+    return line.strip()
 
 
 def _source(text: str) -> dict[str, Any]:
@@ -135,13 +120,6 @@ def _source(text: str) -> dict[str, Any]:
     if kind not in SOURCES or not channel:
         raise SetupError(f"--source: '{text}' is no connection; use {FORMS}")
     return {**SOURCES[kind], "channel": channel}
-
-
-def _layout_of(name: str) -> str | None:
-    """The generated layout that a bundle was built for; None where it came from a file."""
-    found = bundle.find(name) / manifest.NAME
-    spec = manifest.parse(manifest.read(found), found)[0].layout.name
-    return spec if ":" in spec else None
 
 
 def _from(path: Path, name: str) -> str:
@@ -153,12 +131,3 @@ def _from(path: Path, name: str) -> str:
     there = there.parent.resolve() / there.name  # a link keeps its own name
     beside = path.parent.resolve()
     return str(there.relative_to(beside) if there.is_relative_to(beside) else there)
-
-
-def _typed(question: str) -> str:
-    """Raises ConfigError at the end of input."""
-    print(question, end="", file=sys.stderr, flush=True)  # noqa: T201  (standard output is the answer)
-    line = sys.stdin.readline()
-    if not line:
-        raise ConfigError(["taxeld init: the questions were not answered; nothing is written"])
-    return line

@@ -8,7 +8,10 @@ from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 
+from taxeld.arrays import Floats, Poses
+from taxeld.config import file as config_file
 from taxeld.config.tables import Config
+from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
@@ -24,6 +27,49 @@ from taxeld_protocol.frames import Frame
 Arrival = Frame | Chunk | PoseRow
 
 
+class Replay:
+    """A recorded session, estimated anew; iterating over it goes through its scans, once.
+
+    The same session, configuration and seed give the same estimates, bit for bit.
+    """
+
+    def __init__(
+        self, directory: str | Path, config: Config | None = None, seed: int | None = None
+    ) -> None:
+        """`config` replaces the session's own `config.toml`; `seed` replaces `filter.seed`.
+
+        Raises:
+            SetupError: a file named by the configuration cannot be used.
+            ConfigError: the configuration has faults.
+        """
+        self.directory = Path(directory)
+        config = config or config_file.load(self.directory / session.CONFIG)
+        if seed is not None:
+            config = replace(config, filter=replace(config.filter, seed=seed))
+        self.pipeline = open_pipeline(self.directory, config)
+        self.config = self.pipeline.config
+        self.model = self.pipeline.estimator.model
+        self._outcomes = outcomes(self.directory, self.pipeline)
+
+    def __iter__(self) -> Iterator[Outcome]:
+        """The outcome of each scan: estimate, activation, and sensor pose.
+
+        Raises:
+            SetupError: the session cannot be read, or is damaged.
+        """
+        return self._outcomes
+
+    @property
+    def belief(self) -> tuple[Poses, Floats]:
+        """Particles (N, 3) and their weights (N,), of sum 1, after the last scan."""
+        belief = self.pipeline.estimator.rule.belief
+        return belief.pose.copy(), belief.weight.copy()
+
+    def is_valid(self, estimate: Estimate) -> bool:
+        """Whether the daemon would mark this estimate, the last one, as valid."""
+        return self.pipeline.freshness.is_valid(estimate)
+
+
 def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator[str]:
     """One JSON line a scan: the map of `/taxeld/estimate`. The same input and seed give the same
     bytes.
@@ -31,11 +77,9 @@ def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator
     Raises:
         SetupError: the session, or a file named by the configuration, cannot be used.
     """
-    if seed is not None:
-        config = replace(config, filter=replace(config.filter, seed=seed))
-    pipeline = open_pipeline(directory, config)
-    for seq, outcome in enumerate(outcomes(directory, pipeline)):
-        valid = pipeline.freshness.is_valid(outcome.estimate)
+    recorded = Replay(directory, config, seed)
+    for seq, outcome in enumerate(recorded):
+        valid = recorded.is_valid(outcome.estimate)
         message = messages.estimate(outcome.estimate, seq=seq, valid=valid)
         yield json.dumps(message, separators=(",", ":"))
 
@@ -70,7 +114,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     config, layout = pipeline.config.source, pipeline.skin.layout
     wire = Wire(config, dialects.replayed(config, layout, recorded.items, str(directory)))
     before = 0, recorded.items[0].t
-    # like the daemon: poses up to the arrival of a scan's last frame are known
+    # as the daemon does: poses up to the arrival of a scan's last frame are known
     arrivals = heapq.merge(_ordered(recorded.poses), _ordered(recorded.items), key=itemgetter(0))
     for now, came in arrivals:
         if now[0] > before[0]:

@@ -8,6 +8,7 @@ from taxeld.estimator.calibration_check import Suspect
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline import pose_watch
 from taxeld.skin.channels import mismatch
+from taxeld.stream.messages import name_of
 
 WIDTH = 14
 
@@ -19,7 +20,7 @@ def lines(answer: dict[str, Any]) -> Iterator[str]:
 
 
 def _rows(e: dict[str, Any], answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    yield "Status", f"{_name(Status, e['status'])}, {'valid' if e['valid'] else 'not valid'}"
+    yield "Status", f"{name_of(Status, e['status'])}, {'valid' if e['valid'] else 'not valid'}"
     pose, cov = e["map"], e["cov"]
     yield "Pose", f"x {pose['x']:.4f} m, y {pose['y']:.4f} m, yaw {pose['theta']:.3f} rad"
     x, y, yaw = (math.sqrt(max(cov[k][k], 0.0)) for k in range(3))
@@ -31,7 +32,7 @@ def _rows(e: dict[str, Any], answer: dict[str, Any]) -> Iterator[tuple[str, str]
     yield "Contacts", f"{e['contacts']}, {'touching' if e['contact'] else 'not touching'} now"
     yield "Age", f"{e['age_us'] / 1e3:.1f} ms since the scan"
     yield "Particles", f"{e['particles']}, {e['ess']:.0f} effective"
-    yield "Proposal", _name(ProposalKind, e["proposal"])
+    yield "Proposal", name_of(ProposalKind, e["proposal"])
     if answer.get("health"):
         yield from _health_rows(answer["health"], answer.get("waits_for"))
         yield from _input_rows(answer["health"], answer.get("sensor_pose", {}))
@@ -133,10 +134,3 @@ def _device(source: dict[str, Any], waits_for: str | None) -> str:
     if waits_for or source.get("waiting"):
         return f"waiting, {waits_for or 'the log of the daemon says for what'}; {in_vain}"
     return f"lost {source['lost']} times, {in_vain}, {source['unsent']} requests unsent"
-
-
-def _name(kind: type[Status] | type[ProposalKind], value: int) -> str:
-    try:
-        return kind(value).name.lower()
-    except ValueError:
-        return f"{value} (of a newer daemon)"

@@ -38,18 +38,42 @@ def ask(
     Raises:
         SetupError: the endpoint is none, or a key cannot be used.
     """
-    fault = endpoints.fault(endpoint, keys is not None)
-    if fault:
-        raise SetupError(f"--endpoint: {fault.replace('set curve.directory', 'name --keys')}")
     deadline_s = time.monotonic() + (TIMEOUT_S if timeout_s is None else timeout_s)
     with zmq.Context() as context:
         while (left_s := deadline_s - time.monotonic()) > 0.0:
-            with open_socket(context, zmq.REQ, send=1, receive=1, largest=ANSWER_BYTES) as socket:
-                if keys is not None and endpoint.startswith(endpoints.TCP):
-                    own = curve.secret_key(keys / OWN, "--keys")
-                    curve.as_client(socket, curve.public_key(keys / SERVER, "--keys"), *own)
-                connect(socket, endpoint, "--endpoint")
+            with client_socket(context, zmq.REQ, endpoint, keys) as socket:
                 socket.send(msgpack.packb({"cmd": command}))
                 if socket.poll(round(min(left_s, AGAIN_S) * 1000)):
                     return unpack(socket.recv())
     return None
+
+
+def client_socket(
+    context: zmq.Context[Any],
+    kind: int,
+    endpoint: str,
+    keys: Path | None,
+    option: str = "--endpoint",
+    *,
+    send: int = 1,
+    receive: int = 1,
+) -> zmq.Socket[Any]:
+    """A socket that is connected to a daemon and keeps `send` and `receive` messages; `option` is
+    the argument that named the endpoint.
+
+    Raises:
+        SetupError: the endpoint is none, or a key cannot be used.
+    """
+    fault = endpoints.fault(endpoint, keys is not None)
+    if fault:
+        raise SetupError(f"{option}: {fault.replace('set curve.directory', 'name --keys')}")
+    socket = open_socket(context, kind, send=send, receive=receive, largest=ANSWER_BYTES)
+    try:
+        if keys is not None and endpoint.startswith(endpoints.TCP):
+            own = curve.secret_key(keys / OWN, "--keys")
+            curve.as_client(socket, curve.public_key(keys / SERVER, "--keys"), *own)
+        connect(socket, endpoint, option)
+    except SetupError:
+        socket.close()
+        raise
+    return socket

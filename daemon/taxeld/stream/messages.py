@@ -5,6 +5,7 @@ booleans, lists and maps.
 """
 
 from dataclasses import fields, is_dataclass
+from enum import IntEnum
 from typing import Any
 
 from taxeld import __version__
@@ -31,6 +32,7 @@ __all__ = [
     "estimate",
     "health",
     "info",
+    "name_of",
     "particles",
     "taxels",
 ]
@@ -114,6 +116,11 @@ def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str)
         "outline": scene.outline.tolist(),
         "config_hash": config_hash,
     }
+
+
+def name_of(kind: type[IntEnum], number: int) -> str:
+    """The name of a status or proposal; a newer daemon may send one that is not known here."""
+    return {int(one): one.name.lower() for one in kind}.get(number, f"unknown ({number})")
 
 
 def _plain(part: Any) -> Any:

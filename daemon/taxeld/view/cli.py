@@ -1,4 +1,4 @@
-"""The commands `view`, `watch` and `export`: their arguments, and what they run."""
+"""The commands `view`, `watch` and `export`."""
 
 import argparse
 import math
@@ -6,7 +6,7 @@ import signal
 from collections.abc import Callable
 from pathlib import Path
 
-from taxeld.command_line import FAILED, Commands, command
+from taxeld.command_line import FAILED, Commands, add_endpoint, add_keys, documented
 from taxeld.config.endpoints import for_this_user
 from taxeld.config.file import load
 from taxeld.config.tables import PublishConfig
@@ -14,81 +14,56 @@ from taxeld.errors import SetupError
 
 
 def add(commands: Commands) -> None:
-    view = command(
-        commands,
-        "view",
-        "Show a running daemon or a session in three dimensions, with plots.",
-        "taxeld view",
-        "taxeld view can0.toml",
-        "taxeld view session --save session.rrd",
-        run=_view,
-    )
+    view = documented(commands, _view)
     about = "of a running daemon, which adds the object's slices, or recorded"
     view.add_argument("source", type=Path, nargs="?", metavar="CONFIG|SESSION", help=about)
     view.add_argument("--endpoint", help="where the daemon publishes")
-    _add_keys(view)
-    about = "where the object stands [m, m, rad], for its error; needs CONFIG"
-    view.add_argument("--truth", type=float, nargs=3, metavar=("X", "Y", "YAW"), help=about)
-    about = "so long alone, from the first scan"
+    add_keys(view)
+    about = "of scans to show, from the first on"
     view.add_argument("--seconds", type=float, default=math.inf, metavar="S", help=about)
     where = view.add_mutually_exclusive_group()
     where.add_argument("--save", type=Path, metavar="FILE", help="into an .rrd file, no viewer")
     where.add_argument("--web", action="store_true", help="serve it to a browser of this machine")
 
-    watch = command(
-        commands,
-        "watch",
-        "Show what a running daemon feels and believes, in the terminal.",
-        "taxeld watch",
-        "taxeld watch can0.toml",
-        "taxeld watch --endpoint tcp://127.0.0.1:9872",
-        run=_watch,
-    )
-    one = watch.add_mutually_exclusive_group()
-    about = "the daemon's configuration"
-    one.add_argument("config", type=Path, nargs="?", metavar="CONFIG", help=about)
-    one.add_argument("--endpoint", help="where the daemon publishes")
-    _add_keys(watch)
+    add_endpoint(documented(commands, _watch), "where the daemon publishes")
 
-    export = command(
-        commands,
-        "export",
-        "Write a session as ROS 2 messages, for Foxglove and 'ros2 bag'.",
-        "taxeld export session --mcap session.mcap",
-        run=_export,
-    )
+    export = documented(commands, _export)
     export.add_argument("session", type=Path, metavar="SESSION")
     export.add_argument("--mcap", type=Path, required=True, metavar="FILE", help="to be written")
     export.add_argument("--config", type=Path, help="in place of the session's own config.toml")
 
 
-def _add_keys(parser: argparse.ArgumentParser) -> None:
-    about = "with server.key and client.key_secret"
-    parser.add_argument("--keys", type=Path, metavar="DIR", help=about)
-
-
 def _view(args: argparse.Namespace) -> int:
-    from taxeld.view import view
-    from taxeld.view.stage import from_config
+    """Show a running daemon or a session in three dimensions, with plots.
 
-    source, truth = args.source, args.truth
+    taxeld view
+    taxeld view can0.toml
+    taxeld view session --save session.rrd
+    """
+    from taxeld.view import view
+    from taxeld.view.stage import recorded, scene_of
+
+    source = args.source
     if not args.seconds > 0.0:
         raise SetupError("--seconds: must be more than 0")
-    shown = view.Shown(args.save, args.web, args.seconds, _stopping())
+    target = view.Target(args.save, args.web, args.seconds, _stopping())
     if source is not None and (source.is_dir() or source.suffix != ".toml"):
-        if args.endpoint or args.keys or truth:
-            raise SetupError(
-                "--endpoint, --keys, --truth: are for a running daemon, not for a session"
-            )
-        view.recorded(source, shown)
+        if args.endpoint or args.keys:
+            raise SetupError("--endpoint, --keys: are for a running daemon, not for a session")
+        if not view.show(*recorded(source), target) and not target.stopping():
+            raise SetupError(f"{source}: holds no scan to show")
         return 0
-    if truth and source is None:
-        raise SetupError("--truth: needs CONFIG, which names the object")
-    known = None if source is None else from_config(load(source), truth)
-    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, known, shown) else FAILED
+    scene = None if source is None else scene_of(load(source))
+    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, scene, target) else FAILED
 
 
 def _watch(args: argparse.Namespace) -> int:
+    """Show what a running daemon feels and believes, in the terminal.
+
+    taxeld watch
+    taxeld watch can0.toml
+    taxeld watch --endpoint tcp://127.0.0.1:9872
+    """
     from taxeld.view.watch import watch
 
     watch(_endpoint(args.endpoint, args.config), args.keys, _stopping())
@@ -96,6 +71,10 @@ def _watch(args: argparse.Namespace) -> int:
 
 
 def _export(args: argparse.Namespace) -> int:
+    """Write a session as ROS 2 messages, for Foxglove and 'ros2 bag'.
+
+    taxeld export session --mcap session.mcap
+    """
     from taxeld.view.export import export
 
     written = export(args.session, args.mcap, args.config)

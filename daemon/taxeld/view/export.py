@@ -1,6 +1,7 @@
 """A session as an MCAP file of ROS 2 messages, for Foxglove, PlotJuggler and `ros2 bag`."""
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -8,10 +9,9 @@ from mcap_ros2.writer import Writer
 
 from taxeld.errors import SetupError
 from taxeld.stream import messages
-from taxeld.view import ros_messages as ros
-from taxeld.view.recorded import Recording
-from taxeld.view.ros_types import definition
-from taxeld.view.stage import Message, Stage
+from taxeld.view import ros
+from taxeld.view.stage import Stage, recorded
+from taxeld.view.streams import Message
 
 TYPES = {
     "/tf": "tf2_msgs/TFMessage",
@@ -24,8 +24,8 @@ TYPES = {
 }
 
 
-def export(directory: Path, out: Path, config: Path | None = None) -> dict[str, int]:
-    """Replay a session and write what it led to; → the number of messages by topic.
+def export(directory: Path, out: Path, config: Path | None = None) -> Counter[str]:
+    """Replay a session and write its messages; → the number of messages by topic.
 
     The file is whole or not there: it is written beside `out`, which it then replaces.
 
@@ -33,11 +33,11 @@ def export(directory: Path, out: Path, config: Path | None = None) -> dict[str, 
         SetupError: the session cannot be used or holds nothing to export, or `out` cannot be
             written.
     """
-    recording = Recording(directory, config)
+    stage, heard = recorded(directory, config)
     beside = out.with_name(out.name + ".new")
     try:
         with beside.open("wb") as file:
-            written = _write(recording, Writer(file))
+            written = _write(Writer(file), stage, heard)
         if not written:
             raise SetupError(f"{directory}: holds no scan, so there is nothing to export")
         beside.replace(out)
@@ -48,25 +48,25 @@ def export(directory: Path, out: Path, config: Path | None = None) -> dict[str, 
     return written
 
 
-def _write(recording: Recording, writer: Writer) -> dict[str, int]:
+def _write(writer: Writer, stage: Stage, heard: Iterable[Message]) -> Counter[str]:
     schemas = {
-        name: writer.register_msgdef(name.replace("/", "/msg/"), definition(name))
+        name: writer.register_msgdef(name.replace("/", "/msg/"), ros.definition(name))
         for name in TYPES.values()
     }
-    written: dict[str, int] = {}
-    for message in recording:
-        for topic, made in _made(recording.stage, message):
-            if topic == "/taxeld/truth" and topic in written:
-                continue
-            t_ns = round(message[1]["t"] * 1e9)
-            number = written[topic] = written.get(topic, 0) + 1
-            writer.write_message(topic, schemas[TYPES[topic]], made, t_ns, t_ns, number)
+    written: Counter[str] = Counter()
+    for message in heard:
+        for topic, made in _made(stage, message):
+            if topic != "/taxeld/truth" or not written[topic]:
+                t_ns = round(message[1]["t"] * 1e9)
+                written[topic] += 1
+                schema = schemas[TYPES[topic]]
+                writer.write_message(topic, schema, made, t_ns, t_ns, written[topic])
     writer.finish()
     return written
 
 
 def _made(stage: Stage, message: Message) -> Iterator[tuple[str, dict[str, Any]]]:
-    """A message of the streams as those of ROS 2, with their topics."""
+    """The ROS 2 messages of one message of the streams, with their topics."""
     topic, m = message
     if topic == messages.ESTIMATE:
         yield "/taxeld/status", ros.diagnostics(m["t"], "taxeld", m, hardware=stage.layout)

@@ -3,7 +3,7 @@
 | entity | shows |
 |---|---|
 | `world/link`, `world/link/skin` | the link where the robot says it is, its taxels by activation |
-| `world/object`, `world/truth` | the object's slices at the likeliest pose, and where it stands |
+| `world/object`, `world/truth` | the object's slices at the likeliest pose, and at the true one |
 | `world/modes`, `world/particles` | the outline at each mode, an arrow for each particle |
 | `status/now`, `status/log` | the status with what it rests on, and its changes |
 | `plot/belief`, `plot/spread` | the heaviest mode's weight, standard deviations |
@@ -16,35 +16,39 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from contourpy import contour_generator
+from matplotlib import colormaps
+from numpy.typing import NDArray
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.estimate import Status
 from taxeld.model import se2
 from taxeld.stream import messages
-from taxeld.view.colour import of_taxels
-from taxeld.view.stage import Stage, name_of, pose_of
+from taxeld.view.stage import Stage, pose_of
 
 TIME = "scan"  # the time line: Unix time of the measurement
-TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii
-ARROW_M = 0.02
-ABOVE_M = 0.01  # of the link, beyond the highest and the lowest taxel
-EYE_M = (0.065, -0.2, 0.25)  # from the point that is looked at
+TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii of points and lines
+ARROW_M = 0.02  # length of a particle's arrow
+ABOVE_M = 0.01  # the link is drawn so far beyond the highest and the lowest taxel
+EYE_M = (0.065, -0.2, 0.25)  # position of the eye from the point that it looks at
 FOUND, MODE, PARTICLE, TRUTH = (230, 60, 60), (70, 150, 255), (130, 180, 230), (240, 240, 240)
+LINK, QUIET, DEAD = (90, 90, 90), (120, 120, 120), (200, 30, 30)
+LEAST = 0.25  # beginning on the colour scale: darker colours do not show on black
 SPREADS = {"x [mm]": (255, 120, 90), "y [mm]": (110, 200, 120), "yaw [°]": (240, 200, 80)}
-SHOWN_AS = np.array([1e3, 1e3, math.degrees(1.0)])
+PER_UNIT = np.array([1e3, 1e3, math.degrees(1.0)])  # mm and degrees in m and rad
 
 
 class Picture:
     """The entities of one recording stream."""
 
-    def __init__(self, stage: Stage, stream: rr.RecordingStream, *, is_live: bool) -> None:
-        """`is_live`: scans have latencies, which those of a session have not."""
-        self._stage, self._stream, self._is_live = stage, stream, is_live
+    def __init__(self, stage: Stage, stream: rr.RecordingStream) -> None:
+        self._stage, self._stream = stage, stream
         self._status: int | None = None
         self._felt: object = None  # the activations that were drawn last
         self._is_placed = False
-        self._outline = max((line for _, line in stage.slices), key=len)
-        self._middle_m = float(np.mean([height for height, _ in stage.slices]))
+        self._slices = slices_of(stage)
+        self._outline = max((line[:, :2] for line in self._slices), key=len)
+        self._middle_m = float(np.mean([line[0, 2] for line in self._slices]))
         self._arrange(None)
         self._draw_still()
 
@@ -61,18 +65,17 @@ class Picture:
 
     def _draw_still(self) -> None:
         stage, z = self._stage, self._stage.position_m[:, 2]
-        lines = [_at(line, height) for height, line in stage.slices]
         still = {
             "world": rr.ViewCoordinates.RIGHT_HAND_Z_UP,
             "world/link/body": rr.Cylinders3D(
                 lengths=[float(np.ptp(z)) + 2.0 * ABOVE_M],
                 radii=[0.97 * stage.radius_m],
                 centers=[[0.0, 0.0, float(z.mean())]],
-                colors=[(90, 90, 90)],
+                colors=[LINK],
                 fill_mode="majorwireframe",
             ),
             "world/link/skin": rr.Points3D.from_fields(positions=stage.position_m),
-            "world/object/slices": rr.LineStrips3D(lines, colors=FOUND, radii=LINE_M),
+            "world/object/slices": rr.LineStrips3D(self._slices, colors=FOUND, radii=LINE_M),
             "world/modes": rr.LineStrips3D.from_fields(radii=LINE_M),
             "world/particles": rr.Arrows3D.from_fields(colors=PARTICLE, radii=LINE_M),
             "status/now": rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN),
@@ -80,27 +83,27 @@ class Picture:
             "plot/latency": rr.SeriesLines(names=[f"{stage} [ms]" for stage in messages.STAGES]),
         }
         if stage.truth is not None:
-            lines = [_at(se2.apply(stage.truth, line), height) for height, line in stage.slices]
+            lines = [_at(se2.apply(stage.truth, line[:, :2]), line[0, 2]) for line in self._slices]
             still["world/truth"] = rr.LineStrips3D(lines, colors=TRUTH, radii=LINE_M / 2)
         for entity, thing in still.items():
             self._stream.log(entity, thing, static=True)
 
     def _taxels(self, m: dict[str, Any]) -> None:
-        if len(m["z"]) != len(self._stage.position_m):  # of another skin: its info has not come yet
+        if len(m["z"]) != len(self._stage.position_m):  # the daemon got another skin
             return
         if m["placed"]:
             self._place("world/link", pose_of(m["sensor"]))
-            if not self._is_placed:  # now it is known where there is something to see
+            if not self._is_placed:  # the eye can be placed now
                 self._is_placed = True
                 seen = [pose_of(m["sensor"])]
                 seen += [] if self._stage.truth is None else [self._stage.truth]
                 self._arrange(np.mean(seen, axis=0))
-        if self._felt == (m["z"], m["live"]):  # most rows: to send one costs far more
+        if self._felt == (m["z"], m["live"]):  # true of most scans
             return
         self._felt = m["z"], m["live"]
         z, live = np.array(m["z"], dtype=float), np.array(m["live"], dtype=bool)
         radii = np.where(z > 0.0, PRESSED_M, TAXEL_M)
-        drawn = rr.Points3D.from_fields(colors=of_taxels(z, live), radii=radii)
+        drawn = rr.Points3D.from_fields(colors=colours_of(z, live), radii=radii)
         self._stream.log("world/link/skin", drawn)
 
     def _estimate(self, e: dict[str, Any]) -> None:
@@ -110,19 +113,19 @@ class Picture:
         lines = [_at(se2.apply(pose_of(one), self._outline), self._middle_m) for one in modes]
         colours = [(*MODE, round(255 * max(one["weight"], 0.4))) for one in modes]
         self._stream.log("world/modes", rr.LineStrips3D.from_fields(strips=lines, colors=colours))
-        self._tell(e, error_mm)
+        self._say(e, error_mm)
         if valid:
             sd = np.sqrt(np.maximum(np.diag(np.array(e["cov"], dtype=float)), 0.0))
             self._stream.log("plot/belief", rr.Scalars(e["modes"][0]["weight"]))
-            self._stream.log("plot/spread", rr.Scalars(sd * SHOWN_AS))
+            self._stream.log("plot/spread", rr.Scalars(sd * PER_UNIT))
         if error_mm is not None:
             self._stream.log("plot/error", rr.Scalars(error_mm))
         if e["lat_us"].get("skin"):
             took_ms = [e["lat_us"].get(name, 0.0) / 1e3 for name in messages.STAGES]
             self._stream.log("plot/latency", rr.Scalars(took_ms))
 
-    def _tell(self, e: dict[str, Any], error_mm: float | None) -> None:
-        status, pose = name_of(Status, e["status"]), e["map"]
+    def _say(self, e: dict[str, Any], error_mm: float | None) -> None:
+        status, pose = messages.name_of(Status, e["status"]), e["map"]
         rows = {
             "valid": "yes" if e["valid"] else "no",
             "touching": "yes" if e["contact"] else "no",
@@ -168,27 +171,46 @@ class Picture:
         plots = {"spread": "spread: 1 standard deviation", "belief": "weight of the heaviest mode"}
         if has_errors:
             plots["error"] = "error: ADD [mm]"
-        if self._is_live:
+        if self._stage.is_live:
             plots["latency"] = "latency of a scan, by stage [ms]"
         views = [
             rrb.TimeSeriesView(origin=f"/plot/{name}", name=title) for name, title in plots.items()
         ]
-        told = rrb.Tabs(
+        words = rrb.Tabs(
             rrb.TextDocumentView(origin="/status/now", name="status"),
             rrb.TextLogView(origin="/status/log", name="changes"),
         )
         colours = "red: likeliest pose, blue: modes and particles"
         colours += ", white: true pose" * has_errors
-        blueprint = rrb.Blueprint(
-            rrb.Horizontal(
-                rrb.Spatial3DView(origin="/world", name=colours, eye_controls=eye),
-                rrb.Vertical(told, *views, row_shares=[2] + [1] * len(views)),
-                column_shares=[2, 1],
-            ),
-            rrb.TimePanel(timeline=TIME, play_state="following", state="collapsed"),
-            collapse_panels=True,
-        )
-        self._stream.send_blueprint(blueprint)
+        scene = rrb.Spatial3DView(origin="/world", name=colours, eye_controls=eye)
+        beside = rrb.Vertical(words, *views, row_shares=[2] + [1] * len(views))
+        time = rrb.TimePanel(timeline=TIME, play_state="following", state="collapsed")
+        both = rrb.Horizontal(scene, beside, column_shares=[2, 1])
+        self._stream.send_blueprint(rrb.Blueprint(both, time, collapse_panels=True))
+
+
+def slices_of(stage: Stage) -> list[Floats]:
+    """Closed lines (P, 3) on the object at the heights of the scene's grids; without a scene, the
+    outline at the lowest and the highest taxel."""
+    scene = stage.scene
+    if scene is None:
+        z = stage.position_m[:, 2]
+        line = np.vstack([stage.outline, stage.outline[:1]])
+        return [_at(line, float(height)) for height in np.unique([z.min(), z.max()])]
+    return [
+        _at(scene.origin + scene.cell * np.asarray(line), float(height))
+        for height, grid in zip(scene.heights, scene.slices, strict=True)
+        for line in contour_generator(z=grid).lines(0.0)
+    ]
+
+
+def colours_of(z: Floats, live: Bools) -> NDArray[np.uint8]:
+    """(n, 3) red, green and blue of activations z (n,): from purple to yellow, grey where nothing
+    presses, red where a taxel is not `live` (n,)."""
+    colour = colormaps["plasma"](LEAST + (1.0 - LEAST) * z, bytes=True)[:, :3]
+    colour[z <= 0.0] = QUIET
+    colour[~live] = DEAD
+    return colour
 
 
 def _at(points: Floats, height_m: float) -> Floats:

@@ -1,37 +1,40 @@
-"""The still part of a picture: the skin's taxels, the link and the object's shape."""
+"""The skin and the object of a picture, and a session as the messages that a daemon would send."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
-from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
+from taxeld.commands.replay import Replay
+from taxeld.config import file as config_file
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.layout.layout import Layout
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
 from taxeld.proposals import bundle
+from taxeld.source import session
 from taxeld.stream import messages
+from taxeld.view.streams import Message
 
-Message = tuple[bytes, dict[str, Any]]  # a topic, and its map as docs/stream.md has it
+PARTICLES_S = 0.05  # between two clouds of particles, as the daemon sends them
 
 
 @dataclass(frozen=True)
 class Stage:
     """Skin and object of one daemon or session. Lengths in metres."""
 
-    object: str
-    layout: str
+    object: str  # its name
+    layout: str  # its name
     position_m: Floats  # (M, 3) taxels in the sensor frame
     radius_m: float  # of the link
-    slices: tuple[tuple[float, Floats], ...]  # height in the sensor frame, closed line (P, 2)
+    outline: Floats  # (P, 2) of the object, in its own frame
     scene: Scene | None = None  # None where only the streams are known
-    truth: Poses | None = None  # (3,) where the object truly stands
+    truth: Poses | None = None  # (3,) true pose of the object
+    is_live: bool = False  # scans of a daemon have latencies, those of a session have none
 
     def error_mm(self, estimate: dict[str, Any]) -> float | None:
         """Symmetry-aware ADD of the heaviest mode; None without scene, truth or valid estimate."""
@@ -45,67 +48,78 @@ def pose_of(planar: dict[str, float]) -> Poses:
     return np.array([planar["x"], planar["y"], planar["theta"]])
 
 
-def name_of(kind: type[IntEnum], number: int) -> str:
-    """The name of a status or proposal; a newer daemon may send one that is not known here."""
-    names = {int(one): one.name.lower() for one in kind}
-    return names.get(number, f"unknown ({number})")
+def from_info(info: dict[str, Any], scene: Scene | None = None) -> Stage:
+    """Stage of `/taxeld/info`, with the scene where it is known."""
+    layout = info["layout"]
+    return Stage(
+        object=Path(info["object"]).name,
+        layout=layout["name"],
+        position_m=np.array(layout["position_m"]),
+        radius_m=layout["radius_m"],
+        outline=np.array(info["outline"]),
+        scene=scene,
+        is_live=True,
+    )
 
 
-def from_info(info: dict[str, Any]) -> Stage:
-    """Stage of `/taxeld/info`, whose outline stands for the object at all heights.
-
-    Raises:
-        SetupError: the message lacks what it must have.
-    """
-    try:
-        layout = info["layout"]
-        position = np.array(layout["position_m"], dtype=float).reshape(-1, 3)
-        line = _closed(np.array(info["outline"], dtype=float).reshape(-1, 2))
-        heights = np.unique([position[:, 2].min(), position[:, 2].max()])
-        return Stage(
-            object=Path(str(info["object"])).name,
-            layout=str(layout["name"]),
-            position_m=position,
-            radius_m=float(layout["radius_m"]),
-            slices=tuple((float(height), line) for height in heights),
-        )
-    except (KeyError, TypeError, ValueError) as error:
-        raise SetupError(
-            f"{messages.INFO.decode()}: is not what a taxeld daemon sends ({error}); is the "
-            "endpoint another program's?"
-        ) from None
-
-
-def from_config(config: Config, truth: Sequence[float] | None = None) -> Stage:
-    """Stage of a configuration, with the object's slices from its bundle. `truth`: x, y, yaw.
+def scene_of(config: Config) -> Scene:
+    """The scene of a configuration's bundle.
 
     Raises:
         SetupError: what the configuration names cannot be used.
     """
     skin = layouts.load(config.skin.layout)
-    loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
-    name = Path(str(loaded.info["object"])).name
-    return of_scene(skin, loaded.model.scene, name, None if truth is None else np.array(truth))
+    return bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m).model.scene
 
 
-def of_scene(skin: Layout, scene: Scene, name: str, truth: Poses | None) -> Stage:
-    slices = _slices(scene)
-    return Stage(name, skin.name, skin.position_m, skin.radius_m, slices, scene, truth)
+def recorded(directory: Path, config: Path | None = None) -> tuple[Stage, Iterator[Message]]:
+    """Stage and messages of a session; `config` replaces the session's own. Each scan gives taxels,
+    an estimate and particles, as far as it has them.
+
+    Raises:
+        SetupError: there is no session, or what its configuration names cannot be used; while the
+            messages are read, also: the session is damaged.
+    """
+    path = config or directory / session.CONFIG
+    if not directory.is_dir() or not path.is_file():
+        raise SetupError(
+            f"{directory}: is no session (it has no {session.CONFIG}); 'taxeld record' and "
+            "'taxeld run --record' make one"
+        )
+    replay = Replay(directory, config_file.load(path))
+    skin, scene = replay.pipeline.skin.layout, replay.model.scene
+    stage = Stage(
+        object=Path(replay.config.scene.bundle).name,
+        layout=skin.name,
+        position_m=skin.position_m,
+        radius_m=skin.radius_m,
+        outline=scene.outline,
+        scene=scene,
+        truth=truth_of(directory / session.TRUTH),
+    )
+    return stage, _messages(replay)
 
 
-def _slices(scene: Scene) -> tuple[tuple[float, Floats], ...]:
-    """The zero lines of the scene's grids; the outline at each height where nothing cuts them."""
-    try:
-        from contourpy import contour_generator  # noqa: PLC0415  (comes with the extra `view`)
-    except ModuleNotFoundError:
-        line = _closed(scene.outline)
-        return tuple((float(height), line) for height in scene.heights)
-    found: list[tuple[float, Floats]] = []
-    for height, grid in zip(scene.heights, scene.slices, strict=True):
-        lines = contour_generator(z=grid).lines(0.0)
-        found += [(float(height), scene.origin + scene.cell * np.asarray(line)) for line in lines]
-    return tuple(found)
+def truth_of(path: Path) -> Poses | None:
+    """(3,) the object's last true pose of a session's table; None where there is no table.
+
+    Raises:
+        SetupError: the table is damaged.
+    """
+    rows = session.read_poses(path) if path.exists() else None
+    return np.array(rows[-1][1:]) if rows else None
 
 
-def _closed(line: Floats) -> Floats:
-    return np.vstack([line, line[:1]])
+def _messages(replay: Replay) -> Iterator[Message]:
+    next_s = -np.inf  # the next cloud of particles is due at this time
+    for seq, outcome in enumerate(replay):
+        estimate, activation = outcome.estimate, outcome.activation
+        if activation is not None:
+            yield messages.TAXELS, messages.taxels(activation, outcome.sensor, seq)
+        if not estimate.t:  # nothing was measured yet
+            continue
+        valid = replay.is_valid(estimate)
+        yield messages.ESTIMATE, messages.estimate(estimate, seq=seq, valid=valid)
+        if estimate.contact and not estimate.t < next_s < estimate.t + 1.0:
+            next_s = estimate.t + PARTICLES_S
+            yield messages.PARTICLES, messages.particles(estimate.t, seq, *replay.belief)

@@ -10,28 +10,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console, Group
 from rich.live import Live
-from rich.style import Style
 from rich.text import Text
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Floats, Index
 from taxeld.commands.unanswered import unanswered
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.stream import messages
-from taxeld.view.colour import plasma
-from taxeld.view.live import Streams
-from taxeld.view.stage import Message, Stage, from_info, name_of
+from taxeld.view.stage import Stage, from_info
+from taxeld.view.streams import Message, Subscriber
 
 REFRESH_S = 0.1
-SILENT_S = 2.0  # without a message, after which the page is called old
-LOOK_S = 1.0  # between looks at why nothing comes
-RATE_S = 3.0  # over which rates are counted
-COLUMNS, ROWS, MODES = 24, 8, 5  # of the skin's map, and modes shown
+SILENT_S = 2.0  # after this long without a message the page is called old
+LOOK_S = 1.0  # pause between two looks why nothing comes
+RATE_S = 3.0  # rates are counted over this long
+COLUMNS, ROWS, MODES = 24, 8, 5  # at most, of the skin's map; modes shown at most
 CELL = 3  # characters a taxel
-ALIKE_M, ALIKE_RAD = 0.001, 0.01  # taxels as near in height or angle stand in one row or column
+ALIKE_M, ALIKE_RAD = 0.001, 0.01  # heights of one row and angles of one column differ less
 COLOURS = {
     Status.STARTING: "cyan",
     Status.SEARCHING: "cyan",
@@ -41,6 +38,10 @@ COLOURS = {
     Status.STALE: "red",
     Status.INCONSISTENT: "red",
 }
+PLASMA = (  # matplotlib's colour scale, in tenths
+    "#0d0887", "#46039f", "#7201a8", "#9c179e", "#bd3786",
+    "#d8576b", "#ed7953", "#fb9f3a", "#fdca26", "#f0f921",
+)  # fmt: skip
 
 
 def watch(endpoint: str, keys: Path | None, stopping: Callable[[], bool]) -> None:
@@ -56,7 +57,7 @@ def watch(endpoint: str, keys: Path | None, stopping: Callable[[], bool]) -> Non
         )
     page, looked_s = Page(endpoint), -math.inf
     with (
-        contextlib.closing(Streams(endpoint, keys)) as streams,
+        contextlib.closing(Subscriber(endpoint, keys)) as streams,
         Live(console=Console(), screen=True, auto_refresh=False) as live,
     ):
         while not stopping():
@@ -80,11 +81,11 @@ class Page:
         self._object = ""
         self._map: SkinMap | None = None
         self._last: dict[bytes, dict[str, Any]] = {}
-        self._lat_us: dict[str, float] = {}  # of the last scan
+        self._lat_us: dict[str, float] = {}  # latencies of the last scan by stage
         self._seen: dict[bytes, deque[float]] = {}
 
     def take(self, message: Message, now_s: float) -> None:
-        """Raises SetupError for an info that is none."""
+        """Keep a message that came at `now_s`."""
         topic, m = message
         if topic == messages.INFO:
             stage = from_info(m)
@@ -99,7 +100,7 @@ class Page:
         if self._map is not None:
             lines += self._map.lines(self._last.get(messages.TAXELS))
         if messages.ESTIMATE in self._last:
-            lines += [*self._belief(self._last[messages.ESTIMATE]), *self._running(now_s)]
+            lines += [*_belief(self._last[messages.ESTIMATE]), *self._running(now_s)]
         return Group(*lines)
 
     def _title(self, now_s: float) -> Text:
@@ -110,23 +111,6 @@ class Page:
         if silent_s > SILENT_S:
             return text.append(f"nothing for {silent_s:.0f} s: {self.waits}", style="red")
         return text.append(self._endpoint, style="dim")
-
-    def _belief(self, e: dict[str, Any]) -> list[Text]:
-        touch = "touching" if e["contact"] else "not touching"
-        head = Text("status  ", style="dim")
-        colour = COLOURS.get(e["status"], "default")
-        head.append(name_of(Status, e["status"]).upper(), style=f"bold {colour}")
-        head.append(f", {'valid' if e['valid'] else 'not valid'}, {touch}, ")
-        head.append(f"{e['contacts']} contacts, {e['ess']:.0f} effective particles")
-        lines = [head, Text("mode     x [mm]    y [mm]   yaw [°]  weight", style="dim")]
-        for number, mode in enumerate(e["modes"][:MODES], 1):
-            x_mm, y_mm, yaw = 1e3 * mode["x"], 1e3 * mode["y"], math.degrees(mode["theta"])
-            row = f"{number:4d} {x_mm:10.1f}{y_mm:10.1f}{yaw:10.1f}{mode['weight']:8.0%}  "
-            lines.append(Text(row).append("█" * round(20 * mode["weight"]), "blue"))
-        lines += [Text("")] * (MODES - len(e["modes"]))  # the lines below stay where they are
-        x, y, yaw = (math.sqrt(max(e["cov"][k][k], 0.0)) for k in range(3))
-        spread = f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(yaw):.1f}°"
-        return [*lines, _row("spread", f"{spread} (1 sd of all particles)")]
 
     def _running(self, now_s: float) -> list[Text]:
         e, health = self._last[messages.ESTIMATE], self._last.get(messages.HEALTH)
@@ -139,7 +123,7 @@ class Page:
         if health is None:
             return [rates, age, _row("health", "not heard yet; it comes once a second")]
         inputs = health["inputs"]
-        old_s = inputs.get("poses_age_s", -1.0)  # negative where none came
+        old_s = inputs.get("poses_age_s", -1.0)  # negative while no pose came
         pose = "without sensor poses" if old_s < 0.0 else f"sensor pose {1e3 * old_s:.0f} ms old"
         stale = [kind for kind in ("scans", "poses") if inputs.get(f"{kind}_stale")]
         age.append(f", {pose}" + (f"; STALE {', '.join(stale)}" if stale else ""))
@@ -164,7 +148,7 @@ class SkinMap:
         x, y, z = stage.position_m.T
         self._column, columns = _places(np.arctan2(y, x) % (2.0 * np.pi), ALIKE_RAD, COLUMNS)
         row, rows = _places(z, ALIKE_M, ROWS)
-        self._row = rows - 1 - row  # the highest above
+        self._row = rows - 1 - row  # the highest taxels are the top row
         self._shape = rows, columns
         self._edges = {rows - 1: f"{1e3 * z.min():+.0f}mm", 0: f"{1e3 * z.max():+.0f}mm"}
 
@@ -174,20 +158,36 @@ class SkinMap:
         if taxels is not None and len(taxels["z"]) == len(self._row):
             np.maximum.at(z, (self._row, self._column), np.array(taxels["z"], dtype=float))
             np.logical_or.at(live, (self._row, self._column), np.array(taxels["live"], dtype=bool))
-        rows, columns = self._shape
         lines = []
-        for r in range(rows):
-            text = Text(f"{self._edges.get(r, ''):>5s} ", style="dim")
-            for c in range(columns):
-                text.append(*_cell(float(z[r, c]), bool(live[r, c])))
-            lines.append(text)
-        under = " " * 6 + f"{'0°':<{columns * CELL // 2}s}180°"
+        for r, (row, lives) in enumerate(zip(z.tolist(), live.tolist(), strict=True)):
+            cells = [_cell(*one) for one in zip(row, lives, strict=True)]
+            lines.append(Text(f"{self._edges.get(r, ''):>5s} ", style="dim").append_tokens(cells))
+        under = " " * 6 + f"{'0°':<{self._shape[1] * CELL // 2}s}180°"
         return [*lines, Text(under + "   0..9: tenths of full scale", style="dim")]
 
 
-def _places(values: Floats, alike: float, most: int) -> tuple[NDArray[np.intp], int]:
-    """The place of each value (n,), and how many places there are: one for values that are alike;
-    where these are too many, `most` even parts."""
+def _belief(e: dict[str, Any]) -> list[Text]:
+    """Status, modes and spread of an estimate."""
+    touch = "touching" if e["contact"] else "not touching"
+    head = Text("status  ", style="dim")
+    colour = COLOURS.get(e["status"], "default")
+    head.append(messages.name_of(Status, e["status"]).upper(), style=f"bold {colour}")
+    head.append(f", {'valid' if e['valid'] else 'not valid'}, {touch}, ")
+    head.append(f"{e['contacts']} contacts, {e['ess']:.0f} effective particles")
+    lines = [head, Text("mode     x [mm]    y [mm]   yaw [°]  weight", style="dim")]
+    for number, mode in enumerate(e["modes"][:MODES], 1):
+        x_mm, y_mm, yaw = 1e3 * mode["x"], 1e3 * mode["y"], math.degrees(mode["theta"])
+        row = f"{number:4d} {x_mm:10.1f}{y_mm:10.1f}{yaw:10.1f}{mode['weight']:8.0%}  "
+        lines.append(Text(row).append("█" * round(20 * mode["weight"]), "blue"))
+    lines += [Text("")] * (MODES - len(e["modes"]))  # the lines below stay where they are
+    x, y, yaw = (math.sqrt(max(e["cov"][k][k], 0.0)) for k in range(3))
+    spread = f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(yaw):.1f}°"
+    return [*lines, _row("spread", f"{spread} (1 sd of all particles)")]
+
+
+def _places(values: Floats, alike: float, most: int) -> tuple[Index, int]:
+    """(n,) the place of each of `values` (n,), and the number of places: one for values that are
+    alike; `most` even parts where these would be more."""
     order = np.argsort(values)
     steps = np.diff(values[order], prepend=values[order[0]]) > alike
     place = np.empty(len(values), dtype=np.intp)
@@ -198,16 +198,17 @@ def _places(values: Floats, alike: float, most: int) -> tuple[NDArray[np.intp], 
     return np.minimum((share * most).astype(np.intp), most - 1), most
 
 
-def _cell(z: float, live: bool) -> tuple[str, Style]:
-    if z < 0.0:  # no taxel stands there, or nothing was heard
-        return " " * CELL, Style()
+def _cell(z: float, live: bool) -> tuple[str, str]:
+    """Text and style of a place with activation z; negative where no taxel stands."""
+    if z < 0.0:
+        return " " * CELL, ""
     if not live:
-        return f"{'x':^{CELL}s}", Style(color="red")
+        return f"{'x':^{CELL}s}", "red"
     if z == 0.0:
-        return f"{'·':^{CELL}s}", Style(dim=True)
-    r, g, b = plasma(np.array([z]))[0]
+        return f"{'·':^{CELL}s}", "dim"
+    tenths = min(int(10 * z), 9)
     ink = "black" if z > 0.5 else "white"
-    return f"{min(int(10 * z), 9):^{CELL}d}", Style.parse(f"{ink} on rgb({r},{g},{b})")
+    return f"{tenths:^{CELL}d}", f"{ink} on {PLASMA[tenths]}"
 
 
 def _row(name: str, text: str) -> Text:

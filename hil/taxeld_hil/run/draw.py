@@ -22,7 +22,7 @@ from taxeld.layout.draw import plane
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.source import session
-from taxeld.view.recorded import truth_of
+from taxeld.view.stage import truth_of
 
 COLUMNS = 4
 MM = 1e3

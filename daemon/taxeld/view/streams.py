@@ -7,16 +7,14 @@ from typing import Any
 
 import zmq
 
-from taxeld.config import endpoints
 from taxeld.errors import SetupError
-from taxeld.stream import curve, messages
-from taxeld.stream.client import ANSWER_BYTES, OWN, SERVER
-from taxeld.stream.sockets import connect, open_socket, unpack
-from taxeld.view.stage import Message
+from taxeld.stream import messages
+from taxeld.stream.client import client_socket
+from taxeld.stream.sockets import unpack
 
-QUEUE = 1000  # messages that wait while the subscriber is busy; more are dropped, on its own side
-MOST = 500  # messages of one look
-NEEDED = {  # keys that the pictures and the ROS messages take
+QUEUE = 1000  # messages kept while the subscriber is busy; it loses later ones
+MOST = 500  # messages taken at once
+NEEDED = {  # keys that the pictures and the ROS messages read
     messages.ESTIMATE: "t valid status contact contacts map mean cov modes ess particles injected "
     "proposal log_evidence age_us overruns lat_us",
     messages.TAXELS: "t z live placed sensor",
@@ -25,9 +23,11 @@ NEEDED = {  # keys that the pictures and the ROS messages take
     messages.INFO: "layout outline object",
 }
 
+Message = tuple[bytes, dict[str, Any]]  # a topic, and its map as docs/stream.md has it
 
-class Streams:
-    """All topics of one endpoint, or some; to be closed."""
+
+class Subscriber:
+    """A subscriber to topics of one endpoint; to be closed."""
 
     def __init__(
         self,
@@ -42,23 +42,16 @@ class Streams:
         Raises:
             SetupError: the endpoint is none, or a key cannot be used.
         """
-        fault = endpoints.fault(endpoint, keys is not None)
-        if fault:
-            raise SetupError(f"{option}: {fault.replace('set curve.directory', 'name --keys')}")
-        self._context = zmq.Context()
-        self.socket = open_socket(
-            self._context, zmq.SUB, send=len(topics), receive=QUEUE, largest=ANSWER_BYTES
-        )
+        self._context: zmq.Context[Any] = zmq.Context()
         try:
-            if keys is not None and endpoint.startswith(endpoints.TCP):
-                own = curve.secret_key(keys / OWN, "--keys")
-                curve.as_client(self.socket, curve.public_key(keys / SERVER, "--keys"), *own)
-            for topic in topics:
-                self.socket.setsockopt(zmq.SUBSCRIBE, topic)
-            connect(self.socket, endpoint, option)
+            self.socket = client_socket(
+                self._context, zmq.SUB, endpoint, keys, option, send=len(topics), receive=QUEUE
+            )
         except SetupError:
-            self.close()
+            self._context.term()
             raise
+        for topic in topics:
+            self.socket.setsockopt(zmq.SUBSCRIBE, topic)
 
     def close(self) -> None:
         self.socket.close()
