@@ -13,9 +13,7 @@ import trimesh
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld_training import bundles
-from taxeld_training.objects import meshes, scenes
-from taxeld_training.objects.scene_error import grid_error
-from taxeld_training.objects.setting import DEPTH_MAX_M
+from taxeld_training.objects import DEPTH_MAX_M, meshes, scenes
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
 
@@ -66,7 +64,9 @@ def _describe(mesh: trimesh.Trimesh, model: ObservationModel, height_m: float) -
         "depth_max_m": model.depth_max_m,
         "symmetry": scene.symmetry,
         "repairs": scenes.repairs(mesh, layout, height_m),
-        "grid_error_mm": asdict(grid_error(scene, mesh, layout, height_m, model.depth_max_m)),
+        "grid_error_mm": asdict(
+            scenes.grid_error(scene, mesh, layout, height_m, model.depth_max_m)
+        ),
     }
 
 

@@ -12,8 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from PIL import Image
 
-from taxeld_training.jobs.rows import Point
-
+Point = tuple[float, float]
 Limits = tuple[Point, Point]  # least and most of x, and of y
 Style = tuple[str, str]  # colour, marker
 

@@ -8,12 +8,11 @@ import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import Job
-from taxeld_training.filters import follow, methods
+from taxeld_training.filters import follow
 from taxeld_training.filters.cells import COLUMNS, setting_of
-from taxeld_training.filters.figures import quantiles
-from taxeld_training.filters.pusher import PushedTrial
+from taxeld_training.filters.pushing import PushedTrial
 from taxeld_training.jobs.options import Options, run_jobs, write
-from taxeld_training.jobs.statistics import of_median, of_share, p_paired, rounded
+from taxeld_training.jobs.statistics import of_median, of_share, p_paired, quantiles, rounded
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
@@ -41,9 +40,7 @@ def run(options: Options) -> list[Path]:
             raise SetupError(f"--objects: {name} has no shipped bundle; push takes those that have")
     todo = {
         (name, motion): Job(
-            f"push-{name}-{motion}",
-            play,
-            (setting_of(name, COLUMNS, options), motion, seeds, methods.code()),
+            f"push-{name}-{motion}", play, (setting_of(name, COLUMNS, options), motion, seeds)
         )
         for name in objects
         for motion in MOTIONS
@@ -58,9 +55,8 @@ def run(options: Options) -> list[Path]:
     return [write(options, "push", rows)]
 
 
-def play(setting: Setting, motion: str, seeds: int, code: str) -> Trials:
-    """The results of so many trials; `code` is part of the job's key alone."""
-    del code
+def play(setting: Setting, motion: str, seeds: int) -> Trials:
+    """The results of so many trials."""
     model = trained.model_of(setting)
     proposal = trained.proposal_of(DENSITY, setting, "")
     return [follow.follow_push(PushedTrial(model, seed), motion, proposal) for seed in range(seeds)]

@@ -33,7 +33,7 @@ RECENT = 3  # contacts, the strongest of whose touches is tiled: the weakest may
 MARGIN_SD = 3.0  # of that touch's offset
 
 
-class Scan(NamedTuple):
+class GridScan(NamedTuple):
     """What was learned from."""
 
     observation: Observation
@@ -66,7 +66,7 @@ class GridFilter:
         self._touch = TOUCH_SIGMAS * noise.sigma
         self._most = cells
         self._coarse = coarse
-        self._scans: list[Scan] = []
+        self._scans: list[GridScan] = []
         self._scale = 0  # of SCALES, the likeliest so far; the least has the fewest cells
         self._weighed = 0  # scans that the cells have taken
         self._first = se2.IDENTITY  # the sensor's pose at the touch that is tiled
@@ -100,7 +100,7 @@ class GridFilter:
             touched = bool(scan.z.max(initial=0.0, where=scan.live) > self._touch)
         if contact is None:
             contact = (self._scans[-1].contact if self._scans else 0) + touched
-        self._scans.append(Scan(scan, touched, contact))
+        self._scans.append(GridScan(scan, touched, contact))
 
     def estimate(self) -> tuple[Poses, Poses]:
         """The mean of the heaviest mode (3,) and of the whole belief (3,), as the daemon's are.
@@ -138,7 +138,7 @@ class GridFilter:
         self._cells = self._chosen(tiled, newest, len({scan.contact for scan in touches}))
         return self._cells
 
-    def _chosen(self, tiled: Scan, newest: int, touched: int) -> Cells:
+    def _chosen(self, tiled: GridScan, newest: int, touched: int) -> Cells:
         """The belief of the likeliest slack, uphill from the last one, once enough contacts tell.
         Evidence has one peak over its scale."""
         if touched < SLACK_FROM or not (self.slack.robot_m or self.slack.nudge_m):
@@ -158,7 +158,7 @@ class GridFilter:
                 return known[self._scale]
             self._scale = better
 
-    def _belief(self, slack: Slack, tiled: Scan, newest: int) -> Cells:
+    def _belief(self, slack: Slack, tiled: GridScan, newest: int) -> Cells:
         """Of all scans, off by so much: from the poses that the tiled touch allows."""
         of_contact = np.bincount([scan.contact for scan in self._scans if scan.touched])
         evidence = [

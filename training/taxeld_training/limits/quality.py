@@ -16,7 +16,7 @@ from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import Draws, ExactPosterior, energy_distance
-from taxeld_training.models.dataset import Touches, read, simulate
+from taxeld_training.models.dataset import SimulatedTouches, read, simulate
 
 SAMPLES = 100
 BANK_STAGE, EXACT_STAGE = "contacts to measure with", "exact posteriors"
@@ -102,7 +102,11 @@ class Posterior:
     """The exact posterior by a bank and, where that is too thin, by contacts made for a reading."""
 
     def __init__(
-        self, model: ObservationModel, bank: Touches, noise: Noise, rng: np.random.Generator
+        self,
+        model: ObservationModel,
+        bank: SimulatedTouches,
+        noise: Noise,
+        rng: np.random.Generator,
     ) -> None:
         self._bank = ExactPosterior(bank, model.layout, noise)
         self._dense = Dense(model, noise, rng)

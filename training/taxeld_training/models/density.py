@@ -38,8 +38,8 @@ class ContactDensity(Model):
     family = "density"
     steps = 1
     frame: ContactFrame
-    mean: Tensor  # (2,) and
-    scale: Tensor  # (2,) of φ and δ
+    mean: Tensor  # (2,) of φ and δ
+    scale: Tensor  # (2,) standard deviations of φ and δ
 
     def __init__(self, config: NetworkConfig, view: AnyView, frame: ContactFrame) -> None:
         super().__init__(config, view, frame)

@@ -42,12 +42,13 @@ def noise_levels(total: int, steps: int) -> list[int]:
     return times
 
 
-class PoseNetwork(Model):
-    """A 4-layer feed-forward network (B, 4) → (B, 4) on Fourier features of a whitened pose. The
-    touch's code shifts every hidden layer."""
+class Denoiser(Model):
+    """v(x_t, touch, t): a 4-layer feed-forward network (B, 4) → (B, 4) on Fourier features of a
+    whitened pose. The touch's code and the step t shift every hidden layer."""
 
-    mean: Tensor  # (4,) and
-    scale: Tensor  # (4,) of the frame's features
+    mean: Tensor  # (4,) of the frame's features
+    scale: Tensor  # (4,) standard deviations of the frame's features
+    alpha_bar: Tensor  # (T,)
 
     def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
         super().__init__(config, view, frame)
@@ -62,6 +63,9 @@ class PoseNetwork(Model):
         each = (self.first, self.second, self.third, self.out)
         self.multiply_adds_each = sum(parameters_of(layer) for layer in each)
         self.multiply_adds = view.multiply_adds + parameters_of(self) - self.multiply_adds_each
+        self.time = nn.Embedding(config.steps, 3 * w)
+        self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
+        nn.init.normal_(self.time.weight, std=0.1)
 
     def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
         _, angle = self.view(z, live)
@@ -88,18 +92,6 @@ class PoseNetwork(Model):
         hidden = hidden + functional.silu(self.third(hidden) + c)
         value: Tensor = self.out(hidden)
         return value
-
-
-class Denoiser(PoseNetwork):
-    """v(x_t, touch, t)."""
-
-    alpha_bar: Tensor  # (T,)
-
-    def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
-        super().__init__(config, view, frame)
-        self.time = nn.Embedding(config.steps, 3 * config.width)
-        self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
-        nn.init.normal_(self.time.weight, std=0.1)
 
     def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
         code = self.encoder(seen)

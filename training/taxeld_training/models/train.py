@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from taxeld.model.leak import Leak
 from taxeld.model.observation import Noise
 from taxeld_training.models.base import Model
-from taxeld_training.models.dataset import Batches, Touches
+from taxeld_training.models.dataset import Batches, SimulatedTouches
 
 SCALE_BATCH = 10_000
 
@@ -33,7 +33,7 @@ AnyModel = TypeVar("AnyModel", bound=Model)
 
 def train_beside(
     given: Sequence[tuple[Callable[[], AnyModel], TrainConfig]],
-    touches: Touches,
+    touches: SimulatedTouches,
     leak: Leak,
     noise: Noise,
 ) -> list[AnyModel]:

@@ -20,7 +20,7 @@ SHARE = 0.5  # share of its footprint on which an object stands well
 BETTER = 2.0  # times as much on another side: it lies
 
 
-class Rest(NamedTuple):
+class Footing(NamedTuple):
     """How a mesh stands on its lowest vertices."""
 
     share: float  # share of its footprint that these vertices span
@@ -66,12 +66,12 @@ def _side(mesh: trimesh.Trimesh) -> str:
     return f"it {what}; the mesh's z axis must point up: {cure}"
 
 
-def rest(corners: NDArray[np.float64], centre: NDArray[np.float64]) -> Rest:
+def rest(corners: NDArray[np.float64], centre: NDArray[np.float64]) -> Footing:
     """How a body with these corners (n, 3) and this centre (3,) stands, z up."""
     low = corners[:, 2] < corners[:, 2].min() + NEAR_M
     base = shapely.MultiPoint(corners[low, :2]).convex_hull
     footprint = shapely.MultiPoint(corners[:, :2]).convex_hull
-    return Rest(base.area / footprint.area, float(base.distance(shapely.Point(centre[:2]))))
+    return Footing(base.area / footprint.area, float(base.distance(shapely.Point(centre[:2]))))
 
 
 def _below(layout: Layout, height_m: float) -> str:

@@ -6,9 +6,8 @@ from pathlib import Path
 
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
-from taxeld_training.objects import defaults, meshes, scenes
+from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M, meshes, scenes
 
-DEPTH_MAX_M, HEIGHT_M = defaults.DEPTH_MAX_M, defaults.HEIGHT_M
 OBJECTS = (  # the paper's
     "002_master_chef_can", "003_cracker_box", "006_mustard_bottle", "016_pear", "019_pitcher_base",
     "021_bleach_cleanser", "024_bowl", "025_mug", "035_power_drill", "061_foam_brick",

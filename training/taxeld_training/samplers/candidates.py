@@ -25,7 +25,7 @@ from taxeld_training.jobs.statistics import LEVEL, of_mean, rounded
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.base import Model
-from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, Touches, simulate
+from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, SimulatedTouches, simulate
 from taxeld_training.models.variants import Variant
 
 TOLERANCE = 1.15  # a proposal is as good as the nearest up to this factor of its distance
@@ -123,7 +123,7 @@ def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str,
 
 
 def _train(
-    given: Candidates, model: ObservationModel, touches: Touches, progress: Progress
+    given: Candidates, model: ObservationModel, touches: SimulatedTouches, progress: Progress
 ) -> list[tuple[Variant, Model]]:
     """Train all variants, in their own order: each worker, a process of one thread, trains those
     that are as many places apart as there are workers, side by side."""
@@ -138,7 +138,7 @@ def _train(
 
 
 def _fit(
-    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: Touches
+    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: SimulatedTouches
 ) -> list[Model]:
     torch.set_num_threads(1)
     return variants.fit_beside(given, model, noise, touches)
