@@ -1,4 +1,4 @@
-"""The reference: contacts, batches, and the exact posterior by a bank and by contacts made for it."""
+"""The reference: contacts, batches, and the exact posterior by a bank and by contacts around it."""
 
 from dataclasses import replace
 
