@@ -17,10 +17,10 @@ from taxeld_training.objects import DEPTH_MAX_M, meshes, scenes
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
 
-MESH = "mesh"  # and its suffix: a copy of a mesh file, for the harness
+MESH = "mesh"  # name, before its suffix, of the copy of a mesh file for the harness
 SCENE = "scene"
-STAGES = (SCENE, *candidates.STAGES)  # in this order
-FAR = 2.0  # times the distance of two sets of exact draws: a sampler beyond it is poor
+STAGES = (SCENE, *candidates.STAGES)  # stages of a build, in order
+FAR = 2.0  # a sampler is poor beyond so many times the distance of two sets of exact draws
 
 
 def build(
@@ -71,8 +71,8 @@ def _describe(mesh: trimesh.Trimesh, model: ObservationModel, height_m: float) -
 
 
 def summary(out: Path, info: dict[str, Any], skin: str) -> Iterator[str]:
-    """What was built, how good it is, and the next commands; `skin`: the layout, where it is not
-    the default."""
+    """Lines on the bundle in `out`, how good it is, and the next commands; `skin`: the layout,
+    where it is not the default."""
     size = sum(path.stat().st_size for path in out.iterdir())
     samplers = {one["name"]: one["energy_distance"] for one in info["samplers"]}
     best = min(samplers, key=lambda name: samplers[name])

@@ -14,9 +14,9 @@ from taxeld_training.charts import picture
 from taxeld_training.charts.picture import Limits, Point, Style
 from taxeld_training.jobs.rows import Row, Spread, gap, label, number, object_name, spread_of
 
-ACROSS = 5  # small panels
+ACROSS = 5  # small panels beside each other
 PAPER_MS = 15.0
-AIM = 2.0  # times the floor
+AIM = 2.0  # multiple of the floor that was aimed at
 GAP = "distance to exact posterior / floor"
 LINE: dict[str, Any] = {"color": "0.45", "lw": 0.9, "zorder": 1}
 

@@ -37,7 +37,7 @@ class Cell:
     setting: Setting
     method: Method
     conditions: TrialConditions = field(default_factory=TrialConditions)
-    touched: str = ""  # object of the trials; empty: the setting's, which the filter assumes
+    touched: str = ""  # object of the trials; empty: the setting's object, which the filter assumes
 
     @property
     def name(self) -> str:

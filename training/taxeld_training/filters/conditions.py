@@ -17,17 +17,17 @@ from taxeld_hil.world.foam import Foam
 from taxeld_hil.world.spread import PerPress, drawn
 from taxeld_training.models.dataset import SILENT
 
-MODULE = 10  # taxels
+MODULE = 10  # taxels of a module
 SIDE_RAD = np.pi / 4.0  # a side reaches this far in both directions
-NUDGE_RAD = np.pi / 6.0  # between a nudge and the contact's normal, at most: friction
-TWIN_GAP_M = 0.01  # between the object and the one beside it
+NUDGE_RAD = np.pi / 6.0  # largest angle between a nudge and the contact's normal: friction
+TWIN_GAP_M = 0.01  # gap between the object and the one beside it
 TWIN_STEP_M = 0.002  # step of the search for that gap
 SOFT_SILENT = 6.0  # standard deviations of a soft skin's noise: less is no touch to a daemon
 
 
 @dataclass(frozen=True)
 class TrialConditions:
-    """What holds in a trial; the defaults are what the estimator assumes."""
+    """The conditions of a trial; the defaults are what the estimator assumes."""
 
     sigma: float = 0.02  # sd of an activation
     gain_cv: float = 0.17  # spread of the taxels' gains
@@ -39,15 +39,15 @@ class TrialConditions:
     depth: float = 1.0  # the deepest press, in δ_max
     sensor_sd_m: float = 0.0  # error of the reported sensor pose, drawn anew each touch
     sensor_sd_rad: float = 0.0
-    kidnapped_after: int = 0  # touches, after which the object is put elsewhere; 0: never
-    pushed_m: float = 0.0  # between two touches, all along one line
+    kidnapped_after: int = 0  # the object is put elsewhere after so many touches; 0: never
+    pushed_m: float = 0.0  # way of the object between two touches, all along one line
     pushed_rad: float = 0.0
     nudged_m: float = 0.0  # about how far each press moves the object away from the skin
     both: int = 0  # touches that press a second object of the same kind, beside it, as well
     one_side: bool = False  # all touches come from one quarter of the directions
     skin: str = ""  # a soft skin of the harness: its gains and noise in place of these
     scans: int = 5  # scans of a press while it is held
-    slip_m: float = 0.0  # sd of the sensor's place in each of them
+    slip_m: float = 0.0  # sd of the sensor's place in each of these scans
 
     def gains(self, taxels: int, rng: np.random.Generator) -> Floats:
         """(M,) of a skin's taxels."""
@@ -113,7 +113,7 @@ class SoftSkin:
         self._noise = noise_counts / SkinConfig().full_scale_counts
         self._kept = Residue(m)
         self._is_pressed = False
-        self.floor, self.residue = np.zeros((2, m))  # the last activation's
+        self.floor, self.residue = np.zeros((2, m))  # of the last scan
 
     def read(self, h: Floats, t: float) -> tuple[Floats, Bools]:
         """Activations z (M,), with noise, for true ones h (M,) at t [s]; and which (M,) a daemon's
@@ -181,7 +181,7 @@ class Twin:
     def __init__(self, model: ObservationModel, rng: np.random.Generator) -> None:
         self._model = model
         direction, yaw = rng.uniform(-np.pi, np.pi, 2)
-        self.pose = _beside(model, direction, yaw)  # (3,) in the first one's frame
+        self.pose = _beside(model, direction, yaw)  # (3,) in the first object's frame
 
     def activation(self, poses: Poses) -> Floats:
         """(N, M) of the twin alone, with the first object at `poses` (N, 3), sensor frame."""

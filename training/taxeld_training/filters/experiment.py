@@ -47,9 +47,9 @@ FILTER = Experiment(
             for proposal in (DENSITY, "table", "manifold", "projection")
             for injection in ("mixture", "paper")
         ),
-        Method(PAPER, "paper", 100),  # both of the paper: its Fig. 3
+        Method(PAPER, "paper", 100),  # sampler and rule of the paper: its Fig. 3
         SHIPPED,
-        Method(GRID, touches=(4, 6, 8)),  # minutes a trial if it looked after each
+        Method(GRID, touches=(4, 6, 8)),  # a look after each touch would take minutes a trial
     ),
     OBJECTS, tuple(range(1, TOUCHES + 1)), seeds=200, quick_seeds=6,
 )  # fmt: skip
@@ -211,7 +211,7 @@ def p_shipped(mine: Results, shipped: Results | None, contact: int) -> float | N
 
 
 def _share(name: str, rule: Sequence[bool]) -> dict[str, float | list[float] | None]:
-    """Of trials that obey a rule, with its interval; None of no trials."""
+    """Share of trials that obey a rule, with its interval; None without trials."""
     if not rule:
         return {f"{name}_rate": None, f"{name}_ci": None}
     return {f"{name}_rate": _rate(rule), f"{name}_ci": rounded(of_share(rule))}

@@ -20,7 +20,7 @@ from taxeld_training.filters.pushing import PushedTrial, told
 from taxeld_training.filters.trials import Trial, TrialScan
 
 TOLD = "told"
-OWN_SEEDS = 2**31  # added to a trial's seed: a filter must not draw what its trial drew
+OWN_SEEDS = 2**31  # added to a trial's seed, so that a filter does not draw what its trial drew
 
 
 def follow(
@@ -42,7 +42,8 @@ def follow(
 def _follow_grid(
     trial: Trial, model: ObservationModel, touches: Sequence[int]
 ) -> list[TouchResult]:
-    """The same of the grid filter, which looks after some of the touches, or after each."""
+    """The result of each touch by the grid filter, which looks after some touches, or after
+    each."""
     found = []
     for moment, grid in gridded.after_touches(trial, model):
         size = len(grid) if not touches or moment.touch + 1 in touches else 0

@@ -51,11 +51,11 @@ class Level:
     level: float | str
     conditions: TrialConditions = field(default_factory=TrialConditions)
     columns: int = COLUMNS
-    particles: int = 0  # 0: the method's own
+    particles: int = 0  # particles of the filter; 0: the method's own number
     touched: str = ""  # object of the trials; empty: the one that the filter assumes
     objects: tuple[str, ...] = ()  # objects of the filter, in place of the experiment's
-    seeds: float = 1.0  # times a cell's trials
-    lengths: Lengths | None = None  # nothing is trained for these
+    seeds: float = 1.0  # factor of a cell's number of trials
+    lengths: Lengths | None = None  # lengths of object and skin; no model is trained for them
 
     @property
     def name(self) -> str:

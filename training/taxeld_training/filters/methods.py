@@ -13,17 +13,17 @@ from taxeld.estimator.rule import noise_of
 from taxeld.model.symmetry import SILENT_MM
 from taxeld_training.jobs.rows import SUCCESS_MM
 
-NOISE = noise_of(FilterConfig())  # the grid filter has it as well
+NOISE = noise_of(FilterConfig())  # the grid filter's noise as well
 
 
 @dataclass(frozen=True)
 class Method:
     """A filter by its parts."""
 
-    proposal: str  # GRID: the limit, which has neither injection nor particles
+    proposal: str  # GRID is the limit: it has neither injection nor particles
     injection: str = ""
     particles: int = 0
-    particles_max: int = 0  # 0: no more than that
+    particles_max: int = 0  # 0: as many as `particles`
     touches: tuple[int, ...] = ()  # the grid looks at its belief after these; none: after each
 
     def config(self, seed: int, motion: str = FilterConfig().motion) -> FilterConfig:

@@ -22,16 +22,16 @@ from taxeld.model.symmetry import PoseMetric
 from taxeld_training.filters.conditions import TrialConditions, TrialSkin
 from taxeld_training.filters.trials import SCAN_S, Trial, TrialScan
 
-TOUCHES = 6  # before the push
-PATH_M = 0.25  # way of the sensor in contact
-STEP_M = 0.002  # between two scans
+TOUCHES = 6  # touches before the push
+PATH_M = 0.25  # way of the sensor while it touches the object
+STEP_M = 0.002  # way of the sensor between two scans
 DEPTH_M = 0.003  # depth of the skin at which the object's friction gives way
 OFF_CENTRE = 0.3  # largest distance of the push from the centre, as a share of the mean radius
 STANDOFF_M = 0.06
-BETWEEN_S = 1.0  # the last touch and the push
+BETWEEN_S = 1.0  # time between the last touch and the push
 SETTLING = 4  # steps of projection that end the overlap
-TOLD_SPREAD = 0.2  # sd of a push that is told, as a share of it: what the ground leaves open
-CLOSE_M = 1e-9  # less is no overlap
+TOLD_SPREAD = 0.2  # sd of a push by a known ground, as a share of its length
+CLOSE_M = 1e-9  # a smaller depth is no overlap
 
 POINTS = 16
 LOAD_SHAPE = 1.5  # shape of the gamma distribution of a point's load
@@ -116,7 +116,7 @@ class PushedTrial:
 
     @property
     def ground(self) -> Ground:
-        """That of this trial."""
+        """The ground of this trial."""
         return Ground.drawn(self.model.scene, np.random.default_rng((self.seed, 3)))
 
     def __iter__(self) -> Iterator[TrialScan]:
@@ -182,8 +182,8 @@ def gave_way(
 
 
 def told(ground: Ground) -> Push:
-    """As `estimator.push.push`, but by the world's own ground: the limit of what can be known of a
-    push, as no filter knows what the object rests on."""
+    """`estimator.push.push` by the world's own ground: the limit of what can be known of a push, as
+    no filter knows what the object rests on."""
 
     def push(
         model: ObservationModel, metric: PoseMetric, poses: Poses, assumed: Floats, before: Poses,

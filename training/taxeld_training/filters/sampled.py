@@ -31,7 +31,11 @@ from taxeld_training.samplers import trained
 
 OBJECTS = ("003_cracker_box", "025_mug")  # objects of the shipped bundles
 SEEDS = 15
-ANALYTIC = ("projection", "manifold", "table")  # beside the bundle's samplers
+ANALYTIC = (
+    "projection",
+    "manifold",
+    "table",
+)  # proposals that are measured beside the bundle's samplers
 FLOOR = "floor"  # `proposal` of two sets of exact draws
 
 
@@ -94,7 +98,7 @@ def measure(setting: Setting, level: Level, bank: int, trials: int) -> list[dict
 def firmest(
     model: ObservationModel, seed: int, trials: int, given: TrialConditions
 ) -> list[tuple[Poses, Observation]]:
-    """Of each touch that is felt in as many trials: the object's pose (3,) in the sensor frame at
+    """For each touch that is felt in `trials` trials: the object's pose (3,) in the sensor frame at
     the firmest scan, and that scan."""
     found: list[tuple[Poses, Observation]] = []
     for own in range(SEEDS_APART * seed, SEEDS_APART * seed + trials):

@@ -33,11 +33,11 @@ from taxeld_training.filters.conditions import (
 
 PLACE_M = 0.15  # the object is within ± this of the origin, at any yaw
 MIN_ACTIVATION = 0.1  # least activation of the strongest taxel in a press
-BATCH, PAIR_BATCH = 64, 4096  # poses drawn to choose presses from
+BATCH, PAIR_BATCH = 64, 4096  # poses that are drawn at once, to choose presses from
 BATCHES_MAX = 1000  # batches of poses before a trial is given up
 
-SCAN_S = 0.05  # near the object
-FREE_S = 0.2  # on the way around it
+SCAN_S = 0.05  # time between two scans near the object
+FREE_S = 0.2  # time between two scans on the way around it
 APPROACH_M = (0.03, 0.02, 0.01, 0.002)  # clearances before a press
 RETREAT_M = (0.002, 0.01, 0.03)  # clearances after a press
 PRESSING = (0.25, 0.5, 0.75)  # shares of the press's depth, before it is held
@@ -51,7 +51,7 @@ Accepts = Callable[[Poses], Bools]
 class TrialScan(NamedTuple):
     """One scan of a trial."""
 
-    touch: int  # index of the touch it belongs to
+    touch: int  # index of its touch
     activation: Activation
     sensor: Poses  # (3,) in the world, as the robot reports it
     truth: Poses  # (3,) of the object in the world
@@ -62,7 +62,7 @@ class Waypoint(NamedTuple):
     """Where the skin is in one scan."""
 
     pose: Poses  # (3,) of the object in the sensor frame
-    after_s: float  # since the scan before
+    after_s: float  # time since the scan before
     gave: float  # share of the way that the object gives in to this touch
 
 
@@ -78,7 +78,7 @@ class Trial:
     def __iter__(self) -> Iterator[TrialScan]:
         model, given = self.model, self.conditions
         rng = np.random.default_rng(self.seed)
-        extra = np.random.default_rng((self.seed, 1))  # for what the conditions add
+        extra = np.random.default_rng((self.seed, 1))  # draws for the conditions
         start = _placed(rng)
         skin = TrialSkin(given, model.layout, given.gains(len(model.layout), rng), extra)
         truths = places(given, start, self.touches, extra)

@@ -21,9 +21,9 @@ SUCCESS_MM = 10.0  # symmetric ADD of the heaviest mode under which a trial has 
 
 Row = Mapping[str, Any]
 Spread = tuple[float, float, float]  # median, best, worst
-Cell = Callable[[list[Row]], str]  # the text of a table's cell, of the rows of its line
+Cell = Callable[[list[Row]], str]  # rows of a table's line → the text of a cell
 
-FIGURES = {  # heading: key of a sampler's row, and how its mean over objects is written
+FIGURES = {  # heading → key of a sampler's row, and the format of its mean over objects
     "in 90 % region": ("coverage_90", "{:.0%}"),
     "operations": ("flops", "{:.2g}"),
     "ms": ("ms", "{:.2f}"),
@@ -35,7 +35,7 @@ FIGURES = {  # heading: key of a sampler's row, and how its mean over objects is
     "contact residual, mm": ("contact_residual_mm", "{:.2f}"),
     "observation residual": ("observation_residual", "{:.3f}"),
 }
-SHARES = {  # heading: key of a row of trials
+SHARES = {  # heading → key of a row of trials
     "success": "success_rate",
     "flagged": "flagged_rate",
     "silent at the end": "silent_failure_rate",
@@ -83,7 +83,7 @@ def method(row: Row) -> str:
 
 
 def condition(row: Row) -> str:
-    """What differs in a row's trials from what a filter assumes: factor and level."""
+    """The factor and level in which a row's trials differ from a filter's assumptions."""
     factor, level = row.get("factor", "as assumed"), row.get("level")
     if factor == "as assumed":
         return str(factor)
@@ -202,7 +202,7 @@ def _pooled(rows: Sequence[Row], key: str) -> str:
 
 
 def _success(rows: Sequence[Row], contact: int) -> str:
-    """Of the row of a contact."""
+    """Success and median error of the row of a contact."""
     mine = [row for row in rows if row["contact"] == contact]
     return ", ".join(_share(row) for row in mine)
 

@@ -17,7 +17,7 @@ from taxeld_training.jobs.statistics import of_mean, of_median, of_share, rounde
 from taxeld_training.limits.posterior import embed
 
 FEW = 10  # samples of a reading, drawn from all of them, for the error that is costly
-LEVEL = 0.9  # of a credible region
+LEVEL = 0.9  # share of the samples in a credible region
 
 
 def summary(

@@ -22,7 +22,7 @@ SAMPLES = 100
 BANK_STAGE, EXACT_STAGE = "contacts to measure with", "exact posteriors"
 BANK = 300_000
 THIN_ESS = 1000.0  # effective contacts of the bank, under which more are made around the reading
-LIMIT_ESS = 50.0  # readings with fewer all the same are left out
+LIMIT_ESS = 50.0  # effective contacts; readings with fewer, for all that, are left out
 TIMED_CALLS = 30
 
 
@@ -32,7 +32,7 @@ class Reference:
 
     truth: Poses  # (n, 3) true poses
     z: Floats  # (n, M) readings as a filter sees them
-    live: Bools  # (n, M)
+    live: Bools  # (n, M) taxels that are not dead
     exact: Floats  # (n, 2 · SAMPLES, 3) draws: one half to measure to, one for the floor
     ess: Floats  # (n,) effective contacts behind the draws of each reading
     length_m: float
@@ -49,7 +49,7 @@ class Reference:
 
     @property
     def floor(self) -> float:
-        """Their mean; no sampler can be expected nearer."""
+        """Mean of the floors; no sampler can be expected nearer."""
         return float(self.floors.mean())
 
     @property
@@ -150,7 +150,8 @@ def cost_ms(proposal: Proposal, to: Reference, rng: np.random.Generator) -> floa
 def call_ms(
     proposal: Proposal, z: NDArray[np.float64], live: NDArray[np.bool_], rng: np.random.Generator
 ) -> float:
-    """CPU time [ms] of one call for SAMPLES samples on this thread."""
+    """CPU time [ms] of one call for SAMPLES samples of a reading z (M,), live (M,), on this
+    thread."""
     start = time.thread_time_ns()
     proposal.propose(z, live, SAMPLES, rng)
     return (time.thread_time_ns() - start) / 1e6

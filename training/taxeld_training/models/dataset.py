@@ -86,7 +86,7 @@ class SimulatedSkin:
         floor = self._floor(h * live)
         own = torch.clamp(floor / SILENT, max=self._noise.sigma)
         sd = torch.where(h > 0.0, torch.hypot(self._sigma, self._noise.gain_cv * h), own)
-        z = h + sd * self._normal(h)  # gain and noise in one
+        z = h + sd * self._normal(h)  # one deviation for gain and noise
         leak = self._leak.of((z * live).clamp(0.0, 1.0).cpu().numpy())
         z = ((z + torch.from_numpy(leak).to(z) * self._normal(h)) * live).clamp(0.0, 1.0)
         floor = _felt(z, floor)
@@ -158,8 +158,9 @@ class Batches:
         self, touches: SimulatedTouches, coordinates: Tensor, leak: Leak, noise: Noise, seed: int,
         device: torch.device,
     ) -> None:  # fmt: skip
+        """`coordinates` (n, 3) of the touches' poses."""
         self.activation = torch.from_numpy(touches.activation).to(device)
-        self.coordinates = coordinates.to(device)  # (n, 3) of touches.pose
+        self.coordinates = coordinates.to(device)  # (n, 3) coordinates of touches.pose
         self._skin = SimulatedSkin(leak, noise, seed, device)
         self._generator = self._skin.generator
 
@@ -169,7 +170,7 @@ class Batches:
         return self.read(torch.randint(len(self.coordinates), (n,), generator=g, device=device))
 
     def read(self, i: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The same of chosen contacts, indices (n,)."""
+        """z (n, M), live (n, M) and coordinates (n, 3) of chosen contacts, indices i (n,)."""
         h = self.activation[i]
         live = self._live(h)
         z, _, _ = self._skin.read(h, live)

@@ -47,7 +47,7 @@ def diffusion(
     width: int = 128,
     samplers: tuple[tuple[Solver, int], ...] = ((Solver.DDPM, 100),),
 ) -> Variant:  # fmt: skip
-    """As many steps as a solver takes; in contact coordinates."""
+    """A diffusion in contact coordinates, run by solvers of any number of steps."""
     training = TrainConfig(updates=10_000)
     return Variant("diffusion", NetworkConfig(width, 160), training, samplers=samplers)
 

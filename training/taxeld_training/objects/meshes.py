@@ -200,7 +200,8 @@ def fill(shape: BaseGeometry) -> BaseGeometry:
 def signed_distance(
     shape: BaseGeometry, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Distance [m] of grid points to the shape's boundary, negative inside."""
+    """Distance [m] of points x, y (any shape) to the shape's boundary, negative inside, of x's
+    shape (...)."""
     boundary = shape.boundary
     shapely.prepare(boundary)
     shapely.prepare(shape)

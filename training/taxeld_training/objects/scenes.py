@@ -70,7 +70,7 @@ def outlines(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[mes
 
 
 def repairs(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[str]:
-    """In words, what was repaired in the mesh and in its outlines; empty for a sound mesh."""
+    """The repairs of the mesh and of its outlines, in words; empty for a sound mesh."""
     cuts = outlines(mesh, layout, height_m)
     found = list(mesh.metadata.get("repairs", []))
     crossed = sum(cut.crossed for cut in cuts)

@@ -29,7 +29,7 @@ from taxeld_training.samplers.measured import Eager, Tried
 
 EAGER = "eager"  # `proposal` of the paper's DDPM-100 of width 256, step by step from Python
 EAGER_GROUP = "paper"
-CALLS = 15  # counted, of each sampler; one more goes first
+CALLS = 15  # calls of each sampler that count; one more goes first
 
 
 def time_calls(setting: Setting, groups: Sequence[str]) -> list[dict[str, Any]]:

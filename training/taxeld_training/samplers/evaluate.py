@@ -15,7 +15,7 @@ from taxeld_training.objects.setting import OBJECTS, ring
 from taxeld_training.samplers import costs, measured, trained
 from taxeld_training.samplers.measured import ALL_ANALYTIC, GROUPS, LEARNED, Measurement
 
-PROPOSALS = (  # the paper's Fig. 2, and limits
+PROPOSALS = (  # samplers of the paper's Fig. 2, and limits
     "projection", "manifold", "table", "paper", "density", EXACT,
 )  # fmt: skip
 PROPOSALS_GROUPS = (ALL_ANALYTIC, "density-64", "paper")
@@ -148,8 +148,8 @@ def rows(
 
 
 def call_costs(cells: Sequence[Measurement], groups: Sequence[str], options: Options) -> Costs:
-    """What a call of each sampler costs, measured on the first object of each skin, beside no other
-    job."""
+    """The cost of a call of each sampler, measured on the first object of each skin, while no other
+    job runs."""
     ms: Costs = {}
     timed = tuple(dict.fromkeys((*groups, costs.EAGER_GROUP)))
     for cell in {cell.columns: cell for cell in reversed(cells)}.values():

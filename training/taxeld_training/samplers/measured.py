@@ -26,13 +26,16 @@ from taxeld_training.models.variants import MODELS
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 
-ALL_ANALYTIC, LARGE_TABLE = "analytic", "table-1e5"  # a table of ten times the contacts
+ALL_ANALYTIC, LARGE_TABLE = (
+    "analytic",
+    "table-1e5",
+)  # the second is a table of ten times the contacts
 GROUPS = (ALL_ANALYTIC, LARGE_TABLE, *MODELS)
 LEARNED = {  # groups of models that are trained once for all experiments
     "density-64": trained.DENSITY,
     "paper": trained.PAPER,
 }
-MANY_STEPS = 50  # a sampler of more is measured on fewer contacts
+MANY_STEPS = 50  # a sampler of more steps is measured on fewer contacts
 
 
 @dataclass(frozen=True)

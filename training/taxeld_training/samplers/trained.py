@@ -52,7 +52,7 @@ def shipped(setting: Setting) -> bundle.Bundle | None:
 
 
 def shipped_with(setting: Setting) -> bundle.Bundle:
-    """The same.
+    """The bundle of the setting's object and skin.
 
     Raises:
         SetupError: none is shipped.
@@ -65,7 +65,7 @@ def shipped_with(setting: Setting) -> bundle.Bundle:
 
 @lru_cache(maxsize=8)
 def model_of(setting: Setting) -> ObservationModel:
-    """The same instance each time: models are compared by identity."""
+    """The model of a setting, the same instance each time: models are compared by identity."""
     found = shipped(setting)
     return setting.model() if found is None else found.model
 
