@@ -37,13 +37,12 @@ def test_proposals_has_a_row_a_sampler_and_remembers_its_jobs(block: Path, tmp_p
     found = {row["proposal"]: row for row in rows(tmp_path, "proposals")}
     assert found.keys() == ANALYTIC | {"density"}
     for row in found.values():
-        assert set(samplers.PROPOSALS_KEYS) == row.keys()
+        assert row["energy_floor"] > 0.0
         assert len(row[DISTANCES]) == 8
         low, high = row["energy_distance_ci"]
         assert low <= row["energy_distance"] <= high
         assert row["left_out"] == 0
         assert row["add_mm"]["best"] <= row["add_mm"]["median"] <= row["add_mm"]["worst"]
-        assert row["add_sym_mm"] <= row["add_mm"]["worst"]
     assert found[EXACT]["energy_distance"] == found[EXACT]["energy_floor"]
     assert found["table"]["energy_distance"] < found["projection"]["energy_distance"]
     table = (tmp_path / "out" / "proposals.md").read_text("utf-8").splitlines()
@@ -193,19 +192,16 @@ def test_filter_has_a_row_a_method_and_contact_and_goes_on_where_it_was_cut(
     assert written_at(tmp_path / "memory") == before
 
 
-def test_what_ships_and_the_grid_meet_the_same_trials_under_chosen_conditions(
+def test_what_ships_and_the_grid_meet_the_same_trials(
     tmp_path: Path,
 ) -> None:
-    few = ("--groups", "shipped,grid", "--seeds", "1", "--cells", "as assumed,skin=typical")
+    few = ("--groups", "shipped,grid", "--seeds", "1", "--cells", "as assumed")
     assert evaluate("filter", "003_cracker_box", tmp_path, *few) == 0
     assert not (tmp_path / "out" / "filter.json").exists()  # chosen cells have a file of their own
     found = rows(tmp_path, "filter_cells")
-    given = [("as assumed", 0), ("skin", "typical")]
-    assert [(row["factor"], row["level"]) for row in found] == [
-        each for each in given for _ in range(cells.TOUCHES + 3)
-    ]
+    assert len(found) == cells.TOUCHES + 3
     grid = [row for row in found if row["proposal"] == "grid"]
-    assert [row["contact"] for row in grid] == [4, 6, 8] * 2
+    assert [row["contact"] for row in grid] == [4, 6, 8]
     assert all(row["flagged_rate"] is None for row in grid)  # it has no status
     assert all(0.0 <= row["p_shipped"] <= 1.0 for row in found)
 
@@ -287,9 +283,7 @@ def test_push_has_a_row_an_object_and_motion_and_following_is_nearer(tmp_path: P
     assert [(row["object"], row["motion"]) for row in found] == [
         ("003_cracker_box", motion) for motion in ("push", "none", "told")
     ]
-    assert found[0]["p_push"] is None
-    assert 0.0 < found[1]["p_push"] <= 1.0
-    assert all(r["end_mm_ci"][0] <= r["end_mm"]["median"] <= r["end_mm_ci"][1] for r in found)
+    assert all(r["path_mm_ci"][0] <= r["path_mm"]["median"] <= r["path_mm_ci"][1] for r in found)
     followed, ignored, told = (row["path_mm"]["median"] for row in found)
     assert max(followed, told) < ignored
 

@@ -38,7 +38,7 @@ def pareto(points: Sequence[Point]) -> list[int]:
 
 def frontier(rows: Sequence[Row], columns: int, path: Path) -> None:
     """Cost against distance to the exact posterior on skins of `columns` columns: the mean over all
-    objects above, of the samplers that were run on each of them; each object below.
+    objects, of the samplers that were run on each of them.
 
     Raises:
         SetupError: no row of that many columns is complete.
@@ -54,35 +54,25 @@ def frontier(rows: Sequence[Row], columns: int, path: Path) -> None:
     style = {label(row): family[row["proposal"]] for row in rows}
     eager = [number(row.get("ms_eager_ddpm100")) for row in rows if row["columns"] == columns]
     eager_ms = float(np.mean(eager))
-    points = [point for of in found.values() for point in of.values()]
-    limits = picture.limits([*points, (PAPER_MS, AIM), (eager_ms, 1.0)])
     names = [name for name in style if all(name in of for of in found.values())]
     mean = {name: _mean([of[name] for of in found.values()]) for name in names}
-
-    below = -(-len(found) // ACROSS) if len(found) > 1 else 0
-    figure = Figure(figsize=(10.0, 5.2 + 1.8 * below), layout="constrained")
-    grid = figure.add_gridspec(1 + below, ACROSS, height_ratios=[4.6, *[1.75] * below])
-    top = figure.add_subplot(grid[0, :])
-    front = _cloud(top, mean, style, limits)
-    _levels(top, named=True)
-    _times(top, eager_ms)
-    what = f"mean of {len(found)} objects" if below else object_name(next(iter(found)))
+    limits = picture.limits([*mean.values(), (PAPER_MS, AIM), (eager_ms, 1.0)])
+    figure = Figure(figsize=(10.0, 5.2), layout="constrained")
+    axes = figure.add_subplot()
+    front = _cloud(axes, mean, style, limits)
+    _levels(axes, named=True)
+    _times(axes, eager_ms)
+    what = f"mean of {len(found)} objects" if len(found) > 1 else object_name(next(iter(found)))
     title = f"{columns} columns, {what}\nlabels: steps × width"
-    top.set_title(title, loc="left", fontsize=9, pad=6)
-    top.set_xlabel("time of 100 samples on one thread [ms]", fontsize=9)
-    top.set_ylabel(GAP, fontsize=9)
-    for i, name in enumerate(sorted(found) if below else ()):
-        axes = figure.add_subplot(grid[1 + i // ACROSS, i % ACROSS])
-        _cloud(axes, found[name], style, limits, small=True)
-        _levels(axes, named=i % ACROSS == ACROSS - 1)
-        axes.set_title(object_name(name), fontsize=8, pad=3)
-        axes.tick_params(labelleft=i % ACROSS == 0, labelbottom=i + ACROSS >= len(found))
+    axes.set_title(title, loc="left", fontsize=9, pad=6)
+    axes.set_xlabel("time of 100 samples on one thread [ms]", fontsize=9)
+    axes.set_ylabel(GAP, fontsize=9)
     shown = {style[name] for name in mean}
     picture.legend(figure, {k: v for k, v in family.items() if v in shown}, "lower")
     for k, name in enumerate(front):  # alternately above and below, as neighbours are close
         up = 1 - 2 * (k % 2)
-        top.annotate(name, mean[name], (0, 8 * up), textcoords="offset points", fontsize=8,
-                     ha="center", va="bottom" if up > 0 else "top")  # fmt: skip
+        axes.annotate(name, mean[name], (0, 8 * up), textcoords="offset points", fontsize=8,
+                      ha="center", va="bottom" if up > 0 else "top")  # fmt: skip
     picture.save(figure, path)
 
 
@@ -103,13 +93,12 @@ def _mean(points: Sequence[Point]) -> Point:
 
 
 def _cloud(
-    axes: Axes, points: Mapping[str, Point], style: Mapping[str, Style], limits: Limits,
-    small: bool = False,
-) -> list[str]:  # fmt: skip
+    axes: Axes, points: Mapping[str, Point], style: Mapping[str, Style], limits: Limits
+) -> list[str]:
     """Draw the points and their front; → its labels."""
     for name, (x, y) in points.items():
         colour, marker = style[name]
-        axes.plot(x, y, marker, ms=3.5 if small else 6.5, color=colour, zorder=3)
+        axes.plot(x, y, marker, ms=6.5, color=colour, zorder=3)
     front = [list(points)[i] for i in pareto(list(points.values()))]
     if front:
         xs, ys = zip(*[points[name] for name in front], strict=True)
@@ -117,8 +106,8 @@ def _cloud(
     axes.loglog()
     axes.set(xlim=limits[0], ylim=limits[1])
     for axis in (axes.xaxis, axes.yaxis):
-        picture.log_ticks(axis, (1.0,) if small else (1.0, 2.0, 5.0))
-    picture.plain(axes, 7 if small else 8)
+        picture.log_ticks(axis, (1.0, 2.0, 5.0))
+    picture.plain(axes, 8)
     axes.axvline(PAPER_MS, ls=":", **LINE)
     return front
 

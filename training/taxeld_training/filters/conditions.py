@@ -1,5 +1,6 @@
 """Conditions of a trial: how skin, robot and world differ from what the estimator assumes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,8 @@ NUDGE_RAD = np.pi / 6.0  # largest angle between a nudge and the contact's norma
 TWIN_GAP_M = 0.01  # gap between the object and the one beside it
 TWIN_STEP_M = 0.002  # step of the search for that gap
 SOFT_SILENT = 6.0  # standard deviations of a soft skin's noise: less is no touch to a daemon
+
+Accepts = Callable[[Poses], Bools]  # poses (N, 3) → which of them may be used (N,)
 
 
 @dataclass(frozen=True)
@@ -161,18 +164,16 @@ def reported(given: TrialConditions, sensor: Poses, error: Poses) -> Poses:
     return sensor + sd * error if sd.any() else sensor
 
 
-class Side:
-    """Presses from one side of the object."""
+def on_one_side(model: ObservationModel, rng: np.random.Generator) -> Accepts:
+    """Accepts poses (N, 3) at which the skin is on one side of the object, which is drawn."""
+    centre, side = model.scene.centre, float(rng.uniform(-np.pi, np.pi))
 
-    def __init__(self, model: ObservationModel, rng: np.random.Generator) -> None:
-        self._centre = model.scene.centre
-        self.angle = float(rng.uniform(-np.pi, np.pi))
-
-    def accepts(self, poses: Poses) -> Bools:
-        """(N,) whether the skin is on that side of the object at `poses` (N, 3)."""
+    def accepts(poses: Poses) -> Bools:
         ax, ay = contacts.axis_in_object(poses)
-        angle = np.arctan2(ay - self._centre[1], ax - self._centre[0])
-        return np.asarray(np.abs(se2.wrap(angle - self.angle)) <= SIDE_RAD)
+        angle = np.arctan2(ay - centre[1], ax - centre[0])
+        return np.asarray(np.abs(se2.wrap(angle - side)) <= SIDE_RAD)
+
+    return accepts
 
 
 class Twin:

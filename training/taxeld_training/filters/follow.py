@@ -53,8 +53,8 @@ def _follow_grid(
 
 
 def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str, Any]:
-    """How far the object was pushed, and a filter's errors [mm] on the way and at the end; `motion`
-    is that of the filter, or TOLD: it knows the trial's ground."""
+    """A filter's median error [mm] during a push, and whether it converged far off by the end;
+    `motion` is the filter's, or TOLD: it knows the trial's ground."""
     model, is_told = trial.model, motion == TOLD
     config = methods.SHIPPED.config(OWN_SEEDS + trial.seed, "push" if is_told else motion)
     estimator = Estimator(model, proposal, config)
@@ -63,18 +63,10 @@ def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str
     errors = []
     for moment in trial:
         estimate = estimator.on_scan(moment.activation, moment.sensor)
-        if moment.touch < pushing.TOUCHES:
-            start = moment.truth
-        elif moment.activation.z.any():
+        if moment.touch == pushing.TOUCHES and moment.activation.z.any():
             errors.append(1e3 * add_m(model.scene, estimate.map, moment.truth)[1])
-    moved_m, turned = pushing.travel(start, moment.truth)
-    return {
-        "moved_mm": 1e3 * moved_m,
-        "turned_deg": math.degrees(turned),
-        "path_mm": float(np.median(errors)),
-        "end_mm": errors[-1],
-        "silent": estimate.status is Status.CONVERGED and errors[-1] > SILENT_MM,
-    }
+    is_silent = estimate.status is Status.CONVERGED and errors[-1] > SILENT_MM
+    return {"path_mm": float(np.median(errors)), "silent": is_silent}
 
 
 def _error_mm(trial: Trial, model: ObservationModel, moment: TrialScan, pose: Poses) -> float:

@@ -196,9 +196,3 @@ def told(ground: Ground) -> Push:
         return metric.placed(centre, poses[:, 2] + noise[:, 2] / model.scene.mean_radius), pushed
 
     return push
-
-
-def travel(start: Poses, end: Poses) -> tuple[float, float]:
-    """Distance [m] and turn [rad] from one pose (3,) to another."""
-    gap = se2.compose(se2.inverse(start), end)
-    return float(np.hypot(gap[0], gap[1])), float(abs(gap[2]))

@@ -10,7 +10,7 @@ be amiss. They draw from a generator of their own, so a seed has the same touche
 conditions but those that choose among touches.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -22,11 +22,12 @@ from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.conditions import (
-    Side,
+    Accepts,
     TrialConditions,
     TrialSkin,
     Twin,
     nudged,
+    on_one_side,
     places,
     reported,
 )
@@ -44,8 +45,6 @@ PRESSING = (0.25, 0.5, 0.75)  # shares of the press's depth, before it is held
 RELEASING = (0.67, 0.33)
 FREE = 6  # scans on the way around
 CLEAR_M = 0.03  # least clearance on the way around
-
-Accepts = Callable[[Poses], Bools]
 
 
 class TrialScan(NamedTuple):
@@ -112,7 +111,7 @@ class Trial:
         """(touches, 3) presses as the conditions demand them."""
         model, given, count = self.model, self.conditions, self.touches
         if given.one_side:
-            return presses(model, count, rng, given.depth, Side(model, extra).accepts)
+            return presses(model, count, rng, given.depth, on_one_side(model, extra))
         if twin is None:
             return presses(model, count, rng, given.depth)
 

@@ -24,16 +24,13 @@ Spread = tuple[float, float, float]  # median, best, worst
 Cell = Callable[[list[Row]], str]  # rows of a table's line → the text of a cell
 
 FIGURES = {  # heading → key of a sampler's row, and the format of its mean over objects
+    "ADD, mm": ("add_mm", "{:.1f}"),
     "in 90 % region": ("coverage_90", "{:.0%}"),
     "operations": ("flops", "{:.2g}"),
     "ms": ("ms", "{:.2f}"),
     "ms warm": ("ms_warm", "{:.2f}"),
     "speed-up": ("speedup", "{:.0f} ×"),
     "speed-up warm": ("speedup_warm", "{:.0f} ×"),
-    "ADD, mm": ("add_mm", "{:.1f}"),
-    "symmetric ADD, mm": ("add_sym_mm", "{:.1f}"),
-    "contact residual, mm": ("contact_residual_mm", "{:.2f}"),
-    "observation residual": ("observation_residual", "{:.3f}"),
 }
 SHARES = {  # heading → key of a row of trials
     "success": "success_rate",

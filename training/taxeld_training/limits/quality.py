@@ -2,10 +2,9 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import joblib
 import numpy as np
@@ -122,14 +121,13 @@ class Posterior:
 
 def save(to: Reference, path: Path) -> None:
     """Write a reference to a file."""
-    np.savez_compressed(path, allow_pickle=False, **asdict(to))
+    joblib.dump(to, path, compress=3)
 
 
 def load(path: Path) -> Reference:
     """A reference that `save` wrote."""
-    with np.load(path, allow_pickle=False) as kept:
-        found: dict[str, Any] = {k: v if v.ndim else v.item() for k, v in kept.items()}
-    return Reference(**found)
+    kept: Reference = joblib.load(path)
+    return kept
 
 
 def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Floats:

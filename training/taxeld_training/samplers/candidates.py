@@ -147,16 +147,16 @@ def _fit(
 def _samplers(
     variant: Variant, network: Model, given: Candidates, model: ObservationModel, folder: Path,
     to: quality.Reference,
-) -> Sequence[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:  # fmt: skip
     """Export the samplers of a trained model into `folder`, measure and describe each."""
+    metadata = variant.describe() | {
+        "noise": asdict(given.noise),
+        "layout": model.layout.digest,
+        "normalisation": {k: getattr(network, k).tolist() for k in ("mean", "scale")},
+    }
     found = []
     for name, sampler in variants.samplers(variant, network).items():
         path = folder / f"{name}.onnx"
-        metadata = variant.describe() | {
-            "noise": asdict(given.noise),
-            "layout": model.layout.digest,
-            "normalisation": {k: getattr(network, k).tolist() for k in ("mean", "scale")},
-        }
         export.export(sampler, len(model.layout), path, metadata)
         found.append({
             "name": name,

@@ -9,34 +9,16 @@ from typing import Any, TypeAlias
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import Job
 from taxeld_training.jobs.options import Options, run_jobs, with_file, write
-from taxeld_training.jobs.rows import DISTANCES, EXACT, sampler_table
+from taxeld_training.jobs.rows import EXACT, sampler_table
 from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import OBJECTS, ring
 from taxeld_training.samplers import costs, measured, trained
 from taxeld_training.samplers.measured import ALL_ANALYTIC, GROUPS, LEARNED, Measurement
 
-PROPOSALS = (  # samplers of the paper's Fig. 2, and limits
-    "projection", "manifold", "table", "paper", "density", EXACT,
-)  # fmt: skip
 PROPOSALS_GROUPS = (ALL_ANALYTIC, "density-64", "paper")
 PROPOSALS_COLUMNS = (8, 16, 32, 64)  # columns of the paper's skins, 5 rows each
 FRONTIER_GROUPS, FRONTIER_COLUMNS = GROUPS, (16, 32)
 EAGER_SIZE = (100, 256)  # steps × width, to which speed-ups are relative
-DISTANCE_KEYS = ("energy_distance", "energy_distance_ci", "energy_floor", "left_out", DISTANCES)
-PROPOSALS_KEYS = (
-    "object", "columns", "proposal",
-    *(
-        key + end
-        for key in ("add_mm", "add_sym_mm", "contact_residual_mm", "observation_residual",
-                    "coverage_90")
-        for end in ("", "_ci")
-    ),
-    *DISTANCE_KEYS, "contacts",
-)  # fmt: skip
-FRONTIER_KEYS = (
-    "object", "columns", "proposal", "steps", "width", "flops", *DISTANCE_KEYS, "coverage_90",
-    "coverage_90_ci",
-)  # fmt: skip
 
 # ms of a call, cold and warm, by object, columns, proposal, steps and width
 Costs: TypeAlias = dict[tuple[str, int, str, int | None, int | None], tuple[float, float]]
@@ -47,10 +29,7 @@ def proposals(options: Options) -> list[Path]:
     from taxeld_training.charts import sampler_charts  # noqa: PLC0415  # matplotlib is not needed to train
 
     cells = settings(options, PROPOSALS_COLUMNS)
-    made, _ = rows(cells, options.groups or PROPOSALS_GROUPS, options)
-    found = [
-        {key: row[key] for key in PROPOSALS_KEYS} for row in made if row["proposal"] in PROPOSALS
-    ]
+    found, _ = rows(cells, options.groups or PROPOSALS_GROUPS, options)
     data = write(options, f"proposals{_of_skin(options)}", found, sampler_table(found))
     pictures = [data.with_suffix(".png"), data.with_name(f"{data.stem}_posterior.png")]
     sampler_charts.proposals(found, pictures[0])
@@ -117,7 +96,7 @@ def rows(
         cell: with_file(
             Job(f"reference-{cell.name}", measured.make_reference, (cell,)),
             options.measured,
-            ".npz",
+            ".joblib",
         )
         for cell in cells
     }
@@ -166,7 +145,7 @@ def _with_cost(row: dict[str, Any], ms: Costs) -> dict[str, Any]:
     place = row["object"], row["columns"]
     own, own_warm = ms[*place, row["proposal"], row["steps"], row["width"]]
     eager, eager_warm = ms[*place, costs.EAGER, *EAGER_SIZE]
-    return {key: row[key] for key in FRONTIER_KEYS} | {
+    return row | {
         "ms": own, "ms_eager_ddpm100": eager, "speedup": eager / own,
         "ms_warm": own_warm, "ms_eager_ddpm100_warm": eager_warm,
         "speedup_warm": eager_warm / own_warm,

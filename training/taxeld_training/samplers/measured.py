@@ -107,12 +107,12 @@ def measure(
         some = zip(seen.z[:count], seen.live[:count], strict=True)
         samples = [tried.sampler.propose(z, live, quality.SAMPLES, rng) for z, live in some]
         distances = quality.distances(tried.sampler, to, rng)
-        errors = metrics.summary(model, seen.z[:count], seen.pose[:count], samples, rng)
+        errors = metrics.summary(model.scene, seen.pose[:count], samples, rng)
         rows.append(_row(setting, tried, errors, distances, to, rng))
     if group == ALL_ANALYTIC:
         limit = Tried(EXACT, ANALYTIC["projection"](model))
         exact = list(to.exact[:, : quality.SAMPLES])
-        errors = metrics.summary(model, to.z, to.truth, exact, rng)
+        errors = metrics.summary(model.scene, to.truth, exact, rng)
         rows.append(_row(setting, limit, errors, to.floors, to, rng))
     return rows
 
