@@ -12,23 +12,26 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.rule import noise_of
+from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld_training.filters import cells, experiment, follow, gridded, methods
 from taxeld_training.filters.cells import Cell
-from taxeld_training.filters.conditions import Conditions
-from taxeld_training.filters.figures import against, shares
+from taxeld_training.filters.conditions import TrialConditions
+from taxeld_training.filters.experiment import p_shipped, shares
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
-from taxeld_training.jobs import fingerprint
 from taxeld_training.jobs.options import Options
+from taxeld_training.jobs.rows import SUCCESS_MM
 from taxeld_training.models.diffusion import Solver
 from taxeld_training.objects.setting import Setting, ring
-from taxeld_training.samplers import trained, trainings
+from taxeld_training.samplers import trained
+
+from .rig import written_at
 
 BOX = Setting("003_cracker_box", ring(16), 16)
-RIGHT, WRONG = (TouchResult(mm, mm, Status.CONVERGED, 100, mm) for mm in (1.0, 99.0))
+RIGHT, WRONG = (TouchResult(mm, Status.CONVERGED, 100) for mm in (1.0, 99.0))
 
 
 @pytest.fixture
@@ -61,7 +64,7 @@ def test_a_world_that_is_smaller_in_all_is_the_same_but_for_its_lengths() -> Non
 
 
 def test_a_density_is_trained_once_and_read_from_its_file(small: Setting, tmp_path: Path) -> None:
-    job = trainings.trainings([(small, "density")], tmp_path)[small, "density"]
+    job = trained.training(small, "density", tmp_path)
     job.work(*job.arguments, *job.beside)
     (file,) = job.beside
     assert Path(file).parent == tmp_path
@@ -78,8 +81,8 @@ def test_the_papers_own_diffusion_is_run_by_the_papers_own_rule(
     assert (variant.training.contacts, variant.frame, variant.view) == (10_000, "pose", "plain")
     few = replace(variant, samplers=((Solver.DDIM, 2),))  # a hundred steps are slow to export
     file = tmp_path / "paper.onnx"
-    trainings.train(small, few, str(file))
-    ((first, *_),) = cells.play(Cell(small, Method("paper", "paper", 20)), 0, 1, "", str(file))
+    trained.train(small, few, str(file))
+    ((first, *_),) = cells.play(Cell(small, Method("paper", "paper", 20)), 0, 1, str(file))
     assert math.isfinite(first[0])
 
 
@@ -90,53 +93,14 @@ def test_more_trials_add_to_those_that_are_remembered(
     cell = Cell(small, Method("table", "mixture", 10))
     options = Options(tmp_path, tmp_path / "memory", workers=1)
     few = cells.run([(cell, 2)], options)[cell]
-    begun = {path: path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir()}
+    begun = written_at(tmp_path / "memory")
     more = cells.run([(cell, 4)], options)[cell]
     assert {seed: more[seed] for seed in few} == few
     assert (len(few), len(more)) == (2, 4)
-    assert all(path.stat().st_mtime_ns == at for path, at in begun.items())
+    assert begun.items() <= written_at(tmp_path / "memory").items()
     assert more[2] != few[0]
     late = cells.run([(cell, 6)], replace(options, until=time.monotonic() - 1.0))[cell]
     assert late == more  # the seeds that are there
-
-
-def test_cells_that_differ_are_named_differently() -> None:
-    method = Method("table", "mixture", 10)
-    assert Cell(BOX, method).name == "trials-003_cracker_box-16-table-mixture-10"
-    names = {
-        Cell(BOX, method).name,
-        Cell(BOX, method, Conditions(sigma=0.1)).name,
-        Cell(BOX, method, Conditions(stuck=1, stuck_at=0.0)).name,
-        Cell(BOX, method, Conditions(stuck=1)).name,
-        Cell(BOX, method, Conditions(skin="poor")).name,
-        Cell(BOX, method, touched="061_foam_brick").name,
-        Cell(BOX, Method("table", "mixture", 10, 20)).name,
-        *(
-            Cell(level.setting(BOX.object, Options(Path(), Path())), method).name
-            for level in LEVELS
-            if level.lengths
-        ),
-    }
-    assert len(names) == 7 + 11
-
-
-def test_other_code_and_other_bundles_make_another_job(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What an older bundle, or other code, came to is not taken for what today's does."""
-    names = {methods.code()}
-    for rooms in (methods.DECIDES[:-1], methods.DECIDES[1:]):
-        monkeypatch.setattr(methods, "DECIDES", rooms)
-        names.add(methods.code())
-    (tmp_path / "box").mkdir()
-    (tmp_path / "box" / "bundle.json").write_bytes(b"{}")
-    monkeypatch.setattr(fingerprint, "BUNDLES", tmp_path)
-    fingerprint.of_bundles.cache_clear()
-    try:
-        names.add(methods.code())
-    finally:
-        fingerprint.of_bundles.cache_clear()
-    assert len(names) == 4
 
 
 def test_the_filter_that_experiments_call_shipped_is_the_daemons_own() -> None:
@@ -169,7 +133,7 @@ def test_the_filter_that_experiments_call_shipped_is_the_daemons_own() -> None:
 def test_a_touch_succeeds_or_fails_by_its_error_and_status(
     error_mm: float, status: Status, succeeded: bool, silent: bool
 ) -> None:
-    result = TouchResult(error_mm, error_mm, status, 100, error_mm)
+    result = TouchResult(error_mm, status, 100)
     assert (result.succeeded, result.failed_silently) == (succeeded, silent)
 
 
@@ -183,28 +147,18 @@ def test_a_silent_failure_counts_at_its_contact_and_ever_after() -> None:
 def test_methods_are_compared_on_the_trials_that_both_have() -> None:
     better = {seed: [RIGHT] for seed in range(10)}
     worse = {seed: [RIGHT if seed < 4 else WRONG] for seed in range(30)}
-    assert against(better, worse, 1) == {
-        "found_alone": 6, "shipped_alone": 0, "neither": 0, "p_shipped": 2.0 * 0.5**6,
-    }  # fmt: skip
-    assert against(better, better, 1)["p_shipped"] == 1.0
-    assert set(against(better, None, 1).values()) == {None}
-
-
-def test_of_two_objects_both_readings_of_success_are_counted() -> None:
-    other = RIGHT._replace(meant_mm=80.0)
-    rates = shares({0: [other], 1: [RIGHT]}, 1)
-    assert (rates["success_rate"], rates["success_meant_rate"]) == (1.0, 0.5)
+    assert p_shipped(better, worse, 1) == 2.0 * 0.5**6
+    assert p_shipped(better, better, 1) == 1.0
+    assert p_shipped(better, None, 1) is None
 
 
 def test_a_wrong_object_is_never_a_success() -> None:
     """And a filter that converges on it fails silently."""
     level = Level("wrong object", "003_cracker_box", touched="003_cracker_box")
     mug = Setting("025_mug", ring(16), 16)
-    found = cells.play(
-        experiment.cell_of(level, Method("table", "mixture", 100), mug), 0, 4, "", ""
-    )
-    assert all(math.isnan(map_mm) for trial in found for map_mm, *_ in trial)
-    wrong = TouchResult(math.nan, math.nan, Status.CONVERGED, 100, math.nan)
+    found = cells.play(experiment.cell_of(level, Method("table", "mixture", 100), mug), 0, 4, "")
+    assert all(math.isnan(error_mm) for trial in found for error_mm, *_ in trial)
+    wrong = TouchResult(math.nan, Status.CONVERGED, 100)
     flagged = wrong._replace(status=Status.AMBIGUOUS)
     rates = shares({k: [each] for k, each in enumerate((wrong, wrong, flagged, wrong))}, 1)
     assert (rates["success_rate"], rates["flagged_rate"]) == (0.0, 0.25)
@@ -215,8 +169,8 @@ def test_cans_that_a_filter_takes_for_boxes_are_flagged_after_eight_contacts() -
     """Some of a can's contacts agree with a box; of these four trials three ended converged while
     one contradiction asked for no more agreement than many."""
     level = Level("wrong object", "002_master_chef_can", touched="002_master_chef_can")
-    found = cells.play(experiment.cell_of(level, SHIPPED, BOX), 1038, 4, "", "")
-    last = [Status(trial[-1][2]) for trial in found]
+    found = cells.play(experiment.cell_of(level, SHIPPED, BOX), 1038, 4, "")
+    last = [Status(trial[-1][1]) for trial in found]
     assert last.count(Status.CONVERGED) <= 1, last
 
 
@@ -224,7 +178,7 @@ def test_the_grid_learns_from_the_scans_that_the_estimator_learns_from(
     ring_model: ObservationModel,
 ) -> None:
     """As they are after what may leak, and what foam may keep, was taken off."""
-    trial = Trial(ring_model, 3, 3, Conditions(skin="typical"))
+    trial = Trial(ring_model, 3, 3, TrialConditions(skin="typical"))
     *_, (_, grid) = gridded.after_touches(trial, ring_model)
     config = FilterConfig(injected=0, memory=99)
     estimator = Estimator(ring_model, ANALYTIC["manifold"](ring_model), config)
@@ -239,3 +193,13 @@ def test_the_grid_learns_from_the_scans_that_the_estimator_learns_from(
         kept = memory.scan(k)
         assert np.allclose(scan.observation.z, kept.z)
         assert np.allclose(scan.observation.residue, kept.residue)
+
+
+def test_of_two_objects_of_one_kind_the_nearer_one_counts(ring_model: ObservationModel) -> None:
+    trial = Trial(ring_model, 1, 2, TrialConditions(both=2))
+    moment = next(iter(trial))
+    assert moment.twin is not None
+    beside = se2.compose(moment.twin, np.array([0.001, 0.0, 0.0]))
+    assert follow._error_mm(trial, ring_model, moment, beside) == pytest.approx(1.0, abs=1e-6)
+    alone = moment._replace(twin=None)
+    assert follow._error_mm(trial, ring_model, alone, beside) > SUCCESS_MM

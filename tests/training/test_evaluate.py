@@ -1,116 +1,109 @@
-"""The samplers' experiments, small: rows, files, and going on after one was cut short."""
+"""Experiments, small: rows, tables and files, and going on after one was cut short."""
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
+from taxeld.arrays import Poses
 from taxeld_training.cli import main
+from taxeld_training.filters import cells
+from taxeld_training.filters.levels import LEVELS, Level
+from taxeld_training.filters.methods import TouchResult
+from taxeld_training.jobs import options, statistics
 from taxeld_training.jobs.options import Options
 from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.objects.setting import Setting, ring
-from taxeld_training.samplers import evaluate, experiment, runs, trainings
+from taxeld_training.samplers import costs, trained
+from taxeld_training.samplers import evaluate as samplers
 
-FRONTIER = {
-    "object", "columns", "proposal", "steps", "width", "flops", "ms", "ms_eager_ddpm100",
-    "speedup", "ms_warm", "ms_eager_ddpm100_warm", "speedup_warm", "energy_distance",
-    "energy_floor",
+from .rig import evaluate, rows, written_at
+
+ANALYTIC = {"projection", "manifold", "table", EXACT}
+TRIAL_KEYS = {
+    "object", "factor", "level", "proposal", "injection", "particles", "contact", "map_mm",
+    "map_mm_ci", "success_rate", "success_ci", "flagged_rate", "silent_failure_rate",
+    "silent_failure_ci", "silent_so_far_rate", "silent_so_far_ci", "p_shipped", "particles_max",
+    "particles_mean", "seeds",
 }  # fmt: skip
 
 
-def command(name: str, block: Path, place: Path, *more: str) -> list[str]:
-    return [
-        "evaluate", name, "--quick", "--objects", str(block), "--out", str(place / "out"),
-        "--memory", str(place / "memory"), "--workers", "1", *more,
-    ]  # fmt: skip
-
-
-def test_proposals_writes_a_row_a_sampler_and_remembers_its_jobs(
-    block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = command("proposals", block, tmp_path, "--groups", "analytic,density-64")
-    assert main(arguments) == 0
-    printed = capsys.readouterr().out.split()[-3:]
-    assert [Path(line).name for line in printed] == [
-        "proposals.json", "proposals.png", "proposals_posterior.png",
-    ]  # fmt: skip
-    rows = json.loads(Path(printed[0]).read_text(encoding="utf-8"))
-    assert {row["proposal"] for row in rows} == {
-        "projection", "manifold", "table", "exact", "density",
-    }  # fmt: skip
-    for row in rows:
-        assert {*evaluate.PROPOSALS_KEYS, "p_nearest"} == row.keys()
+def test_proposals_has_a_row_a_sampler_and_remembers_its_jobs(block: Path, tmp_path: Path) -> None:
+    groups = ("--groups", "analytic,density-64")
+    assert evaluate("proposals", block, tmp_path, *groups) == 0
+    found = {row["proposal"]: row for row in rows(tmp_path, "proposals")}
+    assert found.keys() == ANALYTIC | {"density"}
+    for row in found.values():
+        assert row["energy_floor"] > 0.0
         assert len(row[DISTANCES]) == 8
         low, high = row["energy_distance_ci"]
         assert low <= row["energy_distance"] <= high
         assert row["left_out"] == 0
         assert row["add_mm"]["best"] <= row["add_mm"]["median"] <= row["add_mm"]["worst"]
-        assert row["add_sym_mm"] <= row["add_mm"]["worst"]
-    table = Path(printed[0]).with_suffix(".md").read_text(encoding="utf-8").splitlines()
+    assert found[EXACT]["energy_distance"] == found[EXACT]["energy_floor"]
+    assert found["table"]["energy_distance"] < found["projection"]["energy_distance"]
+    table = (tmp_path / "out" / "proposals.md").read_text("utf-8").splitlines()
     assert table[0] == "8 columns:"
     assert table[2].startswith("| sampler | objects | energy distance | × floor |")
     assert len(table) == 4 + 5
     assert all(re.search(r"\| \d\.\d{4} \(\d\.\d{4} – \d\.\d{4}\) \|", line) for line in table[4:])
-    by_name = {row["proposal"]: row for row in rows}
-    assert by_name["exact"]["energy_distance"] == by_name["exact"]["energy_floor"]
-    informed = min(by_name, key=lambda name: (name == EXACT, by_name[name]["energy_distance"]))
-    assert by_name[informed]["p_nearest"] == 1.0
-    assert by_name["projection"]["p_nearest"] < 0.05
-    assert by_name["table"]["energy_distance"] < by_name["projection"]["energy_distance"]
-    before = sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
-    assert main(arguments) == 0
-    assert before == sorted(path.stat().st_mtime_ns for path in (tmp_path / "memory").iterdir())
+    assert float(table[-1].split("|")[-2]) < 0.05  # p of the farthest, the projection
+    for end in ("", "_posterior"):
+        assert (tmp_path / "out" / f"proposals{end}.png").is_file()
+    before = written_at(tmp_path / "memory")
+    assert evaluate("proposals", block, tmp_path, *groups) == 0
+    assert written_at(tmp_path / "memory") == before
 
 
 def test_a_filter_follows_with_the_model_whose_distance_was_measured(
     block: Path, tmp_path: Path
 ) -> None:
-    assert main(command("proposals", block, tmp_path, "--groups", "density-64")) == 0
+    assert evaluate("proposals", block, tmp_path, "--groups", "density-64") == 0
     kept = list((tmp_path / "memory").glob("density-*.onnx"))
     late = Options(
         tmp_path / "out", tmp_path / "memory", (str(block),), quick=True, until=0.0
     )  # no time to train another
-    (cell,) = runs.settings(late, experiment.COLUMNS)
+    (cell,) = samplers.settings(late, samplers.PROPOSALS_COLUMNS)
     same = cell.place
     assert type(same) is Setting
-    assert trainings.files([(same, "density")], late) == {(same, "density"): str(*kept)}
+    assert trained.files([(same, "density")], late) == {(same, "density"): str(*kept)}
     other = replace(same, seed=1)
-    assert trainings.files([(other, "density")], late) == {}
-    assert trainings.files([(other, "table")], late) == {(other, "table"): ""}
+    assert trained.files([(other, "density")], late) == {}
+    assert trained.files([(other, "table")], late) == {(other, "table"): ""}
 
 
 def test_frontier_writes_cost_and_distance_of_each_sampler(
     block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Without the two samplers of 100 steps, whose graphs are slow to export."""
-    monkeypatch.setitem(experiment.GROUPS, "frontier", ("analytic", "density-16"))
-    monkeypatch.setattr(runs.costs, "EAGER", "density")
-    monkeypatch.setattr(runs, "EAGER_SIZE", (1, 16))
-    monkeypatch.setattr(runs, "EAGER_GROUP", "density-16")
-    assert main(command("frontier", block, tmp_path)) == 0
-    rows = json.loads((tmp_path / "out" / "frontier_16.json").read_text(encoding="utf-8"))
-    assert len(rows) == 5
-    for row in rows:
-        assert row.keys() >= FRONTIER
+    monkeypatch.setattr(samplers, "FRONTIER_GROUPS", ("analytic", "density-16"))
+    monkeypatch.setattr(samplers, "EAGER_SIZE", (1, 16))
+    monkeypatch.setattr(costs, "EAGER_GROUP", "density-16")
+    assert evaluate("frontier", block, tmp_path) == 0
+    found = rows(tmp_path, "frontier_16")
+    assert {row["proposal"] for row in found} == ANALYTIC | {"density"}
+    for row in found:
         assert row["speedup"] == pytest.approx(row["ms_eager_ddpm100"] / row["ms"])
         assert row["speedup_warm"] == pytest.approx(row["ms_eager_ddpm100_warm"] / row["ms_warm"])
-        assert row["proposal"] != "exact" or row["ms_warm"] == row["ms"]
-    table = (tmp_path / "out" / "frontier_16.md").read_text(encoding="utf-8").splitlines()
+        assert row["proposal"] != EXACT or row["ms_warm"] == row["ms"]
+    table = (tmp_path / "out" / "frontier_16.md").read_text("utf-8").splitlines()
     assert table[2].endswith("| ms | ms warm | speed-up | speed-up warm | p |")
     assert (tmp_path / "out" / "frontier_16.png").is_file()
 
 
-def test_without_time_only_remembered_rows_are_written(block: Path, tmp_path: Path) -> None:
-    groups = ("--groups", "analytic")
-    assert main(command("proposals", block, tmp_path, *groups)) == 0
+def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_beside(
+    block: Path, tmp_path: Path
+) -> None:
+    assert evaluate("proposals", block, tmp_path, "--groups", "analytic") == 0
     more = ("--groups", "analytic,density-16", "--minutes", "0")
-    assert main(command("proposals", block, tmp_path, *more)) == 0
-    rows = json.loads((tmp_path / "out" / "proposals.json").read_text(encoding="utf-8"))
-    assert {row["proposal"] for row in rows} == {
-        "projection", "manifold", "table", EXACT,
-    }  # fmt: skip
+    assert evaluate("proposals", block, tmp_path, *more) == 0
+    assert {row["proposal"] for row in rows(tmp_path, "proposals")} == ANALYTIC
+    few = ("--groups", "analytic", "--skin", ring(4))
+    assert evaluate("proposals", block, tmp_path, *few) == 0
+    assert len(list((tmp_path / "out").glob("proposals*.json"))) == 2
 
 
 @pytest.mark.parametrize(
@@ -120,23 +113,262 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     first, *more = name.split()
-    assert main(command(first, Path("025_mug"), tmp_path, *more, "--minutes", "0")) == 2
+    assert evaluate(first, "025_mug", tmp_path, *more, "--minutes", "0") == 2
     assert capsys.readouterr().err == (
         "taxeld-train: nothing was measured; give more --minutes, or other --groups\n"
     )
 
 
-def test_an_unknown_group_or_object_is_refused_in_one_line(
-    block: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        ("proposals --groups magic", "--groups: no 'magic'; there are analytic, "),
+        ("proposals --objects 999_none", "999_none"),
+        ("proposals --cells columns=8", "--cells: columns=8 changes no reading"),
+        ("proposals --cells skin --objects 061_foam_brick", "061_foam_brick: no bundle of it is"),
+        ("stability --cells noise,sniff", "--cells: no 'sniff' here; there are as assumed, noise"),
+        ("filter --cells moved=3", "--cells: no 'moved=3' here; there are moved=2, moved=5, "),
+        ("filter --groups magic", "--groups: no 'magic' here; there are density, table, "),
+        ("push --cells noise", "--cells: only proposals, filter and stability have cells"),
+        ("push --objects 016_pear", "016_pear has no shipped bundle"),
+    ],
+)
+def test_what_there_is_not_is_refused_in_one_line_that_says_what_there_is(
+    arguments: str, fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(command("proposals", block, tmp_path, "--groups", "magic")) == 2
-    assert "--groups: no 'magic'" in capsys.readouterr().err
-    assert main(command("proposals", Path("999_none"), tmp_path)) == 2
-    assert "999_none" in capsys.readouterr().err
+    place = ["--out", str(tmp_path), "--memory", str(tmp_path), "--workers", "1"]
+    assert main(["evaluate", *arguments.split(" "), *place]) == 2
+    error = capsys.readouterr().err
+    assert fault in error
+    assert error.count("\n") == 1
 
 
-def test_rows_of_another_skin_do_not_stand_in_the_rings_place(block: Path, tmp_path: Path) -> None:
-    out = command("proposals", block, tmp_path, "--groups", "analytic", "--skin", ring(4))
-    assert main(out) == 0
-    (name,) = (path.name for path in (tmp_path / "out").iterdir() if path.suffix == ".json")
-    assert name != "proposals.json"
+def test_samplers_are_measured_on_the_touches_of_trials_under_chosen_conditions(
+    tmp_path: Path,
+) -> None:
+    """On skins that sag and couple, too: nearer than the table, which has learned nothing."""
+    few = ("--cells", "as assumed,skin=poor,dead share=0.4")
+    assert evaluate("proposals", "025_mug", tmp_path, *few) == 0
+    found = {
+        (row["level"], row["proposal"]): row["energy_distance"]
+        for row in rows(tmp_path, "proposals_cells")
+    }
+    for level in (0, "poor", 0.4):
+        assert found[level, "density-64"] < found[level, "projection"] / 4.0
+        assert found[level, "floor"] < 0.1
+    table = (tmp_path / "out" / "proposals_cells.md").read_text("utf-8")
+    assert "| mug | skin: poor | " in table
+
+
+def test_filter_has_a_row_a_method_and_contact_and_goes_on_where_it_was_cut(
+    block: Path, tmp_path: Path
+) -> None:
+    few = ("--groups", "table,projection", "--seeds", "3")
+    assert evaluate("filter", block, tmp_path, *few) == 0
+    found = rows(tmp_path, "filter")
+    assert [(row["proposal"], row["injection"], row["contact"]) for row in found] == [
+        (proposal, injection, contact)
+        for proposal in ("table", "projection")
+        for injection in ("mixture", "paper")
+        for contact in range(1, cells.TOUCHES + 1)
+    ]
+    for row in found:
+        assert row.keys() == TRIAL_KEYS
+        assert row["seeds"] == 3
+        assert row["map_mm"]["q10"] <= row["map_mm"]["median"] <= row["map_mm"]["q90"]
+        assert row["map_mm_ci"][0] <= row["map_mm"]["median"] <= row["map_mm_ci"][1]
+        assert row["success_ci"][0] <= row["success_rate"] <= row["success_ci"][1]
+        assert row["silent_failure_rate"] <= row["silent_so_far_rate"]
+        assert row["p_shipped"] is None  # what ships was not run
+    best = [row for row in found if (row["proposal"], row["injection"]) == ("table", "mixture")]
+    assert best[-1]["map_mm"]["median"] < best[0]["map_mm"]["median"]
+    assert (tmp_path / "out" / "filter.png").stat().st_size > 10_000
+    assert "block.stl | 1 |" in (tmp_path / "out" / "filter.md").read_text("utf-8")
+
+    before = written_at(tmp_path / "memory")
+    more = ("--groups", "table,projection,manifold", "--seeds", "3", "--minutes", "0")
+    assert evaluate("filter", block, tmp_path, *more) == 0  # nothing is begun
+    assert rows(tmp_path, "filter") == found
+    assert written_at(tmp_path / "memory") == before
+
+
+def test_what_ships_and_the_grid_meet_the_same_trials(
+    tmp_path: Path,
+) -> None:
+    few = ("--groups", "shipped,grid", "--seeds", "1", "--cells", "as assumed")
+    assert evaluate("filter", "003_cracker_box", tmp_path, *few) == 0
+    assert not (tmp_path / "out" / "filter.json").exists()  # chosen cells have a file of their own
+    found = rows(tmp_path, "filter_cells")
+    assert len(found) == cells.TOUCHES + 3
+    grid = [row for row in found if row["proposal"] == "grid"]
+    assert [row["contact"] for row in grid] == [4, 6, 8]
+    assert all(row["flagged_rate"] is None for row in grid)  # it has no status
+    assert all(0.0 <= row["p_shipped"] <= 1.0 for row in found)
+
+
+def test_lengths_other_than_the_usual_are_held_to_the_objects_own_size(tmp_path: Path) -> None:
+    named = "lengths=usual,lengths=object 30 mm"
+    few = ("--groups", "table,density", "--seeds", "1", "--cells", named)
+    assert evaluate("stability", "003_cracker_box", tmp_path, *few) == 0
+    found = rows(tmp_path, "stability_cells")
+    # a density would have to be trained for other lengths, and is left out there
+    assert [row["proposal"] for row in found if row["level"] != "usual"] == ["table"]
+    found = [row for row in found if row["proposal"] == "table"]
+    assert [row["level"] for row in found] == ["usual", "object 30 mm"]
+    assert all(row["success_rate"] == 1.0 for row in found)
+    assert found[0]["diameter_mm"] > 4.0 * found[1]["diameter_mm"]
+
+
+def test_stability_has_the_last_contact_of_each_condition_and_a_map(
+    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    factors = ("as assumed", "drift", "wrong object", "symmetric", "lengths")
+    levels = [next(level for level in LEVELS if level.factor == factor) for factor in factors]
+    monkeypatch.setattr("taxeld_training.filters.experiment.LEVELS", levels)
+    few = ("--seeds", "2", "--groups", "table,projection")
+    assert evaluate("stability", block, tmp_path, *few) == 0
+    found = rows(tmp_path, "stability")
+    assert [(row["factor"], row["proposal"]) for row in found] == [
+        (factor, proposal)
+        for factor in ("as assumed", "drift", "wrong object")
+        for proposal in ("table", "projection")
+    ]  # symmetric objects stand beside the map's own alone, and lengths are run where named
+    assert all(row.keys() == TRIAL_KEYS for row in found)
+    assert all(row["contact"] == cells.TOUCHES for row in found)
+    assert found[-1]["map_mm"] == {"q10": None, "median": None, "q90": None}  # of a wrong object
+    assert found[-1]["success_rate"] == 0.0
+
+
+def test_cells_are_run_alone_by_factor_or_level(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In the table's order, and where they are symmetric objects as well."""
+
+    def remembered(
+        wanted: list[tuple[cells.Cell, int]], options: Options
+    ) -> dict[cells.Cell, cells.Results]:
+        del options
+        touch = TouchResult(1.0, cells.Status.CONVERGED, 100)
+        return {cell: {0: [touch] * cells.TOUCHES} for cell, _ in wanted}
+
+    monkeypatch.setattr(cells, "run", remembered)
+
+    def asked(*more: str) -> list[tuple[str, str, float | str]]:
+        out = ["--out", str(tmp_path / "out"), "--groups", "table", "--cells", *more]
+        assert main(["evaluate", "stability", *out]) == 0
+        found = rows(tmp_path, "stability_cells")
+        return [(row["object"], row["factor"], row["level"]) for row in found]
+
+    levels = [("noise", 0.04), ("noise", 0.08), ("noise", 0.15), ("moved", 5.0)]
+    levels += [("wrong object", "035_power_drill")]
+    assert asked("moved=5,noise,wrong object=035_power_drill") == [
+        (name, *level) for level in levels for name in ("003_cracker_box", "025_mug")
+    ]
+    symmetric = ["002_master_chef_can", "024_bowl", "061_foam_brick"]
+    assert [name for name, *_ in asked("symmetric")] == symmetric
+    assert len(asked("moved", "--quick")) == 2 * 4  # what is named is run, quick or not
+
+
+def test_every_level_has_a_name_of_its_own_and_differs_from_what_is_assumed() -> None:
+    assert len({level.name for level in LEVELS}) == len(LEVELS)
+    assert len({repr(level) for level in LEVELS}) == len(LEVELS)
+    assert LEVELS[0] == Level("as assumed", 0)
+    for level in LEVELS[1:]:
+        assert repr(level) != repr(Level(level.factor, level.level, seeds=level.seeds))
+
+
+def test_push_has_a_row_an_object_and_motion_and_following_is_nearer(tmp_path: Path) -> None:
+    assert evaluate("push", "003_cracker_box", tmp_path) == 0
+    found = rows(tmp_path, "push")
+    assert [(row["object"], row["motion"]) for row in found] == [
+        ("003_cracker_box", motion) for motion in ("push", "none", "told")
+    ]
+    assert all(r["path_mm_ci"][0] <= r["path_mm"]["median"] <= r["path_mm_ci"][1] for r in found)
+    followed, ignored, told = (row["path_mm"]["median"] for row in found)
+    assert max(followed, told) < ignored
+
+
+def test_other_code_and_other_bundles_have_a_memory_of_their_own(tmp_path: Path) -> None:
+    """What an older bundle, or other code, came to is not taken for what today's does."""
+    names = {options.code(decides) for decides in (options.DECIDES, *zip(options.DECIDES))}
+    assert len(names) == 1 + len(options.DECIDES)  # each of them has files
+    assert Options(tmp_path, tmp_path).measured == tmp_path / options.code()
+
+
+class Machine:
+    """A clock, and a cache that holds what the last sampler called needs."""
+
+    def __init__(self) -> None:
+        self.now_ns = 0
+        self.cached = ""
+
+    def call(self, name: str, warm_ms: int, cold_ms: int) -> None:
+        self.now_ns += (warm_ms if self.cached == name else cold_ms) * 1_000_000
+        self.cached = name
+
+
+class TimedSampler:
+    """A sampler that takes 1 000 ms when first called."""
+
+    def __init__(self, name: str, machine: Machine, warm_ms: int, cold_ms: int) -> None:
+        self.name = name
+        self.calls = 0
+        self._machine, self._ms = machine, (warm_ms, cold_ms)
+
+    def propose(
+        self, z: NDArray[np.float64], live: NDArray[np.bool_], n: int, rng: np.random.Generator
+    ) -> Poses:
+        del rng
+        assert z.shape == live.shape
+        self.calls += 1
+        self._machine.call(self.name, *((1000, 1000) if self.calls == 1 else self._ms))
+        return np.zeros((n, 3))
+
+
+def test_cold_calls_of_all_samplers_alternate_and_warm_ones_follow_each_other(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    machine = Machine()
+    monkeypatch.setattr("time.thread_time_ns", lambda: machine.now_ns)
+    two = [TimedSampler("a", machine, 1, 5), TimedSampler("b", machine, 2, 3)]
+    readings, rng = np.zeros((6, 4)), np.random.default_rng(0)
+    assert costs.cold_ms(two, readings, rng) == [5.0, 3.0]
+    assert [sampler.calls for sampler in two] == [6, 6]
+    assert costs.warm_ms(two, readings, rng) == [1.0, 2.0]
+    assert costs.warm_ms(two, readings[:2], rng) == [1.0, 2.0]  # the first, cold call is left out
+
+
+def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:
+    rng = np.random.default_rng(0)
+    values = rng.normal(5.0, 2.0, 400)
+    low, high = statistics.of_mean([values], rng)
+    assert (low + high) / 2 == pytest.approx(values.mean(), abs=0.05)
+    assert high - low == pytest.approx(2 * 1.96 * 2.0 / 20.0, rel=0.2)
+    # groups weigh alike, and their differences are no noise
+    assert statistics.of_mean([np.zeros(1000), np.full(10, 1.0)], rng) == (0.5, 0.5)
+
+
+def test_an_interval_of_a_median_holds_it_and_rows_are_drawn_as_a_whole() -> None:
+    rng = np.random.default_rng(0)
+    readings = rng.normal(0.0, 1.0, (60, 1)) + np.zeros(100)  # a reading's samples are alike
+    low, high = statistics.of_median(readings, rng)
+    assert low < np.median(readings) < high
+    assert high - low > 0.2  # as of 60 values, not of 6000
+
+
+def test_a_share_of_none_is_not_certain() -> None:
+    assert statistics.of_share([False] * 100) == pytest.approx((0.0, 0.037), abs=1e-3)
+    half = statistics.of_share([True] * 50 + [False] * 50)
+    assert half == pytest.approx((0.404, 0.596), abs=1e-3)
+
+
+def test_pairs_tell_what_their_spread_hides() -> None:
+    rng = np.random.default_rng(0)
+    hard = rng.lognormal(0.0, 2.0, 64)  # what a reading costs any sampler
+    assert statistics.p_paired(hard * 0.9, hard) < 1e-6
+    assert statistics.p_paired(hard, hard) == 1.0
+    assert statistics.p_paired(hard, rng.permutation(hard)) > 0.05
+    first = [True] * 90 + [False] * 10
+    second = [True] * 80 + [False] * 20
+    assert statistics.p_share(first, second) == pytest.approx(2.0 * 0.5**10)
+    assert statistics.p_share(first, first) == 1.0

@@ -7,7 +7,7 @@ import torch
 from taxeld.arrays import Poses
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
-from taxeld_training.models.dataset import Touches
+from taxeld_training.models.dataset import SimulatedTouches
 from taxeld_training.models.frames import ContactFrame, PoseFrame, rotated
 
 
@@ -22,7 +22,7 @@ def worst_mm(a: Poses, b: Poses) -> float:
 
 @pytest.mark.parametrize("kind", [ContactFrame, PoseFrame])
 def test_a_pose_is_recovered_from_its_coordinates(
-    kind: type, ring_model: ObservationModel, touches: Touches
+    kind: type, ring_model: ObservationModel, touches: SimulatedTouches
 ) -> None:
     frame = ContactFrame(ring_model) if kind is ContactFrame else PoseFrame()
     back = poses(frame.decode(frame.features(frame.encode(touches.pose))))
@@ -32,7 +32,7 @@ def test_a_pose_is_recovered_from_its_coordinates(
 
 @pytest.mark.parametrize("kind", [ContactFrame, PoseFrame])
 def test_turning_coordinates_turns_the_pose(
-    kind: type, ring_model: ObservationModel, touches: Touches
+    kind: type, ring_model: ObservationModel, touches: SimulatedTouches
 ) -> None:
     frame = ContactFrame(ring_model) if kind is ContactFrame else PoseFrame()
     angle = torch.linspace(-3.0, 3.0, 500)
@@ -60,7 +60,7 @@ def test_s_is_periodic_and_depth_stays_in_range(ring_model: ObservationModel) ->
 
 
 def test_the_direction_is_where_the_skin_is_pressed(
-    ring_model: ObservationModel, touches: Touches
+    ring_model: ObservationModel, touches: SimulatedTouches
 ) -> None:
     direction = ContactFrame(ring_model).encode(touches.pose)[:, 1].numpy()
     xy = ring_model.layout.position_m[:, :2]

@@ -17,9 +17,9 @@ from taxeld_training.limits.grid_filter import DROP_NATS, GridFilter
 from taxeld_training.limits.grid_likelihood import CellLikelihood, Evidence
 from taxeld_training.limits.posterior import ExactPosterior, energy_distance
 from taxeld_training.models.dataset import MIN_ACTIVATION
-from taxeld_training.models.dataset import Touches as Bank
+from taxeld_training.models.dataset import SimulatedTouches as Bank
 
-from .conftest import RING
+from .rig import RING
 
 SKIN = layouts.load(RING)
 LIVE = np.ones(len(SKIN), dtype=bool)

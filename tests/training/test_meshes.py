@@ -1,5 +1,6 @@
-"""Broken meshes: a reported repair or one clear line, never an outline lost in silence."""
+"""Broken and misplaced meshes: a reported repair, a warning or one clear line, never silence."""
 
+import functools
 from collections.abc import Callable
 from pathlib import Path
 
@@ -7,22 +8,21 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
 from taxeld.arrays import Bools
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld_training.cli import main
 from taxeld_training.objects import meshes, scenes
+from taxeld_training.objects.doubts import TURNS, doubts
+from taxeld_training.objects.setting import HEIGHT_M, OBJECTS
 
-SKIN = layouts.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
-HEIGHT_M = 0.05
+from .rig import PAPER_RING, THREE_ROWS, can, handle
+
+SKIN, PAPER = layouts.load(THREE_ROWS), layouts.load(PAPER_RING)
+HERE_M = 0.05  # of the sensor frame above the lowest point
 AREA_M2 = np.pi * 0.05**2
-
-
-def can() -> trimesh.Trimesh:
-    mesh = trimesh.creation.cylinder(0.05, 0.1, sections=128)
-    mesh.apply_translation([0.0, 0.0, 0.05])
-    return mesh
 
 
 def without(lost: Callable[[NDArray[np.float64]], Bools]) -> trimesh.Trimesh:
@@ -76,6 +76,10 @@ def prism(corners: NDArray[np.float64]) -> trimesh.Trimesh:
     return trimesh.Trimesh(np.vstack([low, high]), faces, process=False)
 
 
+def cut(mesh: trimesh.Trimesh, z_m: float) -> BaseGeometry:
+    return meshes.outline(mesh, z_m).shape
+
+
 def load(mesh: trimesh.Trimesh, place: Path, suffix: str = ".stl") -> trimesh.Trimesh:
     path = (place / "broken").with_suffix(suffix)
     mesh.export(path)
@@ -83,7 +87,7 @@ def load(mesh: trimesh.Trimesh, place: Path, suffix: str = ".stl") -> trimesh.Tr
 
 
 def test_a_sound_mesh_needs_no_repair(tmp_path: Path) -> None:
-    assert scenes.repairs(load(can(), tmp_path), SKIN, HEIGHT_M) == []
+    assert scenes.repairs(load(can(), tmp_path), SKIN, HERE_M) == []
 
 
 @pytest.mark.parametrize(
@@ -108,9 +112,9 @@ def test_repairs_are_reported_and_the_outline_is_whole(
     mesh: trimesh.Trimesh, repairs: list[str], suffix: str, tmp_path: Path
 ) -> None:
     repaired = load(mesh, tmp_path, suffix)
-    assert scenes.repairs(repaired, SKIN, HEIGHT_M) == repairs
-    for cut in scenes.outlines(repaired, SKIN, HEIGHT_M):
-        assert np.isclose(cut.shape.area, AREA_M2, rtol=2e-3)
+    assert scenes.repairs(repaired, SKIN, HERE_M) == repairs
+    for outline in scenes.outlines(repaired, SKIN, HERE_M):
+        assert np.isclose(outline.shape.area, AREA_M2, rtol=2e-3)
     assert repaired.volume > 0.0
 
 
@@ -118,41 +122,39 @@ def test_an_outline_in_many_pieces_is_put_together(tmp_path: Path) -> None:
     mesh = can().subdivide().subdivide()
     mesh.update_faces(np.random.default_rng(1).random(len(mesh.faces)) > 0.01)
     repaired = load(mesh, tmp_path)
-    cuts = scenes.outlines(repaired, SKIN, HEIGHT_M)
-    assert sum(len(cut.closed_m) for cut in cuts) > 10
-    assert np.allclose([cut.shape.area for cut in cuts], AREA_M2, rtol=2e-3)
+    cuts = scenes.outlines(repaired, SKIN, HERE_M)
+    assert sum(len(outline.closed_m) for outline in cuts) > 10
+    assert np.allclose([outline.shape.area for outline in cuts], AREA_M2, rtol=2e-3)
 
 
 def test_an_outline_that_crosses_itself_is_untangled(tmp_path: Path) -> None:
     """A pentagram is five points and the pentagon between them: 1.1226 R²."""
     angle = np.arange(5) * 4 * np.pi / 5
     star = load(prism(0.06 * np.column_stack([np.cos(angle), np.sin(angle)])), tmp_path)
-    assert scenes.repairs(star, SKIN, HEIGHT_M) == ["untangled 3 self-crossing outlines"]
-    assert np.isclose(meshes.cut(star, 0.03).area, 1.1226 * 0.06**2, rtol=1e-3)
+    assert scenes.repairs(star, SKIN, HERE_M) == ["untangled 3 self-crossing outlines"]
+    assert np.isclose(cut(star, 0.03).area, 1.1226 * 0.06**2, rtol=1e-3)
 
 
 @pytest.mark.parametrize("z_m", [0.03, 0.05])
 def test_solids_that_share_a_corner_are_both_in_the_outline(z_m: float) -> None:
     """Four lines meet where the lobes touch, which makes trimesh's loops ambiguous."""
     bow = prism(np.array([[-0.05, -0.04], [0.05, 0.04], [0.05, -0.04], [-0.05, 0.04]]))
-    assert np.isclose(meshes.cut(bow, z_m).area, 0.004, rtol=1e-3)
+    assert np.isclose(cut(bow, z_m).area, 0.004, rtol=1e-3)
 
 
 def test_solids_that_overlap_are_one() -> None:
-    handle = trimesh.creation.box((0.06, 0.02, 0.1))
-    handle.apply_translation([0.05, 0.0, 0.05])
-    mesh = trimesh.util.concatenate([can(), handle])
-    assert scenes.repairs(mesh, SKIN, HEIGHT_M) == []
-    assert meshes.cut(mesh, 0.05).geom_type == "Polygon"
-    assert AREA_M2 < meshes.cut(mesh, 0.05).area < AREA_M2 + 0.06 * 0.02
+    mesh = trimesh.util.concatenate([can(), handle()])
+    assert scenes.repairs(mesh, SKIN, HERE_M) == []
+    assert cut(mesh, 0.05).geom_type == "Polygon"
+    assert AREA_M2 < cut(mesh, 0.05).area < AREA_M2 + 0.06 * 0.02
 
 
 def test_a_loose_sheet_inside_is_left_alone() -> None:
     corners = [[0, 0, 0], [0.02, 0, 0], [0.02, 0, 0.1], [0, 0, 0.1]]
     sheet = trimesh.Trimesh(corners, [[0, 1, 2], [0, 2, 3]])
     mesh = trimesh.util.concatenate([can(), sheet])
-    assert scenes.repairs(mesh, SKIN, HEIGHT_M) == []
-    assert np.isclose(meshes.cut(mesh, 0.05).area, AREA_M2, rtol=2e-3)
+    assert scenes.repairs(mesh, SKIN, HERE_M) == []
+    assert np.isclose(cut(mesh, 0.05).area, AREA_M2, rtol=2e-3)
 
 
 @pytest.mark.parametrize("z_m", [0.035, 0.05])
@@ -160,7 +162,7 @@ def test_an_outline_with_a_large_gap_is_refused(z_m: float, tmp_path: Path) -> N
     mesh = load(without(half), tmp_path)
     fault = rf"broken\.stl: is open, .* {z_m * 1e3:.0f} mm above .* gap of 9\d\.\d mm.*; fill"
     with pytest.raises(SetupError, match=fault):
-        meshes.cut(mesh, z_m)
+        cut(mesh, z_m)
 
 
 def scaled(factor: float) -> trimesh.Trimesh:
@@ -245,3 +247,65 @@ def test_the_scene_command_refuses_in_one_line(
         assert out == ""
         assert err.startswith("taxeld-train: ")
         assert err.count("\n") == 1
+
+
+@functools.cache
+def loaded(name: str) -> trimesh.Trimesh:
+    return meshes.load(meshes.find(name)[0])
+
+
+def turned(mesh: trimesh.Trimesh, turn: np.ndarray) -> trimesh.Trimesh:
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn
+    made = mesh.copy()
+    made.apply_transform(matrix)
+    return made
+
+
+@pytest.mark.parametrize("name", OBJECTS)
+def test_an_object_that_stands_is_not_doubted(name: str) -> None:
+    assert doubts(loaded(name), PAPER, HEIGHT_M) == []
+
+
+@pytest.mark.parametrize(
+    "name", ["002_master_chef_can", "006_mustard_bottle", "024_bowl", "025_mug"]
+)
+@pytest.mark.parametrize("turn", TURNS)
+def test_an_object_on_its_side_is_one_line_that_names_the_turn(name: str, turn: str) -> None:
+    """The turn that is named leaves an object that stands."""
+    lying = turned(loaded(name), TURNS[turn])
+    (line,) = doubts(lying, PAPER, HEIGHT_M)
+    assert "the mesh's z axis must point up: turn it by " in line
+    named = line.partition("turn it by ")[2].partition(" if")[0]
+    assert doubts(turned(lying, TURNS[named]), PAPER, HEIGHT_M) == []
+
+
+def test_taxels_below_the_table_are_one_line_with_the_height_that_is_enough() -> None:
+    mug = loaded("025_mug")
+    (line,) = doubts(mug, PAPER, 0.02)
+    assert line.startswith("16 of 80 taxels lie below its lowest point")
+    assert "by up to 10 mm" in line
+    assert line.endswith("--height-m 0.030 or more")
+    assert doubts(mug, PAPER, 0.03) == []
+
+
+def test_a_small_object_in_millimetres_is_doubted() -> None:
+    """A larger one is refused."""
+    (line,) = doubts(can(32, 1.0, 2.0), PAPER, 1.0)
+    assert line.startswith("it is 2 m large")
+    assert line.endswith("scale it by 0.001")
+
+
+def test_the_scene_command_warns_after_its_report_and_draws(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path, out = tmp_path / "can.stl", tmp_path / "can.png"
+    turned(can(24, 0.05, 0.14), TURNS["90° about y"]).export(path)
+    assert main(["scene", str(path), "--png", str(out)]) == 0
+    told, warned = capsys.readouterr()
+    assert told.startswith("extents     140 × 100 × 100 mm\n")
+    assert warned.startswith(f"taxeld-train: {path}: warning: it rests on 2")
+    assert warned.count("\n") == 1
+    assert out.read_bytes().startswith(b"\x89PNG")
+    assert main(["scene", str(path), "--png", str(tmp_path / "no" / "can.png")]) == 2
+    assert "--png: cannot write" in capsys.readouterr().err

@@ -15,7 +15,7 @@ from taxeld.proposals.sampler import Sampler
 from taxeld_training.limits import quality
 from taxeld_training.models import variants
 from taxeld_training.models.base import NetworkConfig
-from taxeld_training.models.dataset import Batches, Touches, simulate
+from taxeld_training.models.dataset import Batches, SimulatedTouches, simulate
 from taxeld_training.models.density import BINS, ContactDensity
 from taxeld_training.models.diffusion import Solver
 from taxeld_training.models.export import export, flops, rounded
@@ -35,7 +35,7 @@ SMALL = {
 
 
 def fitted(
-    variant: Variant, model: ObservationModel, touches: Touches, updates: int
+    variant: Variant, model: ObservationModel, touches: SimulatedTouches, updates: int
 ) -> torch.nn.Module:
     small = variants.trained_with(variant, updates / variant.training.updates, 20_000, 0)
     network = variants.fit(small, model, Noise(), touches)
@@ -68,7 +68,7 @@ def test_onnx_equals_torch_for_any_number_of_samples(
 
 
 def test_a_trained_model_is_near_the_posterior(
-    ring_model: ObservationModel, touches: Touches, tmp_path: Path
+    ring_model: ObservationModel, touches: SimulatedTouches, tmp_path: Path
 ) -> None:
     to = quality.reference(ring_model, Noise(), 20, np.random.default_rng(1), bank=40_000)
     sampler = fitted(variants.density(32), ring_model, touches, 300)
@@ -80,7 +80,7 @@ def test_a_trained_model_is_near_the_posterior(
 
 
 def test_a_model_trained_beside_others_is_the_one_that_is_trained_alone(
-    ring_model: ObservationModel, touches: Touches
+    ring_model: ObservationModel, touches: SimulatedTouches
 ) -> None:
     """Those of other batches, and of fewer updates, among them."""
     few = {"density": 4, "ddpm": 6, "paper": 5}
@@ -96,7 +96,7 @@ def test_a_model_trained_beside_others_is_the_one_that_is_trained_alone(
 
 
 def test_models_that_are_trained_side_by_side_draw_their_batches_once(
-    ring_model: ObservationModel, touches: Touches, monkeypatch: pytest.MonkeyPatch
+    ring_model: ObservationModel, touches: SimulatedTouches, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     drawn: list[int] = []
     draw = Batches.draw

@@ -1,4 +1,4 @@
-"""The reference: contacts, batches and the exact posterior."""
+"""The reference: contacts, batches, and the exact posterior by a bank and by contacts around it."""
 
 from dataclasses import replace
 
@@ -13,54 +13,53 @@ from taxeld.model import se2
 from taxeld.model.activation import FLOOR
 from taxeld.model.leak import Leak
 from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld_training.limits import quality
+from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import ExactPosterior, energy_distance
 from taxeld_training.models.dataset import (
     FLOOR_MAX,
     MIN_ACTIVATION,
     Batches,
+    SimulatedReadings,
     read,
     simulate,
 )
 from taxeld_training.models.frames import PoseFrame
 
-from .conftest import RING
+from .rig import RING
 
 SKIN = layouts.load(RING)
 NOISE = Noise()
+DRAWS = 1000
 
 
-@pytest.fixture(scope="module")
-def model(ring_model: ObservationModel) -> ObservationModel:
-    return ring_model
-
-
-def test_every_simulated_touch_presses_a_taxel(model: ObservationModel) -> None:
-    touches = simulate(model, 3000, np.random.default_rng(0))
+def test_every_simulated_touch_presses_a_taxel(ring_model: ObservationModel) -> None:
+    touches = simulate(ring_model, 3000, np.random.default_rng(0))
     assert len(touches) == 3000
     assert (touches.activation.max(axis=1) > MIN_ACTIVATION).all()
-    assert np.allclose(model.activation(touches.pose), touches.activation, atol=1e-6)
+    assert np.allclose(ring_model.activation(touches.pose), touches.activation, atol=1e-6)
 
 
-def batches(model: ObservationModel, noise: Noise) -> Batches:
-    touches = simulate(model, 3000, np.random.default_rng(0))
+def batches(ring_model: ObservationModel, noise: Noise) -> Batches:
+    touches = simulate(ring_model, 3000, np.random.default_rng(0))
     coordinates = PoseFrame().encode(touches.pose)
-    return Batches(touches, coordinates, model.leak, noise, 1, torch.device("cpu"))
+    return Batches(touches, coordinates, ring_model.leak, noise, 1, torch.device("cpu"))
 
 
-def test_batches_are_readings_of_their_poses(model: ObservationModel) -> None:
+def test_batches_are_readings_of_their_poses(ring_model: ObservationModel) -> None:
     """Up to what presses beside a taxel may leave in it."""
     quiet = Noise(sigma=0.0, gain_cv=0.0)
-    z, live, pose = (batch.numpy() for batch in batches(model, quiet).draw(500))
-    expected = model.activation(pose.astype(np.float64)) * live
+    z, live, pose = (batch.numpy() for batch in batches(ring_model, quiet).draw(500))
+    expected = ring_model.activation(pose.astype(np.float64)) * live
     felt = z > 0.0
-    assert (np.abs(z - expected) < 1e-3 + 6.0 * model.leak.of(expected))[felt].all()
+    assert (np.abs(z - expected) < 1e-3 + 6.0 * ring_model.leak.of(expected))[felt].all()
     assert (expected < 0.4)[~felt].all()
     assert 0.01 < (live == 0).mean() < 0.2
 
 
-def test_training_meets_readings_that_are_0_under_a_floor(model: ObservationModel) -> None:
+def test_training_meets_readings_that_are_0_under_a_floor(ring_model: ObservationModel) -> None:
     """Of any height up to that of the trials' skins; what is learned holds for all."""
-    z = batches(model, NOISE).draw(3000)[0].numpy()
+    z = batches(ring_model, NOISE).draw(3000)[0].numpy()
     least = np.where(z > 0.0, z, np.inf).min(axis=1)
     assert (least >= FLOOR).all()
     assert 0.3 < np.mean(least > 0.5 * FLOOR_MAX) < 1.0  # of an unthresholded skin hardly any
@@ -68,35 +67,35 @@ def test_training_meets_readings_that_are_0_under_a_floor(model: ObservationMode
 
 
 def test_training_meets_nothing_that_presses_beside_a_taxel_may_explain(
-    model: ObservationModel,
+    ring_model: ObservationModel,
 ) -> None:
-    seen = read(model, NOISE, 500, np.random.default_rng(0)).z
-    for z in (seen, batches(model, NOISE).draw(500)[0].double().numpy()):
-        assert (z[z > 0.0] >= model.leak.of(z)[z > 0.0]).all()
+    seen = read(ring_model, NOISE, 500, np.random.default_rng(0)).z
+    for z in (seen, batches(ring_model, NOISE).draw(500)[0].double().numpy()):
+        assert (z[z > 0.0] >= ring_model.leak.of(z)[z > 0.0]).all()
 
 
-def test_training_meets_presses_that_are_read_beside_them(model: ObservationModel) -> None:
+def test_training_meets_presses_that_are_read_beside_them(ring_model: ObservationModel) -> None:
     """As on a skin that sags and couples: more than noise, which is never felt on its own."""
-    drawn = batches(model, NOISE)
+    drawn = batches(ring_model, NOISE)
     z, _, pose = (batch.numpy() for batch in drawn.draw(3000))
-    untouched = model.activation(pose.astype(np.float64)) == 0.0
+    untouched = ring_model.activation(pose.astype(np.float64)) == 0.0
     share = np.mean((z > 0.0) & untouched)
     assert 0.005 < share < 0.1
-    drawn._skin._leak = NoLeak(model.layout)
+    drawn._skin._leak = NoLeak(ring_model.layout)
     z, _, pose = (batch.numpy() for batch in drawn.draw(3000))
-    untouched = model.activation(pose.astype(np.float64)) == 0.0
+    untouched = ring_model.activation(pose.astype(np.float64)) == 0.0
     assert np.mean((z > 0.0) & untouched) < 0.1 * share
 
 
 class NoLeak(Leak):
-    """Of a skin that neither sags nor couples."""
+    """The leak of a skin that neither sags nor couples."""
 
     def of(self, z: Floats) -> Floats:
         return np.zeros_like(z)
 
 
-def test_readings_are_as_a_filter_sees_them(model: ObservationModel) -> None:
-    seen = read(model, NOISE, 500, np.random.default_rng(0), dead=0.3)
+def test_readings_are_as_a_filter_sees_them(ring_model: ObservationModel) -> None:
+    seen = read(ring_model, NOISE, 500, np.random.default_rng(0), dead=0.3)
     assert len(seen) == len(list(seen)) == 500
     assert ((seen.z == 0.0) | (seen.z >= seen.floor)).all()
     assert (seen.floor >= FLOOR).all()
@@ -107,13 +106,13 @@ def test_readings_are_as_a_filter_sees_them(model: ObservationModel) -> None:
     assert np.mean(~seen.live) == pytest.approx(0.3, abs=0.02)
 
 
-def test_floors_and_residues_count_in_the_exact_posterior(model: ObservationModel) -> None:
+def test_floors_and_residues_count_in_the_exact_posterior(ring_model: ObservationModel) -> None:
     """Against importance weights by the daemon's own likelihood with them."""
     rng = np.random.default_rng(0)
-    bank = simulate(model, 4000, rng)
+    bank = simulate(ring_model, 4000, rng)
     posterior = ExactPosterior(bank, SKIN, NOISE)
     told = []
-    for seen in read(model, NOISE, 5, rng):
+    for seen in read(ring_model, NOISE, 5, rng):
         log_w = np.concatenate([
             NOISE.log_density(
                 seen.z, bank.activation[:, turn].astype(float), seen.floor, seen.residue
@@ -128,13 +127,13 @@ def test_floors_and_residues_count_in_the_exact_posterior(model: ObservationMode
     assert np.all(told, axis=0).tolist() == [True, False, False]
 
 
-def test_the_exact_posterior_finds_the_true_pose(model: ObservationModel) -> None:
+def test_the_exact_posterior_finds_the_true_pose(ring_model: ObservationModel) -> None:
     """Against importance weights over the same bank with every turn tried, and no shortcut."""
     rng = np.random.default_rng(0)
-    bank = simulate(model, 4000, rng)
+    bank = simulate(ring_model, 4000, rng)
     posterior = ExactPosterior(bank, SKIN, NOISE)
     live = np.ones(len(SKIN), dtype=bool)
-    for h in simulate(model, 5, rng).activation:
+    for h in simulate(ring_model, 5, rng).activation:
         z = NOISE.draw(h.astype(np.float64), rng)
         draws = posterior.sample(Observation(np.zeros(3), z, live), 2000, rng)
         weights, poses = [], []
@@ -149,10 +148,10 @@ def test_the_exact_posterior_finds_the_true_pose(model: ObservationModel) -> Non
         assert np.isclose(draws.ess, w.sum() ** 2 / (w**2).sum(), rtol=0.05)
 
 
-def test_a_layout_without_symmetry_needs_no_turn(model: ObservationModel) -> None:
+def test_a_layout_without_symmetry_needs_no_turn(ring_model: ObservationModel) -> None:
     half = Layout("half", SKIN.uid[:7], SKIN.position_m[:7], SKIN.normal[:7], SKIN.radius_m)
     assert len(half.turns) == 1
-    one_row = ObservationModel(model.scene, half, 0.005)
+    one_row = ObservationModel(ring_model.scene, half, 0.005)
     rng = np.random.default_rng(0)
     posterior = ExactPosterior(simulate(one_row, 2000, rng), half, NOISE)
     h = simulate(one_row, 1, rng).activation[0].astype(float)
@@ -170,3 +169,55 @@ def test_energy_distance_is_zero_only_for_equal_distributions() -> None:
     assert far > 1.0
     turned = energy_distance(a, b + np.array([0, 0, np.pi]), 0.05)
     assert turned > 3.0
+
+
+@pytest.fixture(scope="module")
+def seen(ring_model: ObservationModel) -> SimulatedReadings:
+    return read(ring_model, NOISE, 6, np.random.default_rng(4))
+
+
+def test_contacts_made_around_a_reading_have_the_banks_posterior(
+    ring_model: ObservationModel, seen: SimulatedReadings
+) -> None:
+    rng = np.random.default_rng(0)
+    bank = ExactPosterior(simulate(ring_model, 200_000, rng), ring_model.layout, NOISE)
+    dense = Dense(ring_model, NOISE, rng)
+    told = 0
+    for one in seen:
+        exact = bank.sample(one, 2 * DRAWS, rng)
+        if exact.ess < 2 * DRAWS:
+            continue
+        told += 1
+        made = dense.sample(one, DRAWS, rng, bank, bank.weighed(one))
+        half, other = exact.pose[:DRAWS], exact.pose[DRAWS:]
+        floor = energy_distance(half, other, ring_model.scene.size)
+        assert energy_distance(made.pose, half, ring_model.scene.size) < floor + 0.01
+    assert told >= 2
+
+
+def test_a_bank_that_is_too_thin_is_enough_to_begin_with(
+    ring_model: ObservationModel, seen: SimulatedReadings
+) -> None:
+    """A hundredth of the contacts leads to the same posterior, by many effective contacts."""
+    rng = np.random.default_rng(1)
+    thin = ExactPosterior(simulate(ring_model, 2_000, rng), ring_model.layout, NOISE)
+    full = ExactPosterior(simulate(ring_model, 200_000, rng), ring_model.layout, NOISE)
+    dense = Dense(ring_model, NOISE, rng)
+    for one in seen:
+        made = dense.sample(one, DRAWS, rng, thin, thin.weighed(one))
+        assert made.ess > quality.LIMIT_ESS
+        assert made.ess > thin.sample(one, 1, rng).ess
+        exact = full.sample(one, DRAWS, rng).pose
+        assert energy_distance(made.pose, exact, ring_model.scene.size) < 0.05
+
+
+def test_no_reading_is_left_out_where_the_bank_alone_leaves_out_most(
+    half_model: ObservationModel,
+) -> None:
+    rng = np.random.default_rng(2)
+    to = quality.reference(half_model, NOISE, 12, rng, bank=5_000)
+    assert to.left_out == 0
+    assert min(to.ess) >= quality.LIMIT_ESS
+    bank = ExactPosterior(simulate(half_model, 5_000, rng), half_model.layout, NOISE)
+    alone = [bank.sample(one, 1, rng).ess for one in read(half_model, NOISE, 12, rng)]
+    assert np.mean(np.array(alone) < quality.LIMIT_ESS) > 0.5

@@ -1,5 +1,6 @@
 """Scenes from meshes with known shapes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,23 +9,18 @@ import trimesh
 
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.model.scene import CONTINUOUS
+from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.proposals import scene_file
 from taxeld_training.objects import meshes, scenes
-from taxeld_training.objects.scene_error import grid_error
+from taxeld_training.objects.scenes import GridError, grid_error
 
-SKIN = layouts.load("cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015")
+from .rig import PAPER_RING, THREE_ROWS, box, can, handle
 
-
-def prism(sides: int, radius: float = 0.05, height: float = 0.1) -> trimesh.Trimesh:
-    mesh = trimesh.creation.cylinder(radius, height, sections=sides)
-    mesh.apply_translation([0.02, -0.01, height / 2])
-    return mesh
+SKIN = layouts.load(THREE_ROWS)
 
 
-def box(x: float, y: float) -> trimesh.Trimesh:
-    mesh = trimesh.creation.box((x, y, 0.1))
-    mesh.apply_translation([0.0, 0.0, 0.05])
+def aside(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    mesh.apply_translation([0.02, -0.01, 0.0])
     return mesh
 
 
@@ -33,9 +29,9 @@ def box(x: float, y: float) -> trimesh.Trimesh:
     [
         (box(0.06, 0.16), 2),
         (box(0.1, 0.1), 4),
-        (prism(3), 3),
-        (prism(6, 0.08), 6),
-        (prism(128), CONTINUOUS),
+        (aside(can(3)), 3),
+        (aside(can(6, 0.08)), 6),
+        (aside(can()), CONTINUOUS),
     ],
     ids=["rectangle", "square", "triangle", "hexagon", "can"],
 )
@@ -56,9 +52,7 @@ def test_a_small_object_is_held_to_its_own_size() -> None:
 
 
 def test_a_handle_breaks_the_symmetry() -> None:
-    handle = trimesh.creation.box((0.03, 0.01, 0.1))
-    handle.apply_translation([0.085, -0.01, 0.05])
-    mesh = trimesh.util.concatenate([prism(128), handle])
+    mesh = trimesh.util.concatenate([can(), handle()])
     assert scenes.build(mesh, SKIN, 0.04).symmetry == 1
 
 
@@ -78,7 +72,7 @@ def test_a_hollow_object_is_filled() -> None:
     """A skin is pressed from outside: a mug's inside cannot be touched through its wall."""
     mesh = trimesh.creation.annulus(0.045, 0.05, 0.1)
     mesh.apply_translation([0.0, 0.0, 0.05])
-    shape = meshes.cut(mesh, 0.05)
+    shape = meshes.outline(mesh, 0.05).shape
     assert np.isclose(shape.area, np.pi * 0.05**2, rtol=0.01)
 
 
@@ -91,12 +85,9 @@ def test_slices_follow_a_cone() -> None:
     assert np.count_nonzero(scene.silhouette < 0) == np.count_nonzero(scene.slices[0] < 0)
 
 
-def test_a_slice_above_the_object_is_far() -> None:
+def test_a_slice_above_the_object_is_far_and_a_skin_above_all_of_it_is_refused() -> None:
     scene = scenes.build(box(0.1, 0.1), SKIN, 0.09)
     assert (scene.slices[-1] == scenes.FAR_M).all()
-
-
-def test_a_skin_above_the_whole_object_is_refused() -> None:
     with pytest.raises(SetupError, match="change --height-m"):
         scenes.build(box(0.1, 0.1), SKIN, 0.5)
 
@@ -139,7 +130,7 @@ TEN = {  # as a ring of five rows feels them, 10 to 70 mm above their lowest poi
 
 @pytest.mark.parametrize(("name", "order"), TEN.items())
 def test_the_papers_objects_have_their_symmetry_and_exact_grids(name: str, order: int) -> None:
-    skin = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+    skin = layouts.load(PAPER_RING)
     path, attribution = meshes.find(name)
     assert attribution is not None
     assert "CC BY 4.0" in attribution
@@ -154,6 +145,38 @@ def test_the_papers_objects_have_their_symmetry_and_exact_grids(name: str, order
 
 
 def test_the_pitchers_handle_breaks_the_symmetry_at_its_height() -> None:
-    skin = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
+    skin = layouts.load(PAPER_RING)
     mesh = meshes.load(meshes.find("019_pitcher_base")[0])
     assert scenes.build(mesh, skin, 0.15).symmetry == 1
+
+
+def measure(scene: Scene, mesh: trimesh.Trimesh) -> GridError:
+    return grid_error(scene, mesh, SKIN, 0.04, 0.005, points=200)
+
+
+def test_a_smooth_solid_is_exact_to_the_grids_curvature() -> None:
+    """A bilinear lookup of a distance to a circle of 50 mm errs by cell² / 8 / 43 mm at most."""
+    mesh = can()
+    error = measure(scenes.build(mesh, SKIN, 0.04), mesh)
+    assert error.rms < error.p99 <= error.max < 0.04
+
+
+def test_a_grid_that_is_off_moved_or_lost_is_detected() -> None:
+    mesh = can()
+    scene = scenes.build(mesh, SKIN, 0.04)
+    for grid in ("slices", "silhouette"):
+        off = replace(scene, **{grid: getattr(scene, grid) + np.float32(0.001)})
+        assert np.isclose(measure(off, mesh).max, 1.0, atol=0.05)
+    moved = replace(scene, origin=scene.origin + np.array([0.001, 0.0]))
+    assert 0.5 < measure(moved, mesh).rms < 1.0
+    lost = scene.slices.copy()
+    lost[1] = scenes.FAR_M
+    assert measure(replace(scene, slices=lost), mesh).max > 900.0
+
+
+def test_walls_that_no_skin_touches_do_not_count() -> None:
+    """The grids are filled: neither a wall's inside nor a solid inside another one is an error."""
+    tube = trimesh.creation.annulus(0.047, 0.05, 0.1, sections=128)
+    tube.apply_translation([0.0, 0.0, 0.05])
+    for mesh in (tube, trimesh.util.concatenate([can(), handle()])):
+        assert measure(scenes.build(mesh, SKIN, 0.04), mesh).max < 1.0

@@ -7,26 +7,43 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
-from taxeld_training.filters import motion, trials
-from taxeld_training.filters.conditions import SIDE_RAD, TWIN_GAP_M, Conditions, TrialSkin, Twin
-from taxeld_training.filters.trials import Moment, Trial
+from taxeld_hil.scenario.mesh_config import PLAIN, SKINS, TYPICAL, MeshConfig
+from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.world.mesh_physics import MeshPhysics
+from taxeld_training.filters import trials
+from taxeld_training.filters.conditions import (
+    SIDE_RAD,
+    TWIN_GAP_M,
+    SoftSkin,
+    TrialConditions,
+    TrialSkin,
+    Twin,
+)
+from taxeld_training.filters.trials import Trial, TrialScan
 
 TOUCHES = 6
+LAYOUT = layouts.load(Scenario("box").layout)
+FULL = Scenario("box").full_scale_counts
+TAXELS = len(LAYOUT)
+LITTLE = (1e-9, 1e-9)  # of a length, in place of 0
+STILL = replace(PLAIN, sag_m=LITTLE, noise_counts=LITTLE)
 
 
-def moments(model: ObservationModel, seed: int = 3, **given: float) -> list[Moment]:
-    conditions = replace(Conditions(), **given)  # type: ignore[arg-type]
+def moments(model: ObservationModel, seed: int = 3, **given: float) -> list[TrialScan]:
+    conditions = replace(TrialConditions(), **given)  # type: ignore[arg-type]
     return list(Trial(model, seed, TOUCHES, conditions))
 
 
-def by_touch(found: list[Moment]) -> list[list[Moment]]:
+def by_touch(found: list[TrialScan]) -> list[list[TrialScan]]:
     return [list(each) for _, each in groupby(found, key=lambda m: m.touch)]
 
 
-def true_pose(moment: Moment) -> NDArray[np.float64]:
+def true_pose(moment: TrialScan) -> NDArray[np.float64]:
     """Of the object in the frame of the sensor as reported."""
     return se2.compose(se2.inverse(moment.sensor), moment.truth)
 
@@ -67,7 +84,7 @@ def test_a_touch_is_approached_pressed_held_and_released_by_degrees(
         assert (np.diff(pressed) == 1).all()  # one contact
         deep = -gap_m[pressed]
         held = np.flatnonzero(deep > deep.max() - 1e-5)
-        assert len(held) == Conditions().scans
+        assert len(held) == TrialConditions().scans
         assert (np.diff(deep[: held[0] + 1]) > 0.0).all()
         assert (np.diff(deep[held[-1] :]) < 0.0).all()
         assert held[0] >= 3
@@ -76,13 +93,13 @@ def test_a_touch_is_approached_pressed_held_and_released_by_degrees(
         assert 20 <= len(scans) <= 30
         t = np.diff([m.activation.t for m in scans])
         assert (t > 0.0).all()
-        assert np.allclose(t[pressed], motion.SCAN_S)
+        assert np.allclose(t[pressed], trials.SCAN_S)
 
 
 def test_between_touches_the_skin_is_clear_of_every_object(ring_model: ObservationModel) -> None:
     for given in ({}, {"both": 3}):
         for scans in by_touch(moments(ring_model, **given)):
-            for moment in scans[: motion.FREE]:
+            for moment in scans[: trials.FREE]:
                 for truth in (moment.truth, moment.twin):
                     if truth is not None:
                         seen = se2.compose(se2.inverse(moment.sensor), truth)
@@ -97,7 +114,7 @@ def test_a_press_nudges_the_object_away_from_the_skin_and_it_stays_there(
     before = given[0].truth
     assert np.array_equal(before, plain[0].truth)
     for scans in by_touch(given):
-        free = scans[: motion.FREE + len(motion.APPROACH_M)]
+        free = scans[: trials.FREE + len(trials.APPROACH_M)]
         assert all(np.allclose(m.truth, before) for m in free)
         after = scans[-1].truth
         moved = after[:2] - before[:2]
@@ -106,7 +123,7 @@ def test_a_press_nudges_the_object_away_from_the_skin_and_it_stays_there(
         assert moved @ inwards > -0.002 * np.hypot(*inwards)
         steps = np.array([m.truth for m in scans])[len(free) - 1 :]
         held = np.flatnonzero((np.abs(np.diff(steps, axis=0)) > 1e-12).any(axis=1))
-        assert len(held) == len(motion.PRESSING) + 1  # it gives way as it is pressed
+        assert len(held) == len(trials.PRESSING) + 1  # it gives way as it is pressed
         before = after
     for a, b in zip(plain, given, strict=True):  # the touches are the same
         assert np.allclose(true_pose(a), true_pose(b), atol=1e-9)
@@ -181,7 +198,7 @@ def test_stuck_taxels_count_as_live(ring_model: ObservationModel) -> None:
 def test_drift_grows_to_its_given_size(ring_model: ObservationModel) -> None:
     still = np.zeros(len(ring_model.layout))
     rng = np.random.default_rng(0)
-    skin = TrialSkin(Conditions(sigma=0.0, drift=0.1), ring_model.layout, still + 1.0, rng)
+    skin = TrialSkin(TrialConditions(sigma=0.0, drift=0.1), ring_model.layout, still + 1.0, rng)
     early, late = (skin.read(still + 0.5, 0.0, share, rng).z for share in (0.1, 1.0))
     assert np.allclose(late - 0.5, 10.0 * (early - 0.5))
     assert 0.05 < np.abs(late - 0.5).max() <= 0.1
@@ -224,7 +241,7 @@ def test_another_object_stands_beside_and_is_pressed_as_often_as_asked(
         outline = se2.apply(twin.pose, ring_model.scene.outline)
         gap = ring_model.scene.clearance(*outline.T)[0].min()
         assert TWIN_GAP_M - 0.004 < gap <= TWIN_GAP_M
-    plain = Conditions(sigma=0.0, gain_cv=0.0)
+    plain = TrialConditions(sigma=0.0, gain_cv=0.0)
     found = list(Trial(ring_model, 3, TOUCHES, replace(plain, both=2)))
     pressed = set()
     for moment in found:
@@ -239,11 +256,11 @@ def test_another_object_stands_beside_and_is_pressed_as_often_as_asked(
 
 
 def test_a_press_is_held_for_as_many_scans_as_asked(ring_model: ObservationModel) -> None:
-    usual = len(moments(ring_model)) // TOUCHES - Conditions().scans
+    usual = len(moments(ring_model)) // TOUCHES - TrialConditions().scans
     for scans in (1, 20):
         found = moments(ring_model, scans=scans, slip_m=0.001)
         assert len(found) == TOUCHES * (usual + scans)
-        first = motion.FREE + len(motion.APPROACH_M) + len(motion.PRESSING)
+        first = trials.FREE + len(trials.APPROACH_M) + len(trials.PRESSING)
         held = np.array([true_pose(m) for m in found if m.touch == 0])[first : first + scans]
         assert (np.ptp(held[:, :2], axis=0) < 0.01).all()
         assert scans == 1 or (np.ptp(held[:, :2], axis=0) > 1e-4).all()
@@ -257,3 +274,69 @@ def test_touches_that_do_not_exist_are_refused_in_one_line(
         trials.presses(
             ring_model, 1, np.random.default_rng(0), accepts=lambda poses: poses[:, 0] > 9.0
         )
+
+
+def skin(config: MeshConfig, seed: int = 0) -> SoftSkin:
+    return SoftSkin(config, LAYOUT, np.ones(TAXELS), np.random.default_rng(seed))
+
+
+def test_with_nothing_amiss_the_true_activation_is_read() -> None:
+    h = np.random.default_rng(0).uniform(0.0, 1.0, TAXELS)
+    z, felt = skin(STILL).read(h, 0.0)
+    np.testing.assert_allclose(z, h, atol=1e-6)
+    assert (felt == (h > 0.01)).all()
+
+
+def test_the_cover_sags_less_with_distance() -> None:
+    pressed = np.where(np.arange(TAXELS) == 24, 0.8, 0.0)
+    z, _ = skin(replace(STILL, sag_m=(0.006, 0.006))).read(pressed, 0.0)
+    apart = np.linalg.norm(LAYOUT.position_m - LAYOUT.position_m[24], axis=1)
+    np.testing.assert_allclose(z, 0.8 * np.exp(-apart / 0.006), atol=1e-6)
+
+
+class Pressed:
+    """Depths, given for each step, in place of a solid's."""
+
+    def __init__(self, depth_m: Floats) -> None:
+        self.depth_m = depth_m
+
+    def indentation(self, seen: Poses, _sag_m: Floats) -> Floats:
+        return np.asarray(self.depth_m[int(seen[0])])
+
+
+def test_presses_are_read_as_the_harness_reads_them() -> None:
+    """Whatever is drawn is given, and sag is off, which is a solid's there: then response, loop,
+    residues and cross-talk are the same, press after press, scan by scan."""
+    config = replace(
+        TYPICAL, sag_m=LITTLE, onset=(1.5, 1.5), hysteresis=(0.03, 0.03), residue=(0.02, 0.02),
+        residue_slow=(0.05, 0.05), cross_talk=(0.03, 0.03), noise_counts=LITTLE,
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    h = np.repeat(rng.uniform(0.0, 1.0, (40, TAXELS)), 5, axis=0)
+    h[np.repeat(rng.random((40, TAXELS)) < 0.8, 5, axis=0)] = 0.0
+    h[np.repeat(np.arange(40) % 4 == 3, 5)] = 0.0  # nothing is touched in every fourth
+    ours, depth_max_m = skin(config), 0.005
+    theirs = MeshPhysics(
+        config,
+        Pressed(depth_max_m * h),
+        LAYOUT,
+        depth_max_m,
+        np.full(TAXELS, FULL),
+        rng,  # type: ignore[arg-type]
+    )
+    for k, pressed in enumerate(h):
+        z, _ = ours.read(pressed, 0.05 * k)
+        counts = theirs.press(np.array([k, 0.0, 0.0]), 0.05 * k)
+        np.testing.assert_allclose(z, counts / FULL, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", SKINS)
+def test_trials_run_on_each_of_the_harnesss_skins(name: str, ring_model: ObservationModel) -> None:
+    found, again = (
+        np.array([m.activation.z for m in Trial(ring_model, 3, 2, TrialConditions(skin=name))])
+        for _ in range(2)
+    )
+    plain = np.array([m.activation.z for m in Trial(ring_model, 3, 2)])
+    assert found.shape == plain.shape
+    assert not np.array_equal(found, plain)
+    np.testing.assert_array_equal(found, again)

@@ -5,7 +5,7 @@ import torch
 
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
-from taxeld_training.models.dataset import Touches, simulate
+from taxeld_training.models.dataset import SimulatedTouches, simulate
 from taxeld_training.models.views import Centred, Plain, Turned, best
 
 
@@ -18,7 +18,7 @@ def turned_about_the_axis(pose: np.ndarray, angle: float) -> np.ndarray:
 
 
 def test_a_ring_sees_the_same_touch_at_every_column(
-    ring_model: ObservationModel, touches: Touches
+    ring_model: ObservationModel, touches: SimulatedTouches
 ) -> None:
     view = Turned(ring_model.layout)
     pose = touches.pose[:200]

@@ -13,16 +13,14 @@ import trimesh
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld_training import bundles
-from taxeld_training.objects import meshes, scenes
-from taxeld_training.objects.scene_error import grid_error
-from taxeld_training.objects.setting import DEPTH_MAX_M
+from taxeld_training.objects import DEPTH_MAX_M, meshes, scenes
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
 
-MESH = "mesh"  # and its suffix: a copy of a mesh file, for the harness
+MESH = "mesh"  # name, before its suffix, of the copy of a mesh file for the harness
 SCENE = "scene"
-STAGES = (SCENE, *candidates.STAGES)  # in this order
-FAR = 2.0  # times the distance of two sets of exact draws: a sampler beyond it is poor
+STAGES = (SCENE, *candidates.STAGES)  # stages of a build, in order
+FAR = 2.0  # a sampler is poor beyond so many times the distance of two sets of exact draws
 
 
 def build(
@@ -66,13 +64,15 @@ def _describe(mesh: trimesh.Trimesh, model: ObservationModel, height_m: float) -
         "depth_max_m": model.depth_max_m,
         "symmetry": scene.symmetry,
         "repairs": scenes.repairs(mesh, layout, height_m),
-        "grid_error_mm": asdict(grid_error(scene, mesh, layout, height_m, model.depth_max_m)),
+        "grid_error_mm": asdict(
+            scenes.grid_error(scene, mesh, layout, height_m, model.depth_max_m)
+        ),
     }
 
 
 def summary(out: Path, info: dict[str, Any], skin: str) -> Iterator[str]:
-    """What was built, how good it is, and the next commands; `skin`: the layout, where it is not
-    the default."""
+    """Lines on the bundle in `out`, how good it is, and the next commands; `skin`: the layout,
+    where it is not the default."""
     size = sum(path.stat().st_size for path in out.iterdir())
     samplers = {one["name"]: one["energy_distance"] for one in info["samplers"]}
     best = min(samplers, key=lambda name: samplers[name])

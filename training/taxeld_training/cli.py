@@ -12,7 +12,7 @@ from taxeld import command_line
 from taxeld.command_line import command
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_training.objects.defaults import DEPTH_MAX_M, HEIGHT_M
+from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M
 
 if TYPE_CHECKING:
     import trimesh
@@ -21,22 +21,11 @@ if TYPE_CHECKING:
 
 DEFAULT_SKIN = SkinConfig().layout
 EXPERIMENTS = ("proposals", "frontier", "filter", "stability", "push")
-GONE = {  # experiments of earlier versions, and what now makes their figures
-    "shipped": "'filter --groups shipped --cells \"sensor mm=2,nudged mm,moved=2,skin\"'",
-    "sizes": "'stability --groups table --cells lengths'",
-    "skins": "'proposals --cells skin'",
-    "damage": "'proposals --cells \"dead share\"'",
-    "gallery": "",
-}
 
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments."""
-    try:
-        return command_line.main(_parser(), argv, "taxeld-train: ")
-    except SetupError as error:  # an experiment that is gone: raised while arguments are read
-        print(f"taxeld-train: {error}", file=sys.stderr)
-        return 2
+    return command_line.main(_parser(), argv, "taxeld-train: ")
 
 
 def _build(args: argparse.Namespace) -> int:
@@ -79,12 +68,11 @@ def _scene(args: argparse.Namespace) -> int:
     from taxeld.layout import read as layouts
     from taxeld.model.scene import CONTINUOUS
     from taxeld_training.objects import meshes, scenes
-    from taxeld_training.objects.scene_error import grid_error
 
     skin = layouts.load(args.skin)
     mesh = meshes.load(meshes.find(args.object)[0])
     scene = scenes.build(mesh, skin, args.height_m)
-    error = grid_error(scene, mesh, skin, args.height_m, DEPTH_MAX_M)
+    error = scenes.grid_error(scene, mesh, skin, args.height_m, DEPTH_MAX_M)
     heights = (args.height_m + scene.heights) * 1e3
     met = sum(bool((piece < 0.0).any()) for piece in scene.slices)
     turn = {CONTINUOUS: "continuous", 1: "none"}.get(scene.symmetry, f"{scene.symmetry}-fold")
@@ -126,22 +114,8 @@ def _evaluate(args: argparse.Namespace) -> int:
 
     if args.cells and args.experiment not in ("proposals", "filter", "stability"):
         raise SetupError("--cells: only proposals, filter and stability have cells to choose from")
-    options = Options(
-        out=args.out,
-        memory=args.memory,
-        objects=tuple(args.objects.split(",")) if args.objects else (),
-        columns=tuple(int(c) for c in args.columns.split(",")) if args.columns else (),
-        skin=args.skin or "",
-        quick=args.quick,
-        workers=args.workers,
-        dask=args.dask,
-        groups=tuple(args.groups.split(",")) if args.groups else (),
-        cells=tuple(args.cells.split(",")) if args.cells else (),
-        until=time.monotonic() + 60.0 * args.minutes,
-        effort=args.effort,
-        seeds=args.seeds,
-        seed=args.seed,
-    )
+    given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
+    options = Options(**given, until=time.monotonic() + 60.0 * args.minutes)
     experiments = {
         "proposals": sampled.run if args.cells else evaluate.proposals,
         "frontier": evaluate.frontier,
@@ -226,23 +200,18 @@ def _add_object(one: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def _experiment(name: str) -> str:
-    """A name as it was typed.
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(filter(None, text.split(",")))
 
-    Raises:
-        SetupError: an earlier version had such an experiment.
-    """
-    if name in GONE:
-        now = GONE[name]
-        cure = f"use {now}" if now else "an earlier version drew its picture"
-        raise SetupError(f"'{name}' is no experiment of its own any more; {cure}")
-    return name
+
+def _counts(text: str) -> tuple[int, ...]:
+    return tuple(map(int, _names(text)))
 
 
 def _add_options(one: argparse.ArgumentParser) -> None:
     """The arguments of `evaluate`."""
     add = one.add_argument
-    add("experiment", type=_experiment, choices=EXPERIMENTS)
+    add("experiment", choices=EXPERIMENTS)
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     add(
         "--memory", type=Path, default=Path(".experiments"), metavar="DIR",
@@ -250,20 +219,18 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     add(
-        "--objects", default="", metavar="A,B",
+        "--objects", type=_names, default=(), metavar="A,B",
         help="default: the paper's ten; of stability, push and cells of proposals, box and mug",
     )  # fmt: skip
-    add("--columns", default="", metavar="N,M", help="of the 5-row skins")
-    add("--skin", metavar="LAYOUT", help="this layout in place of them")
+    add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
+    add("--skin", default="", metavar="LAYOUT", help="this layout in place of them")
     add("--workers", type=int, default=2, help="processes of one thread each")
     add(
-        "--groups",
-        default="",
-        metavar="A,B",
-        help="of samplers (analytic, npe, …), or of filters by their proposal (table, shipped, …)",
-    )
+        "--groups", type=_names, default=(), metavar="A,B",
+        help="of samplers (analytic, paper, …), or of filters (table, shipped, …)",
+    )  # fmt: skip
     add(
-        "--cells", default="", metavar="A,B",
+        "--cells", type=_names, default=(), metavar="A,B",
         help="conditions: factors (noise, skin, 'wrong object', …) or a level of one (moved=5)",
     )  # fmt: skip
     add("--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training")

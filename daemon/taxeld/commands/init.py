@@ -80,7 +80,7 @@ def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
     source = _source(_answer(options, "source"))
     named = _answer(options, "bundle")
     manifest_path = bundle.find(named) / manifest.NAME  # refuses a directory that is no bundle
-    built_for = manifest.parse(seal.read(manifest_path), manifest_path)[0].layout.name
+    built_for = manifest.parse(manifest.read(manifest_path), manifest_path)[0].layout.name
     is_generated = ":" in built_for  # a layout from a file is not found by its name
     layout = options["layout"] or (built_for if is_generated else _answer(options, "layout"))
     poses = _answer(options, "poses")

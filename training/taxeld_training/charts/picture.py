@@ -12,8 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from PIL import Image
 
-from taxeld_training.jobs.rows import Point
-
+Point = tuple[float, float]
 Limits = tuple[Point, Point]  # least and most of x, and of y
 Style = tuple[str, str]  # colour, marker
 
@@ -21,11 +20,19 @@ Style = tuple[str, str]  # colour, marker
 COLOURS = (
     "#0072B2", "#D55E00", "#009E73", "#E69F00", "#888888", "#CC79A7", "#000000", "#56B4E9",
 )  # fmt: skip
-MARKERS = ("o", "s", "^", "D", "v", "P", ">")  # and eight colours: 56 pairs before one repeats
+MARKERS = (
+    "o",
+    "s",
+    "^",
+    "D",
+    "v",
+    "P",
+    ">",
+)  # seven and eight colours: 56 pairs before one repeats
 FIRST = (  # names with the same style in every picture
     "density", "ddpm", "paper", "dpm", "table", "manifold", "projection", "exact", "ddim",
 )  # fmt: skip
-LEGEND = 0.8  # entries an inch
+LEGEND = 0.8  # entries of a legend to an inch
 DPI = 120
 
 
@@ -66,7 +73,8 @@ def log_ticks(axis: Axis, multiples: Sequence[float]) -> None:
 
 
 def limits(points: Sequence[Point]) -> Limits:
-    """Of logarithmic axes that hold all finite values, with room for labels below and left."""
+    """Limits of logarithmic axes that hold all finite values, with room for labels below and
+    left."""
     x, y = zip(*points, strict=True)
     return _widened(x, 0.16, 0.05), _widened(y, 0.12, 0.06)
 
@@ -83,7 +91,7 @@ def save(figure: Figure, path: Path, palette: bool = False) -> None:
     written = BytesIO()
     figure.savefig(written, dpi=DPI, format="png", metadata={"Software": None})
     if palette:
-        # quantised by coverage, so that rare colours stay
+        # Quantised by coverage, rare colours stay.
         image = Image.open(written).convert("RGB").quantize(256, Image.Quantize.MAXCOVERAGE)
         written = BytesIO()
         image.save(written, format="png", optimize=True)

@@ -11,23 +11,12 @@ from matplotlib.figure import Figure
 
 from taxeld.errors import SetupError
 from taxeld_training.charts import picture
-from taxeld_training.charts.picture import Limits, Style
-from taxeld_training.jobs.rows import (
-    Point,
-    Row,
-    Spread,
-    costs,
-    gap,
-    label,
-    mean_of,
-    means,
-    object_name,
-    spread_of,
-)
+from taxeld_training.charts.picture import Limits, Point, Style
+from taxeld_training.jobs.rows import Row, Spread, gap, label, number, object_name, spread_of
 
-ACROSS = 5  # small panels
+ACROSS = 5  # small panels beside each other
 PAPER_MS = 15.0
-AIM = 2.0  # times the floor
+AIM = 2.0  # multiple of the floor that was aimed at
 GAP = "distance to exact posterior / floor"
 LINE: dict[str, Any] = {"color": "0.45", "lw": 0.9, "zorder": 1}
 
@@ -49,47 +38,41 @@ def pareto(points: Sequence[Point]) -> list[int]:
 
 def frontier(rows: Sequence[Row], columns: int, path: Path) -> None:
     """Cost against distance to the exact posterior on skins of `columns` columns: the mean over all
-    objects above, each object below. A sampler that was not run on all of them stays off the front
-    of the mean.
+    objects, of the samplers that were run on each of them.
 
     Raises:
         SetupError: no row of that many columns is complete.
     """
-    found = costs(rows, columns)
+    found: dict[str, dict[str, Point]] = {}  # point by object and sampler
+    for row in rows:
+        point = (number(row.get("ms")), gap(row)[0])
+        if row["columns"] == columns and all(math.isfinite(v) and v > 0.0 for v in point):
+            found.setdefault(str(row["object"]), {})[label(row)] = point
     if not found:
         raise SetupError(f"frontier: no complete row of {columns} columns")
     family = picture.styles(row["proposal"] for row in rows)
     style = {label(row): family[row["proposal"]] for row in rows}
-    eager_ms = mean_of(rows, columns, "ms_eager_ddpm100")
-    points = [point for of in found.values() for point in of.values()]
-    limits = picture.limits([*points, (PAPER_MS, AIM), (eager_ms, 1.0)])
-    mean, partial = means(found)
-
-    below = -(-len(found) // ACROSS) if len(found) > 1 else 0
-    figure = Figure(figsize=(10.0, 5.2 + 1.8 * below), layout="constrained")
-    grid = figure.add_gridspec(1 + below, ACROSS, height_ratios=[4.6, *[1.75] * below])
-    top = figure.add_subplot(grid[0, :])
-    front = _cloud(top, mean, style, limits, partial)
-    _levels(top, named=True)
-    _times(top, eager_ms)
-    what = f"mean of {len(found)} objects" if below else object_name(next(iter(found)))
-    note = "; hollow: not run on all" if partial else ""
-    title = f"{columns} columns, {what}\nlabels: steps × width{note}"
-    top.set_title(title, loc="left", fontsize=9, pad=6)
-    top.set_xlabel("time of 100 samples on one thread [ms]", fontsize=9)
-    top.set_ylabel(GAP, fontsize=9)
-    for i, name in enumerate(sorted(found) if below else ()):
-        axes = figure.add_subplot(grid[1 + i // ACROSS, i % ACROSS])
-        _cloud(axes, found[name], style, limits, set(), small=True)
-        _levels(axes, named=i % ACROSS == ACROSS - 1)
-        axes.set_title(object_name(name), fontsize=8, pad=3)
-        axes.tick_params(labelleft=i % ACROSS == 0, labelbottom=i + ACROSS >= len(found))
+    eager = [number(row.get("ms_eager_ddpm100")) for row in rows if row["columns"] == columns]
+    eager_ms = float(np.mean(eager))
+    names = [name for name in style if all(name in of for of in found.values())]
+    mean = {name: _mean([of[name] for of in found.values()]) for name in names}
+    limits = picture.limits([*mean.values(), (PAPER_MS, AIM), (eager_ms, 1.0)])
+    figure = Figure(figsize=(10.0, 5.2), layout="constrained")
+    axes = figure.add_subplot()
+    front = _cloud(axes, mean, style, limits)
+    _levels(axes, named=True)
+    _times(axes, eager_ms)
+    what = f"mean of {len(found)} objects" if len(found) > 1 else object_name(next(iter(found)))
+    title = f"{columns} columns, {what}\nlabels: steps × width"
+    axes.set_title(title, loc="left", fontsize=9, pad=6)
+    axes.set_xlabel("time of 100 samples on one thread [ms]", fontsize=9)
+    axes.set_ylabel(GAP, fontsize=9)
     shown = {style[name] for name in mean}
     picture.legend(figure, {k: v for k, v in family.items() if v in shown}, "lower")
     for k, name in enumerate(front):  # alternately above and below, as neighbours are close
         up = 1 - 2 * (k % 2)
-        top.annotate(name, mean[name], (0, 8 * up), textcoords="offset points", fontsize=8,
-                     ha="center", va="bottom" if up > 0 else "top")  # fmt: skip
+        axes.annotate(name, mean[name], (0, 8 * up), textcoords="offset points", fontsize=8,
+                      ha="center", va="bottom" if up > 0 else "top")  # fmt: skip
     picture.save(figure, path)
 
 
@@ -104,25 +87,27 @@ def posterior_gap(rows: Sequence[Row], path: Path) -> None:
     _dodged(rows, gap, GAP, path, log=True)
 
 
+def _mean(points: Sequence[Point]) -> Point:
+    x, y = np.mean(points, axis=0).tolist()
+    return x, y
+
+
 def _cloud(
-    axes: Axes, points: Mapping[str, Point], style: Mapping[str, Style], limits: Limits,
-    partial: set[str], small: bool = False,
-) -> list[str]:  # fmt: skip
-    """Draw the points and the front of those that are not partial; → its labels."""
+    axes: Axes, points: Mapping[str, Point], style: Mapping[str, Style], limits: Limits
+) -> list[str]:
+    """Draw the points and their front; → its labels."""
     for name, (x, y) in points.items():
         colour, marker = style[name]
-        fill, layer = ("white", 6) if name in partial else (colour, 3)  # labels: between the two
-        axes.plot(x, y, marker, ms=3.5 if small else 6.5, color=colour, mfc=fill, zorder=layer)
-    whole = [name for name in points if name not in partial]
-    front = [whole[i] for i in pareto([points[name] for name in whole])]
+        axes.plot(x, y, marker, ms=6.5, color=colour, zorder=3)
+    front = [list(points)[i] for i in pareto(list(points.values()))]
     if front:
         xs, ys = zip(*[points[name] for name in front], strict=True)
         axes.step([*xs, limits[0][1]], [*ys, ys[-1]], where="post", color="0.35", lw=1.1, zorder=2)
     axes.loglog()
     axes.set(xlim=limits[0], ylim=limits[1])
     for axis in (axes.xaxis, axes.yaxis):
-        picture.log_ticks(axis, (1.0,) if small else (1.0, 2.0, 5.0))
-    picture.plain(axes, 7 if small else 8)
+        picture.log_ticks(axis, (1.0, 2.0, 5.0))
+    picture.plain(axes, 8)
     axes.axvline(PAPER_MS, ls=":", **LINE)
     return front
 

@@ -4,21 +4,22 @@ A cell's trials are run and remembered in blocks of seeds. A later run with more
 those of a run with fewer, and two experiments share the cells that they have in common.
 """
 
+import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld_hil.jobs import Job
-from taxeld_training.filters import follow, methods
-from taxeld_training.filters.conditions import Conditions
+from taxeld_training.filters import follow
+from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.options import Options, run_jobs
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.objects.setting import Setting, ring
-from taxeld_training.samplers import trained, trainings
+from taxeld_training.samplers import trained
 
 COLUMNS = 16
 TOUCHES = 8
@@ -35,20 +36,14 @@ class Cell:
 
     setting: Setting
     method: Method
-    conditions: Conditions = field(default_factory=Conditions)
-    touched: str = ""  # object of the trials; empty: the setting's, which the filter assumes
+    conditions: TrialConditions = field(default_factory=TrialConditions)
+    touched: str = ""  # object of the trials; empty: the setting's object, which the filter assumes
 
     @property
     def name(self) -> str:
-        plain = Conditions()
-        given = {f.name: getattr(self.conditions, f.name) for f in fields(plain)}
-        changed = [
-            f"{k}={value if isinstance(value, str) else format(value, 'g')}"
-            for k, value in given.items()
-            if value != getattr(plain, k)
-        ]
-        parts = ["trials", self.setting.name, self.method.name, *changed, self.touched]
-        return "-".join(part for part in parts if part)
+        """Another one for each cell of a run."""
+        digest = hashlib.sha256(repr(self).encode()).hexdigest()[:8]
+        return f"{self.setting.name} {self.method.proposal} {self.method.injection} {digest}"
 
 
 def setting_of(name: str, columns: int, options: Options) -> Setting:
@@ -82,7 +77,7 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
     second one; the grid filter, which takes longest, comes last.
     """
     counts = dict(wanted)
-    files = trainings.files(((cell.setting, cell.method.proposal) for cell in counts), options)
+    files = trained.files(((cell.setting, cell.method.proposal) for cell in counts), options)
     todo: list[tuple[int, Cell, Job]] = []
     for cell, count in counts.items():
         file = files.get((cell.setting, cell.method.proposal))
@@ -90,36 +85,32 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
             continue
         block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
         for first in range(0, count, block):
-            seeds = (_seed(options, first), min(block, count - first))
-            arguments = (cell, *seeds, methods.code())
+            arguments = (cell, _seed(options, first), min(block, count - first))
             todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))
     todo.sort(key=lambda each: (each[1].method.proposal == GRID, each[0]))
     done = run_jobs([job for _, _, job in todo], options)
     found: dict[Cell, Results] = {cell: {} for cell in counts}
     for first, cell, job in sorted(todo, key=lambda each: each[0]):
-        for seed, trial in enumerate(done[job.name] or [], _seed(options, first)):
-            found[cell][seed] = [_read(*touch) for touch in trial]
+        for seed, touches in enumerate(done[job.name] or [], _seed(options, first)):
+            found[cell][seed] = [_read(*touch) for touch in touches]
     return {cell: results for cell, results in found.items() if results}
 
 
-def play(cell: Cell, first: int, count: int, code: str, file: str) -> list[list[Any]]:
+def play(cell: Cell, first: int, count: int, file: str) -> list[list[Any]]:
     """Results of the trials of `count` seeds, a list of a `TouchResult`'s fields for each touch;
-    `file` has a learned proposal. `code` is part of the job's key alone."""
-    del code
+    `file` has a learned proposal."""
     model = trained.model_of(cell.setting)
     other = replace(cell.setting, object=cell.touched or cell.setting.object)
     touched = trained.model_of(other)
     proposal = None
     if cell.method.proposal != GRID:
         proposal = trained.proposal_of(cell.method.proposal, cell.setting, file)
+    trials = (
+        Trial(touched, seed, TOUCHES, cell.conditions) for seed in range(first, first + count)
+    )
     return [
-        [
-            [round(value, 4) if isinstance(value, float) else value for value in touch]
-            for touch in follow.follow(
-                Trial(touched, seed, TOUCHES, cell.conditions), cell.method, model, proposal
-            )
-        ]
-        for seed in range(first, first + count)
+        [(round(error_mm, 4), *rest) for error_mm, *rest in touches]
+        for touches in (follow.follow(trial, cell.method, model, proposal) for trial in trials)
     ]
 
 
@@ -127,9 +118,6 @@ def _seed(options: Options, first: int) -> int:
     return SEEDS_APART * options.seed + first
 
 
-def _read(
-    map_mm: float, mean_mm: float, status: int | None, particles: int, meant_mm: float
-) -> TouchResult:
+def _read(map_mm: float, status: int | None, particles: int) -> TouchResult:
     """A touch as `play` has it."""
-    known = None if status is None else Status(status)
-    return TouchResult(map_mm, mean_mm, known, particles, meant_mm)
+    return TouchResult(map_mm, None if status is None else Status(status), particles)

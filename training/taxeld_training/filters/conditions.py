@@ -1,28 +1,36 @@
 """Conditions of a trial: how skin, robot and world differ from what the estimator assumes."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
+from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
-from taxeld.model.activation import Activation
+from taxeld.model.activation import FLOOR, Activation
 from taxeld.model.observation import ObservationModel
-from taxeld_hil.scenario.mesh_config import SKINS
-from taxeld_training.filters.soft_skin import SoftSkin
+from taxeld.skin.foam import Residue
+from taxeld_hil.scenario.mesh_config import SKINS, MeshConfig
+from taxeld_hil.world.electronics import CrossTalk, Response
+from taxeld_hil.world.foam import Foam
+from taxeld_hil.world.spread import PerPress, drawn
 from taxeld_training.models.dataset import SILENT
 
-MODULE = 10  # taxels
+MODULE = 10  # taxels of a module
 SIDE_RAD = np.pi / 4.0  # a side reaches this far in both directions
-NUDGE_RAD = np.pi / 6.0  # between a nudge and the contact's normal, at most: friction
-TWIN_GAP_M = 0.01  # between the object and the one beside it
+NUDGE_RAD = np.pi / 6.0  # largest angle between a nudge and the contact's normal: friction
+TWIN_GAP_M = 0.01  # gap between the object and the one beside it
 TWIN_STEP_M = 0.002  # step of the search for that gap
+SOFT_SILENT = 6.0  # standard deviations of a soft skin's noise: less is no touch to a daemon
+
+Accepts = Callable[[Poses], Bools]  # poses (N, 3) → which of them may be used (N,)
 
 
 @dataclass(frozen=True)
-class Conditions:
-    """What holds in a trial; the defaults are what the estimator assumes."""
+class TrialConditions:
+    """The conditions of a trial; the defaults are what the estimator assumes."""
 
     sigma: float = 0.02  # sd of an activation
     gain_cv: float = 0.17  # spread of the taxels' gains
@@ -34,15 +42,15 @@ class Conditions:
     depth: float = 1.0  # the deepest press, in δ_max
     sensor_sd_m: float = 0.0  # error of the reported sensor pose, drawn anew each touch
     sensor_sd_rad: float = 0.0
-    kidnapped_after: int = 0  # touches, after which the object is put elsewhere; 0: never
-    pushed_m: float = 0.0  # between two touches, all along one line
+    kidnapped_after: int = 0  # the object is put elsewhere after so many touches; 0: never
+    pushed_m: float = 0.0  # way of the object between two touches, all along one line
     pushed_rad: float = 0.0
     nudged_m: float = 0.0  # about how far each press moves the object away from the skin
     both: int = 0  # touches that press a second object of the same kind, beside it, as well
     one_side: bool = False  # all touches come from one quarter of the directions
     skin: str = ""  # a soft skin of the harness: its gains and noise in place of these
     scans: int = 5  # scans of a press while it is held
-    slip_m: float = 0.0  # sd of the sensor's place in each of them
+    slip_m: float = 0.0  # sd of the sensor's place in each of these scans
 
     def gains(self, taxels: int, rng: np.random.Generator) -> Floats:
         """(M,) of a skin's taxels."""
@@ -54,7 +62,7 @@ class TrialSkin:
     """The skin of one trial: its gains and faults last throughout."""
 
     def __init__(
-        self, given: Conditions, layout: Layout, gain: Floats, rng: np.random.Generator
+        self, given: TrialConditions, layout: Layout, gain: Floats, rng: np.random.Generator
     ) -> None:
         """`gain` (M,) of each taxel."""
         taxels = len(gain)
@@ -69,7 +77,7 @@ class TrialSkin:
         self._soft = SoftSkin(SKINS[given.skin], layout, gain, rng) if given.skin else None
 
     def read(self, h: Floats, t: float, elapsed: float, rng: np.random.Generator) -> Activation:
-        """Of true activations h (M,) at t [s], after a share `elapsed` of the trial."""
+        """A scan of true activations h (M,) at t [s], after a share `elapsed` of the trial."""
         given = self._given
         floor: Floats | float = SILENT * given.sigma
         residue: Floats | float = 0.0
@@ -84,7 +92,49 @@ class TrialSkin:
         return Activation(t, np.where(self.live, z, 0.0), self.live, floor, residue)
 
 
-def places(given: Conditions, start: Poses, touches: int, rng: np.random.Generator) -> Poses:
+class SoftSkin:
+    """A soft skin of the harness between true activations and what is read.
+
+    The harness presses a mesh against points of a cover. Here a trial's own activations are pressed
+    in, so that thousands of trials are affordable: the cover sags from taxel to taxel. Figures,
+    responses, foam and cross-talk are the harness's own (docs/physics.md). What its taxels have
+    drawn lasts; what a press draws ends with it.
+    """
+
+    def __init__(
+        self, config: MeshConfig, layout: Layout, gain: Floats, rng: np.random.Generator
+    ) -> None:
+        """`gain` (M,) of each taxel."""
+        m = len(layout)
+        self._gain, self._rng = gain, rng
+        self._apart_m = np.linalg.norm(layout.position_m[:, None] - layout.position_m, axis=-1)
+        self._sag_m = PerPress(config.sag_m, m, rng)
+        self._response = Response(config, m, rng)
+        self._foam = Foam(config, m, rng)
+        self._cross_talk = CrossTalk(layout, config.cross_talk, rng)
+        noise_counts = drawn(config.noise_counts, rng.standard_normal(m))
+        self._noise = noise_counts / SkinConfig().full_scale_counts
+        self._kept = Residue(m)
+        self._is_pressed = False
+        self.floor, self.residue = np.zeros((2, m))  # of the last scan
+
+    def read(self, h: Floats, t: float) -> tuple[Floats, Bools]:
+        """Activations z (M,), with noise, for true ones h (M,) at t [s]; and which (M,) a daemon's
+        rule for what foam keeps takes for pressed."""
+        was_pressed, self._is_pressed = self._is_pressed, bool(h.any())
+        if was_pressed and not self._is_pressed:
+            self._sag_m.draw()
+            self._foam.end()
+        sagging = (np.exp(-self._apart_m / self._sag_m.now[:, None]) * h).max(axis=1)
+        reading = self._gain * self._foam.press(self._response(sagging), t)
+        z = self._cross_talk.add(reading) + self._noise * self._rng.standard_normal(len(h))
+        least = np.maximum(FLOOR, SOFT_SILENT * self._noise)
+        self._kept.on_scan(z, least)
+        self.floor, self.residue = np.minimum(least + self._kept.level, 1.0), self._kept.level
+        return z, self._kept.pressed
+
+
+def places(given: TrialConditions, start: Poses, touches: int, rng: np.random.Generator) -> Poses:
     """(touches, 3) poses of the object during each touch; it is pushed in between."""
     along, turned = rng.uniform(-np.pi, np.pi), rng.choice([-1.0, 1.0])
     step = [
@@ -94,7 +144,7 @@ def places(given: Conditions, start: Poses, touches: int, rng: np.random.Generat
 
 
 def nudged(
-    given: Conditions, model: ObservationModel, press: Poses, rng: np.random.Generator
+    given: TrialConditions, model: ObservationModel, press: Poses, rng: np.random.Generator
 ) -> Poses:
     """How far (3,) a press (3,) moves the object and turns it about its centre, in its own frame:
     0.5 to 1.5 × `nudged_m`, along the contact's normal or up to `NUDGE_RAD` beside it."""
@@ -108,24 +158,22 @@ def nudged(
     return np.array([*(about[:2] + moved), turned])
 
 
-def reported(given: Conditions, sensor: Poses, error: Poses) -> Poses:
+def reported(given: TrialConditions, sensor: Poses, error: Poses) -> Poses:
     """The sensor pose (3,) that the robot reports; `error` (3,) in standard deviations."""
     sd = np.array([given.sensor_sd_m, given.sensor_sd_m, given.sensor_sd_rad])
     return sensor + sd * error if sd.any() else sensor
 
 
-class Side:
-    """Presses from one side of the object."""
+def on_one_side(model: ObservationModel, rng: np.random.Generator) -> Accepts:
+    """Accepts poses (N, 3) at which the skin is on one side of the object, which is drawn."""
+    centre, side = model.scene.centre, float(rng.uniform(-np.pi, np.pi))
 
-    def __init__(self, model: ObservationModel, rng: np.random.Generator) -> None:
-        self._centre = model.scene.centre
-        self.angle = float(rng.uniform(-np.pi, np.pi))
-
-    def accepts(self, poses: Poses) -> Bools:
-        """(N,) whether the skin is on that side of the object at `poses` (N, 3)."""
+    def accepts(poses: Poses) -> Bools:
         ax, ay = contacts.axis_in_object(poses)
-        angle = np.arctan2(ay - self._centre[1], ax - self._centre[0])
-        return np.asarray(np.abs(se2.wrap(angle - self.angle)) <= SIDE_RAD)
+        angle = np.arctan2(ay - centre[1], ax - centre[0])
+        return np.asarray(np.abs(se2.wrap(angle - side)) <= SIDE_RAD)
+
+    return accepts
 
 
 class Twin:
@@ -134,7 +182,7 @@ class Twin:
     def __init__(self, model: ObservationModel, rng: np.random.Generator) -> None:
         self._model = model
         direction, yaw = rng.uniform(-np.pi, np.pi, 2)
-        self.pose = _beside(model, direction, yaw)  # (3,) in the first one's frame
+        self.pose = _beside(model, direction, yaw)  # (3,) in the first object's frame
 
     def activation(self, poses: Poses) -> Floats:
         """(N, M) of the twin alone, with the first object at `poses` (N, 3), sensor frame."""

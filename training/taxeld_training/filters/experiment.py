@@ -15,12 +15,11 @@ import numpy as np
 
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell, Results
-from taxeld_training.filters.figures import against, errors, shares
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, Method
-from taxeld_training.jobs import tables
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import GRID, SUCCESS_MM, Row
+from taxeld_training.jobs.rows import GRID, SUCCESS_MM, Row, trial_table
+from taxeld_training.jobs.statistics import of_median, of_share, p_share, quantiles, rounded
 from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import OBJECTS, Setting
 from taxeld_training.samplers import trained
@@ -48,9 +47,9 @@ FILTER = Experiment(
             for proposal in (DENSITY, "table", "manifold", "projection")
             for injection in ("mixture", "paper")
         ),
-        Method(PAPER, "paper", 100),  # both of the paper: its Fig. 3
+        Method(PAPER, "paper", 100),  # sampler and rule of the paper: its Fig. 3
         SHIPPED,
-        Method(GRID, touches=(4, 6, 8)),  # minutes a trial if it looked after each
+        Method(GRID, touches=(4, 6, 8)),  # a look after each touch would take minutes a trial
     ),
     OBJECTS, tuple(range(1, TOUCHES + 1)), seeds=200, quick_seeds=6,
 )  # fmt: skip
@@ -99,8 +98,8 @@ def stability_rows(options: Options) -> list[Path]:
 
 def _written(options: Options, name: str, found: list[dict[str, Any]], draw: Draw) -> list[Path]:
     """The files of an experiment. Chosen cells do not take the place of the whole table's rows."""
-    data = write(options, f"{name}_cells" if options.cells else name, found)
-    tables.save(tables.trials(found), data)
+    name = f"{name}_cells" if options.cells else name
+    data = write(options, name, found, trial_table(found) if found else "")
     draw(found, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
 
@@ -149,7 +148,10 @@ def _row(
         diameter_mm = 2e3 * trained.model_of(cell.setting).scene.mean_radius
         of_lengths = {"diameter_mm": round(diameter_mm, 1)}
         unit = SUCCESS_MM / (FOUND_SHARE * diameter_mm)
-        results = {s: [each.scaled(unit) for each in trial] for s, trial in results.items()}
+        results = {
+            seed: [each._replace(map_mm=unit * each.map_mm) for each in trial]
+            for seed, trial in results.items()
+        }
     last = [trial[contact - 1] for trial in results.values()]
     return {
         "object": cell.setting.object,
@@ -160,11 +162,60 @@ def _row(
         "particles": method.particles,
         "contact": contact,
         **of_lengths,
-        **errors(last, "map_mm"),
-        **errors(last, "mean_mm"),
+        **errors([result.map_mm for result in last]),
         **shares(results, contact),
-        **against(results, shipped, contact),
+        "p_shipped": p_shipped(results, shipped, contact),
         "particles_max": method.particles_max or method.particles,
         "particles_mean": round(float(np.mean([result.particles for result in last])), 1),
         "seeds": len(results),
     }
+
+
+def errors(values_mm: Sequence[float]) -> dict[str, Any]:
+    """Quantiles of errors over trials, and the interval of their median; None where a trial has no
+    error, as of a wrong object."""
+    if not np.isfinite(values_mm).all():
+        return {"map_mm": dict.fromkeys(("q10", "median", "q90")), "map_mm_ci": None}
+    interval = rounded(of_median(values_mm, np.random.default_rng(0)), 3)
+    return {"map_mm": quantiles(values_mm), "map_mm_ci": interval}
+
+
+def shares(results: Results, contact: int) -> dict[str, float | list[float] | None]:
+    """Shares of trials that by a contact, counted from 1, had succeeded, were flagged and failed
+    silently, at it or at any up to it; the last three are None for a filter without a status. Each
+    `_ci` is the interval of the figure before it.
+
+    Where another object is touched than the filter assumes no trial succeeds, and one that
+    converged failed silently.
+    """
+    trials = [trial[:contact] for trial in results.values()]
+    last = [trial[-1] for trial in trials]
+    has_status = last[0].status is not None
+    silent = [any(result.failed_silently for result in trial) for trial in trials]
+    return {
+        **_share("success", [result.succeeded for result in last]),
+        "flagged_rate": _rate([not r.converged for r in last]) if has_status else None,
+        **_share("silent_failure", [r.failed_silently for r in last] if has_status else []),
+        **_share("silent_so_far", silent if has_status else []),
+    }
+
+
+def p_shipped(mine: Results, shipped: Results | None, contact: int) -> float | None:
+    """How likely chance alone parts a method so far from the one that ships, after a contact of the
+    trials that both have; None where what ships was not run."""
+    if shipped is None:
+        return None
+    seeds = sorted(mine.keys() & shipped.keys())
+    found = ([of[seed][contact - 1].succeeded for seed in seeds] for of in (mine, shipped))
+    return round(p_share(*found), 6)
+
+
+def _share(name: str, rule: Sequence[bool]) -> dict[str, float | list[float] | None]:
+    """Share of trials that obey a rule, with its interval; None without trials."""
+    if not rule:
+        return {f"{name}_rate": None, f"{name}_ci": None}
+    return {f"{name}_rate": _rate(rule), f"{name}_ci": rounded(of_share(rule))}
+
+
+def _rate(rule: Sequence[bool]) -> float:
+    return round(sum(rule) / len(rule), 4)

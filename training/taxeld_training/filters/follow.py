@@ -14,13 +14,13 @@ from taxeld.estimator.mixture import Mixture
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import SILENT_MM, add_m
-from taxeld_training.filters import gridded, methods, pusher
+from taxeld_training.filters import gridded, methods, pushing
 from taxeld_training.filters.methods import Method, TouchResult
-from taxeld_training.filters.pusher import PushedTrial, told
-from taxeld_training.filters.trials import Moment, Trial
+from taxeld_training.filters.pushing import PushedTrial, told
+from taxeld_training.filters.trials import Trial, TrialScan
 
 TOLD = "told"
-OWN_SEEDS = 2**31  # added to a trial's seed: a filter must not draw what its trial drew
+OWN_SEEDS = 2**31  # added to a trial's seed, so that a filter does not draw what its trial drew
 
 
 def follow(
@@ -34,28 +34,27 @@ def follow(
     for _, moments in groupby(trial, key=lambda moment: moment.touch):
         for moment in moments:
             estimate = estimator.on_scan(moment.activation, moment.sensor)
-        peak, mean, meant = _errors(trial, model, moment, estimate.map, estimate.mean)
-        found.append(TouchResult(peak, mean, estimate.status, estimate.particles, meant))
+        error_mm = _error_mm(trial, model, moment, estimate.map)
+        found.append(TouchResult(error_mm, estimate.status, estimate.particles))
     return found
 
 
 def _follow_grid(
     trial: Trial, model: ObservationModel, touches: Sequence[int]
 ) -> list[TouchResult]:
-    """The same of the grid filter, which looks after some of the touches, or after each."""
+    """The result of each touch by the grid filter, which looks after some touches, or after
+    each."""
     found = []
     for moment, grid in gridded.after_touches(trial, model):
-        peak = mean = meant = math.nan
         size = len(grid) if not touches or moment.touch + 1 in touches else 0
-        if size:
-            peak, mean, meant = _errors(trial, model, moment, *grid.estimate())
-        found.append(TouchResult(peak, mean, None, size, meant))
+        error_mm = _error_mm(trial, model, moment, grid.estimate()[0]) if size else math.nan
+        found.append(TouchResult(error_mm, None, size))
     return found
 
 
 def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str, Any]:
-    """How far the object was pushed, and a filter's errors [mm] on the way and at the end; `motion`
-    is that of the filter, or TOLD: it knows the trial's ground."""
+    """A filter's median error [mm] during a push, and whether it converged far off by the end;
+    `motion` is the filter's, or TOLD: it knows the trial's ground."""
     model, is_told = trial.model, motion == TOLD
     config = methods.SHIPPED.config(OWN_SEEDS + trial.seed, "push" if is_told else motion)
     estimator = Estimator(model, proposal, config)
@@ -64,28 +63,16 @@ def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str
     errors = []
     for moment in trial:
         estimate = estimator.on_scan(moment.activation, moment.sensor)
-        if moment.touch < pusher.TOUCHES:
-            start = moment.truth
-        elif moment.activation.z.any():
+        if moment.touch == pushing.TOUCHES and moment.activation.z.any():
             errors.append(1e3 * add_m(model.scene, estimate.map, moment.truth)[1])
-    moved_m, turned = pusher.travel(start, moment.truth)
-    return {
-        "moved_mm": 1e3 * moved_m,
-        "turned_deg": math.degrees(turned),
-        "path_mm": float(np.median(errors)),
-        "end_mm": errors[-1],
-        "silent": estimate.status is Status.CONVERGED and errors[-1] > SILENT_MM,
-    }
+    is_silent = estimate.status is Status.CONVERGED and errors[-1] > SILENT_MM
+    return {"path_mm": float(np.median(errors)), "silent": is_silent}
 
 
-def _errors(
-    trial: Trial, model: ObservationModel, moment: Moment, peak: Poses, mean: Poses
-) -> tuple[float, float, float]:
-    """Symmetric ADD [mm] of the heaviest mode and of the mean, and of the mode once more. Where two
-    objects of one kind are touched the nearer counts for the first two, as no reading tells which
-    of them is meant; for the last the one that the trial means."""
+def _error_mm(trial: Trial, model: ObservationModel, moment: TrialScan, pose: Poses) -> float:
+    """Symmetric ADD [mm] of an estimate (3,). Where two objects of one kind are touched the nearer
+    counts, as no reading tells which of them is meant."""
     if trial.model is not model:
-        return math.nan, math.nan, math.nan
+        return math.nan
     truths = [moment.truth] if moment.twin is None else [moment.truth, moment.twin]
-    peaks, means = ([add_m(model.scene, p, truth)[1] for truth in truths] for p in (peak, mean))
-    return min(peaks) * 1e3, min(means) * 1e3, peaks[0] * 1e3
+    return 1e3 * min(add_m(model.scene, pose, truth)[1] for truth in truths)

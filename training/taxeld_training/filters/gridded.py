@@ -10,13 +10,13 @@ from taxeld.estimator.memory import Slack
 from taxeld.estimator.news import News
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.methods import NOISE
-from taxeld_training.filters.trials import Moment, Trial
+from taxeld_training.filters.trials import Trial, TrialScan
 from taxeld_training.limits.grid_filter import GridFilter
 
 SLACK = Slack(SensorPoseConfig().sigma_m, FilterConfig().nudge_m)  # the daemon's default
 
 
-def after_touches(trial: Trial, model: ObservationModel) -> Iterator[tuple[Moment, GridFilter]]:
+def after_touches(trial: Trial, model: ObservationModel) -> Iterator[tuple[TrialScan, GridFilter]]:
     """The last moment of each touch, and a grid filter that assumes the object of `model` then."""
     grid = GridFilter(model, NOISE, SLACK)
     intake, news = Intake(model, EstimatorCounters()), News(model.layout.radius_m)

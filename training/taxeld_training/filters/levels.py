@@ -13,10 +13,10 @@ import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, setting_of
-from taxeld_training.filters.conditions import Conditions
+from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.jobs.options import Options
-from taxeld_training.objects import meshes
-from taxeld_training.objects.setting import DEPTH_MAX_M, Setting, ring
+from taxeld_training.objects import DEPTH_MAX_M, meshes
+from taxeld_training.objects.setting import Setting, ring
 
 SYMMETRIC = ("002_master_chef_can", "024_bowl", "061_foam_brick")
 BESIDE_THE_MAP = ("nudged mm", "lengths")  # factors that run only where --cells names them
@@ -49,13 +49,13 @@ class Level:
 
     factor: str
     level: float | str
-    conditions: Conditions = field(default_factory=Conditions)
+    conditions: TrialConditions = field(default_factory=TrialConditions)
     columns: int = COLUMNS
-    particles: int = 0  # 0: the method's own
+    particles: int = 0  # particles of the filter; 0: the method's own number
     touched: str = ""  # object of the trials; empty: the one that the filter assumes
     objects: tuple[str, ...] = ()  # objects of the filter, in place of the experiment's
-    seeds: float = 1.0  # times a cell's trials
-    lengths: Lengths | None = None  # nothing is trained for these
+    seeds: float = 1.0  # factor of a cell's number of trials
+    lengths: Lengths | None = None  # lengths of object and skin; no model is trained for them
 
     @property
     def name(self) -> str:
@@ -66,7 +66,7 @@ class Level:
     @property
     def changes_readings(self) -> bool:
         """Whether a touch reads otherwise on this level, or as assumed on the first."""
-        return self.factor == LEVELS[0].factor or self.conditions != Conditions()
+        return self.factor == LEVELS[0].factor or self.conditions != TrialConditions()
 
     def setting(self, name: str, options: Options) -> Setting:
         """The object `name` on this level's skin."""
@@ -79,7 +79,8 @@ def _levels(factor: str, key: str, values: Sequence[float], unit: float = 1.0) -
     """Levels of the condition `key`; `unit` is the unit of `values` in that of the condition."""
     given: list[dict[str, Any]] = [{key: type(value)(value * unit)} for value in values]
     return [
-        Level(factor, value, Conditions(**each)) for value, each in zip(values, given, strict=True)
+        Level(factor, value, TrialConditions(**each))
+        for value, each in zip(values, given, strict=True)
     ]
 
 
@@ -96,28 +97,28 @@ LEVELS = (
     *_levels("dead share", "dead_share", (0.2, 0.4, 0.6)),
     *_levels("dead modules", "dead_modules", (2, 4)),
     *_levels("stuck at 1", "stuck", (1, 2, 4)),
-    *(Level("stuck at 0", n, Conditions(stuck=n, stuck_at=0.0)) for n in (4, 16)),
+    *(Level("stuck at 0", n, TrialConditions(stuck=n, stuck_at=0.0)) for n in (4, 16)),
     *_levels("drift", "drift", (0.05, 0.1, 0.2)),
     *(Level("columns", columns, columns=columns) for columns in (8, 32, 64)),
-    *(Level("skin", name, Conditions(skin=name)) for name in ("typical", "poor")),
+    *(Level("skin", name, TrialConditions(skin=name)) for name in ("typical", "poor")),
     *_levels("depth", "depth", (1.5, 2.0)),
     *_levels("sensor mm", "sensor_sd_m", (2.0, 5.0, 10.0), 1e-3),
     *_levels("sensor deg", "sensor_sd_rad", (2.0, 5.0), np.pi / 180.0),
     *_levels("nudged mm", "nudged_m", (1.0, 2.0), 1e-3),
     *(
-        Level("moved", mm, Conditions(pushed_m=1e-3 * mm, pushed_rad=np.deg2rad(0.3 * mm)))
+        Level("moved", mm, TrialConditions(pushed_m=1e-3 * mm, pushed_rad=np.deg2rad(0.3 * mm)))
         for mm in (2.0, 5.0, 25.0)
     ),
-    Level("moved", "kidnapped", Conditions(kidnapped_after=TOUCHES // 2), seeds=2.0),
+    Level("moved", "kidnapped", TrialConditions(kidnapped_after=TOUCHES // 2), seeds=2.0),
     *(
         Level("wrong object", name, touched=name)
         for name in ("061_foam_brick", "002_master_chef_can", "035_power_drill")
     ),
     *_levels("two objects", "both", (1, 4, 8)),
     *(Level("particles", n, particles=n) for n in (20, 50, 500, 2000)),
-    Level("one side", "90°", Conditions(one_side=True)),
+    Level("one side", "90°", TrialConditions(one_side=True)),
     *(
-        Level("scans", f"{scans}x{5 * columns}", Conditions(scans=scans, slip_m=1e-3), columns)
+        Level("scans", f"{scans}x{5 * columns}", TrialConditions(scans=scans, slip_m=1e-3), columns)
         for scans, columns in ((1, 16), (5, 16), (20, 16), (20, 64))
     ),
     *(Level("symmetric", name, objects=(name,)) for name in SYMMETRIC),

@@ -11,43 +11,23 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.rule import noise_of
 from taxeld.model.symmetry import SILENT_MM
-from taxeld_training.jobs import fingerprint
 from taxeld_training.jobs.rows import SUCCESS_MM
 
-DECIDES = (  # rooms and modules whose code decides the results of a trial
-    "taxeld.config.tables",
-    "taxeld.model",
-    "taxeld.skin.foam",
-    "taxeld.proposals",
-    "taxeld.estimator",
-    "taxeld_hil.scenario.mesh_config",
-    "taxeld_hil.world",
-    "taxeld_training.models.dataset",
-    "taxeld_training.limits",
-    "taxeld_training.filters",
-)
-
-NOISE = noise_of(FilterConfig())  # the grid filter has it as well
+NOISE = noise_of(FilterConfig())  # the grid filter's noise as well
 
 
 @dataclass(frozen=True)
 class Method:
     """A filter by its parts."""
 
-    proposal: str  # GRID: the limit, which has neither injection nor particles
+    proposal: str  # GRID is the limit: it has neither injection nor particles
     injection: str = ""
     particles: int = 0
-    particles_max: int = 0  # 0: no more than that
-    touches: tuple[int, ...] = ()  # after which the grid looks at the belief; none: after each
-
-    @property
-    def name(self) -> str:
-        size = f"{self.particles}{f'..{self.particles_max}' if self.particles_max else ''}"
-        looks = "+".join(map(str, self.touches))
-        parts = (self.proposal, self.injection, size, looks and f"after-{looks}")
-        return "-".join(part for part in parts if part not in ("0", ""))
+    particles_max: int = 0  # 0: as many as `particles`
+    touches: tuple[int, ...] = ()  # the grid looks at its belief after these; none: after each
 
     def config(self, seed: int, motion: str = FilterConfig().motion) -> FilterConfig:
+        """The daemon's configuration with these parts."""
         return FilterConfig(
             particles=self.particles,
             particles_max=self.particles_max or self.particles,
@@ -65,20 +45,13 @@ SHIPPED = Method(
 
 
 class TouchResult(NamedTuple):
-    """A filter's estimate after a touch; errors are nan where there is none, and where the filter
-    assumes another object than the one touched."""
+    """A filter's estimate after a touch."""
 
-    map_mm: float  # error of the map; to the nearer object, if there are two of a kind
-    mean_mm: float
+    # Symmetric ADD of the heaviest mode, to the nearer object if there are two of a kind. It is nan
+    # where there is no estimate, and where the filter assumes another object than the one touched.
+    map_mm: float
     status: Status | None  # None: the grid filter has none
     particles: int
-    meant_mm: float  # error of the map to the object that the trial means
-
-    def scaled(self, unit: float) -> "TouchResult":
-        """The same with errors in another unit."""
-        return self._replace(
-            map_mm=unit * self.map_mm, mean_mm=unit * self.mean_mm, meant_mm=unit * self.meant_mm
-        )
 
     @property
     def succeeded(self) -> bool:
@@ -91,8 +64,3 @@ class TouchResult(NamedTuple):
     @property
     def failed_silently(self) -> bool:
         return self.converged and not self.map_mm <= SILENT_MM
-
-
-def code() -> str:
-    """Hash of the code and the bundles that decide a trial's results: others make another job."""
-    return f"{fingerprint.of(*DECIDES)}-{fingerprint.of_bundles()}"

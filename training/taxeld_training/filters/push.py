@@ -8,12 +8,11 @@ import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import Job
-from taxeld_training.filters import follow, methods
+from taxeld_training.filters import follow
 from taxeld_training.filters.cells import COLUMNS, setting_of
-from taxeld_training.filters.figures import quantiles
-from taxeld_training.filters.pusher import PushedTrial
+from taxeld_training.filters.pushing import PushedTrial
 from taxeld_training.jobs.options import Options, run_jobs, write
-from taxeld_training.jobs.statistics import of_median, of_share, p_paired, rounded
+from taxeld_training.jobs.statistics import of_median, of_share, quantiles, rounded
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
@@ -26,10 +25,8 @@ Trials: TypeAlias = list[dict[str, Any]]  # results of trials, as `follow_push` 
 
 
 def run(options: Options) -> list[Path]:
-    """Rows {object, motion, moved_mm, turned_deg, path_mm and end_mm{q10, median, q90} with
-    intervals of their medians, silent_failure_rate and _ci, p_push, seeds}: errors over the push,
-    and at its end. `p_push`: how likely chance alone parts the ends so far from those of the same
-    trials with `motion` push.
+    """Rows {object, motion, path_mm{q10, median, q90}, path_mm_ci, silent_failure_rate and _ci,
+    seeds}: errors over the push, and the share of filters that converged far off by its end.
 
     Raises:
         SetupError: an object without a shipped bundle.
@@ -41,48 +38,34 @@ def run(options: Options) -> list[Path]:
             raise SetupError(f"--objects: {name} has no shipped bundle; push takes those that have")
     todo = {
         (name, motion): Job(
-            f"push-{name}-{motion}",
-            play,
-            (setting_of(name, COLUMNS, options), motion, seeds, methods.code()),
+            f"push-{name}-{motion}", play, (setting_of(name, COLUMNS, options), motion, seeds)
         )
         for name in objects
         for motion in MOTIONS
     }
     done = run_jobs(list(todo.values()), options)
-    found = {key: done[job.name] for key, job in todo.items()}
     rows = [
-        _row(name, motion, trials, found[name, MOTIONS[0]])
-        for (name, motion), trials in found.items()
-        if trials
+        _row(name, motion, done[job.name]) for (name, motion), job in todo.items() if done[job.name]
     ]
     return [write(options, "push", rows)]
 
 
-def play(setting: Setting, motion: str, seeds: int, code: str) -> Trials:
-    """The results of so many trials; `code` is part of the job's key alone."""
-    del code
+def play(setting: Setting, motion: str, seeds: int) -> Trials:
+    """The results of so many trials."""
     model = trained.model_of(setting)
     proposal = trained.proposal_of(DENSITY, setting, "")
     return [follow.follow_push(PushedTrial(model, seed), motion, proposal) for seed in range(seeds)]
 
 
-def _row(name: str, motion: str, trials: Trials, pushed: Trials | None) -> dict[str, Any]:
-    """`pushed`: the same trials by a filter that follows pushes."""
-    spread: dict[str, Any] = {}
-    rng = np.random.default_rng(0)
-    for key in ("moved_mm", "turned_deg", "path_mm", "end_mm"):
-        values = [trial[key] for trial in trials]
-        spread |= {key: quantiles(values, 2), f"{key}_ci": rounded(of_median(values, rng), 2)}
+def _row(name: str, motion: str, trials: Trials) -> dict[str, Any]:
+    values = [trial["path_mm"] for trial in trials]
     silent = [bool(trial["silent"]) for trial in trials]
-    p_push = None
-    if pushed and motion != MOTIONS[0]:
-        p_push = p_paired(*([trial["end_mm"] for trial in each] for each in (trials, pushed)))
     return {
         "object": name,
         "motion": motion,
-        **spread,
+        "path_mm": quantiles(values, 2),
+        "path_mm_ci": rounded(of_median(values, np.random.default_rng(0)), 2),
         "silent_failure_rate": float(np.mean(silent)),
         "silent_failure_ci": rounded(of_share(silent)),
-        "p_push": p_push,
         "seeds": len(trials),
     }

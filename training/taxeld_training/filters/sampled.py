@@ -9,13 +9,20 @@ from typing import Any
 
 import numpy as np
 
+from taxeld.arrays import Poses
 from taxeld.errors import SetupError
+from taxeld.estimator.counters import EstimatorCounters
+from taxeld.estimator.intake import Intake
+from taxeld.model import se2
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld_hil.jobs import Job
-from taxeld_training.filters import levels, methods
+from taxeld_training.filters import levels
+from taxeld_training.filters.cells import SEEDS_APART, TOUCHES
+from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.levels import Level
-from taxeld_training.filters.touches import firmest
-from taxeld_training.jobs import tables
+from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.options import Options, run_jobs, write
+from taxeld_training.jobs.rows import distance_table
 from taxeld_training.jobs.statistics import of_mean, rounded
 from taxeld_training.limits import quality
 from taxeld_training.models.dataset import IN_USE
@@ -24,7 +31,11 @@ from taxeld_training.samplers import trained
 
 OBJECTS = ("003_cracker_box", "025_mug")  # objects of the shipped bundles
 SEEDS = 15
-ANALYTIC = ("projection", "manifold", "table")  # beside the bundle's samplers
+ANALYTIC = (
+    "projection",
+    "manifold",
+    "table",
+)  # proposals that are measured beside the bundle's samplers
 FLOOR = "floor"  # `proposal` of two sets of exact draws
 
 
@@ -35,7 +46,6 @@ def run(options: Options) -> list[Path]:
         SetupError: no such cell, or no condition, or no bundle of an object is shipped.
     """
     bank, seeds = (20_000, 1) if options.quick else (quality.BANK, options.seeds or SEEDS)
-    code = methods.code()
     wanted = levels.chosen(options.cells)
     for level in wanted:
         if not level.changes_readings:
@@ -43,7 +53,7 @@ def run(options: Options) -> list[Path]:
     todo = {
         (name, level): Job(
             f"samples-{name}-{level.name}".replace("/", " of "), measure,
-            (level.setting(name, options), level, bank, seeds, code),
+            (level.setting(name, options), level, bank, seeds),
         )
         for level in wanted
         for name in options.objects or OBJECTS
@@ -54,21 +64,16 @@ def run(options: Options) -> list[Path]:
         for (name, level), job in todo.items()
         for row in done[job.name] or []
     ]
-    data = write(options, "proposals_cells", found)
-    tables.save(tables.distances(found), data)
+    data = write(options, "proposals_cells", found, distance_table(found))
     return [data, data.with_suffix(".md")]
 
 
-def measure(
-    setting: Setting, level: Level, bank: int, trials: int, code: str
-) -> list[dict[str, Any]]:
-    """Rows of all proposals on the touches of so many trials. `code` is part of the job's key
-    alone.
+def measure(setting: Setting, level: Level, bank: int, trials: int) -> list[dict[str, Any]]:
+    """Rows of all proposals on the touches of so many trials.
 
     Raises:
         SetupError: no bundle of the object is shipped.
     """
-    del code
     bundle = trained.shipped_with(setting)
     felt = firmest(bundle.model, setting.seed, trials, level.conditions)
     rng = np.random.default_rng(setting.seed)
@@ -88,3 +93,23 @@ def measure(
         }
         for proposal, distances in found.items()
     ]
+
+
+def firmest(
+    model: ObservationModel, seed: int, trials: int, given: TrialConditions
+) -> list[tuple[Poses, Observation]]:
+    """For each touch that is felt in `trials` trials: the object's pose (3,) in the sensor frame at
+    the firmest scan, and that scan."""
+    found: list[tuple[Poses, Observation]] = []
+    for own in range(SEEDS_APART * seed, SEEDS_APART * seed + trials):
+        intake = Intake(model, EstimatorCounters())
+        best: dict[int, tuple[Poses, Observation]] = {}
+        for scan in Trial(model, own, TOUCHES, given):
+            seen = intake.observation(scan.activation, scan.sensor)
+            if seen is None or not seen.is_contact:
+                continue
+            if scan.touch not in best or seen.z.sum() > best[scan.touch][1].z.sum():
+                pose = se2.compose(se2.inverse(scan.sensor), scan.truth)
+                best[scan.touch] = pose, seen
+        found += best.values()
+    return found

@@ -1,9 +1,12 @@
 """How an experiment is run: its options, its jobs under them, and the file that its rows go to."""
 
+import hashlib
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,20 @@ from taxeld.errors import SetupError
 from taxeld_hil import jobs
 from taxeld_hil.jobs import Job
 from taxeld_training.jobs.rows import Row
+
+DECIDES = (  # code and bundles that decide the results of jobs
+    "taxeld/config/tables.py",
+    "taxeld/model/*.py",
+    "taxeld/skin/foam.py",
+    "taxeld/proposals/*.py",
+    "taxeld/estimator/*.py",
+    "taxeld/bundles/*/bundle.json",  # each names the SHA-256 of all files beside it
+    "taxeld_hil/scenario/mesh_config.py",
+    "taxeld_hil/world/*.py",
+    "taxeld_training/models/*.py",
+    "taxeld_training/limits/*.py",
+    "taxeld_training/filters/*.py",
+)
 
 
 @dataclass(frozen=True)
@@ -34,12 +51,30 @@ class Options:
     seeds: int = 0  # trials a cell of the filter's experiments
     seed: int = 0
 
+    @property
+    def measured(self) -> Path:
+        """The part of the memory that holds results of today's code and bundles. Trained models
+        stand beside it, in `memory` itself: they outlast a change of the code."""
+        return self.memory / code()
 
-def run_jobs(todo: Sequence[Job], options: Options) -> dict[str, Any]:
-    """Results by job name, as `jobs.run` has it; torch has one thread in each job."""
+
+@cache
+def code(decides: tuple[str, ...] = DECIDES) -> str:
+    """Hash of the files that decide a result; `decides` are their paths in the packages."""
+    digest = hashlib.sha256()
+    for pattern in decides:
+        package, _, inside = pattern.partition("/")
+        for file in sorted(Path(str(resources.files(package))).glob(inside)):
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def run_jobs(todo: Sequence[Job], options: Options, memory: Path | None = None) -> dict[str, Any]:
+    """Results by job name, as `jobs.run` has it, remembered in `options.measured` or in another
+    `memory`; torch has one thread in each job."""
     return jobs.run(
         todo,
-        options.memory,
+        memory or options.measured,
         workers=options.workers,
         dask=options.dask,
         until=options.until,
@@ -56,8 +91,9 @@ def with_file(job: Job, memory: Path, suffix: str) -> Job:
     return replace(job, beside=(str(path),))
 
 
-def write(options: Options, name: str, rows: Sequence[Row]) -> Path:
-    """Rows as the experiment's JSON file, a row a line: a diff can be read.
+def write(options: Options, name: str, rows: Sequence[Row], table: str = "") -> Path:
+    """Rows as the experiment's JSON file, a row a line so that a diff can be read, and a table of
+    them in Markdown beside it; the path of the first.
 
     Raises:
         SetupError: there are none, as time ran out or no group has any.
@@ -68,6 +104,8 @@ def write(options: Options, name: str, rows: Sequence[Row]) -> Path:
     path = options.out / f"{name}.json"
     lines = ",\n".join(json.dumps(row) for row in rows)
     path.write_text(f"[\n{lines}\n]\n", encoding="utf-8")
+    if table:
+        path.with_suffix(".md").write_text(f"{table}\n", encoding="utf-8")
     return path
 
 

@@ -1,12 +1,18 @@
-"""Rows of experiments, as pictures and tables read them: a row is one sampler on one object and
-skin. What a row lacks, or has as null, reads as nan and leaves a gap in a picture."""
+"""Rows of experiments: how pictures read them, and their tables in Markdown.
+
+A row is one sampler, or one filter, on one object and skin. What a row lacks, or has as null, reads
+as nan and leaves a gap.
+"""
 
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
+
+from taxeld_training.jobs.statistics import of_count, of_mean, p_paired
 
 GRID = "grid"  # `proposal` of the grid filter's rows
 EXACT = "exact"  # `proposal` of the exact posterior's rows
@@ -14,8 +20,24 @@ DISTANCES = "distances"  # distances of each reading, for intervals and paired t
 SUCCESS_MM = 10.0  # symmetric ADD of the heaviest mode under which a trial has succeeded
 
 Row = Mapping[str, Any]
-Point = tuple[float, float]  # time of a call [ms], distance to the exact posterior [of the floor]
 Spread = tuple[float, float, float]  # median, best, worst
+Cell = Callable[[list[Row]], str]  # rows of a table's line → the text of a cell
+
+FIGURES = {  # heading → key of a sampler's row, and the format of its mean over objects
+    "ADD, mm": ("add_mm", "{:.1f}"),
+    "in 90 % region": ("coverage_90", "{:.0%}"),
+    "operations": ("flops", "{:.2g}"),
+    "ms": ("ms", "{:.2f}"),
+    "ms warm": ("ms_warm", "{:.2f}"),
+    "speed-up": ("speedup", "{:.0f} ×"),
+    "speed-up warm": ("speedup_warm", "{:.0f} ×"),
+}
+SHARES = {  # heading → key of a row of trials
+    "success": "success_rate",
+    "flagged": "flagged_rate",
+    "silent at the end": "silent_failure_rate",
+    "silent at any contact": "silent_so_far_rate",
+}
 
 
 def number(value: Any) -> float:
@@ -58,36 +80,132 @@ def method(row: Row) -> str:
 
 
 def condition(row: Row) -> str:
-    """What differs in a row's trials from what a filter assumes: factor and level."""
+    """The factor and level in which a row's trials differ from a filter's assumptions."""
     factor, level = row.get("factor", "as assumed"), row.get("level")
     if factor == "as assumed":
         return str(factor)
     return f"{factor}: {object_name(level) if isinstance(level, str) else format(level, 'g')}"
 
 
-def costs(rows: Sequence[Row], columns: int) -> dict[str, dict[str, Point]]:
-    """object: label: point, of the complete rows of `columns` columns."""
-    found: dict[str, dict[str, Point]] = {}
+def mean_of(rows: Sequence[Row], key: str) -> float:
+    """Mean of a measure; nan where a row has none."""
+    return float(np.mean([spread_of(row.get(key))[0] for row in rows]))
+
+
+def table(
+    rows: Sequence[Row], heads: Mapping[str, Callable[[Row], str]], cells: Mapping[str, Cell]
+) -> str:
+    """A line for each group of rows that agree in all `heads`, by heading, then its `cells`."""
+    groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        point = (number(row.get("ms")), gap(row)[0])
-        if row["columns"] == columns and all(math.isfinite(v) and v > 0.0 for v in point):
-            found.setdefault(str(row["object"]), {})[label(row)] = point
-    return found
+        groups.setdefault(tuple(head(row) for head in heads.values()), []).append(row)
+    lines = [[*heads, *cells], ["---"] * (len(heads) + len(cells))]
+    lines += [[*group, *(cell(of) for cell in cells.values())] for group, of in groups.items()]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def means(found: Mapping[str, Mapping[str, Point]]) -> tuple[dict[str, Point], set[str]]:
-    """Each label's mean over its objects; the labels that some object lacks."""
-    of: dict[str, list[Point]] = {}
-    for points in found.values():
-        for name, point in points.items():
-            of.setdefault(name, []).append(point)
-    mean = {name: np.mean(points, axis=0) for name, points in of.items()}
-    partial = {name for name, points in of.items() if len(points) < len(found)}
-    return {name: (float(x), float(y)) for name, (x, y) in mean.items()}, partial
+def sampler_table(rows: Sequence[Row]) -> str:
+    """Means over objects, with intervals over readings: a table for each number of taxel columns,
+    samplers nearest the exact posterior first."""
+    parts = []
+    for columns in sorted({row["columns"] for row in rows}):
+        mine = [row for row in rows if row["columns"] == columns]
+        names = dict.fromkeys(map(label, mine))
+        of = {name: [row for row in mine if label(row) == name] for name in names}
+        order = sorted(of, key=lambda name: mean_of(of[name], "energy_distance"))
+        nearest = of[next(name for name in order if name != EXACT)]
+        cells: dict[str, Cell] = {
+            "objects": lambda each: str(len(each)),
+            "energy distance": _distance,
+            "× floor": lambda each: (
+                f"{mean_of(each, 'energy_distance') / mean_of(each, 'energy_floor'):.2f}"
+            ),
+        }
+        for heading, (key, form) in FIGURES.items():
+            if key in mine[0]:
+                cells[heading] = partial(_mean, key=key, form=form)
+        cells["p"] = partial(_p, nearest=nearest)
+        lines = table([row for name in order for row in of[name]], {"sampler": label}, cells)
+        parts.append(f"{columns or 'other'} columns:\n\n{lines}")
+    return "\n\n".join(parts)
 
 
-def mean_of(rows: Sequence[Row], columns: int, key: str) -> float:
-    """Over the rows of `columns` columns that have it; nan if none has."""
-    values = [number(row.get(key)) for row in rows if row["columns"] == columns]
-    finite = [value for value in values if math.isfinite(value)]
-    return float(np.mean(finite)) if finite else math.nan
+def trial_table(rows: Sequence[Row]) -> str:
+    """Filters in trials: each method over all conditions, and then under each, contact by contact:
+    success with its interval, and the median error."""
+    contacts = sorted({row["contact"] for row in rows})
+    last = [row for row in rows if row["contact"] == contacts[-1]]
+    shares: dict[str, Cell] = {"cells": lambda of: str(len(of))}
+    shares |= {heading: partial(_pooled, key=key) for heading, key in SHARES.items()}
+    after = {f"after {contact}": partial(_success, contact=contact) for contact in contacts}
+    both = [*({**row, "object": "all"} for row in last), *last]
+    return "\n\n".join([
+        table(both, {"method": method, "object": _object}, shares),
+        table(rows, {"object": _object, "condition": condition, "method": method}, after),
+    ])  # fmt: skip
+
+
+def distance_table(rows: Sequence[Row]) -> str:
+    """Samplers on touches of trials: a line an object and condition, a column a proposal; mean
+    distance to the exact posterior, and its median in brackets."""
+    names = dict.fromkeys(row["proposal"] for row in rows)
+    cells = {name: partial(_median, proposal=name) for name in names}
+    return table(rows, {"object": _object, "condition": condition}, cells)
+
+
+def _object(row: Row) -> str:
+    return object_name(str(row["object"]))
+
+
+def _mean(rows: Sequence[Row], key: str, form: str) -> str:
+    value = mean_of(rows, key)
+    return form.format(value) if np.isfinite(value) else ""
+
+
+def _distance(rows: Sequence[Row]) -> str:
+    """Mean over objects of means over readings, with its interval."""
+    text = _mean(rows, "energy_distance", "{:.4f}")
+    if not all(DISTANCES in row for row in rows):
+        return text
+    low, high = of_mean([row[DISTANCES] for row in rows], np.random.default_rng(0))
+    return f"{text} ({low:.4f} – {high:.4f})"
+
+
+def _median(rows: Sequence[Row], proposal: str) -> str:
+    """Mean and median distance of one proposal."""
+    mine = [row for row in rows if row["proposal"] == proposal]
+    return ", ".join(f"{row['energy_distance']:.3f} ({row['median']:.3f})" for row in mine)
+
+
+def _p(rows: Sequence[Row], nearest: Sequence[Row]) -> str:
+    """How likely chance alone parts a sampler so far from the nearest one, over the readings that
+    both have met."""
+    theirs = {row["object"]: row for row in nearest}
+    both = [(row, theirs[row["object"]]) for row in rows if row["object"] in theirs]
+    if rows[0] is nearest[0] or not all(DISTANCES in row for pair in both for row in pair):
+        return ""
+    mine, best = (np.concatenate([pair[i][DISTANCES] for pair in both]) for i in (0, 1))
+    return f"{p_paired(mine, best):.2g}"
+
+
+def _pooled(rows: Sequence[Row], key: str) -> str:
+    """A share of all the rows' trials, with its interval."""
+    if any(row[key] is None for row in rows):
+        return ""
+    total = sum(int(row["seeds"]) for row in rows)
+    count = round(sum(float(row[key]) * int(row["seeds"]) for row in rows))
+    low, high = of_count(count, total)
+    return f"{count / total:.1%} ({low:.1%} – {high:.1%})"
+
+
+def _success(rows: Sequence[Row], contact: int) -> str:
+    """Success and median error of the row of a contact."""
+    mine = [row for row in rows if row["contact"] == contact]
+    return ", ".join(_share(row) for row in mine)
+
+
+def _share(row: Row) -> str:
+    low, high = row["success_ci"]
+    text = f"{row['success_rate']:.0%} ({100 * low:.0f} – {100 * high:.0f})"
+    error = row["map_mm"]["median"]
+    return text if error is None else f"{text}, {error:.2g} mm"

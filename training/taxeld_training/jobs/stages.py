@@ -15,7 +15,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-Tell = Callable[[str, float], None]  # stage, share of it that is done
+Tell = Callable[[str, float], None]  # of a stage, and the share of it that is done
 
 
 @contextmanager
@@ -26,7 +26,7 @@ def shown(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
         TextColumn("left"), TimeRemainingColumn(),
     )  # fmt: skip
     names = [f"{number}/{len(stages)} {stage}" for number, stage in enumerate(stages, 1)]
-    began_s = [time.monotonic()]  # when each stage began, so far
+    began_s = [time.monotonic()]  # when each stage began [s], of the stages so far
     with Progress(*columns, console=Console(file=stream), disable=not stream.isatty()) as bars:
         tasks = [bars.add_task(name, total=1.0, start=name is names[0]) for name in names]
 

@@ -5,11 +5,12 @@ hard one costs both of them does not hide which is better.
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
+
+from taxeld.arrays import Floats
 
 LEVEL = 0.95
 DRAWS = 400  # draws of a bootstrap
@@ -18,8 +19,8 @@ Interval = tuple[float, float]
 
 
 def of_mean(groups: Sequence[ArrayLike], rng: np.random.Generator) -> Interval:
-    """Of the mean of the means of groups of values, such as the readings of an object each: a
-    group's values are drawn anew among themselves (bootstrap)."""
+    """Interval of the mean of the means of groups of values (n,), such as the readings of an object
+    each: a group's values are drawn anew among themselves (bootstrap)."""
     drawn = np.zeros(DRAWS)
     for group in groups:
         given = np.asarray(group, dtype=np.float64)
@@ -29,42 +30,51 @@ def of_mean(groups: Sequence[ArrayLike], rng: np.random.Generator) -> Interval:
 
 
 def of_median(values: ArrayLike, rng: np.random.Generator) -> Interval:
-    """Of the median of values (n,), or of all of (n, m), whose rows are drawn anew as a whole."""
+    """Interval of the median of values (n,), or of all of (n, m), whose rows are drawn anew as a
+    whole."""
     given = np.asarray(values, dtype=np.float64)
     draws = (given[rng.integers(len(given), size=len(given))] for _ in range(DRAWS // 4))
-    return _ends(np.array([np.median(draw) for draw in draws]))
+    return _ends([float(np.median(draw)) for draw in draws])
 
 
 def of_share(rule: Sequence[bool]) -> Interval:
-    """Of a share of trials (Wilson): not empty where none, or all, obey the rule."""
+    """Interval of the share of trials that obey a rule (Wilson): not empty where none, or all,
+    do."""
     return of_count(sum(map(bool, rule)), len(rule))
 
 
 def of_count(count: int, total: int) -> Interval:
-    """The same of so many of all trials."""
+    """Interval of the share that `count` of `total` trials are."""
     found = stats.binomtest(count, total).proportion_ci(LEVEL, "wilson")
     return float(found.low), float(found.high)
 
 
 def p_paired(a: ArrayLike, b: ArrayLike) -> float:
-    """Probability that values so different, pair by pair, have one distribution (Wilcoxon)."""
+    """Probability that values (n,) so different, pair by pair, have one distribution
+    (Wilcoxon)."""
     gap = np.asarray(a, dtype=np.float64) - np.asarray(b, dtype=np.float64)
     return float(stats.wilcoxon(gap).pvalue) if gap.any() else 1.0
 
 
 def p_share(a: Sequence[bool], b: Sequence[bool]) -> float:
-    """The same of two rules on the same trials (McNemar, exact): only those trials tell that obey
-    one of them."""
+    """Probability that two rules so different on the same trials are obeyed as often (McNemar,
+    exact): only those trials tell that obey one of them."""
     first, second = np.asarray(a, dtype=np.bool_), np.asarray(b, dtype=np.bool_)
     won, lost = int((first & ~second).sum()), int((~first & second).sum())
     return float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0
 
 
+def quantiles(values: Sequence[float], digits: int = 3) -> dict[str, float]:
+    """Median and tenths, as rows have them."""
+    low, median, high = np.quantile(values, [0.1, 0.5, 0.9]).tolist()
+    return {"q10": round(low, digits), "median": round(median, digits), "q90": round(high, digits)}
+
+
 def rounded(interval: Interval, digits: int = 4) -> list[float]:
-    """As rows have it."""
+    """An interval as rows have it."""
     return [round(end, digits) for end in interval]
 
 
-def _ends(drawn: Any) -> Interval:
+def _ends(drawn: Sequence[float] | Floats) -> Interval:
     low, high = np.quantile(drawn, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
     return float(low), float(high)

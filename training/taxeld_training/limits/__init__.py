@@ -1,4 +1,4 @@
-"""What samplers and filters are measured against: the exact posterior, a grid filter, rivals.
+"""The limits of samplers and filters: the exact posterior, and a filter on a grid.
 
 The metrics stand here too. No sampler that ships is used to measure itself.
 """

@@ -25,13 +25,13 @@ from taxeld_training.limits.posterior import (
 )
 from taxeld_training.models.dataset import MIN_ACTIVATION
 
-LINES = 200_000  # of the prior, from which contacts are made
-PLACES, DIRECTIONS, DEPTHS = 192, 240, 24  # cells of the histogram
-FIRST, EACH = 20_000, 60_000  # contacts: of the bank, and of a round
-ROUNDS, MORE = 10, 10  # that fit the histogram, and that add to the last of them
+LINES = 200_000  # lines of the prior, from which contacts are made
+PLACES, DIRECTIONS, DEPTHS = 192, 240, 24  # cells of the histogram, by axis
+FIRST, EACH = 20_000, 60_000  # contacts of the bank to begin with, and contacts of a round
+ROUNDS, MORE = 10, 10  # rounds that fit the histogram, and rounds that add to the last fit
 FITTED = 2_000.0  # effective contacts that the histogram is fitted to
 ENOUGH, FEW = 1_000.0, 200.0  # effective contacts after which no more rounds, or additions, follow
-ANYWHERE = 0.2  # share of the contacts that are at any place of the outline
+ANYWHERE = 0.2  # share of the contacts that are anywhere along the outline
 
 
 class Dense:
@@ -111,7 +111,7 @@ class Dense:
         share = np.bincount(cells, weight, PLACES * DIRECTIONS * DEPTHS).reshape(shape)
         for axis in range(3):
             ahead, behind = np.roll(share, 1, axis), np.roll(share, -1, axis)
-            if axis == 2:  # depths end
+            if axis == 2:  # the axis of depths does not wrap around
                 ahead[..., 0], behind[..., -1] = 0.0, 0.0
             share = 0.5 * share + 0.25 * (ahead + behind)
         anywhere = self._count[:, None, None] / LINES * share.sum(axis=0)

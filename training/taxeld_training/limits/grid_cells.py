@@ -26,15 +26,16 @@ class Cells:
     first touch, in the object's frame, and the object's turn in the sensor's frame of that touch.
     """
 
-    mid: Floats  # (n, 3)
-    edge: Floats  # (n, 3, 3) from side to side: along the contact curve, across it, in turn
-    log_volume: Floats  # (n,)
-    log_likelihood: Floats  # (n,) of the scans, averaged over the cell's poses
-    log_likelihood_max: Floats  # (n,) no less than that of the cell's best pose
-    information: Floats  # (n, 3) Fisher's along each edge, times the variance within the cell
+    mid: Floats  # (n, 3) midpoints
+    edge: Floats  # (n, 3, 3) edges, side to side: along the contact curve, across it, in turn
+    log_volume: Floats  # (n,) log of the cell's volume [m² rad]
+    log_likelihood: Floats  # (n,) log-likelihood of the scans, averaged over the cell's poses
+    log_likelihood_max: Floats  # (n,) upper bound of the log-likelihood of the cell's best pose
+    information: Floats  # (n, 3) Fisher information along each edge, times the cell's variance
 
     @classmethod
     def unweighed(cls, mid: Floats, edge: Floats, log_volume: Floats) -> Self:
+        """Cells without likelihood: midpoints (n, 3), edges (n, 3, 3), log volumes (n,)."""
         n = len(mid)
         return cls(mid, edge, log_volume, np.zeros(n), np.zeros(n), np.zeros((n, 3)))
 

@@ -25,20 +25,20 @@ from taxeld_training.limits.grid_likelihood import CellLikelihood, Evidence
 
 DROP_NATS = 14.0  # a cell whose best pose is this far below the belief no longer matters
 COARSE = 0.5  # information in a cell from which it is halved: an extent of 2.4 sd
-SHARE = 3e-4  # of the belief: a cell that cannot weigh more may stay coarse
-CELLS = 60_000  # so many are halved no further
+SHARE = 3e-4  # share of the belief; a cell that cannot weigh more may stay coarse
+CELLS = 60_000  # most cells; beyond them none is halved
 TOUCH_SIGMAS = 5.0  # a reading of so many σ is a touch: one of 3·10⁶ silent taxels reads as much
-PICKED = 32 * MODE_CANDIDATES  # poses that modes are sought among
-RECENT = 3  # contacts, the strongest of whose touches is tiled: the weakest may be noise
-MARGIN_SD = 3.0  # of that touch's offset
+PICKED = 32 * MODE_CANDIDATES  # poses among which modes are sought
+RECENT = 3  # contacts; the strongest of their touches is tiled, as a weak one may be noise
+MARGIN_SD = 3.0  # standard deviations of the tiled touch's offset
 
 
-class Scan(NamedTuple):
-    """What was learned from."""
+class GridScan(NamedTuple):
+    """A scan that the filter has learned from."""
 
     observation: Observation
     touched: bool
-    contact: int  # its number; of a silent scan that of the last one
+    contact: int  # number of its contact; a silent scan has the last contact's
 
 
 class GridFilter:
@@ -66,8 +66,8 @@ class GridFilter:
         self._touch = TOUCH_SIGMAS * noise.sigma
         self._most = cells
         self._coarse = coarse
-        self._scans: list[Scan] = []
-        self._scale = 0  # of SCALES, the likeliest so far; the least has the fewest cells
+        self._scans: list[GridScan] = []
+        self._scale = 0  # index into SCALES of the likeliest; the least scale has the fewest cells
         self._weighed = 0  # scans that the cells have taken
         self._first = se2.IDENTITY  # the sensor's pose at the touch that is tiled
         self._cells = Cells.unweighed(np.empty((0, 3)), np.empty((0, 3, 3)), np.empty(0))
@@ -100,7 +100,7 @@ class GridFilter:
             touched = bool(scan.z.max(initial=0.0, where=scan.live) > self._touch)
         if contact is None:
             contact = (self._scans[-1].contact if self._scans else 0) + touched
-        self._scans.append(Scan(scan, touched, contact))
+        self._scans.append(GridScan(scan, touched, contact))
 
     def estimate(self) -> tuple[Poses, Poses]:
         """The mean of the heaviest mode (3,) and of the whole belief (3,), as the daemon's are.
@@ -138,7 +138,7 @@ class GridFilter:
         self._cells = self._chosen(tiled, newest, len({scan.contact for scan in touches}))
         return self._cells
 
-    def _chosen(self, tiled: Scan, newest: int, touched: int) -> Cells:
+    def _chosen(self, tiled: GridScan, newest: int, touched: int) -> Cells:
         """The belief of the likeliest slack, uphill from the last one, once enough contacts tell.
         Evidence has one peak over its scale."""
         if touched < SLACK_FROM or not (self.slack.robot_m or self.slack.nudge_m):
@@ -158,8 +158,8 @@ class GridFilter:
                 return known[self._scale]
             self._scale = better
 
-    def _belief(self, slack: Slack, tiled: Scan, newest: int) -> Cells:
-        """Of all scans, off by so much: from the poses that the tiled touch allows."""
+    def _belief(self, slack: Slack, tiled: GridScan, newest: int) -> Cells:
+        """Belief by all scans with a given slack, over the poses that the tiled touch allows."""
         of_contact = np.bincount([scan.contact for scan in self._scans if scan.touched])
         evidence = [
             Evidence(
@@ -173,7 +173,7 @@ class GridFilter:
         own = next(e for e in evidence if e.scan is tiled.observation)
         rest = [each for each in evidence if each.touched and each is not own]
         cells = tile(self._model, MARGIN_SD * float(np.sqrt(own.variance_m2)))
-        # what says most comes first, and what says little to the cells that are left
+        # Touches say most and come first. Silent scans meet fewer cells then.
         taken: list[Evidence] = []
         for some in ([own, *rest], [each for each in evidence if not each.touched]):
             for each in some:
@@ -184,8 +184,8 @@ class GridFilter:
         return cells
 
     def _likely(self, cells: Cells) -> Cells:
-        """Those of which some pose may weigh something. The bar is what a cell has on the mean, or
-        a fine one at its best: a coarse one at its best promises more than it holds."""
+        """The cells in which some pose may weigh something. The bar is what a cell has on the mean,
+        or a fine one at its best: a coarse one at its best promises more than it holds."""
         fine = cells.information.max(axis=1) <= self._coarse
         bar = cells.log_likelihood_max.max(initial=-np.inf, where=fine)
         bar = max(bar, cells.log_likelihood.max())

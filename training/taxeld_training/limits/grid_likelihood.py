@@ -24,30 +24,30 @@ class Evidence(NamedTuple):
     """A scan, and how it counts."""
 
     scan: Observation
-    share: float = 1.0  # of a contact's weight
-    variance_m2: float = 0.0  # of its offset, in each direction
-    touched: bool = True  # else it is silent
+    share: float = 1.0  # share of a contact's weight that the scan has
+    variance_m2: float = 0.0  # variance [m²] of the scan's offset, in each direction
+    touched: bool = True  # False: the scan is silent
 
 
 class Pairs(NamedTuple):
     """P pairs of a cell and a live taxel that some pose of it may press, in order of cells."""
 
-    cell: NDArray[np.intp]  # (P,)
-    taxel: NDArray[np.intp]  # (P,)
+    cell: NDArray[np.intp]  # (P,) index of the cell
+    taxel: NDArray[np.intp]  # (P,) index of the taxel
     depth: Floats  # (P,) over δ_max, at the cell's midpoint; below 0 where it is not reached
-    fall: Floats  # (3, P) how much less of it there is along each of the cell's edges, ≤ 0
-    rise: Floats  # (3, P) how much more, ≥ 0
-    across: Floats  # (3, P) from end to end of each edge, with its sign
-    slope: Floats  # (2, P) by which depth grows with the sensor's x and y in the object's frame
+    fall: Floats  # (3, P) least change of the depth along each of the cell's edges, ≤ 0
+    rise: Floats  # (3, P) greatest change of the depth along each edge, ≥ 0
+    across: Floats  # (3, P) change of the depth from end to end of each edge
+    slope: Floats  # (2, P) slope [1/m] of the depth along the object frame's x and y
 
 
 class Offset(NamedTuple):
-    """Of a block of cells: where a scan's own offset leaves the depths, and what that costs."""
+    """Depths in a block of cells after a scan's own offset, and what that costs."""
 
-    depth: Floats  # (P,)
-    mean: Floats  # (n,) what the integral over it adds to a cell's log-likelihood
-    best: Floats  # (n,) the same for the cell's best pose, at most
-    precision: float  # 1 / variance [1/m²]; inf: there is none
+    depth: Floats  # (P,) over δ_max
+    mean: Floats  # (n,) gain of a cell's log-likelihood by the integral over the offset
+    best: Floats  # (n,) upper bound of that gain for the cell's best pose
+    precision: float  # 1 / variance [1/m²]; inf: no offset
 
 
 class CellLikelihood:
@@ -65,10 +65,10 @@ class CellLikelihood:
         self._flat = scene.slices.ravel()
         self._slice = scene.slice_of(model.layout) * scene.silhouette.size
         pair = np.minimum(scene.slices[:, :, :-1], scene.slices[:, :, 1:])
-        lowest = np.full_like(scene.slices, np.inf)  # of a grid cell's corners
+        lowest = np.full_like(scene.slices, np.inf)  # lowest distance of a grid cell's corners
         lowest[:, :-1, :-1] = np.minimum(pair[:, :-1], pair[:, 1:])
         self._lowest = lowest.ravel()
-        self._union = lowest.min(axis=0).ravel()  # of all slices
+        self._union = lowest.min(axis=0).ravel()  # lowest distance over all slices
 
     def add(self, cells: Cells, scans: Sequence[Evidence], first: Poses) -> None:
         """Add the likelihood of scans to the cells; `first` is the sensor's pose (3,) at the touch
@@ -103,8 +103,8 @@ class CellLikelihood:
     def _add_block(
         self, cells: Cells, block: NDArray[np.intp], each: Evidence, taxel: Floats, silent: Floats
     ) -> None:
-        """The same of a scan and some of the cells, for taxels at (M, 2) whose log-likelihood is
-        `silent` (M,) where nothing presses them."""
+        """Add the likelihood of one scan to some of the cells, for taxels at (M, 2) whose
+        log-likelihood is `silent` (M,) where nothing presses them."""
         scan = each.scan
         mid, edge = cells.mid[block], cells.edge[block]
         pairs = self._pairs(mid, edge, taxel, scan.live, _band_m(each))
@@ -133,7 +133,7 @@ class CellLikelihood:
         none, variance = np.zeros(len(reach_m)), each.variance_m2
         if not variance:
             return Offset(pairs.depth, none, none, np.inf)
-        if not each.touched:  # what presses deeper than the offset may have hidden
+        if not each.touched:  # an offset may hide presses that are less deep
             hidden = HIDDEN * np.sqrt(variance) / self._model.depth_max_m
             return Offset(pairs.depth - hidden, none, none, np.inf)
         extent = ((pairs.rise - pairs.fall) ** 2).sum(axis=0) / 12.0
@@ -152,7 +152,7 @@ class CellLikelihood:
             ),
         )
         depth, added, off_m = readings.offset(np.full(len(reach_m), variance))
-        # the best pose of the cell needs less of an offset, by as much as it is off the middle
+        # The best pose of a cell needs a smaller offset, by its distance from the middle.
         less = off_m**2 - np.maximum(off_m - reach_m, 0.0) ** 2
         return Offset(
             np.asarray(depth, dtype=np.float64), added, added + 0.5 * less / variance, 1 / variance
@@ -176,7 +176,7 @@ class CellLikelihood:
         h, within = 0.5 * (low + high), (high - low) ** 2 / 12.0  # mean and variance of the range
         variance = self._noise.variance(h) + residue**2
         off = (np.where(z > 0.0, z, floor) - h) / np.sqrt(variance + within)
-        # no information where clipping flattens a reading
+        # Where clipping flattens a reading it has no information.
         share = 3.0 * within / np.maximum(spread**2, 1e-30)
         return self._noise.log_of(z, off, variance), share / variance * _told(z, off)
 
@@ -184,7 +184,7 @@ class CellLikelihood:
         """The pairs of n cells, midpoints (n, 3) and edges (n, 3, 3), and live taxels (M, 2)."""
         scene = self._model.scene
         reach = _reach_m(edge, float(np.hypot(*taxel.T).max())) + band_m
-        # in grid cells: a taxel stands at axis + R(−θ) p in the object's frame
+        # Lengths are in grid cells. A taxel stands at axis + R(−θ) p in the object's frame.
         edge = edge / np.array([scene.cell, scene.cell, 1.0])
         axis = (mid[:, :2] - scene.origin) / scene.cell
         c, s = np.cos(mid[:, 2]), np.sin(mid[:, 2])

@@ -14,7 +14,7 @@ from taxeld.arrays import Floats, Grid, Poses, Reals
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import Noise, Observation
-from taxeld_training.models.dataset import Touches
+from taxeld_training.models.dataset import SimulatedTouches
 
 BLOCK = 16_384  # presses weighed at once: they stay in the cache
 
@@ -42,7 +42,7 @@ class ExactPosterior:
     likelihood is that of a silent taxel, the same in every touch.
     """
 
-    def __init__(self, bank: Touches, layout: Layout, noise: Noise) -> None:
+    def __init__(self, bank: SimulatedTouches, layout: Layout, noise: Noise) -> None:
         self.noise = noise
         self.layout = layout
         self._pose = bank.pose

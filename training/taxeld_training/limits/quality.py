@@ -2,10 +2,9 @@
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import joblib
 import numpy as np
@@ -16,13 +15,13 @@ from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import Draws, ExactPosterior, energy_distance
-from taxeld_training.models.dataset import Touches, read, simulate
+from taxeld_training.models.dataset import SimulatedTouches, read, simulate
 
 SAMPLES = 100
 BANK_STAGE, EXACT_STAGE = "contacts to measure with", "exact posteriors"
 BANK = 300_000
 THIN_ESS = 1000.0  # effective contacts of the bank, under which more are made around the reading
-LIMIT_ESS = 50.0  # readings with fewer all the same are left out
+LIMIT_ESS = 50.0  # effective contacts; readings with fewer, for all that, are left out
 TIMED_CALLS = 30
 
 
@@ -32,7 +31,7 @@ class Reference:
 
     truth: Poses  # (n, 3) true poses
     z: Floats  # (n, M) readings as a filter sees them
-    live: Bools  # (n, M)
+    live: Bools  # (n, M) taxels that are not dead
     exact: Floats  # (n, 2 · SAMPLES, 3) draws: one half to measure to, one for the floor
     ess: Floats  # (n,) effective contacts behind the draws of each reading
     length_m: float
@@ -49,7 +48,7 @@ class Reference:
 
     @property
     def floor(self) -> float:
-        """Their mean; no sampler can be expected nearer."""
+        """Mean of the floors; no sampler can be expected nearer."""
         return float(self.floors.mean())
 
     @property
@@ -102,7 +101,11 @@ class Posterior:
     """The exact posterior by a bank and, where that is too thin, by contacts made for a reading."""
 
     def __init__(
-        self, model: ObservationModel, bank: Touches, noise: Noise, rng: np.random.Generator
+        self,
+        model: ObservationModel,
+        bank: SimulatedTouches,
+        noise: Noise,
+        rng: np.random.Generator,
     ) -> None:
         self._bank = ExactPosterior(bank, model.layout, noise)
         self._dense = Dense(model, noise, rng)
@@ -118,14 +121,13 @@ class Posterior:
 
 def save(to: Reference, path: Path) -> None:
     """Write a reference to a file."""
-    np.savez_compressed(path, allow_pickle=False, **asdict(to))
+    joblib.dump(to, path, compress=3)
 
 
 def load(path: Path) -> Reference:
     """A reference that `save` wrote."""
-    with np.load(path, allow_pickle=False) as kept:
-        found: dict[str, Any] = {k: v if v.ndim else v.item() for k, v in kept.items()}
-    return Reference(**found)
+    kept: Reference = joblib.load(path)
+    return kept
 
 
 def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Floats:
@@ -146,7 +148,8 @@ def cost_ms(proposal: Proposal, to: Reference, rng: np.random.Generator) -> floa
 def call_ms(
     proposal: Proposal, z: NDArray[np.float64], live: NDArray[np.bool_], rng: np.random.Generator
 ) -> float:
-    """CPU time [ms] of one call for SAMPLES samples on this thread."""
+    """CPU time [ms] of one call for SAMPLES samples of a reading z (M,), live (M,), on this
+    thread."""
     start = time.thread_time_ns()
     proposal.propose(z, live, SAMPLES, rng)
     return (time.thread_time_ns() - start) / 1e6

@@ -19,8 +19,8 @@ class NetworkConfig:
 
     width: int = 64  # width of the layers that run once a hypothesis
     encoder_width: int = 192  # width of the encoder, which runs once a touch and costs little
-    encoder_depth: int = 5  # its layers: a mug's yaw depends on a tenth of a millimetre
-    steps: int = 100  # T of a diffusion
+    encoder_depth: int = 5  # layers of the encoder: a mug's yaw depends on a tenth of a millimetre
+    steps: int = 100  # number T of a diffusion's noise levels
 
 
 class Model(nn.Module, ABC):
@@ -48,7 +48,8 @@ class Model(nn.Module, ABC):
 
     @abstractmethod
     def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
-        """Set mean and scale for whitening from a large batch."""
+        """Set mean and scale for whitening from a large batch: z, live (B, M) and coordinates (B,
+        3)."""
 
     @abstractmethod
     def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
@@ -73,10 +74,10 @@ def parameters_of(module: nn.Module) -> int:
 
 
 def standard(values: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean and standard deviation of columns, the latter never 0."""
+    """Mean and standard deviation (F,) of the columns of values (n, F), the latter never 0."""
     return values.mean(0), values.std(0).clamp(min=1e-6)
 
 
 def uniform_of(noise: Tensor) -> Tensor:
-    """Standard normal → uniform over 0..1."""
+    """Standard normal values of any shape (...) → uniform ones over 0..1."""
     return 0.5 * (1.0 + torch.erf(noise * 0.5**0.5))

@@ -26,7 +26,7 @@ DEAD_MAX = 0.3  # largest share of a skin's taxels that is dead
 
 
 @dataclass(frozen=True)
-class Touches:
+class SimulatedTouches:
     """n contacts: poses (n, 3) in the sensor frame, activations h (n, M) without noise."""
 
     pose: NDArray[np.float64]
@@ -40,7 +40,7 @@ class Touches:
 def simulate(
     model: ObservationModel, n: int, rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _: None,
-) -> Touches:  # fmt: skip
+) -> SimulatedTouches:  # fmt: skip
     """`n` contacts under the prior of single-step projection, each with a taxel over
     MIN_ACTIVATION. `progress` is told which share is done.
 
@@ -62,10 +62,12 @@ def simulate(
                 "fewer than 1 % of simulated contacts press a taxel: the skin hardly reaches the "
                 "object; look at 'taxeld-train scene OBJECT --png', and change --height-m"
             )
-    return Touches(np.concatenate(poses)[:n], np.concatenate(activations)[:n], dropped / drawn)
+    return SimulatedTouches(
+        np.concatenate(poses)[:n], np.concatenate(activations)[:n], dropped / drawn
+    )
 
 
-class Skin:
+class SimulatedSkin:
     """Reads true activations as a filter sees them.
 
     A taxel that is pressed reads the activation times its gain, and departs from that by the
@@ -84,7 +86,7 @@ class Skin:
         floor = self._floor(h * live)
         own = torch.clamp(floor / SILENT, max=self._noise.sigma)
         sd = torch.where(h > 0.0, torch.hypot(self._sigma, self._noise.gain_cv * h), own)
-        z = h + sd * self._normal(h)  # gain and noise in one
+        z = h + sd * self._normal(h)  # one deviation for gain and noise
         leak = self._leak.of((z * live).clamp(0.0, 1.0).cpu().numpy())
         z = ((z + torch.from_numpy(leak).to(z) * self._normal(h)) * live).clamp(0.0, 1.0)
         floor = _felt(z, floor)
@@ -110,7 +112,7 @@ def _felt(z: Tensor, floor: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Readings:
+class SimulatedReadings:
     """n readings: poses (n, 3) in the sensor frame; z, live, floor and residue (n, M)."""
 
     pose: NDArray[np.float64]
@@ -132,10 +134,10 @@ class Readings:
 
 def read(
     model: ObservationModel, noise: Noise, n: int, rng: np.random.Generator, dead: float = 0.0
-) -> Readings:
+) -> SimulatedReadings:
     """`n` simulated contacts as a filter sees them: each is felt by a live taxel at least. A share
     `dead` of the taxels is dead in each."""
-    skin = Skin(model.leak, noise, int(rng.integers(2**63)), torch.device("cpu"))
+    skin = SimulatedSkin(model.leak, noise, int(rng.integers(2**63)), torch.device("cpu"))
     found, parts = 0, []
     while found < n:
         touches = simulate(model, n, rng)
@@ -146,19 +148,20 @@ def read(
         found += int(felt.sum())
         parts.append(tuple(part[felt] for part in (touches.pose, z, live, floor, residue)))
     pose, z, live, floor, residue = (np.concatenate(part)[:n] for part in zip(*parts, strict=True))
-    return Readings(pose, z, live, floor, residue)
+    return SimulatedReadings(pose, z, live, floor, residue)
 
 
 class Batches:
     """Batches of noisy readings with the coordinates of their poses, drawn with replacement."""
 
     def __init__(
-        self, touches: Touches, coordinates: Tensor, leak: Leak, noise: Noise, seed: int,
+        self, touches: SimulatedTouches, coordinates: Tensor, leak: Leak, noise: Noise, seed: int,
         device: torch.device,
     ) -> None:  # fmt: skip
+        """`coordinates` (n, 3) of the touches' poses."""
         self.activation = torch.from_numpy(touches.activation).to(device)
-        self.coordinates = coordinates.to(device)  # (n, 3) of touches.pose
-        self._skin = Skin(leak, noise, seed, device)
+        self.coordinates = coordinates.to(device)  # (n, 3) coordinates of touches.pose
+        self._skin = SimulatedSkin(leak, noise, seed, device)
         self._generator = self._skin.generator
 
     def draw(self, n: int) -> tuple[Tensor, Tensor, Tensor]:
@@ -167,7 +170,7 @@ class Batches:
         return self.read(torch.randint(len(self.coordinates), (n,), generator=g, device=device))
 
     def read(self, i: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """The same of chosen contacts, indices (n,)."""
+        """z (n, M), live (n, M) and coordinates (n, 3) of chosen contacts, indices i (n,)."""
         h = self.activation[i]
         live = self._live(h)
         z, _, _ = self._skin.read(h, live)

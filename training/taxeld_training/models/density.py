@@ -22,9 +22,9 @@ from taxeld_training.models.base import (
 )
 from taxeld_training.models.frames import ContactFrame, rotated
 
-BINS = 128  # of s: 5 mm each on a cracker box
-COMPONENTS = 2  # of φ and δ given s
-OCTAVES = 5  # of the Fourier features of s
+BINS = 128  # bins of s: 5 mm each on a cracker box
+COMPONENTS = 2  # Gaussians of φ and δ given s
+OCTAVES = 5  # octaves of the Fourier features of s
 LOG_SCALE = (-6.0, 3.0)
 
 
@@ -38,8 +38,8 @@ class ContactDensity(Model):
     family = "density"
     steps = 1
     frame: ContactFrame
-    mean: Tensor  # (2,) and
-    scale: Tensor  # (2,) of φ and δ
+    mean: Tensor  # (2,) means of φ and δ
+    scale: Tensor  # (2,) standard deviations of φ and δ
 
     def __init__(self, config: NetworkConfig, view: AnyView, frame: ContactFrame) -> None:
         super().__init__(config, view, frame)

@@ -42,12 +42,13 @@ def noise_levels(total: int, steps: int) -> list[int]:
     return times
 
 
-class PoseNetwork(Model):
-    """A 4-layer feed-forward network (B, 4) → (B, 4) on Fourier features of a whitened pose. The
-    touch's code shifts every hidden layer."""
+class Denoiser(Model):
+    """v(x_t, touch, t): a 4-layer feed-forward network (B, 4) → (B, 4) on Fourier features of a
+    whitened pose. The touch's code and the step t shift every hidden layer."""
 
-    mean: Tensor  # (4,) and
-    scale: Tensor  # (4,) of the frame's features
+    mean: Tensor  # (4,) means of the frame's features
+    scale: Tensor  # (4,) standard deviations of the frame's features
+    alpha_bar: Tensor  # (T,) share of the signal's variance that is left at each step
 
     def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
         super().__init__(config, view, frame)
@@ -62,6 +63,9 @@ class PoseNetwork(Model):
         each = (self.first, self.second, self.third, self.out)
         self.multiply_adds_each = sum(parameters_of(layer) for layer in each)
         self.multiply_adds = view.multiply_adds + parameters_of(self) - self.multiply_adds_each
+        self.time = nn.Embedding(config.steps, 3 * w)
+        self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
+        nn.init.normal_(self.time.weight, std=0.1)
 
     def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
         _, angle = self.view(z, live)
@@ -89,24 +93,12 @@ class PoseNetwork(Model):
         value: Tensor = self.out(hidden)
         return value
 
-
-class Denoiser(PoseNetwork):
-    """v(x_t, touch, t)."""
-
-    alpha_bar: Tensor  # (T,)
-
-    def __init__(self, config: NetworkConfig, view: AnyView, frame: AnyFrame) -> None:
-        super().__init__(config, view, frame)
-        self.time = nn.Embedding(config.steps, 3 * config.width)
-        self.register_buffer("alpha_bar", cosine_alpha_bar(config.steps).float())
-        nn.init.normal_(self.time.weight, std=0.1)
-
     def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
         code = self.encoder(seen)
         clean = self.whitened(coordinates, angle).repeat(REPEATS, 1)
         context = self.context(code).repeat(REPEATS, 1)
         n = len(clean)
-        # one t a row, stratified over the batch, which lowers the variance
+        # Each row has a t of its own, stratified over the batch, which lowers the variance.
         t = (torch.randperm(n, device=clean.device) * self.config.steps) // n
         alpha_bar = self.alpha_bar[t, None]
         noise = torch.randn_like(clean)
@@ -135,7 +127,9 @@ class DiffusionSampler(nn.Module):
             raise ValueError(f"ancestral sampling takes all {total} steps")
         self.model, self.solver, self.steps = denoiser, solver, steps
         self.family = str(solver)
-        self.alpha_bar: list[float] = denoiser.alpha_bar.tolist()  # constants of the graph
+        self.alpha_bar: list[float] = (
+            denoiser.alpha_bar.tolist()
+        )  # numbers, so that they are constants of the graph
         self.times = noise_levels(total, steps)
         self.noise_steps = steps if solver is Solver.DDPM else 1
         self.register_buffer("time", denoiser.time.weight.detach()[self.times].clone())

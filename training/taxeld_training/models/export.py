@@ -18,7 +18,7 @@ from taxeld_training.models.diffusion import DiffusionSampler
 AnySampler = DiffusionSampler | ContactDensity
 
 OPSET = 20
-HALVED_FROM = 256  # values of a tensor, from which on it is worth halving
+HALVED_FROM = 256  # least number of values of a tensor that is worth halving
 TRACED, TRIED = 100, 64  # samples; the graph takes any number, so it is checked with another
 # Largest difference to torch of 99 % of the pose values, in their own units. A sample at a kink of
 # the contact curve may fall on its other side by rounding.
@@ -46,7 +46,9 @@ def export(sampler: AnySampler, taxels: int, path: Path, metadata: Mapping[str, 
         RuntimeError: the graph differs from torch.
     """
     generator = torch.Generator().manual_seed(0)
-    z = (torch.rand(1, taxels, generator=generator) - 0.8).clamp(min=0.0) * 5.0  # a fifth pressed
+    z = (torch.rand(1, taxels, generator=generator) - 0.8).clamp(
+        min=0.0
+    ) * 5.0  # a fifth of the taxels is pressed
     live = torch.ones(1, taxels)
     noise = torch.randn(sampler.noise_steps, TRACED, 4, generator=generator)
     sampler = rounded(sampler)

@@ -16,8 +16,8 @@ from taxeld.arrays import Floats, Poses
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
 
-CURVE_POINTS = 1024  # of the contact curve in the graph: 0.9 mm apart on a power drill
-CURVE_FINE = 16  # times as many, among which `encode` looks up s
+CURVE_POINTS = 1024  # points of the contact curve in the graph: 0.9 mm apart on a power drill
+CURVE_FINE = 16  # factor of the points among which `encode` looks up s
 
 
 class PoseFrame(nn.Module):
@@ -52,9 +52,9 @@ class ContactFrame(nn.Module):
     frame [rad], δ the depth [m]. At depth δ the axis is δ further in along the curve's normal.
     """
 
-    point: Tensor  # (P, 2) [m] of the curve, object frame
-    normal: Tensor  # (P, 2) unit, outwards
-    after: Tensor  # (P,) the next point of the same loop
+    point: Tensor  # (P, 2) [m] points of the curve, object frame
+    normal: Tensor  # (P, 2) unit normals, outwards
+    after: Tensor  # (P,) index of the next point of the same loop
 
     def __init__(self, model: ObservationModel) -> None:
         super().__init__()
@@ -68,6 +68,7 @@ class ContactFrame(nn.Module):
         self.register_buffer("after", torch.from_numpy(after))
 
     def encode(self, poses: Poses) -> Tensor:
+        """Poses (n, 3) → coordinates (n, 3)."""
         scene = self._model.scene
         ax, ay = contacts.axis_in_object(poses)
         distance, gx, gy = scene.clearance(ax, ay)
@@ -81,15 +82,18 @@ class ContactFrame(nn.Module):
         )
 
     def turned(self, coordinates: Tensor, angle: Tensor) -> Tensor:
+        """Coordinates (n, 3) once the touch is turned about the sensor's axis by −angle (n,)."""
         s, phi, depth = coordinates.unbind(-1)
         return torch.stack([s, _wrap(phi - angle), depth], dim=-1)
 
     def features(self, coordinates: Tensor) -> Tensor:
+        """Coordinates (n, 3) → (n, 4): cos and sin of s, φ, δ."""
         s, phi, depth = coordinates.unbind(-1)
         around = 2.0 * torch.pi * s
         return torch.stack([torch.cos(around), torch.sin(around), phi, depth], dim=-1)
 
     def decode(self, features: Tensor) -> Tensor:
+        """Features (n, 4) → poses (n, 4): x, y, cos θ, sin θ."""
         c, s, phi, depth = features.unbind(-1)
         return self.pose(torch.atan2(s, c) / (2.0 * torch.pi), phi, depth)
 
@@ -99,7 +103,10 @@ class ContactFrame(nn.Module):
         axis = point - depth.clamp(0.0, self.depth_max_m)[..., None] * normal
         nx, ny = normal.unbind(-1)
         c, si = torch.cos(phi), torch.sin(phi)
-        cos, sin = -(c * nx + si * ny), c * ny - si * nx  # of θ = φ − the direction of −n
+        cos, sin = (
+            -(c * nx + si * ny),
+            c * ny - si * nx,
+        )  # cosine and sine of θ = φ − the direction of −n
         ax, ay = axis.unbind(-1)
         return torch.stack([sin * ay - cos * ax, -sin * ax - cos * ay, cos, sin], dim=-1)
 

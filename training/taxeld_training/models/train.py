@@ -11,14 +11,14 @@ from torch import Tensor, nn
 from taxeld.model.leak import Leak
 from taxeld.model.observation import Noise
 from taxeld_training.models.base import Model
-from taxeld_training.models.dataset import Batches, Touches
+from taxeld_training.models.dataset import Batches, SimulatedTouches
 
 SCALE_BATCH = 10_000
 
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """What it takes to repeat a training; saved inside the ONNX file."""
+    """The settings that repeat a training; saved inside the ONNX file."""
 
     contacts: int = 300_000  # simulated once; noise, gain and dead taxels are drawn anew each batch
     batch: int = 256  # readings an update
@@ -33,7 +33,7 @@ AnyModel = TypeVar("AnyModel", bound=Model)
 
 def train_beside(
     given: Sequence[tuple[Callable[[], AnyModel], TrainConfig]],
-    touches: Touches,
+    touches: SimulatedTouches,
     leak: Leak,
     noise: Noise,
 ) -> list[AnyModel]:
@@ -57,7 +57,7 @@ def train_beside(
 
 
 def shared(config: TrainConfig) -> tuple[int, int, int]:
-    """What two configurations have in common that draw the same batches."""
+    """The settings on which the batches of a configuration depend."""
     return config.contacts, config.batch, config.seed
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from taxeld.model.observation import Noise, ObservationModel
 from taxeld_training.models import views
 from taxeld_training.models.base import AnyFrame, AnyView, Model, NetworkConfig
-from taxeld_training.models.dataset import Touches
+from taxeld_training.models.dataset import SimulatedTouches
 from taxeld_training.models.density import ContactDensity
 from taxeld_training.models.diffusion import Denoiser, DiffusionSampler, Solver
 from taxeld_training.models.export import AnySampler
@@ -47,7 +47,7 @@ def diffusion(
     width: int = 128,
     samplers: tuple[tuple[Solver, int], ...] = ((Solver.DDPM, 100),),
 ) -> Variant:  # fmt: skip
-    """As many steps as a solver takes; in contact coordinates."""
+    """A diffusion in contact coordinates, run by solvers of any number of steps."""
     training = TrainConfig(updates=10_000)
     return Variant("diffusion", NetworkConfig(width, 160), training, samplers=samplers)
 
@@ -89,13 +89,15 @@ def trained_with(
     return replace(variant, training=training)
 
 
-def fit(variant: Variant, model: ObservationModel, noise: Noise, touches: Touches) -> Model:
+def fit(
+    variant: Variant, model: ObservationModel, noise: Noise, touches: SimulatedTouches
+) -> Model:
     """The trained model of a variant, on its share of `touches`."""
     return fit_beside([variant], model, noise, touches)[0]
 
 
 def fit_beside(
-    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: Touches
+    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: SimulatedTouches
 ) -> list[Model]:
     """Models as `fit` makes each. Those that see the same batches are trained side by side: to draw
     them takes a good part of the time."""
@@ -105,7 +107,9 @@ def fit_beside(
         kind = variant.view, variant.frame, *shared(variant.training)
         alike.setdefault(kind, []).append(k)
     for (_, _, count, *_), places in alike.items():
-        mine = Touches(touches.pose[:count], touches.activation[:count], touches.dropped_share)
+        mine = SimulatedTouches(
+            touches.pose[:count], touches.activation[:count], touches.dropped_share
+        )
         runs = [(partial(untrained, given[k], model), given[k].training) for k in places]
         done |= dict(zip(places, train_beside(runs, mine, model.leak, noise), strict=True))
     return [done[k] for k in range(len(given))]

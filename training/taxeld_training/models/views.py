@@ -26,6 +26,7 @@ class Plain(nn.Module):
         self.width = 2 * len(layout)
 
     def forward(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]:
+        """z, live (B, M) → features (B, F) and angle (B,)."""
         return torch.cat([z * live, live], dim=-1), torch.zeros_like(z[:, 0])
 
 
@@ -36,8 +37,8 @@ class Turned(nn.Module):
     """
 
     multiply_adds = 0
-    turns: Tensor  # (n, M)
-    sector: Tensor  # (M,)
+    turns: Tensor  # (n, M) taxels after each turn
+    sector: Tensor  # (M,) turn that brings each taxel to angle 0
 
     def __init__(self, layout: Layout) -> None:
         super().__init__()
@@ -46,6 +47,7 @@ class Turned(nn.Module):
         self.register_buffer("sector", torch.from_numpy(layout.sector))
 
     def forward(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]:
+        """z, live (B, M) → features (B, F) and angle (B,)."""
         z = z * live
         turn = self.sector[z.argmax(dim=1)]
         taxels = self.turns[turn]
@@ -63,9 +65,9 @@ class Centred(nn.Module):
     """
 
     multiply_adds = 0  # four cells a taxel, negligible beside the encoder
-    angle: Tensor  # (M,) of the taxels
+    angle: Tensor  # (M,) [rad] direction of each taxel
     row: Tensor  # (2, M) the grid's rows below and above each
-    rise: Tensor  # (2, M) its share in them
+    rise: Tensor  # (2, M) each taxel's share in these rows
     whole: Tensor  # (M, F / 3) the grid of live taxels about each, where none is dead
 
     def __init__(self, layout: Layout) -> None:
@@ -89,6 +91,7 @@ class Centred(nn.Module):
         self.register_buffer("whole", whole.clone(), persistent=False)
 
     def forward(self, z: Tensor, live: Tensor) -> tuple[Tensor, Tensor]:
+        """z, live (B, M) → features (B, F) and angle (B,)."""
         z = z * live
         strongest = z.argmax(dim=1)
         angle = self.angle[strongest]
@@ -105,8 +108,8 @@ class Centred(nn.Module):
         return _seen(*grids)
 
     def _of_many(self, z: Tensor, live: Tensor, strongest: Tensor) -> Tensor:
-        """The same, within rounding, by the few taxels that are pressed or dead: training asks it
-        of every batch, and it takes a tenth of the time."""
+        """Features (B, F) as `_of_all` has them, within rounding, by the few taxels that are
+        pressed or dead, in a tenth of the time: training asks for them in every batch."""
         alive = self.whole[strongest] - self._spread(1.0 - live, strongest)
         return _seen(self._spread(z, strongest), alive.clamp(min=0.0))
 

@@ -1,4 +1,4 @@
-"""What is probably wrong with how a mesh lies and how it is cut, each in a line with its cure.
+"""Probable faults in how a mesh lies and how it is cut, each in a line with its cure.
 
 None of it is an error: a lamp may hang and a rod may lie. But a mesh whose z axis does not point
 up, or that is in another unit, gives a scene that is cut in the wrong places.
@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from taxeld.layout.layout import Layout
 
 LARGE_M = 1.0  # an object that is larger is probably not in metres
-NEAR_M = 0.003  # vertices so near the lowest one carry the object: scans of flat bases are not flat
-TIPS_M = 0.002  # a centre so far outside what carries the object tips it over
+NEAR_M = 0.003  # vertices so near the lowest one carry the object: a scanned flat base is not flat
+TIPS_M = 0.002  # an object tips over whose centre is so far outside the area that carries it
 SHARE = 0.5  # share of its footprint on which an object stands well
-BETTER = 2.0  # times as much on another side: it lies
+BETTER = 2.0  # an object lies on its side if another one carries so many times as much
 
 
-class Rest(NamedTuple):
+class Footing(NamedTuple):
     """How a mesh stands on its lowest vertices."""
 
     share: float  # share of its footprint that these vertices span
@@ -36,7 +36,8 @@ TURNS = {  # turn in words → its matrix
 
 
 def doubts(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[str]:
-    """Of `mesh` on `layout`, whose frame's origin is `height_m` above its lowest point."""
+    """Doubts about `mesh` on `layout`, whose frame's origin is `height_m` above its lowest
+    point."""
     found = (_size(mesh), _side(mesh), _below(layout, height_m))
     return [line for line in found if line]
 
@@ -66,12 +67,12 @@ def _side(mesh: trimesh.Trimesh) -> str:
     return f"it {what}; the mesh's z axis must point up: {cure}"
 
 
-def rest(corners: NDArray[np.float64], centre: NDArray[np.float64]) -> Rest:
+def rest(corners: NDArray[np.float64], centre: NDArray[np.float64]) -> Footing:
     """How a body with these corners (n, 3) and this centre (3,) stands, z up."""
     low = corners[:, 2] < corners[:, 2].min() + NEAR_M
     base = shapely.MultiPoint(corners[low, :2]).convex_hull
     footprint = shapely.MultiPoint(corners[:, :2]).convex_hull
-    return Rest(base.area / footprint.area, float(base.distance(shapely.Point(centre[:2]))))
+    return Footing(base.area / footprint.area, float(base.distance(shapely.Point(centre[:2]))))
 
 
 def _below(layout: Layout, height_m: float) -> str:

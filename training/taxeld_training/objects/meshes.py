@@ -110,11 +110,6 @@ def _turn_outward(mesh: trimesh.Trimesh) -> list[str]:
     return [f"turned {n} face{'s' * (n != 1)} outward"] if n else []
 
 
-def cut(mesh: trimesh.Trimesh, z_m: float) -> BaseGeometry:
-    """The shape of `outline`."""
-    return outline(mesh, z_m).shape
-
-
 def outline(mesh: trimesh.Trimesh, z_m: float) -> Outline:
     """The filled outline of the mesh at height `z_m` in the mesh frame, in its x and y.
 
@@ -205,7 +200,8 @@ def fill(shape: BaseGeometry) -> BaseGeometry:
 def signed_distance(
     shape: BaseGeometry, x: NDArray[np.float64], y: NDArray[np.float64]
 ) -> NDArray[np.float32]:
-    """Distance [m] of grid points to the shape's boundary, negative inside."""
+    """Distance [m] of points x, y (any shape) to the shape's boundary, negative inside, of x's
+    shape (...)."""
     boundary = shape.boundary
     shapely.prepare(boundary)
     shapely.prepare(shape)

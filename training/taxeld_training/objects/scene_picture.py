@@ -20,7 +20,7 @@ from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld_training.objects import scenes
 
 MM = 1e3
-ROOM = 0.25  # beside the object, of its width, for the heights' labels
+ROOM = 0.25  # share of the object's width that is left beside it for the heights' labels
 
 
 def draw(

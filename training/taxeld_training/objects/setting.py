@@ -6,10 +6,9 @@ from pathlib import Path
 
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
-from taxeld_training.objects import defaults, meshes, scenes
+from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M, meshes, scenes
 
-DEPTH_MAX_M, HEIGHT_M = defaults.DEPTH_MAX_M, defaults.HEIGHT_M
-OBJECTS = (  # the paper's
+OBJECTS = (  # the paper's ten
     "002_master_chef_can", "003_cracker_box", "006_mustard_bottle", "016_pear", "019_pitcher_base",
     "021_bleach_cleanser", "024_bowl", "025_mug", "035_power_drill", "061_foam_brick",
 )  # fmt: skip
@@ -22,10 +21,10 @@ class Setting:
     object: str
     skin: str  # a layout, as `skin.layout` has it
     columns: int  # columns of a generated ring; 0 for another layout
-    updates: float = 1.0  # share of a model's own
+    updates: float = 1.0  # share of a model's own number of updates
     seed: int = 0
     scale: float = 1.0  # factor of the object, and of the height at which it is touched
-    depth_max_m: float = DEPTH_MAX_M  # at the skin's full scale
+    depth_max_m: float = DEPTH_MAX_M  # depth of a press at the skin's full scale
 
     @property
     def name(self) -> str:

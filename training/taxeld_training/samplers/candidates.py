@@ -25,17 +25,17 @@ from taxeld_training.jobs.statistics import LEVEL, of_mean, rounded
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.base import Model
-from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, Touches, simulate
+from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, SimulatedTouches, simulate
 from taxeld_training.models.variants import Variant
 
-TOLERANCE = 1.15  # a proposal is as good as the nearest up to this factor of its distance
+TOLERANCE = 1.15  # factor of the nearest proposal's distance up to which another is as good
 # Two workers take as long with the first and third as with the second: see `_train`
 VARIANTS = (variants.diffusion(), variants.density(64), variants.density(16, 48, 2))
 
 CONTACTS, TRAINING, MEASURING = "contacts", "training", "measuring"
 STAGES = (CONTACTS, TRAINING, quality.BANK_STAGE, quality.EXACT_STAGE, MEASURING)
 
-Progress = Callable[[str, float], None]  # stage, share of it that is done
+Progress = Callable[[str, float], None]  # of a stage, and the share of it that is done
 
 
 @dataclass(frozen=True)
@@ -123,10 +123,10 @@ def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str,
 
 
 def _train(
-    given: Candidates, model: ObservationModel, touches: Touches, progress: Progress
+    given: Candidates, model: ObservationModel, touches: SimulatedTouches, progress: Progress
 ) -> list[tuple[Variant, Model]]:
-    """Train all variants, in their own order: each worker, a process of one thread, trains those
-    that are as many places apart as there are workers, side by side."""
+    """Train all variants and return them in their own order. Worker k of n, a process of one
+    thread, trains the variants k, k + n, k + 2n, …, side by side."""
     workers = min(given.workers, len(given.variants))
     shares = [given.variants[first::workers] for first in range(workers)]
     jobs = (joblib.delayed(_fit)(share, model, given.noise, touches) for share in shares)
@@ -138,7 +138,7 @@ def _train(
 
 
 def _fit(
-    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: Touches
+    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: SimulatedTouches
 ) -> list[Model]:
     torch.set_num_threads(1)
     return variants.fit_beside(given, model, noise, touches)
@@ -147,16 +147,16 @@ def _fit(
 def _samplers(
     variant: Variant, network: Model, given: Candidates, model: ObservationModel, folder: Path,
     to: quality.Reference,
-) -> Sequence[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:  # fmt: skip
     """Export the samplers of a trained model into `folder`, measure and describe each."""
+    metadata = variant.describe() | {
+        "noise": asdict(given.noise),
+        "layout": model.layout.digest,
+        "normalisation": {k: getattr(network, k).tolist() for k in ("mean", "scale")},
+    }
     found = []
     for name, sampler in variants.samplers(variant, network).items():
         path = folder / f"{name}.onnx"
-        metadata = variant.describe() | {
-            "noise": asdict(given.noise),
-            "layout": model.layout.digest,
-            "normalisation": {k: getattr(network, k).tolist() for k in ("mean", "scale")},
-        }
         export.export(sampler, len(model.layout), path, metadata)
         found.append({
             "name": name,
@@ -182,5 +182,5 @@ def _measured(proposal: Proposal, to: quality.Reference, seed: int) -> dict[str,
 
 
 def _stated(measured: dict[str, Any]) -> dict[str, Any]:
-    """As bundle.json has it."""
+    """A measurement as bundle.json has it."""
     return {key: value for key, value in measured.items() if key != DISTANCES}

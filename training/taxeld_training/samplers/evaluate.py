@@ -1,36 +1,36 @@
 """`taxeld-train evaluate proposals` and `frontier`: samplers on objects and skins."""
 
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any, TypeAlias
 
-from taxeld_training.jobs import tables
-from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import EXACT
-from taxeld_training.samplers.runs import DISTANCE_KEYS, FRONTIER_COLUMNS, rows, settings
+from taxeld.errors import SetupError
+from taxeld_hil.jobs import Job
+from taxeld_training.jobs.options import Options, run_jobs, with_file, write
+from taxeld_training.jobs.rows import EXACT, sampler_table
+from taxeld_training.objects import meshes
+from taxeld_training.objects.setting import OBJECTS, ring
+from taxeld_training.samplers import costs, measured, trained
+from taxeld_training.samplers.measured import ALL_ANALYTIC, GROUPS, LEARNED, Measurement
 
-PROPOSALS = (  # the paper's Fig. 2, and limits
-    "projection", "manifold", "table", "paper", "density", EXACT,
-)  # fmt: skip
-PROPOSALS_KEYS = (
-    "object", "columns", "proposal",
-    *(
-        key + end
-        for key in ("add_mm", "add_s_mm", "add_sym_mm", "contact_residual_mm",
-                    "observation_residual", "coverage_90")
-        for end in ("", "_ci")
-    ),
-    *DISTANCE_KEYS, "contacts",
-)  # fmt: skip
+PROPOSALS_GROUPS = (ALL_ANALYTIC, "density-64", "paper")
+PROPOSALS_COLUMNS = (8, 16, 32, 64)  # columns of the paper's skins, 5 rows each
+FRONTIER_GROUPS, FRONTIER_COLUMNS = GROUPS, (16, 32)
+EAGER_SIZE = (100, 256)  # steps × width, to which speed-ups are relative
+
+# ms of a call, cold and warm, by object, columns, proposal, steps and width
+Costs: TypeAlias = dict[tuple[str, int, str, int | None, int | None], tuple[float, float]]
 
 
 def proposals(options: Options) -> list[Path]:
     """The paper's Fig. 2: errors of samples by object and resolution."""
     from taxeld_training.charts import sampler_charts  # noqa: PLC0415  # matplotlib is not needed to train
 
-    name = f"proposals{_of_skin(options)}"
-    made = [row for row in rows("proposals", options) if row["proposal"] in PROPOSALS]
-    found = tables.compared([{key: row[key] for key in PROPOSALS_KEYS} for row in made])
-    data = write(options, name, found)
-    tables.save(tables.samplers(found), data)
+    cells = settings(options, PROPOSALS_COLUMNS)
+    found, _ = rows(cells, options.groups or PROPOSALS_GROUPS, options)
+    data = write(options, f"proposals{_of_skin(options)}", found, sampler_table(found))
     pictures = [data.with_suffix(".png"), data.with_name(f"{data.stem}_posterior.png")]
     sampler_charts.proposals(found, pictures[0])
     sampler_charts.posterior_gap(found, pictures[1])
@@ -41,21 +41,117 @@ def frontier(options: Options) -> list[Path]:
     """Cost against distance to the exact posterior: rows, table and picture of each skin."""
     from taxeld_training.charts import sampler_charts  # noqa: PLC0415
 
-    skins = sorted({cell.columns for cell in settings(options, FRONTIER_COLUMNS)})
-    names = {columns: f"frontier{_of_skin(options) or f'_{columns}'}" for columns in skins}
-    made = rows("frontier", options)
+    cells = settings(options, FRONTIER_COLUMNS)
+    groups = options.groups or FRONTIER_GROUPS
+    made, ms = rows(cells, groups, options)
+    if made:
+        ms |= call_costs(cells, groups, options)
     written = []
-    for columns, name in names.items():
-        found = tables.compared([row for row in made if row["columns"] == columns])
+    for columns in sorted({cell.columns for cell in cells}):
+        found = [_with_cost(row, ms) for row in made if row["columns"] == columns]
         if made and not found:
             continue  # time ran out before this skin
-        data = write(options, name, found)
-        tables.save(tables.samplers(found), data)
+        name = f"frontier{_of_skin(options) or f'_{columns}'}"
+        data = write(options, name, found, sampler_table(found))
         sampler_charts.frontier(found, columns, data.with_suffix(".png"))
         written += [data, data.with_suffix(".png")]
     return written
 
 
+def settings(options: Options, columns: Sequence[int]) -> list[Measurement]:
+    """The cells of an experiment, column by column, so that a run cut short has whole columns."""
+    objects = options.objects or OBJECTS
+    skins = [(c, ring(c)) for c in options.columns or columns]
+    if options.skin:
+        skins = [(0, options.skin)]
+    if options.quick:
+        objects, skins = objects[:2], skins[:1]
+    made = [
+        Measurement(name, skin, count, updates=options.effort, seed=options.seed)
+        for count, skin in skins
+        for name in objects
+    ]
+    if not options.quick:
+        return made
+    return [
+        replace(cell, readings=8, contacts=40, slow_contacts=10, bank=20_000, updates=0.005)
+        for cell in made
+    ]
+
+
+def rows(
+    cells: Sequence[Measurement], groups: Sequence[str], options: Options
+) -> tuple[list[dict[str, Any]], Costs]:
+    """All rows of the groups' samplers, and what the exact posteriors cost.
+
+    Raises:
+        SetupError: no such group or object.
+    """
+    for group in groups:
+        if group not in GROUPS:
+            raise SetupError(f"--groups: no '{group}'; there are {', '.join(GROUPS)}")
+    for mesh in {cell.object for cell in cells}:
+        meshes.find(mesh)
+    exact = {
+        cell: with_file(
+            Job(f"reference-{cell.name}", measured.make_reference, (cell,)),
+            options.measured,
+            ".joblib",
+        )
+        for cell in cells
+    }
+    references = run_jobs(list(exact.values()), options)
+    wanted = {
+        (cell.place, LEARNED[group]) for cell in cells for group in groups if group in LEARNED
+    }
+    files = trained.files(wanted, options)
+    todo = [
+        Job(
+            f"{cell.name}-{group}",
+            measured.measure,
+            (cell, group),
+            (*exact[cell].beside, files.get((cell.place, LEARNED.get(group, "")))),
+        )
+        for cell in cells
+        if references[exact[cell].name] is not None
+        for group in groups
+        if group not in LEARNED or (cell.place, LEARNED[group]) in files
+    ]
+    done = run_jobs(todo, options)
+    ms: Costs = {
+        (cell.object, cell.columns, EXACT, None, None): (references[job.name]["ms"],) * 2
+        for cell, job in exact.items()
+        if references[job.name] is not None
+    }
+    return [row for job in todo for row in done[job.name] or []], ms
+
+
+def call_costs(cells: Sequence[Measurement], groups: Sequence[str], options: Options) -> Costs:
+    """The cost of a call of each sampler, measured on the first object of each skin, while no other
+    job runs."""
+    ms: Costs = {}
+    timed = tuple(dict.fromkeys((*groups, costs.EAGER_GROUP)))
+    for cell in {cell.columns: cell for cell in reversed(cells)}.values():
+        job = Job(f"cost-{cell.columns}", costs.time_calls, (cell.place, timed))
+        alone = run_jobs([job], replace(options, workers=1, until=math.inf))
+        for row in alone[job.name]:
+            size = row["proposal"], row["steps"], row["width"]
+            both = row["ms"], row["ms_warm"]
+            ms |= {(each.object, cell.columns, *size): both for each in cells}
+    return ms
+
+
+def _with_cost(row: dict[str, Any], ms: Costs) -> dict[str, Any]:
+    place = row["object"], row["columns"]
+    own, own_warm = ms[*place, row["proposal"], row["steps"], row["width"]]
+    eager, eager_warm = ms[*place, costs.EAGER, *EAGER_SIZE]
+    return row | {
+        "ms": own, "ms_eager_ddpm100": eager, "speedup": eager / own,
+        "ms_warm": own_warm, "ms_eager_ddpm100_warm": eager_warm,
+        "speedup_warm": eager_warm / own_warm,
+    }  # fmt: skip
+
+
 def _of_skin(options: Options) -> str:
-    """In a file's name: rows of another skin stand beside those of the rings."""
+    """The end of a file's name: rows of another skin stand beside those of the rings."""
     return f"_{Path(options.skin).stem}" if options.skin else ""

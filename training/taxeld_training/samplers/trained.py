@@ -1,10 +1,17 @@
 """Proposals of the experiments: analytic ones, a density, shipped or trained once, and the paper's
 own diffusion.
+
+Models that experiments train are kept as files beside the results, so a filter follows with the
+model that the samplers' rows have measured.
 """
 
+import time
+from collections.abc import Iterable
 from functools import lru_cache
-from importlib import resources
 from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
@@ -13,11 +20,19 @@ from taxeld.model.proposal import Proposal
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld.proposals.sampler import Sampler
-from taxeld_training.models.variants import MODELS
-from taxeld_training.objects.setting import DEPTH_MAX_M, Setting
+from taxeld_hil.jobs import Job
+from taxeld_training.jobs.options import Options, run_jobs, with_file
+from taxeld_training.models import export, variants
+from taxeld_training.models.dataset import IN_USE, simulate
+from taxeld_training.models.variants import MODELS, Variant
+from taxeld_training.objects import DEPTH_MAX_M
+from taxeld_training.objects.setting import Setting
 
 DENSITY, PAPER = "density", "paper"
 LEARNED = {DENSITY: MODELS["density-64"], PAPER: MODELS["paper"]}
+SHIPPED_BUNDLES = ("box", "mug")
+
+Wanted: TypeAlias = tuple[Setting, str]  # a proposal by name, for an object on a skin
 
 
 @lru_cache(maxsize=8)
@@ -26,10 +41,10 @@ def shipped(setting: Setting) -> bundle.Bundle | None:
     if not setting.is_as_shipped:
         return None
     layout = layouts.load(setting.skin)
-    for path in sorted(Path(str(resources.files("taxeld") / "bundles")).iterdir()):
+    for name in SHIPPED_BUNDLES:
         try:
-            found = bundle.load(path.name, layout, DEPTH_MAX_M)
-        except SetupError:  # no bundle, or of another skin
+            found = bundle.load(name, layout, DEPTH_MAX_M)
+        except SetupError:  # it is for another skin
             continue
         if found.info["object"] == setting.object:
             return found
@@ -37,7 +52,7 @@ def shipped(setting: Setting) -> bundle.Bundle | None:
 
 
 def shipped_with(setting: Setting) -> bundle.Bundle:
-    """The same.
+    """The bundle of the setting's object and skin.
 
     Raises:
         SetupError: none is shipped.
@@ -50,7 +65,7 @@ def shipped_with(setting: Setting) -> bundle.Bundle:
 
 @lru_cache(maxsize=8)
 def model_of(setting: Setting) -> ObservationModel:
-    """The same instance each time: models are compared by identity."""
+    """The model of a setting, the same instance each time: models are compared by identity."""
     found = shipped(setting)
     return setting.model() if found is None else found.model
 
@@ -68,3 +83,37 @@ def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
     if is_learned(name, setting):
         return Sampler.read(Path(file), model.layout, LEARNED[name].kind)
     return shipped_with(setting).proposal(name)
+
+
+def files(wanted: Iterable[Wanted], options: Options) -> dict[Wanted, str]:
+    """Train what is to be learned and is not yet; → the file of each, "" of one that needs
+    none, and nothing of one that time ran out for."""
+    ordered = sorted(set(wanted), key=lambda each: (each[0].name, each[1]))
+    todo = {
+        (setting, name): training(setting, name, options.memory)
+        for setting, name in ordered
+        if is_learned(name, setting)
+    }
+    done = run_jobs(list(todo.values()), options, options.memory) if todo else {}
+    found = {each: job.beside[0] for each, job in todo.items() if done[job.name]}
+    return found | dict.fromkeys((each for each in ordered if each not in todo), "")
+
+
+def training(setting: Setting, name: str, memory: Path) -> Job:
+    """The job that trains a proposal; `beside` its arguments is the file that it makes."""
+    job = Job(f"{name}-{setting.name}", train, (setting, LEARNED[name]))
+    return with_file(job, memory, ".onnx")
+
+
+def train(setting: Setting, given: Variant, file: str) -> dict[str, float]:
+    """Train a model for the setting and keep its sampler in `file`."""
+    start = time.monotonic()
+    model = model_of(setting)
+    variant = variants.trained_with(given, setting.updates, seed=setting.seed)
+    touches = simulate(model, variant.training.contacts, np.random.default_rng(setting.seed))
+    network = variants.fit(variant, model, IN_USE, touches)
+    (sampler,) = variants.samplers(variant, network).values()
+    part = Path(file).with_suffix(".part")
+    gap = export.export(sampler, len(model.layout), part, variant.describe())
+    part.replace(file)
+    return {"seconds": time.monotonic() - start, "differs": gap}

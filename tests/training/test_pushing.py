@@ -1,22 +1,24 @@
-"""An object that is pushed, and the experiment on it."""
+"""An object that is pushed: the world of the experiment."""
 
-import json
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import optimize
 
 from taxeld.arrays import Floats
-from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
-from taxeld_training.filters import push
-from taxeld_training.filters.ground import Ground
-from taxeld_training.filters.pusher import DEPTH_M, STEP_M, TOUCHES, PushedTrial, gave_way, told
-from taxeld_training.jobs.options import Options
+from taxeld_training.filters.pushing import (
+    DEPTH_M,
+    STEP_M,
+    TOUCHES,
+    Ground,
+    PushedTrial,
+    gave_way,
+    told,
+)
 
 
 class Calm(np.random.Generator):
@@ -139,25 +141,3 @@ def test_no_filter_knows_the_grounds_of_the_trials(ring_model: ObservationModel)
     again = PushedTrial(ring_model, 0).ground
     assert np.array_equal(again.points, grounds[0].points)
     assert all(np.isclose(g.load.sum(), 1.0) for g in grounds)
-
-
-def test_the_quick_run_writes_a_row_an_object_and_motion(tmp_path: Path) -> None:
-    options = Options(
-        out=tmp_path, memory=tmp_path / "memory", quick=True, objects=("003_cracker_box",),
-        workers=1,
-    )  # fmt: skip
-    (path,) = push.run(options)
-    rows = json.loads(path.read_text(encoding="utf-8"))
-    assert [(row["object"], row["motion"]) for row in rows] == [
-        ("003_cracker_box", "push"), ("003_cracker_box", "none"), ("003_cracker_box", "told"),
-    ]  # fmt: skip
-    assert rows[0]["p_push"] is None
-    assert 0.0 < rows[1]["p_push"] <= 1.0
-    assert all(r["end_mm_ci"][0] <= r["end_mm"]["median"] <= r["end_mm_ci"][1] for r in rows)
-    followed, ignored, told = (row["path_mm"]["median"] for row in rows)
-    assert max(followed, told) < ignored
-
-
-def test_an_object_without_a_bundle_is_refused_in_one_line(tmp_path: Path) -> None:
-    with pytest.raises(SetupError, match="016_pear has no shipped bundle"):
-        push.run(Options(out=tmp_path, memory=tmp_path, objects=("016_pear",)))

@@ -1,0 +1,86 @@
+"""Helpers that several tests of training share: small skins and solids, and a quick experiment."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import trimesh
+
+from taxeld.arrays import Poses
+from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.model import contacts
+from taxeld.model.observation import ObservationModel
+from taxeld_training.cli import main
+from taxeld_training.objects import scenes
+
+RING = "cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015"
+THREE_ROWS = "cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015"
+PAPER_RING = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+
+
+def box(x: float = 0.06, y: float = 0.1, z: float = 0.1) -> trimesh.Trimesh:
+    """A box that stands on the table."""
+    mesh = trimesh.creation.box((x, y, z))
+    mesh.apply_translation([0.0, 0.0, z / 2.0])
+    return mesh
+
+
+def can(sides: int = 128, radius: float = 0.05, height: float = 0.1) -> trimesh.Trimesh:
+    """A can that stands on the table, or a prism of few sides."""
+    mesh = trimesh.creation.cylinder(radius, height, sections=sides)
+    mesh.apply_translation([0.0, 0.0, height / 2.0])
+    return mesh
+
+
+def handle() -> trimesh.Trimesh:
+    """A bar that sticks out of a can at one side."""
+    mesh = trimesh.creation.box((0.06, 0.02, 0.1))
+    mesh.apply_translation([0.05, 0.0, 0.05])
+    return mesh
+
+
+def model_of(skin: Layout) -> ObservationModel:
+    """The box on a skin."""
+    return ObservationModel(scenes.build(box(), skin, 0.04), skin, 0.005)
+
+
+def half_skin() -> Layout:
+    """A skin over half of the link, its taxels in no order: no rotation leaves it as it is."""
+    rng = np.random.default_rng(1)
+    angle = np.sort(rng.uniform(-1.4, 1.4, 60))
+    height = rng.choice([-0.008, 0.008], 60)
+    normal = np.stack([np.cos(angle), np.sin(angle), np.zeros(60)], axis=1)
+    position = 0.04 * normal
+    position[:, 2] = height
+    uid = np.array([(i // 10 + 1) << 4 | (i % 10 + 1) for i in range(60)])
+    return Layout("half", uid, position, normal, 0.04)
+
+
+def ring() -> Layout:
+    return layouts.load(RING)
+
+
+def gap_m(model: ObservationModel, poses: Poses) -> Poses:
+    """(N,) clearance between the skin and the object at poses (N, 3)."""
+    return contacts.clearance(model.scene, model.layout.radius_m, poses)
+
+
+def evaluate(name: str, thing: Path | str, place: Path, *more: str) -> int:
+    """The exit code of a quick experiment on an object, with its files under `place`."""
+    return main([
+        "evaluate", name, "--quick", "--objects", str(thing), "--out", str(place / "out"),
+        "--memory", str(place / "memory"), "--workers", "1", *more,
+    ])  # fmt: skip
+
+
+def rows(place: Path, name: str) -> list[dict[str, Any]]:
+    """The rows that `evaluate` wrote."""
+    found: list[dict[str, Any]] = json.loads((place / "out" / f"{name}.json").read_text("utf-8"))
+    return found
+
+
+def written_at(memory: Path) -> dict[Path, int]:
+    """When each file under a folder was written last."""
+    return {path: path.stat().st_mtime_ns for path in memory.rglob("*") if path.is_file()}
