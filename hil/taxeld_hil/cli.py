@@ -179,9 +179,9 @@ def _watch(args: argparse.Namespace) -> int:
 
 
 def _draw(args: argparse.Namespace) -> int:
-    from taxeld_hil.run.draw import draw_contacts, draw_moments
+    from taxeld_hil.run.draw import draw
 
-    (draw_moments if args.moments else draw_contacts)(args.session, args.out)
+    draw(args.session, args.out, finding=args.moments)
     print(args.out)
     return 0
 

@@ -42,3 +42,14 @@ def test_a_watcher_of_nobody_says_so(tmp_path: Path) -> None:
         printed, rest = watcher.communicate(timeout=DEADLINE_S)
     assert said == f"nothing comes from {endpoint} so far; is a daemon there?\n"
     assert (watcher.returncode, printed, rest) == (0, "", "")
+
+
+def test_a_run_leaves_a_configuration_that_is_there_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "config.toml"
+    mine.write_text("mine", encoding="utf-8")
+    assert main(["run", "demo", "--out", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert said == f"--out: {mine} is there already; name another directory\n"
+    assert mine.read_text(encoding="utf-8") == "mine"

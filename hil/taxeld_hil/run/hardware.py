@@ -14,7 +14,6 @@ import zmq
 
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
-from taxeld.source import session
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge
 from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S
@@ -66,16 +65,15 @@ def graded(
     channel = site.channel
     scenario = site.placed(scenario)
     scene = load_model(scenario).scene
-    directory.mkdir(parents=True, exist_ok=True)
     config = settings.text(scenario, 0, channel, site.poses, place)
-    (directory / session.CONFIG).write_text(config, encoding="utf-8")
+    written = settings.write(directory, config)
     not_injected = tuple(kind for kind in KINDS if kind not in POSSIBLE)
     judge = Judge(scenario, scene, site.truth, not_injected, lambda _: [])
     with ExitStack() as stack:
         context = stack.enter_context(zmq.Context())
         stream = f"ipc://{place}/stream"
         listener = Listener(stack, context, stream, judge, ContactTable(scene, site.truth), say)
-        processes = Processes(directory / session.CONFIG, stream, scenario, "warning")
+        processes = Processes(written, stream, scenario, "warning")
         stack.callback(processes.kill)
         processes.start()
         say(f"touch the object {scenario.contacts} times, after a second of touching nothing")

@@ -10,7 +10,6 @@ from pathlib import Path
 import zmq
 
 from taxeld.errors import SetupError
-from taxeld.source import session
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge
 from taxeld_hil.grade.reconcile import Law, laws
@@ -84,10 +83,9 @@ class LiveRun:
     def opened(self, place: Path) -> Iterator[Bench]:
         """With everything running; whatever happens, it is stopped in the end."""
         scenario, rig = self.scenario, Rig(self.scenario, self.run.seed)
-        self._directory.mkdir(parents=True, exist_ok=True)
         where: Path | str = self._channel if scenario.transport == "can" else place / "skin"
         config = settings.text(scenario, self.run.seed, str(where), f"ipc://{place}/poses", place)
-        (self._directory / session.CONFIG).write_text(config, encoding="utf-8")
+        written = settings.write(self._directory, config)
         self._place = place
         with ExitStack() as stack:
             context = stack.enter_context(zmq.Context())
@@ -98,9 +96,7 @@ class LiveRun:
             self._listener = Listener(
                 stack, context, stream, self._judging(rig), self._table(rig), self._say
             )
-            self.processes = Processes(
-                self._directory / session.CONFIG, stream, scenario, LOG_LEVEL
-            )
+            self.processes = Processes(written, stream, scenario, LOG_LEVEL)
             stack.callback(self.processes.kill)
             self.processes.start()
             yield bench
