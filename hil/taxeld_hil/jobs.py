@@ -44,11 +44,12 @@ class Job:
     work: Callable[..., Any]
     arguments: tuple[Any, ...]
     beside: tuple[Any, ...] = ()  # more arguments, on which the result does not depend: paths
+    code: str = ""  # hash of the code that the result depends on, beside the arguments
 
     @property
     def key(self) -> str:
         """The name of the result's file, which differs for other arguments."""
-        text = f"{self.work.__module__}.{self.work.__qualname__}{self.arguments!r}"
+        text = f"{self.work.__module__}.{self.work.__qualname__}{self.arguments!r}{self.code}"
         name = self.name.replace("/", "-")[-NAME_LENGTH:]
         return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 

@@ -17,15 +17,15 @@ from taxeld.model.activation import Activation
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Manifold
 from taxeld_hil import cli
-from taxeld_hil.experiment import measurement, touch_experiment, touch_runs
-from taxeld_hil.experiment.overlooked import OVERLOOKED_NATS, truth_nats
-from taxeld_hil.experiment.touch_runs import AFTER, TouchRun
+from taxeld_hil.experiment import measurement
+from taxeld_hil.experiment import touches as touch_experiment
+from taxeld_hil.experiment.touches import AFTER, OVERLOOKED_NATS, TouchRun, truth_nats
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN
 from taxeld_hil.world import touches
 from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.mesh_skin import MeshSkin
-from taxeld_hil.world.touches import Touch, Touches
+from taxeld_hil.world.touches import Touch, TouchPlan
 
 DEMO = scenario.load("demo").on("typical")
 SKIN = layouts.load(DEMO.layout)
@@ -45,12 +45,12 @@ def depth_m(name: str, sensor: Poses) -> Floats:
 
 
 @lru_cache
-def planned(name: str, seed: int) -> Touches:
+def planned(name: str, seed: int) -> TouchPlan:
     model = bundle.load(name, SKIN, 0.005).model
     return touches.plan(model, TRUTH, lambda s: float(depth_m(name, s).max()), seed, 10, 4)
 
 
-def in_hold(name: str, plan: Touches, touch: Touch) -> Floats:
+def in_hold(name: str, plan: TouchPlan, touch: Touch) -> Floats:
     return depth_m(name, plan.path.at(float(np.mean(touch.held_s))))
 
 
@@ -96,7 +96,7 @@ def test_a_light_touch_comes_within_two_seconds_on_taxels_that_were_pressed(name
 
 def test_a_skin_that_keeps_nothing_is_felt_when_it_is_touched_and_never_in_the_air() -> None:
     plain = replace(DEMO, mesh=Given(OFF))
-    found = touch_runs.play(plain, 0)
+    found = touch_experiment.play(plain, 0)
     assert found.scans > 400
     assert 0.4 < found.air / found.scans < 0.8
     assert found.felt_in_air == found.missed == 0
@@ -110,16 +110,16 @@ def test_what_is_felt_in_the_air_and_what_is_not_felt_is_counted() -> None:
     """Nothing tells a skin that keeps all of a press from one that is still pressed, nor a light
     touch from noise as large."""
     keeps = {**OFF, "residue_slow": (0.95, 0.95), "loading_s": 0.05}
-    found = touch_runs.play(replace(DEMO, mesh=Given(keeps)), 0)
+    found = touch_experiment.play(replace(DEMO, mesh=Given(keeps)), 0)
     assert found.felt_in_air > 0.7 * found.air  # but for those before the first touch
     deaf = {**OFF, "noise_counts": (600.0, 600.0)}
-    found = touch_runs.play(replace(DEMO, mesh=Given(deaf)), 0)
+    found = touch_experiment.play(replace(DEMO, mesh=Given(deaf)), 0)
     assert found.missed == found.light == 4
 
 
 def test_a_run_is_determined_by_its_seed() -> None:
     stiff = DEMO.on("stiff")
-    assert touch_runs.play(stiff, 0) == touch_runs.play(stiff, 0)
+    assert touch_experiment.play(stiff, 0) == touch_experiment.play(stiff, 0)
 
 
 def run_of(seed: int, error: float) -> TouchRun:

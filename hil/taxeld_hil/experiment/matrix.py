@@ -28,7 +28,7 @@ def jobs(
         SetupError: there is no such scenario, object or skin, an object has no mesh here, or there
             are no seeds.
     """
-    require(objects, skins, seeds)
+    require(objects, skins, seeds, soft=False)
     found = []
     for seed in range(seeds):
         for name in scenarios:
@@ -38,14 +38,13 @@ def jobs(
                 for bundle in objects:
                     subject = asked.touching(bundle).on(skin)
                     title = f"{name}, {bundle}, {skin}, seed {seed}{', real time' * in_real_time}"
-                    arguments = (name, subject, seed, in_real_time, digest(subject))
-                    found.append(Job(title, play, arguments))
+                    arguments = (name, subject, seed, in_real_time)
+                    found.append(Job(title, play, arguments, code=digest(subject)))
     return found
 
 
-def play(name: str, subject: Scenario, seed: int, in_real_time: bool, code: str) -> Run:
-    """One run and what came of it; `code` is part of the job's key alone."""
-    del code
+def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> Run:
+    """The figures of one run."""
     stem = Path(name).stem
     if in_real_time:
         with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
@@ -72,7 +71,7 @@ def play(name: str, subject: Scenario, seed: int, in_real_time: bool, code: str)
 
 
 def described(run: Run) -> str:
-    """What came of a run, in short."""
+    """A run's figures in short."""
     error = "no estimate" if run["error_mm"] is None else f"{run['error_mm']:.1f} mm"
     failed = f"; failed: {', '.join(run['failed'])}" if run["failed"] else ""
     return f"{run['status']}, {error}{failed}"

@@ -1,4 +1,4 @@
-"""What the measurements of many runs share: checks, digests of their code, and files of runs."""
+"""Measurements of many runs: their checks, the digest of their code, and their files."""
 
 import hashlib
 import json
@@ -18,8 +18,9 @@ from taxeld_hil.world.world import load_model
 Run: TypeAlias = dict[str, Any]  # one run's figures, as JSON has them
 
 
-def require(objects: Sequence[str], skins: Sequence[str], seeds: int) -> None:
-    """Check what is asked for, and build each object's mesh once, before several workers need it.
+def require(objects: Sequence[str], skins: Sequence[str], seeds: int, *, soft: bool) -> None:
+    """Check the asked objects, skins and seeds, and build each object's mesh once, before several
+    workers need it; `soft`: only soft skins will do.
 
     Raises:
         SetupError: there is no such skin, an object has no bundle or no mesh here, or there are no
@@ -29,6 +30,8 @@ def require(objects: Sequence[str], skins: Sequence[str], seeds: int) -> None:
         raise SetupError("--seeds must be at least 1")
     demo = scenario.load("demo")
     physics = {demo.on(skin).physics for skin in skins}
+    if soft and "scene" in physics:
+        raise SetupError("--skin scene: is no soft skin; name typical, poor or stiff")
     for name in objects:
         layout = load_model(demo.touching(name)).layout
         if physics != {"scene"}:

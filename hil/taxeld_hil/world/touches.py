@@ -37,7 +37,7 @@ class Touch(NamedTuple):
     is_light: bool
 
 
-class Touches(NamedTuple):
+class TouchPlan(NamedTuple):
     path: RobotPath
     touches: tuple[Touch, ...]
 
@@ -70,7 +70,7 @@ class Track:
 
 def plan(
     model: ObservationModel, truth: Poses, deepest: Deepest, seed: int, presses: int, pairs: int
-) -> Touches:
+) -> TouchPlan:
     """`presses` touches around the object at `truth` (3,), then `pairs` of a press and a light."""
     rng, scene = np.random.default_rng(seed), model.scene
     centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
@@ -105,7 +105,7 @@ def plan(
         yaw = yaw_to
     track.go(np.vstack([out, [*_around(centre, circle, angle), yaw]]), 0.5)
     track.go(track.poses[-1][None], REST_S)
-    return Touches(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
+    return TouchPlan(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
 
 
 def _around(centre: Floats, circle: float, angle: float | Floats) -> Floats:
