@@ -14,12 +14,12 @@ import pytest
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld_hil.acceptance import checks, idle
-from taxeld_hil.acceptance.checks import CHECKS, Outcome
+from taxeld_hil.acceptance.accept import source_of
+from taxeld_hil.acceptance.checks import CHECKS, CheckResult
 from taxeld_hil.acceptance.draw import draw
 from taxeld_hil.acceptance.press import pressed
 from taxeld_hil.acceptance.received import Press, Received
-from taxeld_hil.acceptance.report import Report
-from taxeld_hil.acceptance.target import source_of
+from taxeld_hil.acceptance.report import AcceptanceReport
 from taxeld_protocol.decoder import MISSING, Scan
 from taxeld_protocol.modules import Module
 
@@ -53,7 +53,7 @@ def received(scans: list[Scan] | None = None, **more: Any) -> Received:
     return Received(**{**healthy, **more})
 
 
-def judged(got: Received) -> dict[str, Outcome]:
+def judged(got: Received) -> dict[str, CheckResult]:
     return {name: check(got) for name, check in CHECKS.items()}
 
 
@@ -306,7 +306,7 @@ def test_a_press_that_is_still_held_is_not_the_next_press() -> None:
 
 def test_the_json_is_strict_and_has_a_row_for_each_taxel() -> None:
     got = received(scans_of(Counts((A, B, C)), (A, B, C)), tables={1: (A, B, C)})
-    report = Report("can:can0", "now", got)
+    report = AcceptanceReport("can:can0", "now", got)
     value = json.loads(report.json, parse_constant=pytest.fail)
     assert len(value["taxels"]) == len(SKIN)
     assert value["taxels"][-1]["noise"] is None
@@ -324,7 +324,7 @@ def test_the_json_is_strict_and_has_a_row_for_each_taxel() -> None:
     ids=["silent", "dead", "some of each", "pressed"],
 )
 def test_every_report_can_be_drawn(make: Callable[[], Received], tmp_path: Path) -> None:
-    draw(Report("can:can0", "now", make()), tmp_path / "p.png")
+    draw(AcceptanceReport("can:can0", "now", make()), tmp_path / "p.png")
     assert 10_000 < (tmp_path / "p.png").stat().st_size < 300_000
 
 

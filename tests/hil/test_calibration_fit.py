@@ -13,9 +13,8 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.proposals import bundle
-from taxeld_hil.calibration import search
-from taxeld_hil.calibration.fit import Fit
-from taxeld_hil.calibration.search import Known
+from taxeld_hil.calibration.calibrate import Known, best_fit
+from taxeld_hil.calibration.fit import FitResult
 from tests.hil.pressed_skin import PLACED, PressedSkin
 
 SKIN = layouts.load(SkinConfig().layout)
@@ -24,12 +23,12 @@ GIVEN = Known(PLACED, given=True)
 KNOWN_GAIN_SD = 0.06
 
 
-def fitted(skin: PressedSkin, known: Known = GIVEN) -> Fit:
+def fitted(skin: PressedSkin, known: Known = GIVEN) -> FitResult:
     noise = np.full(len(SKIN), skin.noise)
-    return search.calibrate(MODEL, skin.presses(), noise, known)[0]
+    return best_fit(MODEL, skin.presses(), noise, known)[0]
 
 
-def gain_off(fit: Fit, skin: PressedSkin) -> Floats:
+def gain_off(fit: FitResult, skin: PressedSkin) -> Floats:
     """(M,) relative, of what each taxel reads at full depth."""
     counts = np.exp(fit.value.log_full + fit.value.log_gain)
     return np.abs(counts / (skin.full_scale * skin.gain) - 1.0)
@@ -73,7 +72,7 @@ def test_a_module_that_reads_a_neighbours_press_along_biases_no_gain_by_much() -
         coupled[:, own] += np.where(presses.counts[:, own] < strongest, 0.03 * strongest, 0.0)
     noise = np.full(len(SKIN), skin.noise)
     told = replace(presses, counts=coupled)
-    fit, *_ = search.calibrate(MODEL, told, noise, GIVEN)
+    fit, *_ = best_fit(MODEL, told, noise, GIVEN)
     known = fit.sd.log_gain < KNOWN_GAIN_SD
     assert np.median(gain_off(fit, skin)[known]) < 0.03
 
@@ -82,11 +81,11 @@ def test_noise_that_is_written_is_what_readings_keep() -> None:
     skin = PressedSkin.drawn(MODEL, 5)
     presses = skin.presses()
     noise = np.full(len(SKIN), skin.noise)
-    _, quiet = search.calibrate(MODEL, presses, noise, GIVEN)
+    _, quiet = best_fit(MODEL, presses, noise, GIVEN)
     rough = 0.06 * skin.full_scale * np.random.default_rng(2).standard_normal(presses.counts.shape)
     pressed = presses.counts > 0.1 * skin.full_scale
     worse = replace(presses, counts=presses.counts + np.where(pressed, rough, 0.0))
-    _, loud = search.calibrate(MODEL, worse, noise, GIVEN)
+    _, loud = best_fit(MODEL, worse, noise, GIVEN)
     assert loud.sigma > 1.2 * quiet.sigma
 
 
@@ -144,4 +143,4 @@ def test_presses_of_swapped_modules_or_of_an_object_that_moves_are_refused() -> 
     noise = np.full(len(SKIN), skin.noise)
     for wrong in (replace(presses, counts=swapped), replace(presses, sensor=moved)):
         with pytest.raises(SetupError, match="no mount within 6 mm and 8° explains the presses"):
-            search.calibrate(MODEL, wrong, noise, GIVEN)
+            best_fit(MODEL, wrong, noise, GIVEN)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from taxeld.arrays import Floats, Poses
-from taxeld_hil.calibration import idle, presses
-from taxeld_hil.calibration.idle import STILL_SCANS, Idle
+from taxeld_hil.calibration import presses
+from taxeld_hil.calibration.observer import STILL_SCANS, AtRest, at_rest
 from taxeld_hil.calibration.presses import LEAST_SCANS, MOST_SCANS, Presses
 
 TAXELS, PERIOD_S = 6, 0.05
@@ -100,8 +100,8 @@ def test_a_long_hold_is_read_in_its_first_second() -> None:
     assert hand.found()[0].counts == pytest.approx(np.full((1, TAXELS), 9000.0))
 
 
-def study(counts: Floats) -> Idle:
-    return idle.study(PERIOD_S * np.arange(len(counts)), np.round(counts))
+def study(counts: Floats) -> AtRest:
+    return at_rest(PERIOD_S * np.arange(len(counts)), np.round(counts))
 
 
 def test_noise_and_drift_are_measured_of_a_skin_that_is_left_alone() -> None:

@@ -25,7 +25,7 @@ SD_OF_MEDIAN = np.sqrt(np.pi / 2.0)  # of the median of n normal readings, times
 THRESHOLD_SIGMAS = SkinConfig().threshold_sigmas
 
 
-class Temperature(NamedTuple):
+class T0Readings(NamedTuple):
     """The T0 readings of a module; levels are in counts."""
 
     level: float  # median
@@ -35,11 +35,11 @@ class Temperature(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Idle:
+class IdleReadings:
     """Readings by taxel (M,), nan where nothing came; and of T0 by module."""
 
     full_scale_counts: float
-    temperature: Mapping[int, Temperature]  # by serial number of the module
+    temperature: Mapping[int, T0Readings]  # by serial number of the module
     scans: Floats  # in which the taxel was read
     level: Floats  # median [counts]
     noise: Floats  # standard deviation, by the median absolute deviation [counts]
@@ -90,7 +90,7 @@ class Idle:
 
 def measured(
     layout: Layout, scans: Sequence[Scan], period_s: float, full_scale_counts: float
-) -> Idle:
+) -> IdleReadings:
     """The readings of all hubs; scans from before a hub's last module table are left out."""
     values = _by_channel(scans)
     rows = np.full((len(layout), 6), np.nan)
@@ -102,7 +102,7 @@ def measured(
             row[:] = _taxel(values[uid])
         if t0 in values and t0 >> 4 not in temperature:
             temperature[t0 >> 4] = _temperature(values[t0], period_s, full_scale_counts)
-    return Idle(full_scale_counts, temperature, *rows.T)
+    return IdleReadings(full_scale_counts, temperature, *rows.T)
 
 
 def _by_channel(scans: Sequence[Scan]) -> dict[int, Floats]:
@@ -119,14 +119,14 @@ def _by_channel(scans: Sequence[Scan]) -> dict[int, Floats]:
 
 
 def _taxel(values: Floats) -> tuple[float, ...]:
-    """The columns of `Idle`, of one taxel's readings (n,)."""
+    """The columns of `IdleReadings`, of one taxel's readings (n,)."""
     level = float(np.median(values))
     noise = SD_OF_MAD * float(np.median(np.abs(values - level)))
     zero, saturated = np.mean(values == 0), np.mean(values >= INVALID_FROM)
     return len(values), level, noise, float(zero), float(saturated), float(np.ptp(values))
 
 
-def _temperature(values: Floats, period_s: float, full_scale_counts: float) -> Temperature:
+def _temperature(values: Floats, period_s: float, full_scale_counts: float) -> T0Readings:
     """One module's T0, from its readings (n,)."""
     valid = values[(values > 0) & (values < INVALID_FROM)]
     a_second = max(round(1.0 / period_s), 1)
@@ -139,4 +139,4 @@ def _temperature(values: Floats, period_s: float, full_scale_counts: float) -> T
     spread = SD_OF_MEDIAN * np.sqrt(2.0 / a_second) * noise  # of two medians' difference
     allowed = max(STEP * full_scale_counts, THRESHOLD_SIGMAS * float(spread))
     invalid = 1.0 - len(valid) / len(values)
-    return Temperature(float(np.median(values)), invalid, step, allowed)
+    return T0Readings(float(np.median(values)), invalid, step, allowed)

@@ -16,7 +16,7 @@ from taxeld.arrays import Floats
 from taxeld.layout.layout import Layout
 from taxeld.source.bring_up import SILENCE_S
 from taxeld.source.sources import Source
-from taxeld_hil.acceptance.idle import Idle, measured
+from taxeld_hil.acceptance.idle import IdleReadings, measured
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.modules import Module
 
@@ -50,7 +50,7 @@ class Received:
     presses: Sequence[Press] | None = None  # None: not asked for
 
     @cached_property
-    def idle(self) -> Idle:
+    def idle(self) -> IdleReadings:
         """What each taxel read in the idle period."""
         return measured(self.layout, self.scans, self.period_ms / 1e3, self.full_scale_counts)
 

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from taxeld.source import module_order
-from taxeld_hil.acceptance.checks import CHECKS, Outcome
+from taxeld_hil.acceptance.checks import CHECKS, CheckResult
 from taxeld_hil.acceptance.received import Received
 
 WIDTH = 100
@@ -17,7 +17,7 @@ VERSION = 1
 
 
 @dataclass(frozen=True)
-class Report:
+class AcceptanceReport:
     """What an acceptance run found."""
 
     target: str
@@ -25,7 +25,7 @@ class Report:
     received: Received
 
     @cached_property
-    def checks(self) -> dict[str, Outcome]:
+    def checks(self) -> dict[str, CheckResult]:
         """The outcome of each check, by its name."""
         return {name: check(self.received) for name, check in CHECKS.items()}
 

@@ -59,7 +59,7 @@ class Start(NamedTuple):
     object_sd: Floats  # (3,) 0: the object is held at that pose
 
 
-class Conditions(NamedTuple):
+class HeldTerms(NamedTuple):
     """What follows from the unknowns and is held during a round; all (K, M)."""
 
     cosine: Floats  # between each taxel's normal and the shortest way out of the object
@@ -69,7 +69,7 @@ class Conditions(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class FitResult:
     """K presses on M taxels."""
 
     value: Unknowns
@@ -111,7 +111,7 @@ class CalibrationFit:
             *(8 + press, 8 + k + press, 8 + 2 * k + taxel, 8 + 2 * k + m + taxel),
         ]
 
-    def run(self) -> Fit:
+    def run(self) -> FitResult:
         """The likeliest values near the start. In each round the conditions are held, so that what
         is minimised has no steps."""
         u = self._begin
@@ -136,16 +136,16 @@ class CalibrationFit:
         sensor[:, :2] += x.place.reshape(2, -1).T
         return se2.compose(se2.inverse(se2.compose(sensor, x.mount)), x.object)
 
-    def _conditions(self, u: Floats) -> Conditions:
+    def _conditions(self, u: Floats) -> HeldTerms:
         x = self._values(u)
         q, full, live = self._seen(x), np.exp(x.log_full), self._presses.live
         depth, doubt = depths(self._model, q), _doubt(self._model, q)
         variance = self._noise**2 / 4.0 + (MODEL_SD * full) ** 2 + (doubt * full) ** 2
         used = (depth > SHALLOW) & (depth < DEEP) & live
         missed = (depth <= SHALLOW) & (self._presses.counts > (FIRM + doubt) * full) & live
-        return Conditions(_cosine(self._model, q), np.sqrt(variance), used, missed)
+        return HeldTerms(_cosine(self._model, q), np.sqrt(variance), used, missed)
 
-    def _round(self, u: Floats, held: Conditions) -> OptimizeResult:
+    def _round(self, u: Floats, held: HeldTerms) -> OptimizeResult:
         """The least squares of the readings' residuals and of the unknowns `u` themselves."""
         return least_squares(
             lambda u: np.concatenate([self._residuals(self._values(u), held), u]),
@@ -156,13 +156,13 @@ class CalibrationFit:
             max_nfev=STEPS,
         )
 
-    def _residuals(self, x: Unknowns, held: Conditions) -> Floats:
+    def _residuals(self, x: Unknowns, held: HeldTerms) -> Floats:
         """Of the used readings, in row order and in sd."""
         depth = self._model.activation(self._seen(x)) / held.cosine
         off = (self._presses.counts - _expected(x, depth)) / held.sd
         return np.asarray(off[held.used])
 
-    def _slopes(self, u: Floats, held: Conditions) -> csr_array:
+    def _slopes(self, u: Floats, held: HeldTerms) -> csr_array:
         """Derivatives of the residuals by the unknowns `u`. A reading depends on one press and one
         taxel, so the unknowns of all presses, or of all taxels, are varied at once."""
         x = self._mean + self._sd * u
@@ -179,7 +179,7 @@ class CalibrationFit:
         values = (np.stack(slopes) * self._sd[column]).ravel()
         return csr_array((values, (row.ravel(), column.ravel())), shape=(len(before), len(x)))
 
-    def _fit(self, u: Floats, covariance: Floats) -> Fit:
+    def _fit(self, u: Floats, covariance: Floats) -> FitResult:
         """The result at `u` with this covariance (P, P)."""
         x, held = self._values(u), self._conditions(u)
         residual = self._residuals(x, held)
@@ -190,7 +190,7 @@ class CalibrationFit:
         covariance = covariance * np.outer(self._sd, self._sd)
         variance = np.diag(covariance).copy()
         variance[self._gains] += variance[0] + 2.0 * covariance[0, self._gains]
-        return Fit(
+        return FitResult(
             value=x,
             sd=self._split(np.sqrt(np.maximum(variance, 0.0))),
             depth=depths(self._model, self._seen(x)),

@@ -18,10 +18,8 @@ from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.proposals import bundle
 from taxeld.source import session
-from taxeld_hil.calibration import search
-from taxeld_hil.calibration.calibrate import LEAST_IDLE_S
+from taxeld_hil.calibration.calibrate import LEAST_IDLE_S, LEAST_PRESSES, covered, sides
 from taxeld_hil.calibration.observer import Observer, uncalibrated
-from taxeld_hil.calibration.search import LEAST_PRESSES
 from taxeld_protocol.decoder import Scan
 
 LOOK_S = 0.5  # between two looks for presses that have ended
@@ -148,8 +146,8 @@ class Guided:
             return so_far
         if self._held > held:
             model = self._pipeline.estimator.model
-            felt = np.bincount(search.sides(model, presses), minlength=8)
-            least = np.where(search.covered(model), felt, len(presses) + 1).argmin()
+            felt = np.bincount(sides(model, presses), minlength=8)
+            least = np.where(covered(model), felt, len(presses) + 1).argmin()
             return f"{so_far}; next with the skin's side at {EIGHTH_DEG * least:.0f}°"
         if now_s < self._next_line_s:
             return ""
