@@ -60,15 +60,13 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _soak(args: argparse.Namespace) -> int:
-    if args.table:
-        from taxeld_hil.run import soak_table
+    from taxeld_hil.grade import report
+    from taxeld_hil.run.soak import lap_alone, resumed, soak_fake, soak_live, table
 
-        for line in soak_table.lines(args.table):
+    if args.table:
+        for line in table(args.table):
             _say(line)
         return 0
-    from taxeld_hil.grade import report
-    from taxeld_hil.run.soak import lap_alone, resumed, soak_fake, soak_live
-
     base, real = _scenario(args), args.real_minutes is not None
     if args.lap is not None:
         if args.lap < 0:

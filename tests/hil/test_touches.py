@@ -2,7 +2,6 @@
 
 from dataclasses import asdict, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,8 +15,6 @@ from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Manifold
-from taxeld_hil import cli
-from taxeld_hil.experiment import measurement
 from taxeld_hil.experiment import touches as touch_experiment
 from taxeld_hil.experiment.touches import AFTER, OVERLOOKED_NATS, TouchRun, truth_nats
 from taxeld_hil.scenario import scenario
@@ -150,48 +147,3 @@ def test_a_truth_that_the_filter_has_missed_is_told_from_one_that_touches_do_not
     assert truth_nats(made, TRUTH) > OVERLOOKED_NATS
     made.estimate = replace(made.estimate, map=TRUTH + np.array([0.002, 0.0, 0.02]))
     assert abs(truth_nats(made, TRUTH)) < OVERLOOKED_NATS
-
-
-def test_the_command_goes_on_from_what_it_remembers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["touches", "--object", "box", "--skin", "stiff", "--workers", "1",
-               "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]  # fmt: skip
-    assert not cli.main([*command, "--seeds", "1"])
-    assert "box, stiff, seed 0: " in capsys.readouterr().err
-    assert not cli.main([*command, "--seeds", "2"])
-    second = capsys.readouterr()
-    assert "1 of 2 runs are remembered" in second.err
-    assert "seed 0" not in second.err
-    runs = measurement.read(tmp_path / "touches.json")
-    assert [run["seed"] for run in runs] == [0, 1]
-    assert second.out.splitlines() == list(touch_experiment.lines(runs))
-    assert "| stiff, box |" in second.out
-
-
-def test_wrong_options_are_refused_with_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    for option, value, message in (
-        ("--skin", "marble", "no skin 'marble'"),
-        ("--skin", "scene", "--skin scene: is no soft skin"),
-        ("--object", "party", "scene.bundle: no bundle 'party'"),
-        ("--seeds", "-1", "--seeds must be at least 1"),
-        ("--workers", "0", "--workers must be at least 1"),
-        ("--memory", str(tmp_path / "file" / "m"), f"--memory: {tmp_path / 'file' / 'm'}: "),
-    ):
-        assert cli.main(["touches", option, value, "--out", str(tmp_path)]) == 2
-        error = capsys.readouterr().err
-        assert error.startswith(message)
-        assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize("name", cli.GONE)
-def test_a_command_that_is_gone_says_in_one_line_what_replaced_it(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main([name, "--touches", "--out", "somewhere"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"taxeld-hil {name} is gone; ")
-    assert error.count("\n") == 1

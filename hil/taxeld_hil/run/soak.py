@@ -9,7 +9,7 @@ import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from statistics import median_high
@@ -168,21 +168,30 @@ def resumed(path: Path, base: Scenario, seed: int, clock: str, hours: float) -> 
     new = Soak(seed, clock, base.bundle, base.physics, hours)
     if not path.is_file():
         return new
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        asked = (new.seed, new.clock, new.object, new.physics)
-        same = tuple(data[key] for key in ("seed", "clock", "object", "physics")) == asked
-        if not same or data["hours_done"] >= hours:
-            return new
-    except (ValueError, KeyError, TypeError):
-        raise SetupError(f"{path}: is no report of a soak; name another file") from None
-    try:
-        kept = {spec.name: data[spec.name] for spec in fields(Soak)}
-    except KeyError:
-        raise SetupError(f"{path}: is of an older kind; name another file") from None
+    data = _read(path)
+    asked = {"seed": seed, "clock": clock, "object": base.bundle, "physics": base.physics}
+    if any(data[key] != value for key, value in asked.items()) or data["hours_done"] >= hours:
+        return new
+    kept = {spec.name: data[spec.name] for spec in fields(Soak)}
     for name in ("faults", "silent_after", "flags_missed", "doubted", "not_recovered"):
         kept[name] = Counter(kept[name])
     return Soak(**{**kept, "hours": hours, "unexplained_before": kept["unexplained"]})
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A report. Raises SetupError where it has not all that a report has."""
+    try:
+        report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        missing = {spec.name for spec in fields(Soak)} - report.keys()
+    except OSError as error:
+        raise SetupError(f"{path}: {error.strerror}") from None
+    except (ValueError, AttributeError):
+        raise SetupError(f"{path}: is no report of a soak; name another file") from None
+    if missing:
+        raise SetupError(
+            f"{path}: is no report of a soak, or is of an older kind; name another file"
+        )
+    return report
 
 
 def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
@@ -248,3 +257,63 @@ def resident_mb(pid: int | str) -> float:
 
 def _silence(_: str) -> None:
     """Nothing is printed."""
+
+
+def table(paths: list[Path]) -> Iterator[str]:
+    """Reports side by side as a Markdown table, a column each, as docs/harness.md shows them.
+
+    Raises:
+        SetupError: a file is no report of a soak.
+    """
+    reports = [_read(path) for path in paths]
+    yield "| | " + " | ".join(f"[{path.stem}](results/{path.name})" for path in paths) + " |"
+    yield "|---" * (len(paths) + 1) + "|"
+    for name, cell in ROWS.items():
+        yield f"| {name} | " + " | ".join(map(cell, reports)) + " |"
+
+
+def _silent(report: dict[str, Any]) -> str:
+    """Without a fault that misleads, and after one."""
+    after = report["silent_after"]
+    misled = sum(after.get(kind, 0) for kind in laps.MISLEADING)
+    return f"{sum(after.values()) - misled}, {misled}"
+
+
+def _recovery(report: dict[str, Any]) -> str:
+    worst = report["worst_recovery_s"]
+    kind = max(worst, key=worst.__getitem__, default="")
+    return f"{worst[kind]:.2f} s ({kind})" if kind else "none to see"
+
+
+def _memory(report: dict[str, Any]) -> str:
+    values = [mb for _, mb in report["rss_mb"]]
+    if not values:
+        return "too short to see"
+    return f"{min(values):.0f}..{max(values):.0f} MB, {report['growth_mb']:+.1f} MB"
+
+
+def _of_full(report: dict[str, Any], key: str) -> str:
+    full, some = report["full"], report[key]
+    return f"{some} of {full} ({some / full:.1%})" if full else "none"
+
+
+ROWS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "object, skin, clock": lambda r: f"{Path(r['object']).name}, `{r['physics']}`, {r['clock']}",
+    "hours of scans": lambda r: f"{r['hours_done']:.1f}",
+    "laps": lambda r: f"{r['laps']}",
+    "scans sent": lambda r: f"{r['scans_sent']:,}".replace(",", " "),
+    "frames delivered": lambda r: f"{r['units']:,}".replace(",", " "),
+    "faults": lambda r: f"{sum(r['faults'].values())}",
+    "frames, packets, scans and poses not accounted for": lambda r: f"{r['unexplained']}",
+    "silent failures without a misleading fault in the lap, and after one": _silent,
+    "object found at the lap's end": lambda r: f"{r['found']}",
+    f"of laps in which all {laps.CONTACTS} contacts were felt": lambda r: _of_full(r, "full_found"),
+    "of these, a valid estimate within 10 mm at the end": lambda r: _of_full(r, "full_right"),
+    "worst recovery": _recovery,
+    "not recovered in time": lambda r: f"{sum(r['not_recovered'].values())}",
+    "still in doubt 3 s after": lambda r: f"{sum(r['doubted'].values())}",
+    "flags late or never": lambda r: f"{sum(r['flags_missed'].values())}",
+    "memory, and its growth from the first third to the last": _memory,
+    "minutes of one core": lambda r: f"{r['cpu_s'] / 60:.0f}" if r["cpu_s"] else "not measured",
+    "passed": lambda r: "yes" if r["passed"] else "no",
+}
