@@ -228,7 +228,7 @@ def _daemon(case: Case, place: Path) -> Iterator[tuple[int, socket.socket]]:
         environ = {
             **os.environ,
             "NOTIFY_SOCKET": str(place / "notify"),
-            "PYTHONDONTWRITEBYTECODE": "",  # it starts as installed, from the second time on
+            "PYTHONDONTWRITEBYTECODE": "",  # later starts find compiled files
             "PYTHONPYCACHEPREFIX": str(place.parent / "compiled"),
         }
         recorded = ["--record", str(place / "session")] if case.record else []

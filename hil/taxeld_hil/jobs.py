@@ -29,7 +29,7 @@ from typing import Any, TypeAlias
 from taxeld.command_line import ONE_THREAD
 from taxeld.errors import SetupError
 
-PATIENCE = "10s"  # to wait for a Dask scheduler's answer
+PATIENCE = "10s"  # longest wait for a Dask scheduler's answer
 NAME_LENGTH = 60  # characters of a job's name in its file's name; a key's hash tells jobs apart
 
 Prepare: TypeAlias = Callable[[], object]

@@ -21,13 +21,13 @@ from taxeld_hil.acceptance.received import DAMAGES, Received
 from taxeld_protocol.decoder import GAP_SHARE
 from taxeld_protocol.modules import NAMES, Module, wired
 
-RATE_OFF = 0.1  # of the period: a hub's clock is far better than that
-JITTER_OFF = 1.0 - GAP_SHARE  # of the period: an earlier scan may be joined to the one before
-MISSED = 0.01  # of the scans, without a damaged packet to explain them
-SCANS_MIN = 10  # of a hub, to tell its rate
-DAMAGED = 0.001  # of the packets: CAN repeats what is damaged, so that none should be
-WEAK = 0.1  # of full scale; a taxel's strongest on a real skin is 0.43 of it (median)
-STRONG = 1.5  # of full scale: presses that read the same, as activations end at 1
+RATE_OFF = 0.1  # share of the period; a hub's clock is far better
+JITTER_OFF = 1.0 - GAP_SHARE  # share of the period: an earlier scan may join the last one
+MISSED = 0.01  # share of the scans, without a damaged packet to explain them
+SCANS_MIN = 10  # scans that tell the rate of a hub
+DAMAGED = 0.001  # share of the packets; CAN repeats damaged frames, so none should be
+WEAK = 0.1  # full scales; a taxel's strongest on a real skin is 0.43 (median)
+STRONG = 1.5  # full scales: activations end at 1, so stronger presses read the same
 NAMES_MAX = 12  # names in one line
 
 
@@ -47,7 +47,7 @@ class CheckResult:
     findings: Sequence[Finding] = ()
     notes: Sequence[str] = ()  # worth knowing, and no fault
     figures: Mapping[str, object] = field(default_factory=dict)
-    checked: bool = True  # else what it needs was not received, or not asked for
+    checked: bool = True  # False: its input was not received, or not asked for
 
     @property
     def verdict(self) -> str:

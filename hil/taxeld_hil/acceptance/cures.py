@@ -40,7 +40,7 @@ HARDER = (
     "press harder and run once more; if it stays so, set skin.full_scale_counts of the daemon to "
     "what a firm press reads, or see whether the dielectric has hardened"
 )
-SILENCE = {  # where no hub declares its modules, the first counter that is not 0 names the cure
+SILENCE = {  # no hub declares its modules: the first counter that is not 0 has the cure
     "lost": ADAPTER,
     "bootloader": FIRMWARE,
     "packets": HOST,

@@ -18,10 +18,10 @@ from taxeld.skin.temperature import STEP
 from taxeld_protocol.decoder import MISSING, Scan
 
 STILL_SCANS = 50  # two readings with a noise of a count agree in 0.28 of cases: 1e-27 for fifty
-INVALID = 0.01  # of the scans
+INVALID = 0.01  # share of the scans
 STANDS_OUT = 10.0  # times the skin's median noise; 23..59 counts is what 80 % of a skin lie in
 SD_OF_MAD = 1.4826  # median absolute deviation → standard deviation, of a normal distribution
-SD_OF_MEDIAN = np.sqrt(np.pi / 2.0)  # of the median of n normal readings, times √n
+SD_OF_MEDIAN = np.sqrt(np.pi / 2.0)  # sd of the median of n normal readings, times √n
 THRESHOLD_SIGMAS = SkinConfig().threshold_sigmas
 
 
@@ -39,8 +39,8 @@ class IdleReadings:
     """Readings by taxel (M,), nan where nothing came; and of T0 by module."""
 
     full_scale_counts: float
-    temperature: Mapping[int, T0Readings]  # by serial number of the module
-    scans: Floats  # in which the taxel was read
+    temperature: Mapping[int, T0Readings]  # serial number of the module → readings
+    scans: Floats  # number of scans with the taxel
     level: Floats  # median [counts]
     noise: Floats  # standard deviation, by the median absolute deviation [counts]
     zero: Floats  # share of the scans that read 0
@@ -136,7 +136,7 @@ def _temperature(values: Floats, period_s: float, full_scale_counts: float) -> T
         noise = SD_OF_STEP * float(np.median(np.abs(np.diff(valid))))
         medians = np.median(valid[: seconds * a_second].reshape(seconds, a_second), axis=1)
         step = float(np.abs(np.diff(medians)).max())
-    spread = SD_OF_MEDIAN * np.sqrt(2.0 / a_second) * noise  # of two medians' difference
+    spread = SD_OF_MEDIAN * np.sqrt(2.0 / a_second) * noise  # sd of the difference of two medians
     allowed = max(STEP * full_scale_counts, THRESHOLD_SIGMAS * float(spread))
     invalid = 1.0 - len(valid) / len(values)
     return T0Readings(float(np.median(values)), invalid, step, allowed)

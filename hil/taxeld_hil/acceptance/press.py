@@ -12,10 +12,10 @@ from taxeld.source.sources import Source
 from taxeld_hil.acceptance.received import Press, Received, Say, scans
 from taxeld_protocol.decoder import MISSING
 
-PRESS_S = 20.0  # to find a module and press it
+PRESS_S = 20.0  # time to find a module and press it
 TRIES = 2  # a press may miss its module
-PRESS_SCANS = 2  # in a row: a single one may be a disturbance
-RELEASED_S = 0.3  # that the skin must be free before a press is over
+PRESS_SCANS = 2  # scans in a row: a single one may be a disturbance
+RELEASED_S = 0.3  # the skin is free for so long after a press
 
 
 def ask(source: Source, received: Received, say: Say) -> list[Press]:
@@ -27,7 +27,7 @@ def ask(source: Source, received: Received, say: Say) -> list[Press]:
     if not modules:
         return []
     say(f"press {len(modules)} modules with a finger, one after the other; Ctrl-C ends")
-    level = np.where(usable, idle.level, np.inf)  # the others are never pressed
+    level = np.where(usable, idle.level, np.inf)  # an unusable taxel is never pressed
     over: Floats = np.zeros(len(level))
     found = {asked: Press(asked, None, np.zeros(len(level))) for asked in modules}
     try:

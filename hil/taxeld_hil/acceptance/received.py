@@ -22,7 +22,8 @@ from taxeld_protocol.modules import Module
 
 POLL_S = 0.001
 ANSWER_S = 10.0  # a hub that was just powered needs seconds
-DAMAGES = ("crc_errors", "length_errors", "index_errors", "malformed", "noise")  # of packets
+# Counters of damaged packets.
+DAMAGES = ("crc_errors", "length_errors", "index_errors", "malformed", "noise")
 
 Say = Callable[[str], None]  # prints a line to the operator
 
@@ -40,12 +41,12 @@ class Received:
     """One acceptance run; counters are the source's, under their names in the daemon's health."""
 
     layout: Layout
-    period_ms: int  # that the hub was asked for
+    period_ms: int  # period of scans that the hub was asked for
     full_scale_counts: float
     tables: Mapping[int, Sequence[Module]]  # short id of each hub that declared itself → modules
-    bring_up: Counter[str]  # from the first request to the beginning of the idle period
-    link: Counter[str]  # over the idle period
-    scans: Sequence[Scan]  # of the idle period
+    bring_up: Counter[str]  # counts before the idle period
+    link: Counter[str]  # counts in the idle period
+    scans: Sequence[Scan]  # scans in the idle period
     span: tuple[float, float]  # begin and end of the idle period, in the clock of the scans
     presses: Sequence[Press] | None = None  # None: not asked for
 

@@ -38,7 +38,7 @@ STARTS = 3  # fits, of which the likeliest is the result
 OBJECT_SD = np.array([0.03, 0.03, 0.3])  # m, m, rad: of an object's pose that is not given
 MOST_LEFT = 1.0  # `FitResult.left` of a right model is 0.3 to 0.7, of a wrong one 1.5 and more
 KNOWN_MOUNT = np.array([0.0015, 0.0015, np.radians(1.0)])  # largest sd of a mount: m, m, rad
-FOLDS = 5  # of the presses, each judged by a fit to the others
+FOLDS = 5  # parts of the presses; each is judged by a fit to all others
 SIGMAS = np.geomspace(0.005, 0.12, 14)
 GAIN_CVS = np.linspace(0.0, 0.3, 11)
 

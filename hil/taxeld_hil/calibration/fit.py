@@ -20,18 +20,18 @@ from taxeld.model.observation import ObservationModel
 from taxeld.model.response import response
 from taxeld_hil.calibration.presses import Presses
 
-FULL_SCALE_SD = 3.0  # of the full scale's logarithm, about its value at the start
-BEND_MEAN, BEND_SD = 0.05, 0.15  # of the common response
-MOUNT_SD = np.array([0.02, 0.02, 0.2])  # m, m, rad: of the mount, about none
-ROBOT_SD_M = 1e-4  # of a press's place, along x and y, about the place that the robot states
-GAIN_SD = 0.17  # of the logarithm of a taxel's gain
-ONSET_MEAN, ONSET_SD = 0.1, 0.8  # of a taxel's onset, as in recordings (docs/physics.md)
-MODEL_SD = 0.01  # of full scale: the error of a right model
+FULL_SCALE_SD = 3.0  # sd of the full scale's logarithm about its value at the start
+BEND_MEAN, BEND_SD = 0.05, 0.15  # prior of the common response's bend
+MOUNT_SD = np.array([0.02, 0.02, 0.2])  # m, m, rad: sd of the mount about none
+ROBOT_SD_M = 1e-4  # sd of a press's place along x and y about the robot's pose
+GAIN_SD = 0.17  # sd of the logarithm of a taxel's gain
+ONSET_MEAN, ONSET_SD = 0.1, 0.8  # prior of a taxel's onset, as in recordings (docs/physics.md)
+MODEL_SD = 0.01  # error of a right model, in full scales
 SAG_M = 0.004  # beside a press the cover sags by 1/e less at this distance
 BESIDE_M = np.array([-0.008, -0.005, -0.0025, 0.0025, 0.005, 0.008])  # distances round the link
 SHALLOW, DEEP = 0.04, 0.97  # shares of full depth between which readings are used
-FIRM = 0.2  # of full scale: a reading so strong where the fit expects no press is missed
-MISSED_COST = 4.0  # of a missed reading: nothing is gained by missing it
+FIRM = 0.2  # full scales: a reading so strong is missed where the fit expects no press
+MISSED_COST = 4.0  # cost of a missed reading: no fit gains by missing it
 LEAST_COSINE = 0.6  # between a taxel's normal and the shortest way out of the object
 STEP_M, STEP = 1e-4, 1e-3  # for differences: along x and y, and of all other unknowns
 ROUNDS, STEPS = 8, 25  # most rounds of a fit, and most steps of a round
@@ -55,7 +55,7 @@ class Start(NamedTuple):
 
     full_scale: float  # counts
     mount: Poses
-    object: Poses  # in the world
+    object: Poses  # pose in the world
     object_sd: Floats  # (3,) 0: the object is held at that pose
 
 
@@ -63,7 +63,7 @@ class HeldTerms(NamedTuple):
     """What follows from the unknowns and is held during a round; all (K, M)."""
 
     cosine: Floats  # between each taxel's normal and the shortest way out of the object
-    sd: Floats  # of each reading [counts]
+    sd: Floats  # sd of each reading [counts]
     used: Bools  # readings
     missed: Bools  # readings
 
@@ -106,7 +106,7 @@ class CalibrationFit:
         self._begin[2:5] = start.mount / MOUNT_SD
         self._gains = slice(8 + 2 * k, 8 + 2 * k + m)
         press, taxel = np.indices((k, m))
-        self._columns: list[Index] = [  # of the unknown of each kind that a reading depends on
+        self._columns: list[Index] = [  # for each kind, the unknown that a reading depends on
             *(np.full((k, m), column) for column in range(8)),
             *(8 + press, 8 + k + press, 8 + 2 * k + taxel, 8 + 2 * k + m + taxel),
         ]

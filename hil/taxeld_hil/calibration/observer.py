@@ -59,7 +59,7 @@ class Observed:
     presses: Presses
     unheld: int  # presses that were not held still
     found: Poses | None  # (3,) the object's pose by the filter, if it found one
-    t: float  # of the last scan, Unix seconds
+    t: float  # time of the last scan, Unix seconds
 
 
 def uncalibrated(config: Config) -> Config:

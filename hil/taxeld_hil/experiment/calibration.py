@@ -31,7 +31,7 @@ RATE_HZ = 40.0
 AFTER = (3, 6, 10)  # touches after which errors are noted
 SEEN_S = 0.4  # after the end of a touch, by when the daemon has checked it
 NO_FILTER = 'proposal = "manifold"\nparticles = 50\nparticles_max = 50\ninjected = 10'
-MOUNT_MOST = np.array([0.003, 0.003, np.radians(3.0)])  # of the mounts that are drawn
+MOUNT_MOST = np.array([0.003, 0.003, np.radians(3.0)])  # largest mounts that are drawn: m, m, rad
 TOUCHES, SOON = 12, 8  # until a doubt must have been raised; an early doubt
 RIGHT = 3  # times as many seeds where nothing is wrong
 FAULTS: dict[str, dict[str, Any]] = {

@@ -61,7 +61,7 @@ def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> Run:
         "seed": seed,
         "real": in_real_time,
         "passed": grade.passed,  # all checks
-        "found": figures["status"] == "converged" and is_near,  # in the end
+        "found": figures["status"] == "converged" and is_near,
         "error_mm": None if error_mm is None else round(error_mm, 3),  # up to symmetry
         "status": figures["status"],
         "contacts": figures["contacts"],  # counted by the daemon
@@ -82,7 +82,7 @@ def lines(runs: Sequence[Run]) -> Iterator[str]:
     with the runs in which a check failed though it was found, and those that failed silently."""
     columns: dict[str, list[Run]] = {}
     for run in runs:
-        name = Path(run["bundle"]).name  # of a bundle that is not shipped, its directory's
+        name = Path(run["bundle"]).name  # the directory's name of a bundle that is not shipped
         columns.setdefault(f"{run['skin']}, {name}", []).append(run)
     yield "| scenario | " + " | ".join(columns) + " |"
     yield "|---" * (len(columns) + 1) + "|"

@@ -31,8 +31,8 @@ from taxeld_hil.world.touches import Touch, TouchPlan
 PRESSES = 10
 PAIRS = 4  # after the presses: a press and a light touch each
 AFTER = (3, 6, 8, 10)  # touches: errors are noted when so many have ended
-RATE_HZ = 40.0  # of the daemon's ticks, as in the soak
-FOUND_MM = 10.0  # with an error below this the object is found
+RATE_HZ = 40.0  # ticks of the daemon, as in the soak
+FOUND_MM = 10.0  # an object with a smaller error is found
 SAME_S = 1e-4  # times of a reading and of its truth that differ by less are of one scan
 CLOSE_MM = 5.0
 OVERLOOKED_NATS = 3.0  # a pose that is likelier by more is far likelier: 20 to 1

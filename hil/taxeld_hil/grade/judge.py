@@ -35,7 +35,7 @@ class Sample(NamedTuple):
     contacts: int
     map: Poses  # (3,)
     scan_t: float  # time of its scan, by whatever clock; 0: there was none yet
-    age_s: float  # of that scan
+    age_s: float  # age of the scan [s]
     total_us: float = 0.0  # time that the tick took
 
 
@@ -50,7 +50,7 @@ class Seen:
     recovered_s: float | None = None  # after its end, to a usable estimate that no stop follows
     close_s: float = 0.0  # until when it may recover
     doubted: bool = False  # at the end of its time the status was INCONSISTENT or BLIND
-    overlapped: bool = False  # by another that is not over, or began before it could recover
+    overlapped: bool = False  # another fault was not over, or began before the recovery
     taxels: tuple[int, ...] = ()
     before: Health | None = None  # the last health without it
     usable_s: float | None = None  # after its end: the first usable estimate that no stop follows
@@ -75,7 +75,9 @@ class Tally:
     silent_episodes: int = 0  # uninterrupted sequences of silent failures
     silent_at_s: list[float] = field(default_factory=list)  # when the first episodes began
     worst_silent_mm: float = 0.0
-    ages: Counter[int] = field(default_factory=Counter)  # of each scan's first estimate
+    ages: Counter[int] = field(
+        default_factory=Counter
+    )  # ages of first estimates of scans [AGE_UNIT_S]
     ticks_us: Counter[int] = field(default_factory=Counter)
 
 
@@ -118,7 +120,7 @@ class Judge:
         if self.truth is None:
             return float("nan")
         at = np.asarray(pose).tobytes()
-        if at != self._error[0]:  # it stays the same for many ticks
+        if at != self._error[0]:  # the same pose is published for many ticks
             self._error = at, 1e3 * add_m(self._scene, np.asarray(pose), self.truth)[1]
         return self._error[1]
 

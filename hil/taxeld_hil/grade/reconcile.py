@@ -10,8 +10,8 @@ class Law(NamedTuple):
     """Two numbers that must be equal, but for `slack`."""
 
     name: str
-    expected: int  # by the ledger, or by the daemon's own other counters
-    counted: int  # by the daemon
+    expected: int  # count of the ledger, or of the daemon's other counters
+    counted: int  # count of the daemon
     slack: int = 0
 
     @property

@@ -8,7 +8,7 @@ from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.slcan import BEL, CR
 
-BUS_RATE = b"S8"  # of the bus that it hangs on, 1 Mbit/s
+BUS_RATE = b"S8"  # the only bit rate on the bus: 1 Mbit/s
 
 
 class Kind(NamedTuple):
@@ -20,7 +20,7 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "lawicel": Kind(stamp_digits=4),  # with its stamps on
+    "lawicel": Kind(stamp_digits=4),  # an adapter whose time stamps are on
     "microseconds": Kind(stamp_digits=8),
     "plain": Kind(),
     "canable2": Kind(answers=False, listens_by=b"M1"),
@@ -74,7 +74,7 @@ class Adapter:
         if line == b"C":
             was_open, self.is_open = self.is_open, False
             return was_open
-        if self.is_open:  # the others are for a closed channel
+        if self.is_open:  # all other commands need a closed channel
             return False
         if re.fullmatch(rb"S[0-8]", line):
             self._rate = line

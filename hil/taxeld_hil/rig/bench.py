@@ -113,7 +113,7 @@ class Bench:
             self._listeners = self._poses.recv()[:1] == b"\x01"
         wall, x, y, theta = row
         body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
-        if self._listeners:  # else one who comes just now would hear a pose that is not counted
+        if self._listeners:  # a listener that comes now would hear an uncounted pose
             frames = (messages.SENSOR_POSE, body, b"%.6f" % wall)
             self._poses.send_multipart(frames, zmq.NOBLOCK)
             self.rig.ledger.poses_heard += 1

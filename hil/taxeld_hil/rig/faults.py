@@ -82,7 +82,7 @@ class Injector:
             self._ledger.done["saturated"] += 1
         if fault := active.get("module_dead"):
             channels = self._modules[fault.module]
-            out[channels[0] - 1 : channels[-1] + 1] = [None] * (len(channels) + 1)  # and its T0
+            out[channels[0] - 1 : channels[-1] + 1] = [None] * (len(channels) + 1)  # with T0
             self._ledger.done["module_dead"] += 1
         return out
 

@@ -21,7 +21,7 @@ class Sent(NamedTuple):
     command: int
     fragments: int = 1
     start: int = 0  # SENSOR_DATA: the first channel
-    values: int = 0  # and how many
+    values: int = 0  # number of values in the packet
     declares: bool = False  # the modules' channels
 
 
@@ -30,7 +30,7 @@ class Unit(NamedTuple):
 
     item: Frame | bytes
     sent: Sent | None  # None: nothing of the skin's
-    part: int = 0  # which of the fragments
+    part: int = 0  # number of the fragment
 
 
 @dataclass(slots=True)
@@ -38,16 +38,16 @@ class Fates:
     """What must have become of all that was delivered since this host began to listen."""
 
     units: int = 0  # frames, or lines of the native link
-    bytes: int = 0  # of those lines
+    bytes: int = 0  # bytes in the serial lines
     foreign: int = 0  # units that are not the skin's
     orphan: int = 0  # frames without a first
-    packets: int = 0  # that arrived whole
+    packets: int = 0  # packets that arrived whole
     length_errors: int = 0
     crc_errors: int = 0
     line_errors: int = 0  # lines of the native link, with either error
-    undetected: int = 0  # damaged packets whose checksum is right all the same;
-    unclear: int = 0  # of them, those that are not SENSOR_DATA, and not followed further
-    index_errors: int = 0  # of them, those of a module or channel that does not exist
+    undetected: int = 0  # damaged packets whose checksum is right
+    unclear: int = 0  # undetected packets other than SENSOR_DATA, whose fate is open
+    index_errors: int = 0  # whole packets for a module or channel that does not exist
     undeclared: int = 0  # SENSOR_DATA before the modules were declared
     scans: int = 0
     incomplete: int = 0
@@ -61,11 +61,11 @@ class Ledger:
     modules: tuple[int, ...]  # channels of each
     period_s: float
     fates: Fates = field(default_factory=Fates)
-    done: Counter[str] = field(default_factory=Counter)  # what the injector did, by kind
+    done: Counter[str] = field(default_factory=Counter)  # acts of the injector, by kind of fault
     scans_sent: int = 0
     packets_sent: int = 0
     poses_sent: int = 0
-    poses_heard: int = 0  # by this host
+    poses_heard: int = 0  # poses that this host heard
     refused: int = 0  # units that the host did not make room for
     hosts: int = 1
     _open: list[Unit] = field(default_factory=list)
@@ -74,8 +74,8 @@ class Ledger:
     _declared: bool = False
     _reached: int = 0
     _filled: int = 0
-    _t: float | None = None  # of the last scan's first packet
-    _last_t: float = 0.0  # of the last packet
+    _t: float | None = None  # time of the last scan's first packet [s]
+    _last_t: float = 0.0  # time of the last packet [s]
 
     def __post_init__(self) -> None:
         self._first = [0, *accumulate(self.modules)]

@@ -21,7 +21,7 @@ from taxeld_protocol.modules import is_of_bootloader, wired
 from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 
 POSE_PERIOD_S = 0.01
-POSE_AGE_S = 0.004  # from its measurement to its message: scans fall between poses
+POSE_AGE_S = 0.004  # age of a pose in its message: scans fall between poses
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
 SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
 BEFORE_S = -1.0  # scenario time while no host has started the skin
@@ -44,7 +44,7 @@ class Rig:
         self._first = [0, *accumulate(channels)]
         self._was_on = True
         self._next_pose_s = -1e9
-        self._now = 0.0  # that frames are stamped with
+        self._now = 0.0  # time stamp of the next frames [s]
         self._begin(scenario, seed)
 
     def lap(self, scenario: Scenario, seed: int) -> None:
@@ -143,7 +143,7 @@ class Rig:
 
     def _power(self, t: float) -> bool:
         on = self.is_on(t)
-        if self._was_on and not on:  # it forgets what the host has set
+        if self._was_on and not on:  # a hub without power forgets its settings
             self.hub.reboot()
             self._injector.drop_held()
         self._was_on = on

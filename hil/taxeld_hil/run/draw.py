@@ -24,7 +24,7 @@ from taxeld.source import session
 from taxeld.view.recorded import truth_of
 
 COLUMNS = 4
-DPI, NUMBERS, WORDS = 110, 7, 8  # of the picture; sizes of its letters
+DPI, NUMBERS, WORDS = 110, 7, 8  # dots per inch; sizes of letters
 TRUTH: dict[str, Any] = {"label": "object, true", "color": "black", "lw": 1.2}
 FOUND: dict[str, Any] = {"label": "object, estimated", "color": "tab:red", "lw": 1.2, "ls": "--"}
 MAYBE: dict[str, Any] = {"label": "object, by each particle", "color": "tab:blue", "lw": 0.8}

@@ -42,7 +42,7 @@ class FakeDaemon:
         self.pipeline = Pipeline(config, scene.model, proposal, calibration=calibration)
         self.source = LiveSource(config.source, dialects.live(config.source, skin), device, None)
         self.scans = 0
-        self.outcomes: list[Outcome] = []  # of the last tick
+        self.outcomes: list[Outcome] = []  # outcomes of the last tick
         self._start_s = line.now
         self.pipeline.freshness.came(self._start_s)
         if kept is not None:

@@ -24,7 +24,7 @@ from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import KINDS, Scenario
 from taxeld_hil.world.world import load_model
 
-TARGETS = {"can": "can", "serial": "native", "slcan": "slcan"}  # by what stands before the colon
+TARGETS = {"can": "can", "serial": "native", "slcan": "slcan"}  # the target's kind → transport
 POSSIBLE = ("daemon_killed", "subscriber_dead")
 START_S = 60.0  # until the first scan
 STEP_MS = 20

@@ -25,8 +25,8 @@ START_S = 20.0  # until the first estimate
 STEP_MS = 2
 LAST_HEALTH_S = 5.0
 DRAIN_S = 0.2
-LOG_LEVEL = "error"  # of the daemon: what goes wrong here is done to it, and told by the ledger
-NOT_INJECTED = {  # by transport
+LOG_LEVEL = "error"  # the daemon warns of injected faults; the ledger has them already
+NOT_INJECTED = {  # transport → kinds of faults
     "can": ("unplugged", "adapter_closed"),  # something else brings the interface up and down
     "native": ("adapter_closed",),
 }

@@ -72,7 +72,7 @@ class Processes:
         watch = ("watch", "--endpoint", endpoint, "--bundle", scenario.bundle)
         skin = ("--layout", scenario.layout)
         self._printed = tempfile.TemporaryFile()  # noqa: SIM115  (for as long as this lives)
-        self._bytes = 0  # of what the subscriber has printed
+        self._bytes = 0  # bytes printed by the subscriber
         self.daemon = Process("the daemon", "taxeld.cli", *run)
         self._subscriber = Process(
             "the subscriber", "taxeld_hil.cli", *watch, *skin, out=self._printed

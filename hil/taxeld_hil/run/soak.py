@@ -38,11 +38,11 @@ class Soak:
     seed: int
     clock: str
     object: str  # bundle
-    physics: str  # of the skin
+    physics: str  # name of the skin
     hours: float  # asked for
     laps: int = 0
     hours_done: float = 0.0
-    daemons: int = 0  # that were started
+    daemons: int = 0  # number of daemons started
     scans_sent: int = 0
     units: int = 0  # frames delivered
     faults: Counter[str] = field(default_factory=Counter)  # windows, by kind
@@ -53,7 +53,7 @@ class Soak:
     lost_laps: list[int] = field(default_factory=list)  # full laps without the object found
     silent_laps: list[int] = field(default_factory=list)
     silent_after: Counter[str] = field(default_factory=Counter)  # the fault that explains it
-    unexplained_before: int = 0  # of the daemons before this one
+    unexplained_before: int = 0  # units unexplained of earlier daemons
     unexplained: int = 0  # frames, packets, scans and poses that the daemon has not accounted for
     flags_missed: Counter[str] = field(default_factory=Counter)
     worst_recovery_s: dict[str, float] = field(default_factory=dict)

@@ -72,8 +72,8 @@ class Scenario:
     physics: str = key(
         "typical", one_of("scene", *SKINS), "a soft skin, or the estimator's own model of one"
     )
-    mesh: Given[MeshConfig] = field(default_factory=Given)  # in place of that skin's own keys
-    expect: Expect = Expect()  # what the run is graded by
+    mesh: Given[MeshConfig] = field(default_factory=Given)  # keys that replace the skin's own
+    expect: Expect = Expect()  # grounds of the grade
     fault: tuple[Fault, ...] = key((), doc="what fails, and when")
 
     @property

@@ -15,8 +15,8 @@ from taxeld_hil.world.touches import Touch, TouchPlan, Track
 
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # turns from one stretch of skin to the next: even at any count
 PRESS_MM = (3.4, 4.8)  # firm, but not beyond full depth
-SIDEWAYS = 0.35  # of the object's size, at most, an approach passes its centre by
-WAY_S = 1.2  # from one press to the next
+SIDEWAYS = 0.35  # most that an approach passes the centre by, in sizes of the object
+WAY_S = 1.2  # time between two presses
 SLOW_FROM_M = 0.004
 IDLE_S = 20.0
 

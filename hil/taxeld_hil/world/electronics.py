@@ -7,8 +7,8 @@ from taxeld.layout.layout import Layout
 from taxeld_hil.scenario.mesh_config import MeshConfig, Pair
 from taxeld_hil.world.spread import drawn
 
-ONSET = 0.15  # of full scale: within about so much a taxel's own deviation has risen
-LEAST_SLOPE = 0.1  # of a response: who presses harder reads more
+ONSET = 0.15  # share of full depth within which a taxel's own deviation has risen
+LEAST_SLOPE = 0.1  # least slope of a response: a harder press reads more
 GRID = np.linspace(0.0, 1.0, 401)
 
 

@@ -6,7 +6,7 @@ from taxeld.arrays import Floats
 from taxeld_hil.scenario.mesh_config import MeshConfig
 from taxeld_hil.world.spread import PerPress, drawn
 
-TURN = 0.1  # of full scale, of travel back, until the foam is on the other branch of its loop
+TURN = 0.1  # travel back, in full scales, after which the foam is on its other branch
 
 
 class Foam:

@@ -22,8 +22,8 @@ from taxeld_hil.world.solids import Grid
 
 FORMAT = 5
 CELL_M = 0.001
-NEAR_M = 0.002  # of the surface: where distances are exact
-MARGIN_M = 0.01  # of the grid beside the mesh, where distances are lower bounds
+NEAR_M = 0.002  # distances are exact so near to the surface
+MARGIN_M = 0.01  # width of the grid beside the mesh; distances there are lower bounds
 BLOCK = 500_000  # pairs of a triangle and a point looked at together
 
 

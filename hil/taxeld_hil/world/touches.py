@@ -15,13 +15,13 @@ from taxeld.model.observation import ObservationModel
 from taxeld_hil.world import robot
 from taxeld_hil.world.robot import RobotPath
 
-APART_S = (2.0, 3.0)  # from one touch's beginning to the next one's
-LIGHT_AFTER_S = (0.4, 1.4)  # from leaving the object to the ramp that touches it lightly
+APART_S = (2.0, 3.0)  # range of times between the beginnings of two touches
+LIGHT_AFTER_S = (0.4, 1.4)  # range of times between a press and its light touch
 PRESS_MM = (2.0, 4.5)
-LIGHT_MM = (0.3, 0.5)  # of the taxel that is pressed most
+LIGHT_MM = (0.3, 0.5)  # depth range at the taxel that is pressed most
 RAMP_S, HOLD_S = 0.3, 0.7
-SLOW_FROM_M = 0.004  # of clearance, where a ramp begins and ends
-SIDEWAYS = 0.7  # of the object's size, at most, an approach passes its centre by
+SLOW_FROM_M = 0.004  # clearance at which a ramp begins and ends
+SIDEWAYS = 0.7  # most that an approach passes the centre by, in sizes of the object
 REST_S = 2.0
 HALVINGS = 12
 
@@ -31,9 +31,9 @@ Deepest = Callable[[Poses], float]  # [m] of the most pressed taxel, the sensor 
 class Touch(NamedTuple):
     """Times on the path, and whether it is a light one."""
 
-    begin_s: float  # of the ramp in: nothing is touched yet
+    begin_s: float  # begin of the ramp in: nothing is touched yet
     held_s: tuple[float, float]
-    end_s: float  # of the ramp out
+    end_s: float  # end of the ramp out
     is_light: bool
 
 
