@@ -21,10 +21,10 @@ from tests.virtual_hub import VirtualHub
 from .accept_skin import (
     LAYOUT,
     MODULES,
-    Clock,
     Counts,
     DamagingHub,
     Operator,
+    SleepClock,
     VirtualSkin,
 )  # fmt: skip
 
@@ -51,9 +51,9 @@ class Ran(SimpleNamespace):
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock(monkeypatch: pytest.MonkeyPatch) -> SleepClock:
     """Everything that looks at a clock between device and report looks at this one."""
-    made = Clock()
+    made = SleepClock()
     for module in (
         "taxeld_hil.acceptance.accept", "taxeld_hil.acceptance.received",
         "taxeld.source.lines", "taxeld.source.slcan_device",
@@ -69,7 +69,7 @@ def link(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def skin(clock: Clock, link: Path) -> Iterator[VirtualSkin]:
+def skin(clock: SleepClock, link: Path) -> Iterator[VirtualSkin]:
     """A healthy skin behind an SLCAN adapter; tests break it."""
     with DamagingHub(link, MODULES) as hub:
         yield VirtualSkin(hub, Counts(MODULES), clock)
@@ -114,7 +114,7 @@ def test_a_healthy_skin_passes_all_checks_and_gets_a_report_a_picture_and_a_reco
     ids=["native link", "another short id"],
 )
 def test_a_healthy_skin_passes_over_each_link_and_under_another_short_id(
-    options: dict[str, Any], kind: str, record: str, clock: Clock, link: Path, accept: Accept
+    options: dict[str, Any], kind: str, record: str, clock: SleepClock, link: Path, accept: Accept
 ) -> None:
     with VirtualHub(link, MODULES, **options) as hub:
         ran = accept(VirtualSkin(hub, Counts(MODULES), clock), kind=kind)
@@ -173,7 +173,7 @@ def test_a_fault_of_the_skin_fails_its_own_check_alone(
     ids=["missing module", "cut taxel"],
 )
 def test_modules_that_are_not_the_layouts_fail_the_module_table_alone(
-    found: list[Module], finding: str, clock: Clock, link: Path, accept: Accept
+    found: list[Module], finding: str, clock: SleepClock, link: Path, accept: Accept
 ) -> None:
     with VirtualHub(link, found) as hub:
         ran = accept(VirtualSkin(hub, Counts(found), clock), "--press")
@@ -192,7 +192,7 @@ def test_without_matplotlib_all_but_the_picture_is_there(skin: VirtualSkin, acce
 
 
 def test_the_modules_are_listed_in_the_hubs_order_for_who_listens_later(
-    clock: Clock, link: Path, accept: Accept
+    clock: SleepClock, link: Path, accept: Accept
 ) -> None:
     with VirtualHub(link, MODULES[::-1]) as hub:
         ran = accept(VirtualSkin(hub, Counts(MODULES[::-1]), clock))
@@ -204,7 +204,7 @@ def test_the_modules_are_listed_in_the_hubs_order_for_who_listens_later(
 
 
 def test_a_hub_that_stays_in_its_bootloader_fails_discovery_and_is_called_by_its_name(
-    clock: Clock, link: Path, accept: Accept
+    clock: SleepClock, link: Path, accept: Accept
 ) -> None:
     class Stuck(VirtualIhb):
         def answer(self, packet: Packet) -> list[Answer]:
@@ -234,7 +234,7 @@ def test_presses_that_are_interrupted_still_give_a_report(
 
 
 def test_without_an_answer_discovery_fails_and_names_what_to_check(
-    clock: Clock, link: Path, accept: Accept
+    clock: SleepClock, link: Path, accept: Accept
 ) -> None:
     with VirtualHub(link, MODULES) as hub:
         silent = VirtualSkin(hub, Counts(MODULES), clock)

@@ -9,7 +9,7 @@ from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.proposals import bundle
 from taxeld_hil.experiment import calibration as experiment
-from taxeld_hil.experiment.measurement import Run
+from taxeld_hil.experiment.measurement import RunRow
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.scenario import scenario
 from taxeld_hil.world import calibration_touches
@@ -65,9 +65,9 @@ def test_a_wrong_full_scale_is_noticed_and_a_right_one_is_not() -> None:
     assert experiment.noticed(DEMO, 0, 7) == (0, "")
 
 
-def run(sort: str, seed: int = 0) -> Run:
+def run(sort: str, seed: int = 0) -> RunRow:
     """A run as it is saved."""
-    about: Run = {"sort": sort, "object": "box", "skin": "typical", "seed": seed}
+    about: RunRow = {"sort": sort, "object": "box", "skin": "typical", "seed": seed}
     if sort == "find":
         one = {"gains_known": 40, "gain_off": 0.02, "mount_off_mm": 0.1, "yaw_off_deg": 0.05}
         return {**about, "given": one, "found": {"refused": "calibrate: why"}}

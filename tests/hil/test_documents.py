@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from taxeld_hil.experiment import matrix, touches
-from taxeld_hil.experiment.measurement import Run, read
+from taxeld_hil.experiment.measurement import RunRow, read
 from taxeld_hil.run import soak
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -22,7 +22,7 @@ RESULTS = DOCS / "results"
     ],
 )
 def test_a_table_in_the_documents_is_that_of_the_file_that_it_names(
-    document: str, result: str, lines: Callable[[Sequence[Run]], Iterator[str]]
+    document: str, result: str, lines: Callable[[Sequence[RunRow]], Iterator[str]]
 ) -> None:
     text = (DOCS / document).read_text(encoding="utf-8")
     assert f"(results/{result})" in text

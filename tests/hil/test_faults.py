@@ -19,7 +19,7 @@ from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample, percentile
 from taxeld_hil.grade.reconcile import laws
 from taxeld_hil.rig.faults import Injector
-from taxeld_hil.rig.ledger import Ledger, Sent, Unit
+from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run import soak
 from taxeld_hil.run.fake_run import FakeRun
@@ -40,11 +40,11 @@ def injector(*faults: Fault, seed: int = 0) -> tuple[Injector, Ledger]:
     return Injector(faults, seed, ledger, CHANNELS, TAXELS), ledger
 
 
-def units(number: int) -> list[Unit]:
+def units(number: int) -> list[WireUnit]:
     data = cyskin.encode(Command.SENSOR_DATA, bytes(14))
     sent = Sent(data, Command.SENSOR_DATA, 3, 0, 6)
     return [
-        Unit(frame, sent, part)
+        WireUnit(frame, sent, part)
         for _ in range(number)
         for part, frame in enumerate(cyskin.fragment(data, 1))
     ]

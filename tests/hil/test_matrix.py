@@ -9,7 +9,7 @@ import pytest
 
 from taxeld_hil import cli
 from taxeld_hil.experiment import matrix, measurement, touches
-from taxeld_hil.experiment.measurement import Run
+from taxeld_hil.experiment.measurement import RunRow
 from taxeld_hil.scenario import scenario
 
 DEMO = scenario.load("demo")
@@ -24,9 +24,9 @@ at_s = 2.0
 """
 
 
-def run(name: str, skin: str, **given: object) -> Run:
+def run(name: str, skin: str, **given: object) -> RunRow:
     """The figures of a run that went well, but for those that are given."""
-    fine: Run = {"scenario": name, "bundle": "box", "skin": skin, "passed": True, "found": True}
+    fine: RunRow = {"scenario": name, "bundle": "box", "skin": skin, "passed": True, "found": True}
     return {**fine, "silent": 0, **given}
 
 

@@ -17,7 +17,7 @@ AWAY_STEPS = 60
 ROUNDING = 1e-6  # counts
 
 
-class Pressed:
+class GivenDepths:
     """Depths [m] that are given, in place of a solid's: that of a pose is its x."""
 
     def __init__(self, depth_m: Floats) -> None:
@@ -46,7 +46,7 @@ def test_while_nothing_is_touched_no_reading_rises(
     depth_m = np.zeros((steps, len(SKIN)))
     on = rng.random((steps, len(taxels))) < pressed
     depth_m[:, taxels] = np.where(on, rng.uniform(0.0, 0.006, on.shape), 0.0)
-    physics = MeshPhysics(SKINS[name], Pressed(depth_m), SKIN, 0.005, FULL, rng)  # type: ignore[arg-type]
+    physics = MeshPhysics(SKINS[name], GivenDepths(depth_m), SKIN, 0.005, FULL, rng)  # type: ignore[arg-type]
     counts = np.array([
         physics.press(np.array([k, 0.0, 0.0]), period_s * k) for k in range(steps + AWAY_STEPS)
     ])  # fmt: skip

@@ -18,7 +18,7 @@ from taxeld.model import se2
 from taxeld.skin.calibration import Calibration
 from taxeld_hil.calibration.calibrate import Result, fitted
 from taxeld_hil.calibration.observer import Observer
-from taxeld_hil.experiment.measurement import Run, digest, require
+from taxeld_hil.experiment.measurement import RunRow, digest, require
 from taxeld_hil.experiment.touches import planned
 from taxeld_hil.jobs import Job
 from taxeld_hil.rig.rig import IDLE_S, Rig
@@ -65,7 +65,7 @@ def jobs(skins: Sequence[str], seeds: int) -> list[Job]:
     return found
 
 
-def play(sort: str, subject: Scenario, skin: str, seed: int) -> Run:
+def play(sort: str, subject: Scenario, skin: str, seed: int) -> RunRow:
     """The figures of one run of a sort: find, buy or one of FAULTS."""
     run = {"sort": sort, "object": subject.bundle, "skin": skin, "seed": seed}
     if sort in FAULTS:
@@ -92,15 +92,15 @@ def pictured(skin: str) -> Result:
     return calibrated(scenarios.load("demo").touching("box").on(skin), 0, _mount(0))[0]
 
 
-def described(run: Run) -> str:
+def described(run: RunRow) -> str:
     """A run's figures in short."""
     names = {"sort", "object", "skin", "seed"}
     return ", ".join(f"{name} {value}" for name, value in run.items() if name not in names)
 
 
-def lines(runs: Sequence[Run]) -> Iterator[str]:
+def lines(runs: Sequence[RunRow]) -> Iterator[str]:
     """The runs in few numbers, as Markdown tables."""
-    groups: dict[tuple[str, str, str], list[Run]] = {}
+    groups: dict[tuple[str, str, str], list[RunRow]] = {}
     for row in runs:
         groups.setdefault((row["sort"], row["skin"], row["object"]), []).append(row)
     yield "| skin, pose | runs, refused | gains known | off: gains, median (most) | mount | yaw |"
@@ -131,7 +131,7 @@ def lines(runs: Sequence[Run]) -> Iterator[str]:
             yield f"| {sort} | {skin}, {name} | {len(group)} | {raised} | {soon} | {about} |"
 
 
-def _accuracy(found: Sequence[Run]) -> str:
+def _accuracy(found: Sequence[RunRow]) -> str:
     """The cells of a row of the first table."""
     good = [each for each in found if "refused" not in each]
     head = f"{len(found)}, {len(found) - len(good)}"
@@ -150,7 +150,7 @@ def _accuracy(found: Sequence[Run]) -> str:
     )
 
 
-def _found(at: Scenario, seed: int, mount: Poses, *, given: bool) -> Run:
+def _found(at: Scenario, seed: int, mount: Poses, *, given: bool) -> RunRow:
     """How far the calibration is off."""
     try:
         result, full_scale = calibrated(at, seed, mount, given=given)

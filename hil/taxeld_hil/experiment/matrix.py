@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from taxeld_hil.experiment.measurement import Run, digest, require
+from taxeld_hil.experiment.measurement import RunRow, digest, require
 from taxeld_hil.jobs import Job
 from taxeld_hil.run.fake_run import NOT_INJECTED, FakeRun
 from taxeld_hil.run.live import LiveRun
@@ -43,7 +43,7 @@ def jobs(
     return found
 
 
-def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> Run:
+def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> RunRow:
     """The figures of one run."""
     stem = Path(name).stem
     if in_real_time:
@@ -70,17 +70,17 @@ def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> Run:
     }
 
 
-def described(run: Run) -> str:
+def described(run: RunRow) -> str:
     """A run's figures in short."""
     error = "no estimate" if run["error_mm"] is None else f"{run['error_mm']:.1f} mm"
     failed = f"; failed: {', '.join(run['failed'])}" if run["failed"] else ""
     return f"{run['status']}, {error}{failed}"
 
 
-def lines(runs: Sequence[Run]) -> Iterator[str]:
+def lines(runs: Sequence[RunRow]) -> Iterator[str]:
     """How often each scenario's object was found, as a Markdown table: a column a skin and object;
     with the runs in which a check failed though it was found, and those that failed silently."""
-    columns: dict[str, list[Run]] = {}
+    columns: dict[str, list[RunRow]] = {}
     for run in runs:
         name = Path(run["bundle"]).name  # the directory's name of a bundle that is not shipped
         columns.setdefault(f"{run['skin']}, {name}", []).append(run)
@@ -92,7 +92,7 @@ def lines(runs: Sequence[Run]) -> Iterator[str]:
     yield "| **all** | " + " | ".join(map(_cell, columns.values())) + " |"
 
 
-def _cell(runs: Sequence[Run]) -> str:
+def _cell(runs: Sequence[RunRow]) -> str:
     failed = sum(run["found"] and not run["passed"] for run in runs)
     silent = sum(run["silent"] > 0 for run in runs)
     found = f"{sum(run['found'] for run in runs)} of {len(runs)}"

@@ -15,7 +15,7 @@ from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.world import load_model
 
-Run: TypeAlias = dict[str, Any]  # one run's figures, as JSON has them
+RunRow: TypeAlias = dict[str, Any]  # one run's figures, as JSON has them
 
 
 def require(objects: Sequence[str], skins: Sequence[str], seeds: int, *, soft: bool) -> None:
@@ -48,16 +48,16 @@ def digest(subject: Scenario) -> str:
     return hashlib.sha256(f"{_code()}\0{subject!r}".encode() + info).hexdigest()[:16]
 
 
-def save(path: Path, runs: Sequence[Run]) -> None:
+def save(path: Path, runs: Sequence[RunRow]) -> None:
     """Write runs as JSON, a run a line: a diff can be read."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = ",\n".join(map(json.dumps, runs))
     path.write_text(f'{{"runs": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
-def read(path: Path) -> list[Run]:
+def read(path: Path) -> list[RunRow]:
     """The runs in such a file."""
-    runs: list[Run] = json.loads(path.read_text(encoding="utf-8"))["runs"]
+    runs: list[RunRow] = json.loads(path.read_text(encoding="utf-8"))["runs"]
     return runs
 
 

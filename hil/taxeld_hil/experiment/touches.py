@@ -16,7 +16,7 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
 from taxeld.model import se2
 from taxeld.model.activation import Activation
-from taxeld_hil.experiment.measurement import Run, digest, require
+from taxeld_hil.experiment.measurement import RunRow, digest, require
 from taxeld_hil.jobs import Job
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
@@ -58,17 +58,17 @@ def jobs(objects: Sequence[str], skins: Sequence[str], seeds: int) -> list[Job]:
     ]
 
 
-def figures(subject: Scenario, seed: int) -> Run:
+def figures(subject: Scenario, seed: int) -> RunRow:
     """One run, as JSON has it."""
     return asdict(play(subject, seed))
 
 
-def described(run: Run) -> str:
+def described(run: RunRow) -> str:
     """A run's errors, in short."""
     return f"{run['error_mm']} mm after {AFTER}"
 
 
-def lines(runs: Sequence[Run]) -> Iterator[str]:
+def lines(runs: Sequence[RunRow]) -> Iterator[str]:
     """Errors and failures as a Markdown table: a row a skin and object."""
     head = [
         "skin, object",

@@ -11,7 +11,7 @@ from taxeld_protocol.slcan import BEL, CR
 BUS_RATE = b"S8"  # the only bit rate on the bus: 1 Mbit/s
 
 
-class Kind(NamedTuple):
+class AdapterKind(NamedTuple):
     """How one kind of adapter differs from the others."""
 
     answers: bool = True  # CR or BEL to each line
@@ -20,11 +20,11 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "lawicel": Kind(stamp_digits=4),  # an adapter whose time stamps are on
-    "microseconds": Kind(stamp_digits=8),
-    "plain": Kind(),
-    "canable2": Kind(answers=False, listens_by=b"M1"),
-    "answering canable2": Kind(listens_by=b"M1"),
+    "lawicel": AdapterKind(stamp_digits=4),  # an adapter whose time stamps are on
+    "microseconds": AdapterKind(stamp_digits=8),
+    "plain": AdapterKind(),
+    "canable2": AdapterKind(answers=False, listens_by=b"M1"),
+    "answering canable2": AdapterKind(listens_by=b"M1"),
 }
 
 

@@ -25,7 +25,7 @@ class Sent(NamedTuple):
     declares: bool = False  # the modules' channels
 
 
-class Unit(NamedTuple):
+class WireUnit(NamedTuple):
     """What goes over the wire in one piece: a CAN frame, or a line of the native link."""
 
     item: Frame | bytes
@@ -47,7 +47,7 @@ class Fates:
     line_errors: int = 0  # lines of the native link, with either error
     undetected: int = 0  # damaged packets whose checksum is right
     unclear: int = 0  # undetected packets other than SENSOR_DATA, whose fate is open
-    index_errors: int = 0  # whole packets for a module or channel that does not exist
+    index_errors: int = 0  # undetected packets for a module or channel that does not exist
     undeclared: int = 0  # SENSOR_DATA before the modules were declared
     scans: int = 0
     incomplete: int = 0
@@ -68,7 +68,7 @@ class Ledger:
     poses_heard: int = 0  # poses that this host heard
     refused: int = 0  # units that the host did not make room for
     hosts: int = 1
-    _open: list[Unit] = field(default_factory=list)
+    _open: list[WireUnit] = field(default_factory=list)
     _first: list[int] = field(default_factory=list)
     _channels: int = 0
     _declared: bool = False
@@ -89,7 +89,7 @@ class Ledger:
         self._open, self._declared, self._t = [], False, None
         self._reached = self._filled = 0
 
-    def deliver(self, unit: Unit, t: float) -> None:
+    def deliver(self, unit: WireUnit, t: float) -> None:
         """The host was handed this at time t."""
         fates = self.fates
         fates.units += 1
@@ -100,7 +100,7 @@ class Ledger:
         else:
             self._frame(unit, unit.sent, t)
 
-    def deliver_all(self, units: list[Unit], t: float) -> None:
+    def deliver_all(self, units: list[WireUnit], t: float) -> None:
         """The same of several."""
         for unit in units:
             self.deliver(unit, t)
@@ -114,7 +114,7 @@ class Ledger:
             "fates": asdict(self.fates),
         }
 
-    def _line(self, unit: Unit, line: bytes, t: float) -> None:
+    def _line(self, unit: WireUnit, line: bytes, t: float) -> None:
         self.fates.bytes += len(line)
         if unit.sent is None or line != unit.sent.data:
             self.fates.foreign += unit.sent is None
@@ -122,7 +122,7 @@ class Ledger:
         else:
             self._arrived(unit.sent, t)
 
-    def _frame(self, unit: Unit, sent: Sent, t: float) -> None:
+    def _frame(self, unit: WireUnit, sent: Sent, t: float) -> None:
         if unit.part == 0:
             self.fates.length_errors += bool(self._open)  # the packet before was cut short
             self._open = []
@@ -137,7 +137,7 @@ class Ledger:
             self._open = []
             self.fates.length_errors += 1
 
-    def _judge(self, parts: list[Unit], t: float) -> None:
+    def _judge(self, parts: list[WireUnit], t: float) -> None:
         """Fragments from a first to a last, which need not be of one packet."""
         fates, sent = self.fates, parts[0].sent
         data = b"".join(part.item.data for part in parts if isinstance(part.item, Frame))

@@ -19,7 +19,7 @@ import can
 
 from taxeld.errors import SetupError
 from taxeld_hil.rig.adapters import Adapter
-from taxeld_hil.rig.ledger import Unit
+from taxeld_hil.rig.ledger import WireUnit
 from taxeld_protocol import slcan
 from taxeld_protocol.cyskin import Packet
 from taxeld_protocol.frames import Frame
@@ -41,7 +41,7 @@ class Port(Protocol):
         """The host's requests that have come; `t` stamps their frames."""
         ...
 
-    def send(self, unit: Unit) -> bool:
+    def send(self, unit: WireUnit) -> bool:
         """Hand a unit to the host; False: there was no room."""
         ...
 
@@ -176,7 +176,7 @@ class SlcanPort(_Terminal):
         self.is_open = self._has_host and self.adapter.on_bus
         return [packet for packet in packets if packet is not None]
 
-    def send(self, unit: Unit) -> bool:
+    def send(self, unit: WireUnit) -> bool:
         return isinstance(unit.item, Frame) and self._write(self.adapter.bus(unit.item))
 
     def forget(self) -> None:
@@ -209,7 +209,7 @@ class NativePort(_Terminal):
         self.is_open = self.is_open or bool(packets)
         return packets
 
-    def send(self, unit: Unit) -> bool:
+    def send(self, unit: WireUnit) -> bool:
         return isinstance(unit.item, bytes) and self._write(unit.item)
 
 
@@ -242,7 +242,7 @@ class CanPort:
         self.is_open = self.is_open or bool(packets)
         return [packet for packet in packets if packet is not None]
 
-    def send(self, unit: Unit) -> bool:
+    def send(self, unit: WireUnit) -> bool:
         if not isinstance(unit.item, Frame):
             return False
         message = can.Message(

@@ -11,7 +11,7 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
 from taxeld_hil.rig.faults import Injector, PoseRow
-from taxeld_hil.rig.ledger import Ledger, Sent, Unit
+from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
 from taxeld_hil.world import robot
 from taxeld_hil.world.world import load_model, make_world
@@ -102,14 +102,14 @@ class Rig:
         active = self._injector.active(t)
         return "reboot" not in active and "unplugged" not in active
 
-    def answer(self, packet: Packet, t: float) -> list[Unit]:
+    def answer(self, packet: Packet, t: float) -> list[WireUnit]:
         """The answers to a host's request."""
         if not self._power(t):
             return []
         answers = self.hub.answer(packet)
         return [unit for answer in answers for unit in self._send(*answer, t)]
 
-    def scan(self, t: float, now: float) -> list[Unit]:
+    def scan(self, t: float, now: float) -> list[WireUnit]:
         """What the hub sends at scenario time t; `now` is any clock that goes on over laps."""
         self._now = now
         if not self._power(t):
@@ -122,7 +122,7 @@ class Rig:
                 out += self._send(*answer, t)
         return out
 
-    def rest(self) -> list[Unit]:
+    def rest(self) -> list[WireUnit]:
         """What was held back, at the end."""
         return self._injector.flush()
 
@@ -149,16 +149,16 @@ class Rig:
         self._was_on = on
         return on
 
-    def _send(self, command: int, payload: bytes, t: float) -> list[Unit]:
+    def _send(self, command: int, payload: bytes, t: float) -> list[WireUnit]:
         self.ledger.packets_sent += 1
         if self.line:
             line = serial_link.encode(command, payload, ihb=self.hub.short_id)
-            units = [Unit(line, self._sent(line, command, payload, 1))]
+            units = [WireUnit(line, self._sent(line, command, payload, 1))]
         else:
             data = cyskin.encode(command, payload)
             frames = cyskin.fragment(data, self.hub.short_id, self._now)
             sent = self._sent(data, command, payload, len(frames))
-            units = [Unit(frame, sent, i) for i, frame in enumerate(frames)]
+            units = [WireUnit(frame, sent, i) for i, frame in enumerate(frames)]
         if self._injector.is_quiet(t):
             return units
         return [out for unit in units for out in self._injector.unit(unit, t)]
