@@ -5,29 +5,24 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from taxeld.layout import read as layouts
 from taxeld.model import se2
-from taxeld.proposals import bundle
 from taxeld_hil.experiment import calibration as experiment
 from taxeld_hil.experiment.measurement import RunRow
 from taxeld_hil.rig.rig import Rig
-from taxeld_hil.scenario import scenario
 from taxeld_hil.world import calibration_touches
+from tests.hil.rig import DEMO, MODEL, TRUTH
 
-DEMO = scenario.load("demo").on("typical")
-SKIN = layouts.load(DEMO.layout)
-TRUTH = np.array([0.05, -0.1, 0.7])
+TYPICAL = DEMO.on("typical")
 
 
 def test_a_calibration_presses_with_every_side_of_the_skin_and_from_all_around() -> None:
-    model = bundle.load("box", SKIN, 0.005).model
-    plan = calibration_touches.plan(model, TRUTH, seed=3, presses=20)
+    plan = calibration_touches.plan(MODEL, TRUTH, seed=3, presses=20)
     assert len(plan.touches) == 20
     assert plan.touches[0].begin_s > calibration_touches.IDLE_S
     felt, around = set(), set()
     for touch in plan.touches:
         sensor = plan.path.at(float(np.mean(touch.held_s)))
-        h = model.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0]
+        h = MODEL.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0]
         assert h.max() > 0.1
         column = int(h.argmax()) % 16
         felt.add(column // 2)
@@ -39,7 +34,7 @@ def test_a_calibration_presses_with_every_side_of_the_skin_and_from_all_around()
 
 def test_a_robot_with_a_mount_tells_of_another_frame_than_the_sensors() -> None:
     mount = np.array([0.01, -0.02, 0.4])
-    straight, bent = Rig(DEMO, 0), Rig(DEMO, 0)
+    straight, bent = Rig(TYPICAL, 0), Rig(TYPICAL, 0)
     experiment.mounted(bent, mount)
     (true,), (told,) = straight.poses(5.0, 5.0, 5.0), bent.poses(5.0, 5.0, 5.0)
     assert told[0] == true[0]
@@ -47,7 +42,7 @@ def test_a_robot_with_a_mount_tells_of_another_frame_than_the_sensors() -> None:
 
 
 def test_modules_that_are_swapped_read_each_others_taxels_and_nothing_else_changes() -> None:
-    rig, usual = Rig(DEMO, 0), Rig(DEMO, 0)
+    rig, usual = Rig(TYPICAL, 0), Rig(TYPICAL, 0)
     experiment.swapped(rig, 2, 3)
     before, after = usual.world.channels, rig.world.channels
     for module in range(8):
@@ -59,10 +54,10 @@ def test_modules_that_are_swapped_read_each_others_taxels_and_nothing_else_chang
 
 
 def test_a_wrong_full_scale_is_noticed_and_a_right_one_is_not() -> None:
-    touch, suspect = experiment.noticed(DEMO, 0, 7, factor=2.5)
+    touch, suspect = experiment.noticed(TYPICAL, 0, 7, factor=2.5)
     assert suspect == "scale"
     assert 5 <= touch <= 7
-    assert experiment.noticed(DEMO, 0, 7) == (0, "")
+    assert experiment.noticed(TYPICAL, 0, 7) == (0, "")
 
 
 def run(sort: str, seed: int = 0) -> RunRow:

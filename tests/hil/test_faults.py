@@ -3,7 +3,6 @@
 import json
 import subprocess
 import sys
-from collections import Counter
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -16,7 +15,7 @@ from taxeld.estimator.estimate import Status
 from taxeld_hil import cli
 from taxeld_hil.grade import flags
 from taxeld_hil.grade.grade import Grade, Run, grade
-from taxeld_hil.grade.judge import Judge, Sample, percentile
+from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.grade.reconcile import laws
 from taxeld_hil.rig.faults import Injector
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
@@ -28,8 +27,8 @@ from taxeld_hil.scenario.scenario import Fault
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.frames import Frame
+from tests.hil.rig import DEMO
 
-DEMO = scenario.load("demo")
 MODULES = (3, 3)
 CHANNELS = [range(1, 3), range(4, 6)]
 TAXELS = {0: 1, 1: 2, 2: 4, 3: 5}
@@ -191,11 +190,6 @@ def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does
     assert flags.grew(flag, before, {"uptime_s": 10.0, "source": {"crc_errors": 5}})
     assert not flags.grew(flag, before, {"uptime_s": 1.0, "source": {"crc_errors": 0}})
     assert flags.grew(flag, before, {"uptime_s": 1.0, "source": {"crc_errors": 1}})
-
-
-def test_percentiles_are_of_the_counts() -> None:
-    counts = Counter({10: 98, 20: 1, 30: 1})
-    assert [percentile(counts, share) for share in (0.5, 0.98, 0.99, 1.0)] == [10, 10, 20, 30]
 
 
 def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:

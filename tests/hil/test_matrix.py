@@ -10,9 +10,8 @@ import pytest
 from taxeld_hil import cli
 from taxeld_hil.experiment import matrix, measurement, touches
 from taxeld_hil.experiment.measurement import RunRow
-from taxeld_hil.scenario import scenario
+from tests.hil.rig import DEMO
 
-DEMO = scenario.load("demo")
 SHORT = """\
 bundle = "box"
 contacts = 3

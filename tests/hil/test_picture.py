@@ -112,9 +112,3 @@ def test_a_truth_that_was_cut_before_its_first_row_is_no_truth(
 def test_a_picture_that_cannot_be_written_is_one_line(tmp_path: Path, name: str) -> None:
     with pytest.raises(SetupError, match="--out: cannot write"):
         draw.save(Figure(), tmp_path / name)
-
-
-def test_the_picture_of_the_readme_is_small() -> None:
-    docs = Path(__file__).parents[2] / "docs"
-    assert (docs / "demo.png").stat().st_size < 300_000
-    assert (docs / "view.png").stat().st_size < 300_000

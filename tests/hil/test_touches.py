@@ -10,24 +10,21 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.config.toml_tables import Given
 from taxeld.estimator.estimator import Estimator
-from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Manifold
 from taxeld_hil.experiment import touches as touch_experiment
 from taxeld_hil.experiment.touches import AFTER, OVERLOOKED_NATS, TouchRun, truth_nats
-from taxeld_hil.scenario import scenario
 from taxeld_hil.scenario.mesh_config import PLAIN
 from taxeld_hil.world import touches
 from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.mesh_skin import MeshSkin
 from taxeld_hil.world.touches import Touch, TouchPlan
+from tests.hil.rig import DEMO, MODEL, SKIN, TRUTH
 
-DEMO = scenario.load("demo").on("typical")
-SKIN = layouts.load(DEMO.layout)
+TYPICAL = DEMO.on("typical")
 HARD = np.zeros(len(SKIN))
-TRUTH = np.array([0.05, -0.1, 0.7])
 OFF = {k: v for k, v in asdict(PLAIN).items() if k not in ("gain_cv", "noise_counts")}
 
 
@@ -92,7 +89,7 @@ def test_a_light_touch_comes_within_two_seconds_on_taxels_that_were_pressed(name
 
 
 def test_a_skin_that_keeps_nothing_is_felt_when_it_is_touched_and_never_in_the_air() -> None:
-    plain = replace(DEMO, mesh=Given(OFF))
+    plain = replace(TYPICAL, mesh=Given(OFF))
     found = touch_experiment.play(plain, 0)
     assert found.scans > 400
     assert 0.4 < found.air / found.scans < 0.8
@@ -107,15 +104,15 @@ def test_what_is_felt_in_the_air_and_what_is_not_felt_is_counted() -> None:
     """Nothing tells a skin that keeps all of a press from one that is still pressed, nor a light
     touch from noise as large."""
     keeps = {**OFF, "residue_slow": (0.95, 0.95), "loading_s": 0.05}
-    found = touch_experiment.play(replace(DEMO, mesh=Given(keeps)), 0)
+    found = touch_experiment.play(replace(TYPICAL, mesh=Given(keeps)), 0)
     assert found.felt_in_air > 0.7 * found.air  # but for those before the first touch
     deaf = {**OFF, "noise_counts": (600.0, 600.0)}
-    found = touch_experiment.play(replace(DEMO, mesh=Given(deaf)), 0)
+    found = touch_experiment.play(replace(TYPICAL, mesh=Given(deaf)), 0)
     assert found.missed == found.light == 4
 
 
 def test_a_run_is_determined_by_its_seed() -> None:
-    stiff = DEMO.on("stiff")
+    stiff = TYPICAL.on("stiff")
     assert touch_experiment.play(stiff, 0) == touch_experiment.play(stiff, 0)
 
 
@@ -136,12 +133,11 @@ def test_the_table_is_of_the_runs() -> None:
 
 
 def test_a_truth_that_the_filter_has_missed_is_told_from_one_that_touches_do_not_tell() -> None:
-    model = bundle.load("box", SKIN, 0.005).model
-    made = Estimator(model, Manifold(model), FilterConfig(injected=20, particles=20))
-    touched = touches.plan(model, TRUTH, lambda q: float(depth_m("box", q).max()), 0, 4, 0)
+    made = Estimator(MODEL, Manifold(MODEL), FilterConfig(injected=20, particles=20))
+    touched = touches.plan(MODEL, TRUTH, lambda q: float(depth_m("box", q).max()), 0, 4, 0)
     for k, touch in enumerate(touched.touches):
         sensor = touched.path.at(float(np.mean(touch.held_s)))
-        z = model.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0]
+        z = MODEL.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0]
         made.on_scan(Activation(float(k), z, z >= 0.0), sensor)
     made.estimate = replace(made.estimate, map=TRUTH + np.array([0.05, 0.0, 1.0]))
     assert truth_nats(made, TRUTH) > OVERLOOKED_NATS

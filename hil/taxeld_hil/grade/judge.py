@@ -75,9 +75,8 @@ class Tally:
     silent_episodes: int = 0  # uninterrupted sequences of silent failures
     silent_at_s: list[float] = field(default_factory=list)  # when the first episodes began
     worst_silent_mm: float = 0.0
-    ages: Counter[int] = field(
-        default_factory=Counter
-    )  # ages of first estimates of scans [AGE_UNIT_S]
+    # ages of each scan's first estimate [AGE_UNIT_S] and the times of those ticks [us], with counts
+    ages: Counter[int] = field(default_factory=Counter)
     ticks_us: Counter[int] = field(default_factory=Counter)
 
 
