@@ -57,7 +57,7 @@ def test_a_run_of_other_code_another_scenario_or_another_bundle_is_not_remembere
     codes.append(measurement.digest(mine))
     assert len(set(codes)) == len(codes)
     assert measurement.digest(DEMO) == codes[0]
-    monkeypatch.setattr(measurement, "_code", lambda: "of other code")
+    monkeypatch.setattr(measurement, "code", lambda: "of other code")
     assert measurement.digest(DEMO) not in codes
 
 

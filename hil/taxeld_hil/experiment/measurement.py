@@ -45,7 +45,7 @@ def digest(subject: Scenario) -> str:
         SetupError: the bundle cannot be found or read.
     """
     info = seal.read(bundle.find(subject.bundle) / manifest.NAME)  # has digests of its files
-    return hashlib.sha256(f"{_code()}\0{subject!r}".encode() + info).hexdigest()[:16]
+    return hashlib.sha256(f"{code()}\0{subject!r}".encode() + info).hexdigest()[:16]
 
 
 def save(path: Path, runs: Sequence[RunRow]) -> None:
@@ -62,7 +62,7 @@ def read(path: Path) -> list[RunRow]:
 
 
 @cache
-def _code() -> str:
+def code() -> str:
     """Hash of the code and of what is shipped with it, as this process first found it."""
     found = hashlib.sha256()
     for package in ("taxeld", "taxeld_protocol", "taxeld_hil"):
