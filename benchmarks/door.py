@@ -1,4 +1,4 @@
-"""What peers can do to a running daemon: one whose door is killed, and one for each attack.
+"""A running daemon under attack by peers: a row for each attack, and for a killed door.
 
     python benchmarks/door.py [--seconds 10] [--killed-s 600] [--only TEXT] [--json FILE]
 

@@ -57,7 +57,7 @@ class PeerScans:
         ]
 
     def log_likelihood(self, k: int, poses: np.ndarray) -> np.ndarray:
-        """Of a scan that has just come in, as ours has to take it."""
+        """Log likelihood (N,) of poses (N, 3) for scan `k`, as for a new scan."""
         memory = self.nothing.anew()
         memory.add(self.observations[k % len(self.observations)])
         return memory.explain(poses)[:, 0]
@@ -84,7 +84,7 @@ def ours(
 
 
 def updated(rule: Paper | Mixture, observation: Observation) -> None:
-    """By a scan without samples."""
+    """Update a rule by a scan without samples."""
     nothing = np.empty((0, 3))
     if isinstance(rule, Mixture):
         done(rule._update(observation, nothing, TOUCHES + 1))
@@ -93,7 +93,7 @@ def updated(rule: Paper | Mixture, observation: Observation) -> None:
 
 
 class PeerModel(StateSpaceModel):
-    """The same for `particles`."""
+    """The model of the package `particles`."""
 
     scans: PeerScans
 

@@ -282,7 +282,7 @@ def cpu_s(pid: int) -> float:
 
 
 def resident_mb(pid: int) -> float:
-    """The same, of resident memory."""
+    """Resident memory of a process and of those that it has started."""
     pages = sum(
         int(Path(f"/proc/{one}/statm").read_text(encoding="ascii").split()[1])
         for one in processes(pid)

@@ -189,7 +189,7 @@ def _say(line: str) -> None:
 
 
 def _scenario(args: argparse.Namespace) -> "Scenario":
-    """With the object and the skin that are named beside it.
+    """The scenario that the arguments name, with their object and skin.
 
     Raises:
         SetupError: there is no such scenario or skin.

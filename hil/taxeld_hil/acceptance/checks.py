@@ -1,4 +1,4 @@
-"""The acceptance checks: what may be wrong with a skin, and what to do about it.
+"""The acceptance checks: faults of a skin, and their cures.
 
 A check is a function of what was received. `CHECKS` lists them in the order in which the report has
 them.
@@ -41,7 +41,7 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class CheckResult:
-    """How one check ended; `figures` are for machines, and go to the JSON alone."""
+    """The result of one check; `figures` are for machines, and go to the JSON alone."""
 
     summary: str
     findings: Sequence[Finding] = ()
@@ -113,7 +113,7 @@ def modules(got: Received) -> CheckResult:
 
 
 def _mask(layout: Module, found: Module) -> Iterator[str]:
-    """What is wrong with the channels of a module that is where it should be."""
+    """Faults in the channels of a module of the layout."""
     mask, named = f"its mask {found.mask:#05x}", found.mask.bit_count()
     if found.channels != named:
         said = f"{mask} names {named} channels, but it sends {found.channels}"
@@ -196,7 +196,7 @@ def link(got: Received) -> CheckResult:
 
 
 def noise(got: Received) -> CheckResult:
-    """How much the readings of the untouched skin vary."""
+    """The readings of the untouched skin vary little."""
     idle, full = got.idle, got.full_scale_counts
     if not idle.usable.any():
         return CheckResult("no taxel that reads", checked=False)
@@ -337,7 +337,7 @@ def _by_module(
 
 
 def _counted(count: Counter[str], *names: str) -> str:
-    """Those of the counters that are not 0, in words."""
+    """The counters that are not 0, in words."""
     return ", ".join(f"{cures.COUNTED[name]}: {count[name]}" for name in names if count[name])
 
 

@@ -1,4 +1,4 @@
-"""What to do about a finding, and the names of a source's counters in words."""
+"""Cures for findings, and the names of a source's counters in words."""
 
 POWER = (
     "check that the hub has power, that CAN-H and CAN-L are not exchanged, and that the bus ends "

@@ -1,4 +1,4 @@
-"""What each taxel and each temperature channel read while nothing touched the skin."""
+"""Readings of each taxel and each temperature channel of an untouched skin."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -84,7 +84,7 @@ class IdleReadings:
         return np.maximum(THRESHOLD_SIGMAS * self.noise, FLOOR * self.full_scale_counts)
 
     def median_noise(self, taxels: Bools) -> float:
-        """Of some taxels (M,), in counts; 0 without any."""
+        """Median noise of some taxels (M,) [counts]; 0 without any."""
         return float(np.median(self.noise[taxels])) if taxels.any() else 0.0
 
 

@@ -77,7 +77,7 @@ def pressed(
 def _follow(
     source: Source, wiring: Wiring, level: Floats, over: Floats
 ) -> Iterator[tuple[float, Floats]]:
-    """When scans come in the time for a press, and `over` (M,), the newest counts over `level`."""
+    """Times of scans for a press, and `over` (M,), the newest counts over `level` (M,)."""
     for scan in scans(source, PRESS_S):
         wired = wiring.of(scan)
         counts = np.array(scan.counts, dtype=np.float64)[wired.channels]
@@ -87,7 +87,7 @@ def _follow(
 
 
 def _place(layout: Layout, own: Bools) -> str:
-    """Where the operator finds some taxels (M,), as the layout has them."""
+    """Place of some taxels (M,) in words, as the layout has them."""
     x, y, z = layout.position_m[own].mean(axis=0)
     if math.isinf(layout.radius_m):
         return f"x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"

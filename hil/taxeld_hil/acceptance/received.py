@@ -1,4 +1,4 @@
-"""What is received from a skin while nothing touches it, after the daemon's own bring-up.
+"""Scans and counters of an untouched skin, after the daemon's own bring-up.
 
 The checks are functions of `Received` alone: they need no device and no clock.
 """
@@ -52,12 +52,12 @@ class Received:
 
     @cached_property
     def idle(self) -> IdleReadings:
-        """What each taxel read in the idle period."""
+        """Readings of each taxel in the idle period."""
         return measured(self.layout, self.scans, self.period_ms / 1e3, self.full_scale_counts)
 
     @property
     def times(self) -> dict[int, Floats]:
-        """When the complete scans of each hub came (n,) [s]."""
+        """Times (n,) [s] of the complete scans of each hub."""
         hubs = sorted({scan.ihb for scan in self.scans})
         return {h: np.array([s.t for s in self.scans if s.ihb == h and s.complete]) for h in hubs}
 

@@ -18,7 +18,7 @@ VERSION = 1
 
 @dataclass(frozen=True)
 class AcceptanceReport:
-    """What an acceptance run found."""
+    """The results of an acceptance run."""
 
     target: str
     when: str
@@ -36,7 +36,7 @@ class AcceptanceReport:
 
     @property
     def seconds(self) -> float:
-        """How long the untouched skin was read."""
+        """Time that the untouched skin was read [s]."""
         start, end = self.received.span
         return round(end - start, 3)
 
@@ -71,7 +71,7 @@ class AcceptanceReport:
 
     @property
     def json(self) -> str:
-        """The same for machines, with a row for each taxel."""
+        """The report for machines, with a row for each taxel."""
         got, idle = self.received, self.received.idle
         none = np.full(len(got.layout), np.nan)
         columns = {

@@ -129,7 +129,7 @@ def fitted(observed: Observed, config: Config, placed: Poses | None) -> Result:
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """Where the object stands, and whether that is exact."""
+    """Pose of the object, and whether it is exact."""
 
     object: Poses  # (3,) in the world
     given: bool

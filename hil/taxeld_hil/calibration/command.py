@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def write(result: Result, out: Path) -> None:
-    """Raises SetupError where the files cannot be written."""
+    """Write the three files. Raises SetupError where they cannot be written."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         text = calibration_file.dump(result.calibration, result.observed.model.layout)
@@ -64,7 +64,7 @@ def write(result: Result, out: Path) -> None:
 
 
 def lines(result: Result) -> Iterator[str]:
-    """What was measured, how well, and what could not be."""
+    """Measured values, their uncertainty, and taxels that could not be measured."""
     c, fit, observed, known = result.calibration, result.fit, result.observed, result.known
     layout, idle = observed.model.layout, observed.idle
     yield f"calibration of {layout.name}, {len(layout)} taxels, on {c.object}"

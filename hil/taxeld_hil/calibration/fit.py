@@ -51,7 +51,7 @@ class Unknowns(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Where a fit begins; poses (3,)."""
+    """Begin of a fit; poses (3,)."""
 
     full_scale: float  # counts
     mount: Poses
@@ -60,7 +60,7 @@ class Start(NamedTuple):
 
 
 class HeldTerms(NamedTuple):
-    """What follows from the unknowns and is held during a round; all (K, M)."""
+    """Terms that follow from the unknowns and are held during a round; all (K, M)."""
 
     cosine: Floats  # between each taxel's normal and the shortest way out of the object
     sd: Floats  # sd of each reading [counts]
@@ -157,7 +157,7 @@ class CalibrationFit:
         )
 
     def _residuals(self, x: Unknowns, held: HeldTerms) -> Floats:
-        """Of the used readings, in row order and in sd."""
+        """Residuals of the used readings, in row order and in sd."""
         depth = self._model.activation(self._seen(x)) / held.cosine
         off = (self._presses.counts - _expected(x, depth)) / held.sd
         return np.asarray(off[held.used])

@@ -31,7 +31,7 @@ class AtRest:
 
 
 def at_rest(t: Floats, counts: Floats) -> AtRest:
-    """Of N scans at times `t` (N,) [s], counts (N, M), 0 where a taxel did not answer."""
+    """The rest of N scans at times `t` (N,) [s]; counts (N, M), 0 where a taxel did not answer."""
     n, m = counts.shape
     if n < 2:
         return AtRest(0.0, np.zeros(m), np.zeros(m), np.zeros(m, dtype=bool))
@@ -68,7 +68,7 @@ def uncalibrated(config: Config) -> Config:
 
 
 class Observer:
-    """Of a pipeline without a calibration."""
+    """Collects rest and presses from the outcomes of a pipeline without a calibration."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
@@ -109,7 +109,7 @@ class Observer:
         )
 
     def observed(self) -> Observed:
-        """Of all scans so far."""
+        """Rest and presses of all scans so far."""
         estimate = self.pipeline.estimate
         sure = estimate.status in (Status.CONVERGED, Status.AMBIGUOUS)
         counts = np.array([row for _, row in self._idle], dtype=np.float64)

@@ -151,7 +151,7 @@ def _accuracy(found: Sequence[RunRow]) -> str:
 
 
 def _found(at: Scenario, seed: int, mount: Poses, *, given: bool) -> RunRow:
-    """How far the calibration is off."""
+    """Errors of a calibration, or why it was refused."""
     try:
         result, full_scale = calibrated(at, seed, mount, given=given)
     except SetupError as error:

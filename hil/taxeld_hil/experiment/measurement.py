@@ -63,7 +63,7 @@ def read(path: Path) -> list[RunRow]:
 
 @cache
 def code() -> str:
-    """Hash of the code and of what is shipped with it, as this process first found it."""
+    """Hash of the code and of the files shipped with it, as this process first found them."""
     found = hashlib.sha256()
     for package in ("taxeld", "taxeld_protocol", "taxeld_hil"):
         root = Path(str(resources.files(package)))

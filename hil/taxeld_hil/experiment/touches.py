@@ -101,7 +101,7 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
 
 
 def _errors(error_mm: Sequence[float]) -> str:
-    """Of runs: the median, the 90th percentile, and the share that is close."""
+    """Median and 90th percentile of errors (runs,) [mm], and the share that is close."""
     error = np.asarray(error_mm)
     median, p90 = (
         f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"

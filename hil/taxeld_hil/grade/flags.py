@@ -23,7 +23,7 @@ Health = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """Where the fault must show; one of these is enough."""
+    """Signs of a fault; one of them is enough."""
 
     within_s: float
     counters: tuple[str, ...] = ()  # counters of /taxeld/health that grow

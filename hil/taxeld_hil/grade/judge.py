@@ -1,4 +1,4 @@
-"""What a subscriber sees of a run, graded as it goes: silent failures, flags, recoveries, ages.
+"""A run as a subscriber sees it, graded as it goes: silent failures, flags, recoveries, ages.
 
 Memory is bounded, so that a day can be judged as well as a minute.
 """
@@ -41,7 +41,7 @@ class Sample(NamedTuple):
 
 @dataclass(slots=True)
 class Seen:
-    """What was seen of one fault."""
+    """Signs of one fault so far."""
 
     fault: Fault
     flag: Flag | None
@@ -221,18 +221,18 @@ class Judge:
 
 
 def _window_s(scenario: Scenario) -> float:
-    """After a fault's end, in which it must recover."""
+    """Time to recover after a fault's end [s]."""
     return scenario.expect.recovery_s + SETTLE_S
 
 
 def _close_s(fault: Fault, scenario: Scenario) -> float:
-    """When that window ends: at the latest when another fault begins."""
+    """End of the time to recover: at the latest the begin of another fault."""
     later = [other.at_s for other in scenario.fault if other.at_s >= fault.end_s]
     return min([fault.end_s + _window_s(scenario), *later])
 
 
 def _is_overlapped(fault: Fault, scenario: Scenario) -> bool:
-    """Whether another that stops the estimates is on when this one ends."""
+    """Whether another fault that stops the estimates is on when this one ends."""
     return any(
         other.at_s < fault.end_s < other.end_s
         for other in scenario.fault

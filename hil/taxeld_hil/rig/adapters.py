@@ -1,4 +1,4 @@
-"""What SLCAN adapters do with a host's lines, and with a bus's frames: those that differ."""
+"""SLCAN adapters: their answers to a host's lines, and their lines for a bus's frames."""
 
 import re
 from collections import deque
@@ -62,7 +62,7 @@ class Adapter:
         return answer if self.kind.answers else b"", frame if sent else None
 
     def bus(self, frame: Frame) -> bytes:
-        """What the host gets of a frame on the bus."""
+        """The line that the host gets for a frame on the bus."""
         if not self.on_bus:
             return b""
         digits = self.kind.stamp_digits

@@ -47,7 +47,7 @@ class Injector:
         self._flooded_s: float | None = None
 
     def active(self, t: float) -> dict[str, Fault]:
-        """What fails at time t, by kind."""
+        """The faults at time t, by kind."""
         if t >= self._edge_s:
             before = self._active
             self._faults = [fault for fault in self._faults if fault.end_s > t]
@@ -59,7 +59,7 @@ class Injector:
         return self._active
 
     def is_quiet(self, t: float) -> bool:
-        """Whether units pass as they are."""
+        """Whether units pass unchanged."""
         return not self.active(t) and self._swapped is None
 
     def counts(self, counts: list[int], t: float) -> list[int | None]:
@@ -87,7 +87,7 @@ class Injector:
         return out
 
     def unit(self, unit: WireUnit, t: float) -> list[WireUnit]:
-        """What goes over the wire when the hub sends this."""
+        """The units on the wire when the hub sends this one."""
         active, done = self.active(t), self._ledger.done
         if self._hits(active.get("dropped")):
             done["dropped"] += 1
@@ -141,7 +141,7 @@ class Injector:
         self._late, self._swapped = [], None
 
     def poses(self, row: PoseRow, t: float) -> list[PoseRow]:
-        """What the robot publishes at scenario time t, when it is at this pose."""
+        """The poses that the robot publishes at scenario time t, when it is at this one."""
         active, done = self.active(t), self._ledger.done
         out = [row]
         if "pose_frozen" in active:
@@ -174,7 +174,7 @@ class Injector:
         return fault is not None and (fault.share >= 1.0 or self._rng.random() < fault.share)
 
     def _damaged(self, unit: WireUnit) -> WireUnit:
-        """With one bit flipped, in a frame's data or a line before its end."""
+        """The unit with one bit flipped, in a frame's data or in a line before its end."""
         data = unit.item if isinstance(unit.item, bytes) else unit.item.data
         end = len(data) - isinstance(unit.item, bytes)
         at, bit = int(self._rng.integers(end)), 1 << int(self._rng.integers(8))

@@ -26,7 +26,7 @@ class Sent(NamedTuple):
 
 
 class WireUnit(NamedTuple):
-    """What goes over the wire in one piece: a CAN frame, or a line of the native link."""
+    """One piece on the wire: a CAN frame, or a line of the native link."""
 
     item: Frame | bytes
     sent: Sent | None  # None: nothing of the skin's
@@ -35,7 +35,7 @@ class WireUnit(NamedTuple):
 
 @dataclass(slots=True)
 class Fates:
-    """What must have become of all that was delivered since this host began to listen."""
+    """Expected counts of all that was delivered since this host began to listen."""
 
     units: int = 0  # frames, or lines of the native link
     bytes: int = 0  # bytes in the serial lines
@@ -56,7 +56,7 @@ class Fates:
 
 @dataclass(slots=True)
 class Ledger:
-    """What was sent in one run; `fates` begin anew with each host."""
+    """Counts of all that was sent in one run; `fates` begin anew with each host."""
 
     modules: tuple[int, ...]  # channels of each
     period_s: float
@@ -101,7 +101,7 @@ class Ledger:
             self._frame(unit, unit.sent, t)
 
     def deliver_all(self, units: list[WireUnit], t: float) -> None:
-        """The same of several."""
+        """Note the delivery of several units."""
         for unit in units:
             self.deliver(unit, t)
 

@@ -31,7 +31,7 @@ OUTBOX_BYTES = 65536  # beyond what the kernel takes: some tenths of a second of
 
 
 class Port(Protocol):
-    """What a bench asks of a transport."""
+    """A transport, as a bench uses it."""
 
     is_open: bool  # whether a host listens
 
@@ -93,7 +93,7 @@ class _Terminal:
             self.close()
 
     def _make_link(self, to: str) -> None:
-        """Raises OSError where something stands there, but for what a killed process left."""
+        """Link to a terminal, in place of a killed process's link. Raises OSError."""
         if self._link.is_symlink() and not self._link.exists():
             self._link.unlink()
         if self._link.is_symlink():
@@ -191,7 +191,7 @@ class SlcanPort(_Terminal):
         super().set_plugged(plugged)
 
     def close_channel(self) -> None:
-        """As another process does by writing C to the device."""
+        """Close the channel, as another process does by writing C to the device."""
         self.adapter.host(b"C")
         self.is_open = False
 

@@ -110,7 +110,7 @@ class Rig:
         return [unit for answer in answers for unit in self._send(*answer, t)]
 
     def scan(self, t: float, now: float) -> list[WireUnit]:
-        """What the hub sends at scenario time t; `now` is any clock that goes on over laps."""
+        """The hub's units at scenario time t; `now` is any clock that goes on over laps."""
         self._now = now
         if not self._power(t):
             return []
@@ -123,15 +123,15 @@ class Rig:
         return out
 
     def rest(self) -> list[WireUnit]:
-        """What was held back, at the end."""
+        """The units that faults held back, at the end."""
         return self._injector.flush()
 
     def pose(self, t: float) -> Poses:
-        """Where the sensor truly is."""
+        """True pose of the sensor (3,)."""
         return self.path.at(t - IDLE_S)
 
     def poses(self, t: float, now: float, wall: float) -> list[PoseRow]:
-        """What the robot publishes, stamped with Unix time `wall`, which may be set; `now` as for
+        """The robot's poses, stamped with Unix time `wall`, which may be set; `now` as for
         `scan`."""
         if now < self._next_pose_s:
             return []

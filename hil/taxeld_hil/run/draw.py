@@ -163,7 +163,7 @@ class Picture:
         _label(axis, "around the skin [mm]", "z [mm]")
 
     def write(self, figure: Figure, out: Path) -> None:
-        """With a legend and a colour bar. Raises SetupError where `out` cannot be written."""
+        """Write a figure, a legend and a colour bar. Raises SetupError where it cannot be."""
         styles = (FOUND, MAYBE, LINK) if self._truth is None else (TRUTH, FOUND, MAYBE, LINK)
         lines = [Line2D([], [], **style) for style in styles]
         figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), fontsize=WORDS)
@@ -187,7 +187,7 @@ def _line(axis: Axes, pose: Poses, points: Poses, **style: Any) -> None:
 
 
 def save(figure: Figure, out: Path) -> None:
-    """Raises SetupError where `out` cannot be written."""
+    """Write a figure. Raises SetupError where `out` cannot be written."""
     try:
         figure.savefig(out, dpi=DPI)
     except (OSError, ValueError) as error:  # ValueError: the name has no picture's ending

@@ -59,11 +59,11 @@ class FakeDaemon:
             self.pipeline.freshness.came(t)
 
     def estimate(self, t: float) -> Estimate:
-        """As it would be published now."""
+        """The estimate as it would be published now."""
         return self.pipeline.freshness.judged(self.pipeline.estimate, t)
 
     def health(self, t: float) -> dict[str, Any]:
-        """What the harness reads of /taxeld/health."""
+        """The part of /taxeld/health that the harness reads."""
         parts = {
             "uptime_s": t - self._start_s,
             "loop": {"scans": self.scans},

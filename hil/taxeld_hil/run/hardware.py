@@ -1,5 +1,5 @@
 """A scenario on real hardware: the operator's robot moves and touches, the daemon listens to the
-device, and what it publishes is graded as far as it can be.
+device, and its messages are graded as far as they can be.
 
 Nothing is injected into a real skin; the daemon and a subscriber can be killed. Without the
 object's true pose, accuracy and silent failures are not graded.
@@ -32,7 +32,7 @@ STEP_MS = 20
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where the hardware is."""
+    """The hardware of a run."""
 
     target: str  # can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0
     poses: str  # the robot's endpoint; empty: the sensor stands still
@@ -56,8 +56,8 @@ class Site:
 def graded(
     name: str, scenario: Scenario, site: Site, directory: Path, place: Path, say: Say
 ) -> Grade:
-    """Until the scenario's contacts have been made and the daemon has recovered from its faults, or
-    the time is up; sockets are in `place`.
+    """Run until the scenario's contacts have been made and the daemon has recovered from its
+    faults, or the time is up; sockets are in `place`.
 
     Raises:
         SetupError: the target is malformed, a process failed, or no scan came.

@@ -1,5 +1,5 @@
 """A run in real time: the daemon as a process of its own, fed by a virtual skin or by hardware, and
-what it publishes graded as it comes."""
+its messages graded as they come."""
 
 import time
 from collections.abc import Iterator
@@ -81,7 +81,7 @@ class LiveRun:
 
     @contextmanager
     def opened(self, place: Path) -> Iterator[Bench]:
-        """With everything running; whatever happens, it is stopped in the end."""
+        """The bench while everything runs; all processes are stopped in the end."""
         scenario, rig = self.scenario, Rig(self.scenario, self.run.seed)
         where: Path | str = self._channel if scenario.transport == "can" else place / "skin"
         config = settings.text(scenario, self.run.seed, str(where), f"ipc://{place}/poses", place)

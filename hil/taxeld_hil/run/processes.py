@@ -28,7 +28,7 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Of the running process."""
+        """Process id of the running process."""
         assert self.running is not None  # noqa: S101  (asked while it runs)
         return self.running.pid
 
@@ -42,7 +42,7 @@ class Process:
             raise SetupError(f"{self.what} ended early, with status {status}")
 
     def kill(self) -> None:
-        """As a crash would."""
+        """End it as a crash would."""
         if self.running is not None:
             self.running.kill()
             self.running.wait()

@@ -65,7 +65,7 @@ class Soak:
 
     @property
     def growth_mb(self) -> float:
-        """Of memory, from the median of the first third to that of the last."""
+        """Growth of memory, from the median of the first third to the median of the last."""
         values = [mb for _, mb in self.rss_mb]
         third = max(len(values) // 3, 1)
         return median_high(values[-third:]) - median_high(values[:third]) if values else 0.0
@@ -195,7 +195,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 
 def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
-    """On the fake clock, as fast as it goes."""
+    """Run the laps on the fake clock, as fast as they go."""
     run: FakeRun | None = None
     scans, units = soak.scans_sent, soak.units
     for number, scenario, seed in soak.left(base, laps.KINDS):
@@ -224,7 +224,7 @@ def lap_alone(base: Scenario, seed: int, number: int) -> Grade:
 
 
 def soak_live(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
-    """In real time, over the scenario's transport.
+    """Run the laps in real time, over the scenario's transport.
 
     Raises:
         SetupError: a process failed.

@@ -48,7 +48,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Expect:
-    """What a run is graded by."""
+    """Bounds that a run is graded by."""
 
     error_mm: float = key(10.0, between(0, 1000), "symmetry-aware ADD at the end, under this")
     recovery_s: float = key(2.0, between(0, 60), "fresh estimates again so soon after a fault")

@@ -72,7 +72,7 @@ def write(directory: Path, config: str) -> Path:
 def on_a_fake_clock(
     scenario: Scenario, seed: int, filter_keys: str = "", rate_hz: float = 100.0
 ) -> Config:
-    """The same for a daemon without sockets, files and devices.
+    """The configuration of a daemon without sockets, files and devices.
 
     Raises:
         SetupError: faults in `filter_keys`.

@@ -33,7 +33,7 @@ class Foam:
         self._t = np.inf
 
     def press(self, reading: Floats, t: float) -> Floats:
-        """What is read at time t [s] in place of readings (M,); times do not go back."""
+        """Readings (M,) of the foam at time t [s] for ideal readings (M,); times do not go back."""
         step = reading - self._reading
         self._receding = np.clip(self._receding - step / TURN, 0.0, 1.0)
         target = np.stack([share.now for share in self._share]) * reading

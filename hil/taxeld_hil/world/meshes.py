@@ -119,7 +119,7 @@ def _pairs(
 
 
 def _distance(corners: Floats, point: Floats) -> tuple[Floats, Floats]:
-    """Of points (k, 3) to triangles (k, 3, 3), and how far they stand off the planes, signed."""
+    """Distances (k,) of points (k, 3) to triangles (k, 3, 3), and signed ones to their planes."""
     a, b, c = corners.transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)

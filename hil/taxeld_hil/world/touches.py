@@ -59,7 +59,7 @@ class Track:
         self.times[-1] = self.now
 
     def touch(self, at: Poses, *, is_light: bool) -> Touch:
-        """In to a pose (3,) from where the track is, a hold, and out again."""
+        """Add a ramp in to a pose (3,), a hold, and a ramp out."""
         begin, away = self.now, self.poses[-1]
         self.go(at[None], RAMP_S)
         held = self.now, self.now + HOLD_S
