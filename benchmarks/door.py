@@ -1,4 +1,4 @@
-"""What peers can do to a running daemon: one whose door is killed, and one for each attack.
+"""A running daemon under attack by peers: a row for each attack, and for a killed door.
 
     python benchmarks/door.py [--seconds 10] [--killed-s 600] [--only TEXT] [--json FILE]
 
@@ -36,16 +36,16 @@ class Row:
 
     case: str
     overruns_per_1000: float = 0.0  # passes of the loop whose own CPU time was longer than a period
-    scans: int = 0  # that the skin has sent
-    missed: int = 0  # of these, without an estimate in the recording's replay
-    read: int = 0  # of these, by the loop
+    scans: int = 0  # scans sent by the skin
+    missed: int = 0  # scans without an estimate in the recording's replay
+    read: int = 0  # scans read by the loop
     loop_mb: float = 0.0  # resident, at most
     door_mb: float = 0.0
     door_starts: int = 0
     heard: int = 0  # estimates, by the honest subscriber
     gaps: int = 0  # estimates between two that it heard
     reconnected: int = 0
-    answered: str = ""  # of the questions for `status`, within 2 s
+    answered: str = ""  # questions for `status` answered within 2 s
 
 
 class Attack(NamedTuple):
@@ -123,7 +123,7 @@ class Honest:
 def resident_mb(pid: int) -> float:
     with contextlib.suppress(OSError):
         return round(resident_bytes(pid) / 2**20, 1)
-    return 0.0  # it has ended
+    return 0.0  # the process has ended
 
 
 def suffer(case: str, seconds: float, attack: Attack | None, kills: bool) -> Row:
@@ -134,7 +134,7 @@ def suffer(case: str, seconds: float, attack: Attack | None, kills: bool) -> Row
         place = Place(directory, attack.needs if attack else "")
         daemon = opened.enter_context(touched(directory, place.settings))
         daemon.until_running()
-        (directory / "stream").chmod(0o666)  # so that another user may try
+        (directory / "stream").chmod(0o666)  # another user may try
         (directory / "control").chmod(0o666)
         honest = Honest(opened, daemon.stream)
         before = daemon.health()

@@ -41,7 +41,7 @@ PRIOR_SD = np.array([0.01, 0.01, 0.1])
 TOUCHES = 8  # remembered
 
 
-class Scans:
+class PeerScans:
     """Readings of touches with the object at the origin, one after the other."""
 
     def __init__(self, model: ObservationModel, count: int) -> None:
@@ -57,13 +57,15 @@ class Scans:
         ]
 
     def log_likelihood(self, k: int, poses: np.ndarray) -> np.ndarray:
-        """Of a scan that has just come in, as ours has to take it."""
+        """Log likelihood (N,) of poses (N, 3) for scan `k`, as for a new scan."""
         memory = self.nothing.anew()
         memory.add(self.observations[k % len(self.observations)])
         return memory.explain(poses)[:, 0]
 
 
-def ours(scans: Scans, n: int, kind: type[Paper] | type[Mixture]) -> Callable[[], Paper | Mixture]:
+def ours(
+    scans: PeerScans, n: int, kind: type[Paper] | type[Mixture]
+) -> Callable[[], Paper | Mixture]:
     """Makes one of our rules with N particles; a `Mixture` remembers eight touches."""
     config = FilterConfig(particles=n, particles_max=n)
     start = np.random.default_rng(1).standard_normal((n, 3)) * PRIOR_SD
@@ -82,7 +84,7 @@ def ours(scans: Scans, n: int, kind: type[Paper] | type[Mixture]) -> Callable[[]
 
 
 def updated(rule: Paper | Mixture, observation: Observation) -> None:
-    """By a scan without samples."""
+    """Update a rule by a scan without samples."""
     nothing = np.empty((0, 3))
     if isinstance(rule, Mixture):
         done(rule._update(observation, nothing, TOUCHES + 1))
@@ -91,9 +93,9 @@ def updated(rule: Paper | Mixture, observation: Observation) -> None:
 
 
 class PeerModel(StateSpaceModel):
-    """The same for `particles`."""
+    """The model of the package `particles`."""
 
-    scans: Scans
+    scans: PeerScans
 
     def PX0(self) -> object:  # noqa: N802
         return distributions.IndepProd(*(distributions.Normal(scale=s) for s in PRIOR_SD))
@@ -110,7 +112,7 @@ class PeerModel(StateSpaceModel):
 class _Likelihood(distributions.ProbDist):  # type: ignore[misc]
     dim = 1
 
-    def __init__(self, scans: Scans, k: int, poses: np.ndarray) -> None:
+    def __init__(self, scans: PeerScans, k: int, poses: np.ndarray) -> None:
         self._scans, self._k, self._poses = scans, k, poses
 
     def logpdf(self, _y: object) -> np.ndarray:
@@ -123,7 +125,7 @@ def main() -> int:
     args = parser.parse_args()
     skin = layouts.load(SkinConfig().layout)
     box = scene_file.load(SCENE / "bundles" / "box" / "scene.npz")
-    scans = Scans(ObservationModel(box, skin, SkinConfig().full_scale_depth_m), 40)
+    scans = PeerScans(ObservationModel(box, skin, SkinConfig().full_scale_depth_m), 40)
     rows = [row for n in SIZES for row in measure(scans, n)]
     print(f"{'filter':34s} {'N':>7s} {'ms':>9s} {'budget':>8s} {'ours is':>10s}")
     for row in rows:
@@ -137,7 +139,7 @@ def main() -> int:
     return 0
 
 
-def measure(scans: Scans, n: int) -> list[dict[str, object]]:
+def measure(scans: PeerScans, n: int) -> list[dict[str, object]]:
     """One row a filter. The clock is slow to read, so small steps are timed several at once."""
     rounds, steps, budget = SIZES[n]
     PeerModel.scans = scans

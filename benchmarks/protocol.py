@@ -22,7 +22,7 @@ from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
 
-SATURATED_FRAMES_S = 9_000  # of a 1 Mbit/s bus with 8-byte frames
+SATURATED_FRAMES_S = 9_000  # most frames of 8 bytes on a bus of 1 Mbit/s
 ROUNDS = 7
 DAMAGED = 1_000_000
 MODULES = wired([(i // 10 + 1) << 4 | (i % 10 + 1) for i in range(600)])

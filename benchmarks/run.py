@@ -21,7 +21,6 @@ import numpy as np
 
 import protocol
 import service
-import streams
 import yardstick
 from taxeld import native
 from taxeld.config.tables import FilterConfig, SkinConfig
@@ -43,7 +42,7 @@ def main() -> int:
     args = parser.parse_args()
     loop = yardstick.Loop()
     lines: list[dict[str, str | float | None]] = []
-    groups = [protocol.rows, touches, streams.rows, service.rows, demo]
+    groups = [protocol.rows, touches, service.streams, service.rows, demo]
     for group in groups[:-1] if args.no_demo else groups:
         with loop.around():
             found = [*group()]

@@ -18,6 +18,7 @@ from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 
 LARGE = "cylinder:rows=5,columns=128,radius_m=0.04,pitch_m=0.015"  # 640 taxels
+COUNTS = (1, 10)  # subscribers
 Row = tuple[str, float, float | None]  # a figure, measured, and its budget
 
 
@@ -27,7 +28,7 @@ def main() -> int:
     parser.add_argument("--long", type=float, default=0.0, help="minutes, touched all the time")
     parser.add_argument("--json", type=Path)
     args = parser.parse_args()
-    found = [*rows(args.seconds), *(long(args.long) if args.long else [])]
+    found = [*rows(args.seconds), *streams(args.seconds), *(long(args.long) if args.long else [])]
     for name, value, budget in found:
         print(f"{name:60s} {value:10.3f} {'' if budget is None else f'{budget:8.2f}'}", flush=True)
     if args.json:
@@ -80,6 +81,22 @@ def long(minutes: float) -> list[Row]:
             if done.returncode == 0:
                 thread = json.loads(out.read_text(encoding="utf-8"))["thread"]["0"]
                 found.append(("  … cyclictest's longest delay here: ms", thread["max"] / 1e3, None))
+    return found
+
+
+def streams(seconds: float = 10.0) -> list[Row]:
+    """From a scan's last frame to its estimate, and the share of a core of all the daemon's
+    processes, of an untouched skin."""
+    found: list[Row] = []
+    with tempfile.TemporaryDirectory() as place:
+        for count in COUNTS:
+            ran = measure(Case(touched=False, subscribers=count), seconds, Path(place))
+            to = f"to {count} subscriber{'s' * (count > 1)}"
+            found += [
+                (f"a scan's last frame {to}, median: ms", float(np.median(ran.reached_ms)), None),
+                ("  … to the last, 99 %: ms", float(np.percentile(ran.last_ms, 99)), None),
+                (f"a core's share, untouched, {to}: %", ran.cpu_percent, None),
+            ]
     return found
 
 

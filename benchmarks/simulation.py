@@ -1,16 +1,14 @@
 """Whole daemons on a fake clock with drawn faults, seed after seed (tests/daemon/simulation.py).
 
-    python benchmarks/simulation.py [--seeds 1000] [--first 0] [--workers 2] [--json FILE]
+    python benchmarks/simulation.py [--seeds 1000] [--first 0] [--workers 2] [--memory DIR]
 
 Prints a JSON line for each seed that breaks a law, with the faults that were drawn, and at the end
-how often each kind was. FILE gets a line for each seed as it is done: begun again with the same
-file, it goes on. Ctrl-C ends it with what is done.
+how often each kind was. Seeds that are done are kept in DIR: begun again, it goes on.
 """
 
 import argparse
 import json
 import logging
-import multiprocessing
 import os
 import sys
 import tempfile
@@ -19,14 +17,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-sys.path.insert(0, str(Path(__file__).parents[1]))
-for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS"):
-    os.environ.setdefault(name, "1")
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+os.environ["PYTHONPATH"] = str(ROOT)  # workers look for the tests there
 
 from tests.daemon.simulation import simulate
 
+from taxeld_hil import jobs
+from taxeld_hil.experiment import measurement
+
 
 def one(seed: int) -> dict[str, Any]:
+    """The figures of a seed."""
     logging.disable(logging.CRITICAL)
     with tempfile.TemporaryDirectory() as place:
         run, broken = simulate(seed, Path(place))
@@ -42,37 +44,21 @@ def main() -> int:
     parser.add_argument("--seeds", type=int, default=1000)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count())
-    parser.add_argument("--json", type=Path)
+    parser.add_argument("--memory", type=Path, default=Path(".experiments/simulation"))
     args = parser.parse_args()
-    found = _before(args.json)
-    done = {row["seed"] for row in found}
-    seeds = [s for s in range(args.first, args.first + args.seeds) if s not in done]
-    with multiprocessing.Pool(args.workers, maxtasksperchild=50) as pool:
-        try:
-            for row in pool.imap_unordered(one, seeds):
-                found.append(row)
-                if row["broken"]:
-                    print(json.dumps(row), flush=True)
-                if args.json:
-                    with args.json.open("a", encoding="utf-8") as file:
-                        file.write(json.dumps(row) + "\n")
-                if len(found) % 10 == 0:
-                    print(f"{len(found)} done", file=sys.stderr, end="\r", flush=True)
-        except KeyboardInterrupt:
-            pool.terminate()
+    seeds = range(args.first, args.first + args.seeds)
+    code = measurement.code()
+    todo = [jobs.Job(f"seed {seed}", one, (seed,), code=code) for seed in seeds]
+    found = list(jobs.run(todo, args.memory, workers=args.workers).values())
+    broken = [row for row in found if row["broken"]]
+    for row in broken:
+        print(json.dumps(row))
     kinds = Counter(fault["kind"] for row in found for fault in row["faults"])
-    broken = sum(bool(row["broken"]) for row in found)
     sums = {name: sum(row[name] for row in found) for name in ("scans", "packets", "unsent")}
     compared = Counter(name for row in found for name in row["compared"])
-    print(json.dumps({"seeds": len(found), "broken": broken, **sums, **compared, "faults": kinds}))
-    return int(broken > 0)
-
-
-def _before(path: Path | None) -> list[dict[str, Any]]:
-    """What an earlier run has done."""
-    if path is None or not path.exists():
-        return []
-    return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
+    ended = {"seeds": len(found), "broken": len(broken), **sums, **compared, "faults": kinds}
+    print(json.dumps(ended))
+    return int(bool(broken))
 
 
 if __name__ == "__main__":

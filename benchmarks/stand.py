@@ -28,7 +28,7 @@ import zmq
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.proposals import bundle
-from taxeld_hil.rig.ledger import Unit
+from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import SlcanPort
 from taxeld_protocol import cyskin
 from taxeld_protocol.modules import wired
@@ -91,7 +91,7 @@ def measure(case: Case, seconds: float, place: Path) -> Measured:
     loaded = bundle.load(case.bundle, layouts.load(case.layout), 0.005)
     with (
         tempfile.TemporaryDirectory(dir=place) as name,
-        closing(Robot(loaded, case.touched, Path(name))) as robot,
+        closing(RollingBox(loaded, case.touched, Path(name))) as robot,
         _daemon(case, Path(name)) as (pid, ready),
     ):
         robot.serve_until(ready)
@@ -137,7 +137,7 @@ def delays_ms(sent_s: np.ndarray, heard: list[tuple[int, float, float, bool]]) -
     return np.array(listed, dtype=float).reshape(len(found), len(common), 2)
 
 
-class Robot:
+class RollingBox:
     """A box that rolls along the skin, or stays away from it, and the hub that feels it."""
 
     def __init__(self, loaded: bundle.Bundle, touched: bool, place: Path) -> None:
@@ -194,7 +194,7 @@ class Robot:
         for command, payload in answers:
             for frame in cyskin.to_frames(command, payload, ihb=self._hub.short_id, t=0.0):
                 if self._port.is_open:
-                    self._port.send(Unit(frame, None))
+                    self._port.send(WireUnit(frame, None))
 
     def _at(self, t: float) -> tuple[float, float]:
         """Yaw of the sensor and how much nearer to the object it is than at the start."""
@@ -228,7 +228,7 @@ def _daemon(case: Case, place: Path) -> Iterator[tuple[int, socket.socket]]:
         environ = {
             **os.environ,
             "NOTIFY_SOCKET": str(place / "notify"),
-            "PYTHONDONTWRITEBYTECODE": "",  # it starts as installed, from the second time on
+            "PYTHONDONTWRITEBYTECODE": "",  # later starts find compiled files
             "PYTHONPYCACHEPREFIX": str(place.parent / "compiled"),
         }
         recorded = ["--record", str(place / "session")] if case.record else []
@@ -250,7 +250,7 @@ def _subscribers(place: Path, count: int) -> Iterator[Any]:
         yield lambda: json.loads(process.communicate()[0])
 
 
-def _health(place: Path, robot: Robot) -> dict[str, Any]:
+def _health(place: Path, robot: RollingBox) -> dict[str, Any]:
     """The daemon's health, not older than a second."""
     robot.serve(1.1)
     with zmq.Context() as context, context.socket(zmq.REQ) as asking:
@@ -282,7 +282,7 @@ def cpu_s(pid: int) -> float:
 
 
 def resident_mb(pid: int) -> float:
-    """The same, of resident memory."""
+    """Resident memory of a process and of those that it has started."""
     pages = sum(
         int(Path(f"/proc/{one}/statm").read_text(encoding="ascii").split()[1])
         for one in processes(pid)

@@ -20,7 +20,7 @@ UNITS = (  # end of a figure's name → milliseconds of CPU time in one of its u
     (re.compile(r"CPU us$"), 1e-3),
     (re.compile(r"CPU ms$"), 1.0),
     (re.compile(r"CPU s$"), 1e3),
-    (re.compile(r": %$|% of one core$"), 10.0),  # in a second
+    (re.compile(r": %$|% of one core$"), 10.0),  # loops a second
 )
 
 

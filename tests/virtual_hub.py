@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Self
 
-from taxeld_hil.rig.ledger import Unit
+from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import NativePort, SlcanPort
 from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.cyskin import ALL_MODULES, BROADCAST, Command, Packet
@@ -77,7 +77,7 @@ class VirtualHub:
     def send(self, answers: Iterable[Answer]) -> None:
         for command, payload in answers:
             for item in self.items(command, payload):
-                if self.port.is_open and self.port.send(Unit(item, None)):
+                if self.port.is_open and self.port.send(WireUnit(item, None)):
                     self.written += len(item if isinstance(item, bytes) else slcan.encode(item))
 
     def items(self, command: int, payload: bytes) -> Sequence[Frame | bytes]:

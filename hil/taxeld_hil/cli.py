@@ -60,15 +60,13 @@ def _run(args: argparse.Namespace) -> int:
 
 
 def _soak(args: argparse.Namespace) -> int:
-    if args.table:
-        from taxeld_hil.run import soak_table
+    from taxeld_hil.grade import report
+    from taxeld_hil.run.soak import lap_alone, resumed, soak_fake, soak_live, table
 
-        for line in soak_table.lines(args.table):
+    if args.table:
+        for line in table(args.table):
             _say(line)
         return 0
-    from taxeld_hil.grade import report
-    from taxeld_hil.run.soak import lap_alone, resumed, soak_fake, soak_live
-
     base, real = _scenario(args), args.real_minutes is not None
     if args.lap is not None:
         if args.lap < 0:
@@ -179,9 +177,9 @@ def _watch(args: argparse.Namespace) -> int:
 
 
 def _draw(args: argparse.Namespace) -> int:
-    from taxeld_hil.run.draw import draw_contacts, draw_moments
+    from taxeld_hil.run.draw import draw
 
-    (draw_moments if args.moments else draw_contacts)(args.session, args.out)
+    draw(args.session, args.out, finding=args.moments)
     print(args.out)
     return 0
 
@@ -191,7 +189,7 @@ def _say(line: str) -> None:
 
 
 def _scenario(args: argparse.Namespace) -> "Scenario":
-    """With the object and the skin that are named beside it.
+    """The scenario that the arguments name, with their object and skin.
 
     Raises:
         SetupError: there is no such scenario or skin.

@@ -29,7 +29,7 @@ from typing import Any, TypeAlias
 from taxeld.command_line import ONE_THREAD
 from taxeld.errors import SetupError
 
-PATIENCE = "10s"  # to wait for a Dask scheduler's answer
+PATIENCE = "10s"  # longest wait for a Dask scheduler's answer
 NAME_LENGTH = 60  # characters of a job's name in its file's name; a key's hash tells jobs apart
 
 Prepare: TypeAlias = Callable[[], object]
@@ -44,11 +44,12 @@ class Job:
     work: Callable[..., Any]
     arguments: tuple[Any, ...]
     beside: tuple[Any, ...] = ()  # more arguments, on which the result does not depend: paths
+    code: str = ""  # hash of the code that the result depends on, beside the arguments
 
     @property
     def key(self) -> str:
         """The name of the result's file, which differs for other arguments."""
-        text = f"{self.work.__module__}.{self.work.__qualname__}{self.arguments!r}"
+        text = f"{self.work.__module__}.{self.work.__qualname__}{self.arguments!r}{self.code}"
         name = self.name.replace("/", "-")[-NAME_LENGTH:]
         return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 

@@ -18,7 +18,7 @@ from taxeld.layout import read as layouts
 from taxeld.source.devices import open_device
 from taxeld.source.sources import LiveSource, open_source
 from taxeld_hil.rig.adapters import KINDS, Adapter
-from taxeld_hil.rig.ledger import Unit as RigUnit
+from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import SlcanPort
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
@@ -261,7 +261,7 @@ def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
                 with suppress(BlockingIOError):
                     device.put(waiting)
             elif port.is_open:
-                port.send(RigUnit(LONG, None))
+                port.send(WireUnit(LONG, None))
             for item in device.read():
                 heard += [item] if isinstance(item, Frame) else reader.feed(item.data, 0.0)
             now_s += 0.01

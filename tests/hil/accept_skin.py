@@ -26,7 +26,7 @@ SLOW = 10.0  # times the sleep that was asked for, as on a busy machine
 PROMPT = re.compile(r"^\d+/\d+ press module (\d+) ")
 
 
-class Clock:
+class SleepClock:
     """Stands in for the module `time` where the code under test looks at it."""
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class DamagingHub(VirtualHub):
 class VirtualSkin:
     """A hub and what it reads, served while the clock's owner sleeps."""
 
-    def __init__(self, hub: VirtualHub, counts: Counts, clock: Clock) -> None:
+    def __init__(self, hub: VirtualHub, counts: Counts, clock: SleepClock) -> None:
         self.hub, self.counts = hub, counts
         self.period_ms: int | None = None  # what it keeps to, whatever it is asked for
         self.wired_as: dict[int, int] = {}  # module that is asked for → that lies there

@@ -8,21 +8,23 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
 from taxeld_hil import cli
 from taxeld_protocol.cyskin import Command, Packet
+from taxeld_protocol.modules import Module
 from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
 from tests.virtual_hub import VirtualHub
 
 from .accept_skin import (
     LAYOUT,
     MODULES,
-    Clock,
     Counts,
     DamagingHub,
     Operator,
+    SleepClock,
     VirtualSkin,
 )  # fmt: skip
 
@@ -49,9 +51,9 @@ class Ran(SimpleNamespace):
 
 
 @pytest.fixture
-def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+def clock(monkeypatch: pytest.MonkeyPatch) -> SleepClock:
     """Everything that looks at a clock between device and report looks at this one."""
-    made = Clock()
+    made = SleepClock()
     for module in (
         "taxeld_hil.acceptance.accept", "taxeld_hil.acceptance.received",
         "taxeld.source.lines", "taxeld.source.slcan_device",
@@ -67,7 +69,7 @@ def link(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def skin(clock: Clock, link: Path) -> Iterator[VirtualSkin]:
+def skin(clock: SleepClock, link: Path) -> Iterator[VirtualSkin]:
     """A healthy skin behind an SLCAN adapter; tests break it."""
     with DamagingHub(link, MODULES) as hub:
         yield VirtualSkin(hub, Counts(MODULES), clock)
@@ -106,13 +108,77 @@ def test_a_healthy_skin_passes_all_checks_and_gets_a_report_a_picture_and_a_reco
     assert skin.was_stopped()
 
 
-def test_the_native_serial_link_is_checked_the_same_way(
-    clock: Clock, link: Path, accept: Accept
+@pytest.mark.parametrize(
+    ("options", "kind", "record"),
+    [({"native": True}, "serial", "serial.bin"), ({"short_id": 9}, "slcan", "frames.log")],
+    ids=["native link", "another short id"],
+)
+def test_a_healthy_skin_passes_over_each_link_and_under_another_short_id(
+    options: dict[str, Any], kind: str, record: str, clock: SleepClock, link: Path, accept: Accept
 ) -> None:
-    with VirtualHub(link, MODULES, native=True) as hub:
-        ran = accept(VirtualSkin(hub, Counts(MODULES), clock), kind="serial")
+    with VirtualHub(link, MODULES, **options) as hub:
+        ran = accept(VirtualSkin(hub, Counts(MODULES), clock), kind=kind)
     assert (ran.code, ran.failed) == (0, []), ran.printed
-    assert (ran.out / "serial.bin").stat().st_size > 0
+    assert (ran.out / record).stat().st_size > 0
+    assert re.search(r"^press +not checked +not asked for", ran.printed, re.MULTILINE)
+
+
+def dead_taxel(skin: VirtualSkin) -> None:
+    skin.counts.fixed[3, 4] = 0
+
+
+def swapped(skin: VirtualSkin) -> None:
+    skin.wired_as = {2: 4, 4: 2}
+
+
+def unpressed(skin: VirtualSkin) -> None:
+    skin.wired_as = {3: 99}
+
+
+def damaged(skin: VirtualSkin) -> None:
+    assert isinstance(skin.hub, DamagingHub)
+    skin.hub.damage_every = 9
+
+
+def slow(skin: VirtualSkin) -> None:
+    skin.period_ms = 80
+
+
+@pytest.mark.parametrize(
+    ("fault", "more", "check", "finding"),
+    [
+        (dead_taxel, ["--press"], "taxels", "T4 of module 3 (hub 1, position 2)"),
+        (swapped, ["--press"], "press", "modules 2 and 4"),
+        (unpressed, ["--press"], "press", "module 3"),
+        (damaged, [], "link", "wrong checksum"),
+        (slow, [], "rate", "80.0 ms"),
+    ],
+)
+def test_a_fault_of_the_skin_fails_its_own_check_alone(
+    fault: Callable[[VirtualSkin], None], more: list[str], check: str, finding: str,
+    skin: VirtualSkin, accept: Accept,
+) -> None:  # fmt: skip
+    fault(skin)
+    ran = accept(skin, *more)
+    assert (ran.code, ran.failed) == (1, [check]), ran.printed
+    assert finding in ran.findings(check)
+
+
+@pytest.mark.parametrize(
+    ("found", "finding"),
+    [
+        ([MODULES[0], *MODULES[2:]], "module 2"),
+        ([replace(MODULES[0], mask=0x3FF, channels=10), *MODULES[1:]], "T10"),
+    ],
+    ids=["missing module", "cut taxel"],
+)
+def test_modules_that_are_not_the_layouts_fail_the_module_table_alone(
+    found: list[Module], finding: str, clock: SleepClock, link: Path, accept: Accept
+) -> None:
+    with VirtualHub(link, found) as hub:
+        ran = accept(VirtualSkin(hub, Counts(found), clock), "--press")
+    assert (ran.code, ran.failed) == (1, ["modules"]), ran.printed
+    assert finding in ran.findings("modules")
 
 
 def test_without_matplotlib_all_but_the_picture_is_there(skin: VirtualSkin, accept: Accept) -> None:
@@ -126,7 +192,7 @@ def test_without_matplotlib_all_but_the_picture_is_there(skin: VirtualSkin, acce
 
 
 def test_the_modules_are_listed_in_the_hubs_order_for_who_listens_later(
-    clock: Clock, link: Path, accept: Accept
+    clock: SleepClock, link: Path, accept: Accept
 ) -> None:
     with VirtualHub(link, MODULES[::-1]) as hub:
         ran = accept(VirtualSkin(hub, Counts(MODULES[::-1]), clock))
@@ -138,7 +204,7 @@ def test_the_modules_are_listed_in_the_hubs_order_for_who_listens_later(
 
 
 def test_a_hub_that_stays_in_its_bootloader_fails_discovery_and_is_called_by_its_name(
-    clock: Clock, link: Path, accept: Accept
+    clock: SleepClock, link: Path, accept: Accept
 ) -> None:
     class Stuck(VirtualIhb):
         def answer(self, packet: Packet) -> list[Answer]:
@@ -151,45 +217,6 @@ def test_a_hub_that_stays_in_its_bootloader_fails_discovery_and_is_called_by_its
     assert (ran.code, ran.failed) == (1, ["discovery"])
     assert "from a hub's bootloader" in ran.findings("discovery")
     assert not (ran.out / "modules.toml").exists()
-
-
-def test_without_presses_all_else_is_checked(skin: VirtualSkin, accept: Accept) -> None:
-    ran = accept(skin)
-    assert ran.code == 0
-    assert re.search(r"^press +not checked +not asked for", ran.printed, re.MULTILINE)
-
-
-def test_a_dead_taxel_fails_the_taxels_alone(skin: VirtualSkin, accept: Accept) -> None:
-    skin.counts.fixed[3, 4] = 0
-    ran = accept(skin, "--press")
-    assert (ran.code, ran.failed) == (1, ["taxels"]), ran.printed
-    assert "T4 of module 3 (hub 1, position 2)" in ran.findings("taxels")
-
-
-def test_a_missing_module_fails_the_module_table_alone(
-    clock: Clock, link: Path, accept: Accept
-) -> None:
-    rest = [module for module in MODULES if module.sui != 2]
-    with VirtualHub(link, rest) as hub:
-        ran = accept(VirtualSkin(hub, Counts(rest), clock), "--press")
-    assert (ran.code, ran.failed) == (1, ["modules"]), ran.printed
-    assert "module 2" in ran.findings("modules")
-
-
-def test_a_swapped_pair_of_modules_fails_the_presses_alone(
-    skin: VirtualSkin, accept: Accept
-) -> None:
-    skin.wired_as = {2: 4, 4: 2}
-    ran = accept(skin, "--press")
-    assert (ran.code, ran.failed) == (1, ["press"]), ran.printed
-    assert "modules 2 and 4" in ran.findings("press")
-
-
-def test_a_module_that_is_not_pressed_in_time_fails(skin: VirtualSkin, accept: Accept) -> None:
-    skin.wired_as = {3: 99}
-    ran = accept(skin, "--press")
-    assert (ran.code, ran.failed) == (1, ["press"]), ran.printed
-    assert "module 3" in ran.findings("press")
 
 
 def test_presses_that_are_interrupted_still_give_a_report(
@@ -206,40 +233,8 @@ def test_presses_that_are_interrupted_still_give_a_report(
     assert "2 of 4 modules answered" in ran.printed
 
 
-def test_corrupted_frames_fail_the_link_alone(skin: VirtualSkin, accept: Accept) -> None:
-    skin.hub.damage_every = 9
-    ran = accept(skin)
-    assert (ran.code, ran.failed) == (1, ["link"]), ran.printed
-    assert "wrong checksum" in ran.findings("link")
-
-
-def test_a_slow_hub_fails_the_rate_alone(skin: VirtualSkin, accept: Accept) -> None:
-    skin.period_ms = 80
-    ran = accept(skin)
-    assert (ran.code, ran.failed) == (1, ["rate"]), ran.printed
-    assert "80.0 ms" in ran.findings("rate")
-
-
-def test_a_taxel_that_was_cut_off_fails_the_module_table_alone(
-    clock: Clock, link: Path, accept: Accept
-) -> None:
-    cut = [replace(MODULES[0], mask=0x3FF, channels=10), *MODULES[1:]]
-    with VirtualHub(link, cut) as hub:
-        ran = accept(VirtualSkin(hub, Counts(cut), clock))
-    assert (ran.code, ran.failed) == (1, ["modules"]), ran.printed
-    assert "T10" in ran.findings("modules")
-
-
-def test_a_hub_that_is_given_another_short_id_is_one_hub(
-    clock: Clock, link: Path, accept: Accept
-) -> None:
-    with VirtualHub(link, MODULES, short_id=9) as hub:
-        ran = accept(VirtualSkin(hub, Counts(MODULES), clock))
-    assert (ran.code, ran.failed) == (0, []), ran.printed
-
-
 def test_without_an_answer_discovery_fails_and_names_what_to_check(
-    clock: Clock, link: Path, accept: Accept
+    clock: SleepClock, link: Path, accept: Accept
 ) -> None:
     with VirtualHub(link, MODULES) as hub:
         silent = VirtualSkin(hub, Counts(MODULES), clock)
@@ -248,33 +243,6 @@ def test_without_an_answer_discovery_fails_and_names_what_to_check(
     assert (ran.code, ran.failed) == (1, ["discovery"])
     assert "120 Ω" in ran.printed
     assert "no module that can be pressed" in ran.printed
-
-
-@pytest.mark.parametrize(
-    ("target", "more", "expected"),
-    [
-        ("slcan:/dev/nothing", [], "plugged in"),
-        ("serial:/dev/nothing", [], "plugged in"),
-        ("serial:/dev/nothing@fast", [], "'fast' is no baud rate"),
-        ("slcan:/dev/nothing@fast", [], "'fast' is no baud rate; use slcan:/dev/nothing@115200"),
-        ("serial:/dev/nothing@99999999999999999999", [], "is no baud rate"),
-        ("no_such:x", [], "driver installed"),
-        ("can0", [], "use can:can0"),
-        ("slcan:/dev/nothing", ["--seconds", "1"], "--seconds: must be 5..600"),
-        ("slcan:/dev/nothing", ["--seconds", "nan"], "--seconds: must be 5..600"),
-        ("slcan:/dev/nothing", ["--period-ms", "0"], "--period-ms: must be 1..65535"),
-        ("slcan:/dev/nothing", ["--layout", "nothing.json"], "skin.layout"),
-    ],
-)
-def test_wrong_arguments_are_one_line_and_exit_status_2(
-    target: str, more: list[str], expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "report"
-    code = cli.main(["accept", target, "--layout", LAYOUT, "--out", str(out), *more])
-    error = capsys.readouterr().err
-    assert (code, error.count("\n")) == (2, 1)
-    assert expected in error
-    assert not out.exists()
 
 
 def test_a_report_is_not_written_over_another(

@@ -15,21 +15,15 @@ import zmq
 
 from taxeld.cli import main
 from taxeld.config.file import load
-from taxeld.config.tables import SkinConfig
-from taxeld.layout import read as layouts
 from taxeld.model import se2
-from taxeld.proposals import bundle
 from taxeld.service import calibration_file
 from taxeld.skin.calibration import Calibration
 from taxeld.stream import messages
 from taxeld_hil.calibration import calibrate, guided
 from taxeld_hil.calibration.guided import Guided
-from taxeld_protocol.modules import wired
-from tests.hil.pressed_skin import BASE, PLACED, PressedSkin, write_session
+from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
 from tests.virtual_hub import VirtualHub
 
-SKIN = layouts.load(SkinConfig().layout)
-MODEL = bundle.load("box", SKIN, 0.005).model
 OBJECT = [f"{value!r}" for value in PLACED.tolist()]
 DEADLINE_S = 120.0
 
@@ -127,12 +121,11 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
     for module in (calibrate, guided):
         monkeypatch.setattr(module, "LEAST_IDLE_S", 1.0)
     skin = PressedSkin.drawn(MODEL, 4, presses=18)
-    modules = wired(SKIN.uid.tolist())
-    uids = [uid for module in modules for uid in module.uids]
+    uids = [uid for module in MODULES for uid in module.uids]
     index = {int(uid): i for i, uid in enumerate(SKIN.uid)}
     taxel = np.array([index.get(uid, -1) for uid in uids])
     said: list[str] = []
-    with VirtualHub(tmp_path / "skin", modules) as hub, zmq.Context() as context:
+    with VirtualHub(tmp_path / "skin", MODULES) as hub, zmq.Context() as context:
         robot = context.socket(zmq.PUB)
         robot.bind(f"ipc://{tmp_path}/poses")
         config = tmp_path / "config.toml"

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from taxeld_hil.experiment import matrix, touch_experiment
-from taxeld_hil.experiment.measurement import Run, read
-from taxeld_hil.run import soak_table
+from taxeld_hil.experiment import matrix, touches
+from taxeld_hil.experiment.measurement import RunRow, read
+from taxeld_hil.run import soak
 
 DOCS = Path(__file__).parents[2] / "docs"
 RESULTS = DOCS / "results"
@@ -16,13 +16,13 @@ RESULTS = DOCS / "results"
 @pytest.mark.parametrize(
     ("document", "result", "lines"),
     [
-        ("physics.md", "touches.json", touch_experiment.lines),
-        ("physics.md", "touches_poor.json", touch_experiment.lines),
+        ("physics.md", "touches.json", touches.lines),
+        ("physics.md", "touches_poor.json", touches.lines),
         ("harness.md", "scenarios.json", matrix.lines),
     ],
 )
 def test_a_table_in_the_documents_is_that_of_the_file_that_it_names(
-    document: str, result: str, lines: Callable[[Sequence[Run]], Iterator[str]]
+    document: str, result: str, lines: Callable[[Sequence[RunRow]], Iterator[str]]
 ) -> None:
     text = (DOCS / document).read_text(encoding="utf-8")
     assert f"(results/{result})" in text
@@ -31,4 +31,4 @@ def test_a_table_in_the_documents_is_that_of_the_file_that_it_names(
 
 def test_the_soaks_in_the_documents_are_those_of_their_reports() -> None:
     text = (DOCS / "harness.md").read_text(encoding="utf-8")
-    assert "\n".join(soak_table.lines(sorted(RESULTS.glob("soak_typical_*.json")))) in text
+    assert "\n".join(soak.table(sorted(RESULTS.glob("soak_typical_*.json")))) in text

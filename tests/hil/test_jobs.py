@@ -45,16 +45,14 @@ def test_a_finished_job_is_not_run_again(tmp_path: Path) -> None:
     assert times_run(tmp_path) == [1, 1, 1]
 
 
-def test_other_arguments_are_another_job(tmp_path: Path) -> None:
-    assert len({job.key for job in three(tmp_path)}) == 3
-    assert Job("job-0", note, (str(tmp_path), 0)).key == three(tmp_path)[0].key
-    assert Job("job-0", refuse, (str(tmp_path), 0)).key != three(tmp_path)[0].key
-
-
-def test_an_argument_beside_the_others_does_not_make_another_job(tmp_path: Path) -> None:
-    one = Job("job-0", note, (), (str(tmp_path), 0))
-    assert one.key == Job("job-0", note, (), ("elsewhere", 0)).key
-    assert jobs.run([one], tmp_path / "memory")["job-0"]["square"] == 0
+def test_work_arguments_and_code_make_a_job_and_arguments_beside_do_not(tmp_path: Path) -> None:
+    place = str(tmp_path)
+    same = Job("job", note, (0,), (place,))
+    assert same.key == Job("job", note, (0,), ("elsewhere",)).key
+    others = [Job("job", note, (1,)), Job("job", refuse, (0,)), Job("job", note, (0,), code="x")]
+    assert len({job.key for job in (same, *others)}) == 4
+    beside = Job("job", note, (), (place, 0))
+    assert jobs.run([beside], tmp_path / "memory")["job"]["square"] == 0
 
 
 def test_a_job_with_a_torn_result_runs_again(tmp_path: Path) -> None:

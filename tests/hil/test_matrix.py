@@ -3,15 +3,15 @@
 import shutil
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from taxeld_hil import cli
-from taxeld_hil.experiment import matrix, measurement
-from taxeld_hil.experiment.measurement import Run
-from taxeld_hil.scenario import scenario
+from taxeld_hil.experiment import matrix, measurement, touches
+from taxeld_hil.experiment.measurement import RunRow
+from tests.hil.rig import DEMO
 
-DEMO = scenario.load("demo")
 SHORT = """\
 bundle = "box"
 contacts = 3
@@ -23,9 +23,9 @@ at_s = 2.0
 """
 
 
-def run(name: str, skin: str, **given: object) -> Run:
+def run(name: str, skin: str, **given: object) -> RunRow:
     """The figures of a run that went well, but for those that are given."""
-    fine: Run = {"scenario": name, "bundle": "box", "skin": skin, "passed": True, "found": True}
+    fine: RunRow = {"scenario": name, "bundle": "box", "skin": skin, "passed": True, "found": True}
     return {**fine, "silent": 0, **given}
 
 
@@ -57,30 +57,8 @@ def test_a_run_of_other_code_another_scenario_or_another_bundle_is_not_remembere
     codes.append(measurement.digest(mine))
     assert len(set(codes)) == len(codes)
     assert measurement.digest(DEMO) == codes[0]
-    monkeypatch.setattr(measurement, "_code", lambda: "of other code")
+    monkeypatch.setattr(measurement, "code", lambda: "of other code")
     assert measurement.digest(DEMO) not in codes
-
-
-def test_the_command_goes_on_from_what_it_remembers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Of a scenario of one's own, with a fault that needs processes: on the fake clock without."""
-    short = tmp_path / "short.toml"
-    short.write_text(SHORT, encoding="utf-8")
-    command = ["matrix", str(short), "--skin", "scene", "--object", "box", "--workers", "1",
-               "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]  # fmt: skip
-    assert cli.main([*command, "--seeds", "1"]) == 0
-    assert f": {short}, box, scene, seed 0: " in capsys.readouterr().err
-    assert cli.main([*command, "--seeds", "2"]) == 0
-    second = capsys.readouterr()
-    assert "1 of 2 runs are remembered" in second.err
-    assert "seed 0" not in second.err
-    runs = measurement.read(tmp_path / "scenarios.json")
-    assert [(run["seed"], run["real"], run["failed"]) for run in runs] == [
-        (0, False, []), (1, False, [])
-    ]  # fmt: skip
-    assert list(matrix.lines(runs)) == second.out.splitlines()
-    assert "| scenario | scene, box |" in second.out
 
 
 def test_a_run_that_fails_fails_the_command_and_names_its_checks(
@@ -100,22 +78,23 @@ def test_what_no_fake_clock_can_do_runs_in_real_time_where_that_is_asked_for() -
         assert [job.arguments[3] for job in todo] == expected
 
 
-def test_any_scenario_runs_with_another_object(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    ("name", "file", "table"),
+    [("matrix", "scenarios.json", matrix.lines), ("touches", "touches.json", touches.lines)],
+)
+def test_a_measurement_goes_on_from_what_it_remembers(
+    name: str, file: str, table: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert DEMO.touching("mug").bundle == "mug"
-    assert DEMO.touching("") == DEMO
-    (tmp_path / "file").touch()
-    for command in (["run", "demo", "--clock", "fake"], ["soak"], ["table"]):
-        assert cli.main([*command, "--object", "party"]) == 2
-        assert capsys.readouterr().err.startswith("scene.bundle: no bundle 'party'")
-    for option, value, message in (
-        ("--skin", "marble", "no skin 'marble'"),
-        ("--object", "party", "scene.bundle: no bundle 'party'"),
-        ("--seeds", "0", "--seeds must be at least 1"),
-        ("--memory", str(tmp_path / "file" / "m"), f"--memory: {tmp_path / 'file' / 'm'}: "),
-    ):
-        assert cli.main(["matrix", "demo", option, value, "--out", str(tmp_path)]) == 2
-        error = capsys.readouterr().err
-        assert error.startswith(message)
-        assert error.count("\n") == 1
+    short = tmp_path / "short.toml"
+    short.write_text(SHORT, encoding="utf-8")
+    command = [name, *([str(short)] * (name == "matrix")), "--skin", "stiff", "--object", "box"]
+    command += ["--workers", "1", "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
+    assert cli.main([*command, "--seeds", "1"]) == 0
+    assert "box, stiff, seed 0: " in capsys.readouterr().err
+    assert cli.main([*command, "--seeds", "2"]) == 0
+    second = capsys.readouterr()
+    assert "1 of 2 runs are remembered" in second.err
+    assert "seed 0" not in second.err
+    runs = measurement.read(tmp_path / file)
+    assert [run["seed"] for run in runs] == [0, 1]
+    assert second.out.splitlines() == list(table(runs))

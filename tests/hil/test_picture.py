@@ -19,7 +19,7 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld_hil.cli import main
 from taxeld_hil.run import draw
-from taxeld_hil.run.draw import Moment, four
+from taxeld_hil.run.draw import DrawnScan, four
 
 SESSION = Path(__file__).parents[1] / "daemon" / "session"  # four contacts of a mug
 
@@ -30,7 +30,7 @@ def figure() -> Figure:
     kept: list[Figure] = []
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(draw, "save", lambda figure, _: kept.append(figure))
-        draw.draw_contacts(SESSION, Path("unused.png"))
+        draw.draw(SESSION, Path("unused.png"))
     return kept[0]
 
 
@@ -47,9 +47,9 @@ def test_contacts_are_drawn_in_millimetres_with_a_colour_bar_and_a_legend(figure
     assert "object, true" not in named, "nobody knows it of this session"
 
 
-def moment(base: Estimate, status: Status, contacts: int, contact: bool, z: float) -> Moment:
+def moment(base: Estimate, status: Status, contacts: int, contact: bool, z: float) -> DrawnScan:
     estimate = replace(base, status=status, contacts=contacts, contact=contact)
-    return Moment(estimate, np.array([z]), np.zeros(3), np.zeros((0, 3)))
+    return DrawnScan(estimate, np.array([z]), np.zeros(3), np.zeros((0, 3)))
 
 
 def test_the_four_moments_are_no_touch_the_first_the_last_doubt_and_the_object_found() -> None:
@@ -67,15 +67,14 @@ def test_the_four_moments_are_no_touch_the_first_the_last_doubt_and_the_object_f
     ]
     moments = [moment(base, *one) for one in told]
     found = four(moments)
-    assert found is not None
     assert [one.z[0] for one in found.values()] == [0.1, 0.9, 0.3, 0.5]
-    assert four(moments[:7]) is None, "not found"
+    assert four(moments[:7]) == {}, "not found"
 
 
 def test_a_session_whose_object_is_not_found_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(draw, "four", lambda _: None)
+    monkeypatch.setattr(draw, "four", lambda _: {})
     out = tmp_path / "x.png"
     assert main(["draw", str(SESSION), "--moments", "--out", str(out)]) == 2
     said = capsys.readouterr().err
@@ -89,7 +88,7 @@ def test_the_moments_are_written_small_enough_for_a_page(
 ) -> None:
     chosen = draw.four
 
-    def last(moments: list[Moment]) -> dict[str, Moment] | None:
+    def last(moments: list[DrawnScan]) -> dict[str, DrawnScan]:
         return chosen(moments) or dict(zip("abcd", moments[-4:], strict=True))
 
     monkeypatch.setattr(draw, "four", last)
@@ -104,7 +103,7 @@ def test_a_truth_that_was_cut_before_its_first_row_is_no_truth(
 ) -> None:
     shutil.copytree(SESSION, tmp_path / "s")
     (tmp_path / "s" / "truth.csv").write_text("t,x,y,theta\n", encoding="ascii")
-    monkeypatch.setattr(draw.Drawing, "moments", lambda _: iter(()))
+    monkeypatch.setattr(draw.Picture, "scans", lambda _: iter(()))
     assert main(["draw", str(tmp_path / "s"), "--out", str(tmp_path / "x.png")]) == 2
     assert "holds no contact to draw" in capsys.readouterr().err
 
@@ -113,9 +112,3 @@ def test_a_truth_that_was_cut_before_its_first_row_is_no_truth(
 def test_a_picture_that_cannot_be_written_is_one_line(tmp_path: Path, name: str) -> None:
     with pytest.raises(SetupError, match="--out: cannot write"):
         draw.save(Figure(), tmp_path / name)
-
-
-def test_the_picture_of_the_readme_is_small() -> None:
-    docs = Path(__file__).parents[2] / "docs"
-    assert (docs / "demo.png").stat().st_size < 300_000
-    assert (docs / "view.png").stat().st_size < 300_000

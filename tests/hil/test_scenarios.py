@@ -144,12 +144,6 @@ def test_a_grade_is_junit_as_well(rough: Path) -> None:
         ]
 
 
-def test_a_malformed_target_is_named() -> None:
-    done = cli("run", "demo", "--target", "usb0")
-    assert done.returncode == 2
-    assert done.stderr.startswith("--target: 'usb0' is none of sim, can:DEVICE")
-
-
 def test_a_run_on_hardware_grades_what_it_can_and_names_what_it_cannot(tmp_path: Path) -> None:
     """The emulator stands in for the hardware. The times only bound a hang: the run ends as soon as
     the subscriber that was killed works again, and the emulator serves until it is stopped."""

@@ -2,28 +2,30 @@
 
 import subprocess
 import sys
+from collections import deque
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
 
-from taxeld.arrays import Floats
-from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
+from taxeld.arrays import Floats, Poses
+from taxeld.config.tables import SensorPoseConfig
 from taxeld.model import contacts, se2
+from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle
+from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
+from taxeld_hil.scenario.scenario import Fault, Scenario
 from taxeld_hil.world import robot
 from taxeld_hil.world.electronics import ThermalDrift
 from taxeld_hil.world.physics import ScenePhysics
-from taxeld_hil.world.world import make_world
+from taxeld_hil.world.robot import RobotPath
+from taxeld_hil.world.world import load_model, make_world
 from taxeld_protocol.modules import wired
+from tests.hil.rig import DEMO, MODEL, MODULES, SKIN
 
-DEMO = scenario.load("demo")
-SKIN = layouts.load(DEMO.layout)
-MODEL = bundle.load(DEMO.bundle, SKIN, 0.005).model
-MODULES = wired(SKIN.uid.tolist())
 FAR = np.array([5.0, 5.0, 0.0])
 
 
@@ -82,11 +84,6 @@ def test_the_demos_physics_need_nothing_but_the_runtime() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
 
 
-def test_a_scenario_that_is_not_there_names_those_that_are() -> None:
-    with pytest.raises(SetupError, match=r"no scenario 'party'; shipped are .*demo, "):
-        scenario.load("party")
-
-
 @pytest.mark.parametrize("physics", ["scene", "typical", "poor"])
 def test_a_seed_draws_truth_baselines_gains_drift_and_noise_in_this_order(physics: str) -> None:
     """So that the same seed is the same world in every version, untouched and without a press."""
@@ -119,3 +116,111 @@ def test_no_taxel_that_the_object_presses_is_taken_to_be_out_of_its_reach(name: 
     for seen in touches:
         expected = model.activation(seen[None])[0]
         assert (physics.press(seen, 0.0) > 0.0).tolist() == (expected > 0.0).tolist()
+
+
+ENOUGH = 8  # of a mug: fewer may all miss its handle
+HARMLESS = ("flooded", "subscriber_dead", "adapter_closed")  # to the scans of a press, or a moment
+BEFORE_S, AFTER_S = 0.5, 1.5  # of a hold: the ramp in; and of a fault: to be back
+SEEDS = 3
+
+
+@lru_cache
+def model_of(name: str) -> ObservationModel:
+    return load_model(scenario.load("demo").touching(name))
+
+
+def planned(subject: Scenario, seed: int) -> tuple[RobotPath, float, float]:
+    """The path, and the object's centre."""
+    model = model_of(subject.bundle)
+    world = make_world(subject.on("scene"), model, wired(model.layout.uid.tolist()), seed)
+    x, y, _ = se2.compose(world.truth, np.array([*model.scene.centre, 0.0]))
+    return robot.plan(subject, model, world.truth, seed), x, y
+
+
+def held_s(path: RobotPath) -> list[tuple[float, float]]:
+    """Scenario times at which a press is held, from and to."""
+    still = (np.diff(path.pose, axis=0) == 0.0).all(axis=1) & (np.diff(path.t) > 0.0)
+    return [(IDLE_S + path.t[i], IDLE_S + path.t[i + 1]) for i in np.flatnonzero(still)]
+
+
+def spoils(fault: Fault, begin_s: float, end_s: float) -> bool:
+    """Whether a press that is held so is not felt as it is, because of a fault."""
+    if fault.kind in HARMLESS:
+        return False
+    gone = fault.kind == "daemon_killed"  # with all that it had felt before
+    begun = gone or end_s + BEFORE_S > fault.at_s
+    return begun and begin_s - BEFORE_S < fault.end_s + AFTER_S - BEFORE_S
+
+
+@pytest.mark.parametrize("name", scenario.shipped())
+def test_each_scenario_has_eight_presses_that_no_fault_spoils_nor_a_restart_forgets(
+    name: str,
+) -> None:
+    for thing in ("box", "mug"):
+        subject = scenario.load(name).touching(thing)
+        for seed in range(SEEDS):
+            holds = held_s(planned(subject, seed)[0])
+            assert len(holds) == subject.contacts
+            clean = [h for h in holds if not any(spoils(fault, *h) for fault in subject.fault)]
+            assert len(clean) >= ENOUGH, (thing, seed)
+
+
+@pytest.mark.parametrize("contacts", [5, 8, 20])
+def test_any_eight_presses_in_turn_come_from_all_sides(contacts: int) -> None:
+    subject = Scenario("mug", contacts=contacts)
+    path, x, y = planned(subject, 1)
+    at = np.array([path.at(0.5 * sum(hold) - IDLE_S) for hold in held_s(path)])
+    side = np.arctan2(at[:, 1] - y, at[:, 0] - x)
+    for first in range(max(contacts - ENOUGH, 0) + 1):
+        around = np.sort(side[first : first + ENOUGH])
+        gaps = np.diff(np.append(around, around[0] + 2.0 * np.pi))
+        assert np.degrees(gaps.max()) < 150.0
+
+
+SHORT = replace(DEMO, contacts=4)
+
+
+def late_run(seed: int, extrapolate_s: float) -> tuple[float, float, int]:
+    """→ the final error [mm], the most that a touch's place was off [mm], and the scans that
+    waited."""
+    ran = FakeRun(SHORT, seed)
+    assert ran.daemon is not None
+    pipeline, take = ran.daemon.pipeline, ran.daemon.pose
+    track, at = pipeline.poses, pipeline.poses.at
+    track._extrapolate_s = extrapolate_s  # type: ignore[union-attr]
+    told: list[tuple[float, ...]] = []
+    placed: list[tuple[float, Poses]] = []
+    on_the_way: deque[tuple[float, float, float, float]] = deque()
+
+    def pose(t: float, x: float, y: float, theta: float) -> None:
+        told.append((t, x, y, theta))
+        on_the_way.append((t, x, y, theta))
+        if len(on_the_way) > 1:
+            take(*on_the_way.popleft())
+
+    def placing(t: float) -> Poses | None:
+        found = at(t)
+        if found is not None and pipeline.skin.touched:
+            placed.append((t, found))
+        return found
+
+    ran.daemon.pose = pose  # type: ignore[method-assign]
+    track.at = placing  # type: ignore[method-assign]
+    ends = ran.run()
+    t, x, y, _ = np.array(told).T
+    when = [at_s for at_s, _ in placed]
+    where = np.array([sensor[:2] for _, sensor in placed])
+    off = where - np.column_stack([np.interp(when, t, x), np.interp(when, t, y)])
+    return ends[-1].error_mm, 1e3 * float(np.hypot(*off.T).max()), pipeline.inputs.scans_waited
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_scans_after_the_last_pose_are_placed_within_what_the_robot_errs(seed: int) -> None:
+    usual = SensorPoseConfig()
+    waited_mm, exact_mm, waited = late_run(seed, 0.0)
+    placed_mm, off_mm, not_waited = late_run(seed, usual.extrapolate_s)
+    assert waited > 100
+    assert not_waited < 0.1 * waited
+    assert exact_mm < 1e-6
+    assert off_mm < 0.5 * 1e3 * usual.sigma_m
+    assert max(waited_mm, placed_mm) < SHORT.expect.error_mm

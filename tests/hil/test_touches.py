@@ -2,7 +2,6 @@
 
 from dataclasses import asdict, replace
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,26 +10,21 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.config.toml_tables import Given
 from taxeld.estimator.estimator import Estimator
-from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Manifold
-from taxeld_hil import cli
-from taxeld_hil.experiment import measurement, touch_experiment, touch_runs
-from taxeld_hil.experiment.overlooked import OVERLOOKED_NATS, truth_nats
-from taxeld_hil.experiment.touch_runs import AFTER, TouchRun
-from taxeld_hil.scenario import scenario
+from taxeld_hil.experiment import touches as touch_experiment
+from taxeld_hil.experiment.touches import AFTER, OVERLOOKED_NATS, TouchRun, truth_nats
 from taxeld_hil.scenario.mesh_config import PLAIN
 from taxeld_hil.world import touches
 from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.mesh_skin import MeshSkin
-from taxeld_hil.world.touches import Touch, Touches
+from taxeld_hil.world.touches import Touch, TouchPlan
+from tests.hil.rig import DEMO, MODEL, SKIN, TRUTH
 
-DEMO = scenario.load("demo").on("typical")
-SKIN = layouts.load(DEMO.layout)
+TYPICAL = DEMO.on("typical")
 HARD = np.zeros(len(SKIN))
-TRUTH = np.array([0.05, -0.1, 0.7])
 OFF = {k: v for k, v in asdict(PLAIN).items() if k not in ("gain_cv", "noise_counts")}
 
 
@@ -45,12 +39,12 @@ def depth_m(name: str, sensor: Poses) -> Floats:
 
 
 @lru_cache
-def planned(name: str, seed: int) -> Touches:
+def planned(name: str, seed: int) -> TouchPlan:
     model = bundle.load(name, SKIN, 0.005).model
     return touches.plan(model, TRUTH, lambda s: float(depth_m(name, s).max()), seed, 10, 4)
 
 
-def in_hold(name: str, plan: Touches, touch: Touch) -> Floats:
+def in_hold(name: str, plan: TouchPlan, touch: Touch) -> Floats:
     return depth_m(name, plan.path.at(float(np.mean(touch.held_s))))
 
 
@@ -95,8 +89,8 @@ def test_a_light_touch_comes_within_two_seconds_on_taxels_that_were_pressed(name
 
 
 def test_a_skin_that_keeps_nothing_is_felt_when_it_is_touched_and_never_in_the_air() -> None:
-    plain = replace(DEMO, mesh=Given(OFF))
-    found = touch_runs.play(plain, 0)
+    plain = replace(TYPICAL, mesh=Given(OFF))
+    found = touch_experiment.play(plain, 0)
     assert found.scans > 400
     assert 0.4 < found.air / found.scans < 0.8
     assert found.felt_in_air == found.missed == 0
@@ -110,16 +104,16 @@ def test_what_is_felt_in_the_air_and_what_is_not_felt_is_counted() -> None:
     """Nothing tells a skin that keeps all of a press from one that is still pressed, nor a light
     touch from noise as large."""
     keeps = {**OFF, "residue_slow": (0.95, 0.95), "loading_s": 0.05}
-    found = touch_runs.play(replace(DEMO, mesh=Given(keeps)), 0)
+    found = touch_experiment.play(replace(TYPICAL, mesh=Given(keeps)), 0)
     assert found.felt_in_air > 0.7 * found.air  # but for those before the first touch
     deaf = {**OFF, "noise_counts": (600.0, 600.0)}
-    found = touch_runs.play(replace(DEMO, mesh=Given(deaf)), 0)
+    found = touch_experiment.play(replace(TYPICAL, mesh=Given(deaf)), 0)
     assert found.missed == found.light == 4
 
 
 def test_a_run_is_determined_by_its_seed() -> None:
-    stiff = DEMO.on("stiff")
-    assert touch_runs.play(stiff, 0) == touch_runs.play(stiff, 0)
+    stiff = TYPICAL.on("stiff")
+    assert touch_experiment.play(stiff, 0) == touch_experiment.play(stiff, 0)
 
 
 def run_of(seed: int, error: float) -> TouchRun:
@@ -139,59 +133,13 @@ def test_the_table_is_of_the_runs() -> None:
 
 
 def test_a_truth_that_the_filter_has_missed_is_told_from_one_that_touches_do_not_tell() -> None:
-    model = bundle.load("box", SKIN, 0.005).model
-    made = Estimator(model, Manifold(model), FilterConfig(injected=20, particles=20))
-    touched = touches.plan(model, TRUTH, lambda q: float(depth_m("box", q).max()), 0, 4, 0)
+    made = Estimator(MODEL, Manifold(MODEL), FilterConfig(injected=20, particles=20))
+    touched = touches.plan(MODEL, TRUTH, lambda q: float(depth_m("box", q).max()), 0, 4, 0)
     for k, touch in enumerate(touched.touches):
         sensor = touched.path.at(float(np.mean(touch.held_s)))
-        z = model.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0]
+        z = MODEL.activation(se2.compose(se2.inverse(sensor), TRUTH)[None])[0]
         made.on_scan(Activation(float(k), z, z >= 0.0), sensor)
     made.estimate = replace(made.estimate, map=TRUTH + np.array([0.05, 0.0, 1.0]))
     assert truth_nats(made, TRUTH) > OVERLOOKED_NATS
     made.estimate = replace(made.estimate, map=TRUTH + np.array([0.002, 0.0, 0.02]))
     assert abs(truth_nats(made, TRUTH)) < OVERLOOKED_NATS
-
-
-def test_the_command_goes_on_from_what_it_remembers(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    command = ["touches", "--object", "box", "--skin", "stiff", "--workers", "1",
-               "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]  # fmt: skip
-    assert not cli.main([*command, "--seeds", "1"])
-    assert "box, stiff, seed 0: " in capsys.readouterr().err
-    assert not cli.main([*command, "--seeds", "2"])
-    second = capsys.readouterr()
-    assert "1 of 2 runs are remembered" in second.err
-    assert "seed 0" not in second.err
-    runs = measurement.read(tmp_path / "touches.json")
-    assert [run["seed"] for run in runs] == [0, 1]
-    assert second.out.splitlines() == list(touch_experiment.lines(runs))
-    assert "| stiff, box |" in second.out
-
-
-def test_wrong_options_are_refused_with_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    for option, value, message in (
-        ("--skin", "marble", "no skin 'marble'"),
-        ("--skin", "scene", "--skin scene: is no soft skin"),
-        ("--object", "party", "scene.bundle: no bundle 'party'"),
-        ("--seeds", "-1", "--seeds must be at least 1"),
-        ("--workers", "0", "--workers must be at least 1"),
-        ("--memory", str(tmp_path / "file" / "m"), f"--memory: {tmp_path / 'file' / 'm'}: "),
-    ):
-        assert cli.main(["touches", option, value, "--out", str(tmp_path)]) == 2
-        error = capsys.readouterr().err
-        assert error.startswith(message)
-        assert error.count("\n") == 1
-
-
-@pytest.mark.parametrize("name", cli.GONE)
-def test_a_command_that_is_gone_says_in_one_line_what_replaced_it(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main([name, "--touches", "--out", "somewhere"]) == 2
-    error = capsys.readouterr().err
-    assert error.startswith(f"taxeld-hil {name} is gone; ")
-    assert error.count("\n") == 1

@@ -13,7 +13,7 @@ Line = dict[str, Any]
 
 IDLE = [240] * 12
 TAXELS = [0, 1, 2, 3, 4, 5, 7, 8, 9, 11]  # slots of the common triangle; 6 and 10 are thermal pads
-PALM = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]  # of a palm's triangle; 11 is its thermal pad
+PALM = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10]  # taxels of a palm's triangle; 11 is its thermal pad
 
 
 def host(means: str, frame: str) -> Line:

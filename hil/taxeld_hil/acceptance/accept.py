@@ -4,16 +4,22 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
+from taxeld.source.device import BusyError
+from taxeld.source.lines import line_speed
 from taxeld.source.recorder import Recorder
+from taxeld.source.slcan_device import ADAPTER_BAUD
+from taxeld.source.sources import Source, open_source
 from taxeld_hil.acceptance.press import ask
 from taxeld_hil.acceptance.received import Say, receive
-from taxeld_hil.acceptance.report import Report
-from taxeld_hil.acceptance.target import opened, source_of
+from taxeld_hil.acceptance.report import AcceptanceReport
 
 SECONDS_MIN = 5.0  # 100 scans at the usual rate: to call a taxel stuck needs half of that
 SECONDS_MAX = 600.0  # all scans are held
+OTHER_CURE = "; is the adapter plugged in, its driver installed?"
 
 
 def run(
@@ -26,7 +32,7 @@ def run(
     period_ms: int,
     full_scale_counts: float,
     presses: bool,
-) -> Report:
+) -> AcceptanceReport:
     """Check the skin behind a target; the report and all that was received are written to `out`.
 
     Raises:
@@ -44,15 +50,15 @@ def run(
                     got = replace(got, presses=ask(source, got, say))
             finally:
                 source.close()
-        report = Report(target, when, got)
+        report = AcceptanceReport(target, when, got)
         _write(report, out, say)
-    except OSError as error:  # a device's own are the source's to handle
+    except OSError as error:  # of the files: the source handles a device's errors
         raise SetupError(f"--out: cannot write {out} ({error.strerror})") from None
     return report
 
 
-def _write(report: Report, out: Path, say: Say) -> None:
-    out.mkdir(parents=True, exist_ok=True)  # a recording of nothing has left none
+def _write(report: AcceptanceReport, out: Path, say: Say) -> None:
+    out.mkdir(parents=True, exist_ok=True)  # a recording makes it with its first frame
     (out / "report.txt").write_text(report.text, encoding="utf-8")
     (out / "report.json").write_text(report.json, encoding="utf-8")
     if report.modules:
@@ -65,3 +71,43 @@ def _write(report: Report, out: Path, say: Say) -> None:
         say(f"no picture: {error}; pip install 'taxeld[view]'")
         return
     draw(report, out / "report.png")
+
+
+def source_of(target: str, period_ms: int) -> SourceConfig:
+    """The daemon's source for `can:CHANNEL`, `serial:DEVICE[@BAUD]`, or `INTERFACE:CHANNEL` of any
+    interface that python-can knows.
+
+    Raises:
+        SetupError: it is none of them.
+    """
+    kind, _, channel = target.partition(":")
+    if not kind or not channel:
+        raise SetupError(
+            f"TARGET: '{target}' is none; use can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, "
+            "or a python-can interface and its channel, as pcan:PCAN_USBBUS1"
+        )
+    device, at, baud = channel.partition("@")
+    is_line = kind in ("serial", "slcan")
+    speed = line_speed(baud) if at and is_line else None
+    if at and is_line and speed is None:
+        raise SetupError(f"TARGET: '{baud}' is no baud rate; use {kind}:{device}@{ADAPTER_BAUD}")
+    if kind == "serial":
+        config = SourceConfig(kind="serial", channel=device, period_ms=period_ms)
+        return config if speed is None else replace(config, baud=speed)
+    interface = "socketcan" if kind == "can" else kind
+    return SourceConfig(kind="can", interface=interface, channel=channel, period_ms=period_ms)
+
+
+def opened(target: str, config: SourceConfig, layout: Layout, recorder: Recorder) -> Source:
+    """The source of a target.
+
+    Raises:
+        SetupError: it cannot be opened, or another process has it.
+    """
+    try:
+        return open_source(config, layout, recorder)
+    except SetupError as error:
+        said = str(error).partition(": ")[2]  # a target has no configuration key to name
+        has_cure = target.partition(":")[0] in ("can", "slcan", "serial")
+        cure = "" if has_cure or isinstance(error, BusyError) else OTHER_CURE
+        raise SetupError(f"TARGET {target}: {said}{cure}") from None

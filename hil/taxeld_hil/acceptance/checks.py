@@ -1,4 +1,4 @@
-"""The acceptance checks: what may be wrong with a skin, and what to do about it.
+"""The acceptance checks: faults of a skin, and their cures.
 
 A check is a function of what was received. `CHECKS` lists them in the order in which the report has
 them.
@@ -21,13 +21,13 @@ from taxeld_hil.acceptance.received import DAMAGES, Received
 from taxeld_protocol.decoder import GAP_SHARE
 from taxeld_protocol.modules import NAMES, Module, wired
 
-RATE_OFF = 0.1  # of the period: a hub's clock is far better than that
-JITTER_OFF = 1.0 - GAP_SHARE  # of the period: an earlier scan may be joined to the one before
-MISSED = 0.01  # of the scans, without a damaged packet to explain them
-SCANS_MIN = 10  # of a hub, to tell its rate
-DAMAGED = 0.001  # of the packets: CAN repeats what is damaged, so that none should be
-WEAK = 0.1  # of full scale; a taxel's strongest on a real skin is 0.43 of it (median)
-STRONG = 1.5  # of full scale: presses that read the same, as activations end at 1
+RATE_OFF = 0.1  # share of the period; a hub's clock is far better
+JITTER_OFF = 1.0 - GAP_SHARE  # share of the period: an earlier scan may join the last one
+MISSED = 0.01  # share of the scans, without a damaged packet to explain them
+SCANS_MIN = 10  # scans that tell the rate of a hub
+DAMAGED = 0.001  # share of the packets; CAN repeats damaged frames, so none should be
+WEAK = 0.1  # full scales; a taxel's strongest on a real skin is 0.43 (median)
+STRONG = 1.5  # full scales: activations end at 1, so stronger presses read the same
 NAMES_MAX = 12  # names in one line
 
 
@@ -40,14 +40,14 @@ class Finding(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """How one check ended; `figures` are for machines, and go to the JSON alone."""
+class CheckResult:
+    """The result of one check; `figures` are for machines, and go to the JSON alone."""
 
     summary: str
     findings: Sequence[Finding] = ()
     notes: Sequence[str] = ()  # worth knowing, and no fault
     figures: Mapping[str, object] = field(default_factory=dict)
-    checked: bool = True  # else what it needs was not received, or not asked for
+    checked: bool = True  # False: its input was not received, or not asked for
 
     @property
     def verdict(self) -> str:
@@ -56,7 +56,7 @@ class Outcome:
         return "passed" if self.checked else "not checked"
 
 
-def discovery(got: Received) -> Outcome:
+def discovery(got: Received) -> CheckResult:
     """The hub answers the daemon's own bring-up, declares all its modules, and sends scans."""
     findings, parts = [], []
     if not got.tables:
@@ -76,15 +76,15 @@ def discovery(got: Received) -> Outcome:
             findings.append(Finding(f"hub {hub}", what, cures.FIRMWARE))
         channels = sum(module.channels for module in connected)
         parts.append(f"hub {hub}: {len(connected)} modules, {channels} channels")
-    return Outcome("; ".join(parts) or "no hub answered", findings)
+    return CheckResult("; ".join(parts) or "no hub answered", findings)
 
 
-def modules(got: Received) -> Outcome:
+def modules(got: Received) -> CheckResult:
     """The modules that answered are those of the layout, with the layout's taxels and T0."""
     connected = [m for table in got.tables.values() for m in table if m.channels]
     found = {m.sui: m for m in connected if m.sui is not None}
     if not found:
-        return Outcome("no module is known", checked=False)
+        return CheckResult("no module is known", checked=False)
     layout = {m.sui: m for m in wired(got.layout.uid.tolist()) if m.sui is not None}
     times = Counter(m.sui for m in connected)
     missing, unexpected = sorted(layout.keys() - found), sorted(found.keys() - layout)
@@ -109,11 +109,11 @@ def modules(got: Received) -> Outcome:
             notes.append(f"{where}: {extra} are not in the layout; the daemon passes them over")
     there = len(layout) - len(missing)
     summary = f"{there} of the layout's {len(layout)} answered, {len(unexpected)} unexpected"
-    return Outcome(summary, findings, notes, {"missing": missing, "unexpected": unexpected})
+    return CheckResult(summary, findings, notes, {"missing": missing, "unexpected": unexpected})
 
 
 def _mask(layout: Module, found: Module) -> Iterator[str]:
-    """What is wrong with the channels of a module that is where it should be."""
+    """Faults in the channels of a module of the layout."""
     mask, named = f"its mask {found.mask:#05x}", found.mask.bit_count()
     if found.channels != named:
         said = f"{mask} names {named} channels, but it sends {found.channels}"
@@ -128,32 +128,12 @@ def _names(mask: int) -> str:
     return ", ".join(f"T{bit}" for bit in range(NAMES) if mask >> bit & 1)
 
 
-class Pace(NamedTuple):
-    """The complete scans of one hub in time."""
-
-    scans: int
-    missed: int
-    period_ms: float  # median interval
-    off_ms: list[float]  # from the nearest multiple of the period: 50, 95 and 99 % of intervals
-
-
-def _pace(t: Floats, end_s: float) -> Pace:
-    """Of scans that came at times (n,) [s], in a period that ended at `end_s`."""
-    interval = np.diff(t)
-    period = float(np.median(interval))
-    periods = np.round(interval / period)
-    silent = max(int((end_s - t[-1]) / period) - 1, 0)  # at the end
-    missed = int((np.maximum(periods, 1) - 1).sum()) + silent
-    off_ms = np.percentile(1e3 * np.abs(interval - periods * period), (50, 95, 99))
-    return Pace(len(t), missed, 1e3 * period, off_ms.tolist())
-
-
-def rate(got: Received) -> Outcome:
+def rate(got: Received) -> CheckResult:
     """Scans come as often as they were asked for, evenly, and none is missing."""
     if not got.scans:
-        return Outcome("no scan came", checked=False)
+        return CheckResult("no scan came", checked=False)
     explained: float = got.damaged + got.link["orphan"]
-    if got.link["lost"] or got.link["silences"]:  # reported as the link's faults
+    if got.link["lost"] or got.link["silences"]:  # faults of the link explain any number
         explained = np.inf
     findings, parts, figures = [], [], {}
     for hub, t in got.times.items():
@@ -162,32 +142,45 @@ def rate(got: Received) -> Outcome:
             what = f"fewer than {SCANS_MIN} whole scans"
             findings.append(Finding(where, what, "see the link, or give more --seconds"))
             continue
-        pace = _pace(t, got.span[1])
-        due, (p50, p95, p99) = pace.scans + pace.missed, pace.off_ms
+        missed, period_ms, off_ms = _pace(t, got.span[1])
+        due, (p50, p95, p99) = len(t) + missed, off_ms
         parts.append(
-            f"{where}: {1e3 / pace.period_ms:.1f} Hz of {1e3 / got.period_ms:.1f} asked, "
-            f"{p50:.1f} / {p95:.1f} / {p99:.1f} ms off (50 / 95 / 99 %), "
-            f"{pace.missed} of {due} missed"
+            f"{where}: {1e3 / period_ms:.1f} Hz of {1e3 / got.period_ms:.1f} asked, "
+            f"{p50:.1f} / {p95:.1f} / {p99:.1f} ms off (50 / 95 / 99 %), {missed} of {due} missed"
         )
-        figures[str(hub)] = pace._asdict()
-        slow = pace.period_ms - got.period_ms
+        figures[str(hub)] = {
+            "scans": len(t), "missed": missed, "period_ms": period_ms, "off_ms": off_ms,
+        }  # fmt: skip
+        slow = period_ms - got.period_ms
         if abs(slow) > RATE_OFF * got.period_ms:
-            what = f"a scan every {pace.period_ms:.1f} ms, where {got.period_ms} were asked for"
+            what = f"a scan every {period_ms:.1f} ms, where {got.period_ms} were asked for"
             findings.append(Finding(where, what, cures.FEWER if slow > 0 else cures.HOST))
-        if p99 > JITTER_OFF * pace.period_ms:
+        if p99 > JITTER_OFF * period_ms:
             what = f"one scan in a hundred is {p99:.1f} ms or more off its time"
             findings.append(Finding(where, what, cures.BUSY))
-        if pace.missed - explained > MISSED * due:
-            what = f"{pace.missed} of {due} scans did not come, and no damaged packet explains it"
+        if missed - explained > MISSED * due:
+            what = f"{missed} of {due} scans did not come, and no damaged packet explains it"
             findings.append(Finding(where, what, f"{cures.FEWER}; else {cures.BUSY}"))
-    return Outcome("; ".join(parts) or "too few scans", findings, figures=figures)
+    return CheckResult("; ".join(parts) or "too few scans", findings, figures=figures)
 
 
-def link(got: Received) -> Outcome:
+def _pace(t: Floats, end_s: float) -> tuple[int, float, list[float]]:
+    """Scans missed, the median period [ms], and how far 50, 95 and 99 % of the intervals are off a
+    multiple of it [ms]; of scans at times (n,) [s], listened for until `end_s`."""
+    interval = np.diff(t)
+    period = float(np.median(interval))
+    periods = np.round(interval / period)
+    silent_at_end = max(int((end_s - t[-1]) / period) - 1, 0)
+    missed = int((np.maximum(periods, 1) - 1).sum()) + silent_at_end
+    off_ms = np.percentile(1e3 * np.abs(interval - periods * period), (50, 95, 99))
+    return missed, 1e3 * period, off_ms.tolist()
+
+
+def link(got: Received) -> CheckResult:
     """Whole packets with the right checksum and indices, from an adapter that stays."""
     count, packets = got.link, got.link["packets"] + got.damaged
     if not got.scans:
-        return Outcome("no scan came", checked=False)
+        return CheckResult("no scan came", checked=False)
     findings = []
     if gone := _counted(count, "lost", "silences"):
         findings.append(Finding("the adapter", gone, cures.ADAPTER))
@@ -199,14 +192,14 @@ def link(got: Received) -> Outcome:
         f"{packets} packets, wrong: checksum {count['crc_errors']}, "
         f"length {count['length_errors']}, index {count['index_errors']}"
     )
-    return Outcome(summary, findings, [note] * bool(note), dict(count))
+    return CheckResult(summary, findings, [note] * bool(note), dict(count))
 
 
-def noise(got: Received) -> Outcome:
-    """How much the readings of the untouched skin vary."""
+def noise(got: Received) -> CheckResult:
+    """The readings of the untouched skin vary little."""
     idle, full = got.idle, got.full_scale_counts
     if not idle.usable.any():
-        return Outcome("no taxel that reads", checked=False)
+        return CheckResult("no taxel that reads", checked=False)
     low, middle, high = np.percentile(idle.noise[idle.usable], (10, 50, 90)).tolist()
 
     def what(i: int) -> str:
@@ -223,14 +216,14 @@ def noise(got: Received) -> Outcome:
     )
     findings = [*_by_module(got, idle.noisy, what, cures.GROUND)]
     figures = {"median": middle, "p10": low, "p90": high}
-    return Outcome(summary, findings, [quiet] * (middle < NOISE_TELLS), figures)
+    return CheckResult(summary, findings, [quiet] * (middle < NOISE_TELLS), figures)
 
 
-def taxels(got: Received) -> Outcome:
+def taxels(got: Received) -> CheckResult:
     """Taxels that are dead, stuck or saturated."""
     idle, failing = got.idle, got.idle.failing
     if not idle.present.any():
-        return Outcome("no taxel of the layout was heard", checked=False)
+        return CheckResult("no taxel of the layout was heard", checked=False)
     texts: dict[str, Callable[[int], str]] = {
         "dead": lambda i: f"reads 0 in {100 * idle.zero[i]:.0f} % of the scans",
         "stuck": lambda i: f"reads {idle.level[i]:.0f} without a count of change",
@@ -250,14 +243,14 @@ def taxels(got: Received) -> Outcome:
         f"idle levels {level.min():.0f}..{level.max():.0f} counts"
     )
     figures = {kind: np.flatnonzero(mask).tolist() for kind, mask in failing.items()}
-    return Outcome(summary, findings, figures=figures)
+    return CheckResult(summary, findings, figures=figures)
 
 
-def temperature(got: Received) -> Outcome:
+def temperature(got: Received) -> CheckResult:
     """The modules' T0: a valid reading that moves as slowly as a temperature."""
     found = got.idle.temperature
     if not found:
-        return Outcome("no T0 was heard", checked=False)
+        return CheckResult("no T0 was heard", checked=False)
     findings = []
     for sui, t0 in sorted(found.items()):
         what = ""
@@ -272,14 +265,14 @@ def temperature(got: Received) -> Outcome:
         f"T0 of {len(found)} modules: {min(level):.0f}..{max(level):.0f} counts, "
         f"at most {step:.0f} counts in a second"
     )
-    return Outcome(summary, findings)
+    return CheckResult(summary, findings)
 
 
-def press(got: Received) -> Outcome:
+def press(got: Received) -> CheckResult:
     """Each module answers where the layout has it, as strongly as the daemon expects."""
     if not got.presses:
         why = "not asked for (--press)" if got.presses is None else "no module that can be pressed"
-        return Outcome(why, checked=False)
+        return CheckResult(why, checked=False)
     full = got.full_scale_counts
     answers = {p.asked: p.answered for p in got.presses}
     peaks = {p.asked: float(p.peak.max()) for p in got.presses}
@@ -311,10 +304,10 @@ def press(got: Received) -> Outcome:
         f"{right} of {len(answers)} modules answered where they are; strongest {strongest:.0f} "
         f"counts, {100 * strongest / full:.0f} % of full scale"
     )
-    return Outcome(summary, findings, [strong] * (strongest > STRONG * full), figures)
+    return CheckResult(summary, findings, [strong] * (strongest > STRONG * full), figures)
 
 
-CHECKS: dict[str, Callable[[Received], Outcome]] = {
+CHECKS: dict[str, Callable[[Received], CheckResult]] = {
     "discovery": discovery,
     "modules": modules,
     "rate": rate,
@@ -344,7 +337,7 @@ def _by_module(
 
 
 def _counted(count: Counter[str], *names: str) -> str:
-    """Those of the counters that are not 0, in words."""
+    """The counters that are not 0, in words."""
     return ", ".join(f"{cures.COUNTED[name]}: {count[name]}" for name in names if count[name])
 
 

@@ -1,4 +1,4 @@
-"""What to do about a finding, and the names of a source's counters in words."""
+"""Cures for findings, and the names of a source's counters in words."""
 
 POWER = (
     "check that the hub has power, that CAN-H and CAN-L are not exchanged, and that the bus ends "
@@ -40,7 +40,7 @@ HARDER = (
     "press harder and run once more; if it stays so, set skin.full_scale_counts of the daemon to "
     "what a firm press reads, or see whether the dielectric has hardened"
 )
-SILENCE = {  # where no hub declares its modules, the first counter that is not 0 names the cure
+SILENCE = {  # no hub declares its modules: the first counter that is not 0 has the cure
     "lost": ADAPTER,
     "bootloader": FIRMWARE,
     "packets": HOST,

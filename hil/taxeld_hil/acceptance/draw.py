@@ -11,14 +11,14 @@ from matplotlib.figure import Figure
 from taxeld.arrays import Floats
 from taxeld.layout.draw import middle, plane
 from taxeld_hil.acceptance.received import Received
-from taxeld_hil.acceptance.report import Report
+from taxeld_hil.acceptance.report import AcceptanceReport
 
 LABEL = {"boxstyle": "round,pad=0.1", "facecolor": "white", "alpha": 0.7, "linewidth": 0.0}
 NOISE_LEAST = 0.1  # counts: less is drawn as this
 MARKS = {"dead": "x", "stuck": "s", "saturated": "^", "noisy": "o", "not heard": "+"}
 
 
-def draw(report: Report, out: Path) -> None:
+def draw(report: AcceptanceReport, out: Path) -> None:
     """Write the picture as PNG.
 
     Raises:

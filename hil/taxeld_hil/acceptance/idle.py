@@ -1,4 +1,4 @@
-"""What each taxel and each temperature channel read while nothing touched the skin."""
+"""Readings of each taxel and each temperature channel of an untouched skin."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,14 +18,14 @@ from taxeld.skin.temperature import STEP
 from taxeld_protocol.decoder import MISSING, Scan
 
 STILL_SCANS = 50  # two readings with a noise of a count agree in 0.28 of cases: 1e-27 for fifty
-INVALID = 0.01  # of the scans
+INVALID = 0.01  # share of the scans
 STANDS_OUT = 10.0  # times the skin's median noise; 23..59 counts is what 80 % of a skin lie in
 SD_OF_MAD = 1.4826  # median absolute deviation → standard deviation, of a normal distribution
-SD_OF_MEDIAN = np.sqrt(np.pi / 2.0)  # of the median of n normal readings, times √n
+SD_OF_MEDIAN = np.sqrt(np.pi / 2.0)  # sd of the median of n normal readings, times √n
 THRESHOLD_SIGMAS = SkinConfig().threshold_sigmas
 
 
-class Temperature(NamedTuple):
+class T0Readings(NamedTuple):
     """The T0 readings of a module; levels are in counts."""
 
     level: float  # median
@@ -35,12 +35,12 @@ class Temperature(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Idle:
+class IdleReadings:
     """Readings by taxel (M,), nan where nothing came; and of T0 by module."""
 
     full_scale_counts: float
-    temperature: Mapping[int, Temperature]  # by serial number of the module
-    scans: Floats  # in which the taxel was read
+    temperature: Mapping[int, T0Readings]  # serial number of the module → readings
+    scans: Floats  # number of scans with the taxel
     level: Floats  # median [counts]
     noise: Floats  # standard deviation, by the median absolute deviation [counts]
     zero: Floats  # share of the scans that read 0
@@ -84,13 +84,13 @@ class Idle:
         return np.maximum(THRESHOLD_SIGMAS * self.noise, FLOOR * self.full_scale_counts)
 
     def median_noise(self, taxels: Bools) -> float:
-        """Of some taxels (M,), in counts; 0 without any."""
+        """Median noise of some taxels (M,) [counts]; 0 without any."""
         return float(np.median(self.noise[taxels])) if taxels.any() else 0.0
 
 
 def measured(
     layout: Layout, scans: Sequence[Scan], period_s: float, full_scale_counts: float
-) -> Idle:
+) -> IdleReadings:
     """The readings of all hubs; scans from before a hub's last module table are left out."""
     values = _by_channel(scans)
     rows = np.full((len(layout), 6), np.nan)
@@ -102,7 +102,7 @@ def measured(
             row[:] = _taxel(values[uid])
         if t0 in values and t0 >> 4 not in temperature:
             temperature[t0 >> 4] = _temperature(values[t0], period_s, full_scale_counts)
-    return Idle(full_scale_counts, temperature, *rows.T)
+    return IdleReadings(full_scale_counts, temperature, *rows.T)
 
 
 def _by_channel(scans: Sequence[Scan]) -> dict[int, Floats]:
@@ -119,14 +119,14 @@ def _by_channel(scans: Sequence[Scan]) -> dict[int, Floats]:
 
 
 def _taxel(values: Floats) -> tuple[float, ...]:
-    """The columns of `Idle`, of one taxel's readings (n,)."""
+    """The columns of `IdleReadings`, of one taxel's readings (n,)."""
     level = float(np.median(values))
     noise = SD_OF_MAD * float(np.median(np.abs(values - level)))
     zero, saturated = np.mean(values == 0), np.mean(values >= INVALID_FROM)
     return len(values), level, noise, float(zero), float(saturated), float(np.ptp(values))
 
 
-def _temperature(values: Floats, period_s: float, full_scale_counts: float) -> Temperature:
+def _temperature(values: Floats, period_s: float, full_scale_counts: float) -> T0Readings:
     """One module's T0, from its readings (n,)."""
     valid = values[(values > 0) & (values < INVALID_FROM)]
     a_second = max(round(1.0 / period_s), 1)
@@ -136,7 +136,7 @@ def _temperature(values: Floats, period_s: float, full_scale_counts: float) -> T
         noise = SD_OF_STEP * float(np.median(np.abs(np.diff(valid))))
         medians = np.median(valid[: seconds * a_second].reshape(seconds, a_second), axis=1)
         step = float(np.abs(np.diff(medians)).max())
-    spread = SD_OF_MEDIAN * np.sqrt(2.0 / a_second) * noise  # of two medians' difference
+    spread = SD_OF_MEDIAN * np.sqrt(2.0 / a_second) * noise  # sd of the difference of two medians
     allowed = max(STEP * full_scale_counts, THRESHOLD_SIGMAS * float(spread))
     invalid = 1.0 - len(valid) / len(values)
-    return Temperature(float(np.median(values)), invalid, step, allowed)
+    return T0Readings(float(np.median(values)), invalid, step, allowed)

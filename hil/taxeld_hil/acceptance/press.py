@@ -12,10 +12,10 @@ from taxeld.source.sources import Source
 from taxeld_hil.acceptance.received import Press, Received, Say, scans
 from taxeld_protocol.decoder import MISSING
 
-PRESS_S = 20.0  # to find a module and press it
+PRESS_S = 20.0  # time to find a module and press it
 TRIES = 2  # a press may miss its module
-PRESS_SCANS = 2  # in a row: a single one may be a disturbance
-RELEASED_S = 0.3  # that the skin must be free before a press is over
+PRESS_SCANS = 2  # scans in a row: a single one may be a disturbance
+RELEASED_S = 0.3  # the skin is free for so long after a press
 
 
 def ask(source: Source, received: Received, say: Say) -> list[Press]:
@@ -27,7 +27,7 @@ def ask(source: Source, received: Received, say: Say) -> list[Press]:
     if not modules:
         return []
     say(f"press {len(modules)} modules with a finger, one after the other; Ctrl-C ends")
-    level = np.where(usable, idle.level, np.inf)  # the others are never pressed
+    level = np.where(usable, idle.level, np.inf)  # an unusable taxel is never pressed
     over: Floats = np.zeros(len(level))
     found = {asked: Press(asked, None, np.zeros(len(level))) for asked in modules}
     try:
@@ -77,7 +77,7 @@ def pressed(
 def _follow(
     source: Source, wiring: Wiring, level: Floats, over: Floats
 ) -> Iterator[tuple[float, Floats]]:
-    """When scans come in the time for a press, and `over` (M,), the newest counts over `level`."""
+    """Times of scans for a press, and `over` (M,), the newest counts over `level` (M,)."""
     for scan in scans(source, PRESS_S):
         wired = wiring.of(scan)
         counts = np.array(scan.counts, dtype=np.float64)[wired.channels]
@@ -87,7 +87,7 @@ def _follow(
 
 
 def _place(layout: Layout, own: Bools) -> str:
-    """Where the operator finds some taxels (M,), as the layout has them."""
+    """Place of some taxels (M,) in words, as the layout has them."""
     x, y, z = layout.position_m[own].mean(axis=0)
     if math.isinf(layout.radius_m):
         return f"x {1e3 * x:.0f} mm, y {1e3 * y:.0f} mm"

@@ -1,4 +1,4 @@
-"""What is received from a skin while nothing touches it, after the daemon's own bring-up.
+"""Scans and counters of an untouched skin, after the daemon's own bring-up.
 
 The checks are functions of `Received` alone: they need no device and no clock.
 """
@@ -16,13 +16,14 @@ from taxeld.arrays import Floats
 from taxeld.layout.layout import Layout
 from taxeld.source.bring_up import SILENCE_S
 from taxeld.source.sources import Source
-from taxeld_hil.acceptance.idle import Idle, measured
+from taxeld_hil.acceptance.idle import IdleReadings, measured
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.modules import Module
 
 POLL_S = 0.001
 ANSWER_S = 10.0  # a hub that was just powered needs seconds
-DAMAGES = ("crc_errors", "length_errors", "index_errors", "malformed", "noise")  # of packets
+# Counters of damaged packets.
+DAMAGES = ("crc_errors", "length_errors", "index_errors", "malformed", "noise")
 
 Say = Callable[[str], None]  # prints a line to the operator
 
@@ -40,23 +41,23 @@ class Received:
     """One acceptance run; counters are the source's, under their names in the daemon's health."""
 
     layout: Layout
-    period_ms: int  # that the hub was asked for
+    period_ms: int  # period of scans that the hub was asked for
     full_scale_counts: float
     tables: Mapping[int, Sequence[Module]]  # short id of each hub that declared itself → modules
-    bring_up: Counter[str]  # from the first request to the beginning of the idle period
-    link: Counter[str]  # over the idle period
-    scans: Sequence[Scan]  # of the idle period
+    bring_up: Counter[str]  # counts before the idle period
+    link: Counter[str]  # counts in the idle period
+    scans: Sequence[Scan]  # scans in the idle period
     span: tuple[float, float]  # begin and end of the idle period, in the clock of the scans
     presses: Sequence[Press] | None = None  # None: not asked for
 
     @cached_property
-    def idle(self) -> Idle:
-        """What each taxel read in the idle period."""
+    def idle(self) -> IdleReadings:
+        """Readings of each taxel in the idle period."""
         return measured(self.layout, self.scans, self.period_ms / 1e3, self.full_scale_counts)
 
     @property
     def times(self) -> dict[int, Floats]:
-        """When the complete scans of each hub came (n,) [s]."""
+        """Times (n,) [s] of the complete scans of each hub."""
         hubs = sorted({scan.ihb for scan in self.scans})
         return {h: np.array([s.t for s in self.scans if s.ihb == h and s.complete]) for h in hubs}
 

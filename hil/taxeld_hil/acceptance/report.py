@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from taxeld.source import module_order
-from taxeld_hil.acceptance.checks import CHECKS, Outcome
+from taxeld_hil.acceptance.checks import CHECKS, CheckResult
 from taxeld_hil.acceptance.received import Received
 
 WIDTH = 100
@@ -17,15 +17,15 @@ VERSION = 1
 
 
 @dataclass(frozen=True)
-class Report:
-    """What an acceptance run found."""
+class AcceptanceReport:
+    """The results of an acceptance run."""
 
     target: str
     when: str
     received: Received
 
     @cached_property
-    def checks(self) -> dict[str, Outcome]:
+    def checks(self) -> dict[str, CheckResult]:
         """The outcome of each check, by its name."""
         return {name: check(self.received) for name, check in CHECKS.items()}
 
@@ -36,7 +36,7 @@ class Report:
 
     @property
     def seconds(self) -> float:
-        """How long the untouched skin was read."""
+        """Time that the untouched skin was read [s]."""
         start, end = self.received.span
         return round(end - start, 3)
 
@@ -71,7 +71,7 @@ class Report:
 
     @property
     def json(self) -> str:
-        """The same for machines, with a row for each taxel."""
+        """The report for machines, with a row for each taxel."""
         got, idle = self.received, self.received.idle
         none = np.full(len(got.layout), np.nan)
         columns = {

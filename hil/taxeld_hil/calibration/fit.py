@@ -20,18 +20,18 @@ from taxeld.model.observation import ObservationModel
 from taxeld.model.response import response
 from taxeld_hil.calibration.presses import Presses
 
-FULL_SCALE_SD = 3.0  # of the full scale's logarithm, about its value at the start
-BEND_MEAN, BEND_SD = 0.05, 0.15  # of the common response
-MOUNT_SD = np.array([0.02, 0.02, 0.2])  # m, m, rad: of the mount, about none
-ROBOT_SD_M = 1e-4  # of a press's place, along x and y, about the place that the robot states
-GAIN_SD = 0.17  # of the logarithm of a taxel's gain
-ONSET_MEAN, ONSET_SD = 0.1, 0.8  # of a taxel's onset, as in recordings (docs/physics.md)
-MODEL_SD = 0.01  # of full scale: the error of a right model
+FULL_SCALE_SD = 3.0  # sd of the full scale's logarithm about its value at the start
+BEND_MEAN, BEND_SD = 0.05, 0.15  # prior of the common response's bend
+MOUNT_SD = np.array([0.02, 0.02, 0.2])  # m, m, rad: sd of the mount about none
+ROBOT_SD_M = 1e-4  # sd of a press's place along x and y about the robot's pose
+GAIN_SD = 0.17  # sd of the logarithm of a taxel's gain
+ONSET_MEAN, ONSET_SD = 0.1, 0.8  # prior of a taxel's onset, as in recordings (docs/physics.md)
+MODEL_SD = 0.01  # error of a right model, in full scales
 SAG_M = 0.004  # beside a press the cover sags by 1/e less at this distance
 BESIDE_M = np.array([-0.008, -0.005, -0.0025, 0.0025, 0.005, 0.008])  # distances round the link
 SHALLOW, DEEP = 0.04, 0.97  # shares of full depth between which readings are used
-FIRM = 0.2  # of full scale: a reading so strong where the fit expects no press is missed
-MISSED_COST = 4.0  # of a missed reading: nothing is gained by missing it
+FIRM = 0.2  # full scales: a reading so strong is missed where the fit expects no press
+MISSED_COST = 4.0  # cost of a missed reading: no fit gains by missing it
 LEAST_COSINE = 0.6  # between a taxel's normal and the shortest way out of the object
 STEP_M, STEP = 1e-4, 1e-3  # for differences: along x and y, and of all other unknowns
 ROUNDS, STEPS = 8, 25  # most rounds of a fit, and most steps of a round
@@ -51,25 +51,25 @@ class Unknowns(NamedTuple):
 
 
 class Start(NamedTuple):
-    """Where a fit begins; poses (3,)."""
+    """Begin of a fit; poses (3,)."""
 
     full_scale: float  # counts
     mount: Poses
-    object: Poses  # in the world
+    object: Poses  # pose in the world
     object_sd: Floats  # (3,) 0: the object is held at that pose
 
 
-class Conditions(NamedTuple):
-    """What follows from the unknowns and is held during a round; all (K, M)."""
+class HeldTerms(NamedTuple):
+    """Terms that follow from the unknowns and are held during a round; all (K, M)."""
 
     cosine: Floats  # between each taxel's normal and the shortest way out of the object
-    sd: Floats  # of each reading [counts]
+    sd: Floats  # sd of each reading [counts]
     used: Bools  # readings
     missed: Bools  # readings
 
 
 @dataclass(frozen=True, slots=True)
-class Fit:
+class FitResult:
     """K presses on M taxels."""
 
     value: Unknowns
@@ -106,12 +106,12 @@ class CalibrationFit:
         self._begin[2:5] = start.mount / MOUNT_SD
         self._gains = slice(8 + 2 * k, 8 + 2 * k + m)
         press, taxel = np.indices((k, m))
-        self._columns: list[Index] = [  # of the unknown of each kind that a reading depends on
+        self._columns: list[Index] = [  # for each kind, the unknown that a reading depends on
             *(np.full((k, m), column) for column in range(8)),
             *(8 + press, 8 + k + press, 8 + 2 * k + taxel, 8 + 2 * k + m + taxel),
         ]
 
-    def run(self) -> Fit:
+    def run(self) -> FitResult:
         """The likeliest values near the start. In each round the conditions are held, so that what
         is minimised has no steps."""
         u = self._begin
@@ -136,16 +136,16 @@ class CalibrationFit:
         sensor[:, :2] += x.place.reshape(2, -1).T
         return se2.compose(se2.inverse(se2.compose(sensor, x.mount)), x.object)
 
-    def _conditions(self, u: Floats) -> Conditions:
+    def _conditions(self, u: Floats) -> HeldTerms:
         x = self._values(u)
         q, full, live = self._seen(x), np.exp(x.log_full), self._presses.live
         depth, doubt = depths(self._model, q), _doubt(self._model, q)
         variance = self._noise**2 / 4.0 + (MODEL_SD * full) ** 2 + (doubt * full) ** 2
         used = (depth > SHALLOW) & (depth < DEEP) & live
         missed = (depth <= SHALLOW) & (self._presses.counts > (FIRM + doubt) * full) & live
-        return Conditions(_cosine(self._model, q), np.sqrt(variance), used, missed)
+        return HeldTerms(_cosine(self._model, q), np.sqrt(variance), used, missed)
 
-    def _round(self, u: Floats, held: Conditions) -> OptimizeResult:
+    def _round(self, u: Floats, held: HeldTerms) -> OptimizeResult:
         """The least squares of the readings' residuals and of the unknowns `u` themselves."""
         return least_squares(
             lambda u: np.concatenate([self._residuals(self._values(u), held), u]),
@@ -156,13 +156,13 @@ class CalibrationFit:
             max_nfev=STEPS,
         )
 
-    def _residuals(self, x: Unknowns, held: Conditions) -> Floats:
-        """Of the used readings, in row order and in sd."""
+    def _residuals(self, x: Unknowns, held: HeldTerms) -> Floats:
+        """Residuals of the used readings, in row order and in sd."""
         depth = self._model.activation(self._seen(x)) / held.cosine
         off = (self._presses.counts - _expected(x, depth)) / held.sd
         return np.asarray(off[held.used])
 
-    def _slopes(self, u: Floats, held: Conditions) -> csr_array:
+    def _slopes(self, u: Floats, held: HeldTerms) -> csr_array:
         """Derivatives of the residuals by the unknowns `u`. A reading depends on one press and one
         taxel, so the unknowns of all presses, or of all taxels, are varied at once."""
         x = self._mean + self._sd * u
@@ -179,7 +179,7 @@ class CalibrationFit:
         values = (np.stack(slopes) * self._sd[column]).ravel()
         return csr_array((values, (row.ravel(), column.ravel())), shape=(len(before), len(x)))
 
-    def _fit(self, u: Floats, covariance: Floats) -> Fit:
+    def _fit(self, u: Floats, covariance: Floats) -> FitResult:
         """The result at `u` with this covariance (P, P)."""
         x, held = self._values(u), self._conditions(u)
         residual = self._residuals(x, held)
@@ -190,7 +190,7 @@ class CalibrationFit:
         covariance = covariance * np.outer(self._sd, self._sd)
         variance = np.diag(covariance).copy()
         variance[self._gains] += variance[0] + 2.0 * covariance[0, self._gains]
-        return Fit(
+        return FitResult(
             value=x,
             sd=self._split(np.sqrt(np.maximum(variance, 0.0))),
             depth=depths(self._model, self._seen(x)),

@@ -18,10 +18,8 @@ from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.proposals import bundle
 from taxeld.source import session
-from taxeld_hil.calibration import search
-from taxeld_hil.calibration.calibrate import LEAST_IDLE_S
+from taxeld_hil.calibration.calibrate import LEAST_IDLE_S, LEAST_PRESSES, covered, sides
 from taxeld_hil.calibration.observer import Observer, uncalibrated
-from taxeld_hil.calibration.search import LEAST_PRESSES
 from taxeld_protocol.decoder import Scan
 
 LOOK_S = 0.5  # between two looks for presses that have ended
@@ -31,7 +29,7 @@ EIGHTH_DEG = 45.0  # a side of the skin
 
 
 class Guided:
-    """Of a configuration with a robot."""
+    """A recording that asks for presses, of a configuration with a robot."""
 
     def __init__(
         self,
@@ -70,8 +68,8 @@ class Guided:
 
     @staticmethod
     def place(out: Path) -> Path:
-        """Where the session of a calibration that is written to `out` is kept: beside it, in a
-        directory that holds none yet."""
+        """Directory for the session of a calibration that is written to `out`: beside it, and
+        without a session yet."""
         names = (".session" if k == 1 else f".session-{k}" for k in count(1))
         places = (out.with_suffix(name) for name in names)
         return next(place for place in places if not (place / session.ABOUT).exists())
@@ -99,7 +97,7 @@ class Guided:
         return False
 
     def _on_poll(self, scans: list[Scan], track: PoseTrack) -> None:
-        """What has come since the last call."""
+        """Follow the scans and poses since the last call."""
         now_s = time.monotonic()
         self._pipeline.poses = track
         self._came |= bool(scans)
@@ -118,7 +116,7 @@ class Guided:
                 self._next_line_s = now_s + TELL_S
 
     def _rest(self, now_s: float) -> str:
-        """What to say while the skin must be left alone, or nothing."""
+        """A line to say while the skin must be left alone, or nothing."""
         done_s = self._observer.idle_s
         if done_s >= self._idle_s:
             self._asked = True
@@ -136,7 +134,7 @@ class Guided:
         return f"   {done_s:.0f} of {self._idle_s:.0f} s" if done_s else "   waiting for scans"
 
     def _press(self, now_s: float) -> str:
-        """What to say of the presses so far, or nothing."""
+        """A line to say of the presses so far, or nothing."""
         presses, unheld = self._observer.presses()
         held, self._held = self._held, len(presses)
         if unheld > self._unheld and held == self._held:
@@ -148,8 +146,8 @@ class Guided:
             return so_far
         if self._held > held:
             model = self._pipeline.estimator.model
-            felt = np.bincount(search.sides(model, presses), minlength=8)
-            least = np.where(search.covered(model), felt, len(presses) + 1).argmin()
+            felt = np.bincount(sides(model, presses), minlength=8)
+            least = np.where(covered(model), felt, len(presses) + 1).argmin()
             return f"{so_far}; next with the skin's side at {EIGHTH_DEG * least:.0f}°"
         if now_s < self._next_line_s:
             return ""

@@ -10,11 +10,44 @@ from taxeld.estimator.estimate import Status
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld_hil.calibration import idle, presses
-from taxeld_hil.calibration.idle import Idle
+from taxeld_hil.calibration import presses
 from taxeld_hil.calibration.presses import Presses
 
 PRESS_THRESHOLDS = 3.0  # times a taxel's own threshold: a lighter touch is no press
+MOST_SCANS = 12_000  # ten minutes at the usual rate; later scans are not used
+SD_OF_STEP = 1.4826 / np.sqrt(2.0)  # median size of a change between scans → sd of a reading
+COARSE = 3.0  # counts: below, changes are a few whole counts, and their median says little
+STILL_SCANS = 400  # a healthy taxel with half a count of noise stood still for 56 scans at most
+
+
+@dataclass(frozen=True, slots=True)
+class AtRest:
+    """Readings of M taxels that nothing touches."""
+
+    seconds: float
+    noise: Floats  # (M,) counts, sd of a reading
+    drift: Floats  # (M,) counts a minute
+    frozen: Bools  # (M,) without a change for STILL_SCANS
+
+
+def at_rest(t: Floats, counts: Floats) -> AtRest:
+    """The rest of N scans at times `t` (N,) [s]; counts (N, M), 0 where a taxel did not answer."""
+    n, m = counts.shape
+    if n < 2:
+        return AtRest(0.0, np.zeros(m), np.zeros(m), np.zeros(m, dtype=bool))
+    minutes = (t - t.mean()) / 60.0
+    drift = minutes @ counts / max(float(minutes @ minutes), 1e-12)
+    about = (counts - counts.mean(axis=0) - np.outer(minutes, drift)).std(axis=0)
+    steps = np.diff(counts, axis=0)
+    by_steps = SD_OF_STEP * np.median(np.abs(steps), axis=0)
+    changes = np.vstack([np.zeros(m), np.cumsum(steps != 0.0, axis=0)])
+    still = (changes[STILL_SCANS:] == changes[:-STILL_SCANS]).any(axis=0)
+    return AtRest(
+        seconds=float(t[-1] - t[0]),
+        noise=np.where(by_steps >= COARSE, by_steps, about),
+        drift=drift,
+        frozen=still & (counts.max(axis=0) > 0.0),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,11 +55,11 @@ class Observed:
     """All that a calibration is fitted to."""
 
     model: ObservationModel
-    idle: Idle
+    idle: AtRest
     presses: Presses
     unheld: int  # presses that were not held still
     found: Poses | None  # (3,) the object's pose by the filter, if it found one
-    t: float  # of the last scan, Unix seconds
+    t: float  # time of the last scan, Unix seconds
 
 
 def uncalibrated(config: Config) -> Config:
@@ -35,7 +68,7 @@ def uncalibrated(config: Config) -> Config:
 
 
 class Observer:
-    """Of a pipeline without a calibration."""
+    """Collects rest and presses from the outcomes of a pipeline without a calibration."""
 
     def __init__(self, pipeline: Pipeline) -> None:
         self.pipeline = pipeline
@@ -55,7 +88,7 @@ class Observer:
             return
         skin, self._t = self.pipeline.skin, outcome.activation.t
         self.is_touched |= skin.touched
-        if not self.is_touched and len(self._idle) < idle.MOST_SCANS:
+        if not self.is_touched and len(self._idle) < MOST_SCANS:
             self._idle.append((self._t, skin.counts.astype(np.uint16)))
         live = outcome.activation.live
         felt = live & (skin.over > PRESS_THRESHOLDS * skin.threshold)
@@ -76,14 +109,14 @@ class Observer:
         )
 
     def observed(self) -> Observed:
-        """Of all scans so far."""
+        """Rest and presses of all scans so far."""
         estimate = self.pipeline.estimate
         sure = estimate.status in (Status.CONVERGED, Status.AMBIGUOUS)
         counts = np.array([row for _, row in self._idle], dtype=np.float64)
         held, unheld = self.presses()
         return Observed(
             self.pipeline.estimator.model,
-            idle.study(
+            at_rest(
                 np.array([t for t, _ in self._idle]),
                 counts.reshape(-1, len(self.pipeline.skin.layout)),
             ),

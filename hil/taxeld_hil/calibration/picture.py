@@ -69,7 +69,7 @@ def _readings(axes: Axes, result: Result) -> None:
 
 
 def _presses(axes: Axes, result: Result) -> None:
-    """Where on the object each press was."""
+    """Places of the presses on the object."""
     ring = se2.apply(result.fit.value.object, result.observed.model.scene.outline)
     axes.fill(1e3 * ring[:, 0], 1e3 * ring[:, 1], color="0.9", ec="0.4")
     sensor = se2.compose(result.observed.presses.sensor, result.calibration.mount)

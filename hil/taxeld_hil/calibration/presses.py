@@ -14,10 +14,10 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model import se2
 
 STILL_M = 2e-4  # the largest motion of a point of the skin between two scans of a hold
-LEAST_SCANS, MOST_SCANS = 4, 20  # of a hold
-ENDED = 0.25  # of the sum that a press read at most: below, the press is over
+LEAST_SCANS, MOST_SCANS = 4, 20  # scans in a hold
+ENDED = 0.25  # share of a press's largest sum: below it the press is over
 DEEPER = 1.1  # times what an earlier hold of the same press read: then the later hold is used
-WEAK = 0.2  # of the usual strongest reading: a weaker one is no press, but the foam's residue
+WEAK = 0.2  # share of the usual strongest reading: a weaker one is the foam's residue
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from taxeld_hil.experiment.measurement import Run, digest, require
+from taxeld_hil.experiment.measurement import RunRow, digest, require
 from taxeld_hil.jobs import Job
 from taxeld_hil.run.fake_run import NOT_INJECTED, FakeRun
 from taxeld_hil.run.live import LiveRun
@@ -28,7 +28,7 @@ def jobs(
         SetupError: there is no such scenario, object or skin, an object has no mesh here, or there
             are no seeds.
     """
-    require(objects, skins, seeds)
+    require(objects, skins, seeds, soft=False)
     found = []
     for seed in range(seeds):
         for name in scenarios:
@@ -38,14 +38,13 @@ def jobs(
                 for bundle in objects:
                     subject = asked.touching(bundle).on(skin)
                     title = f"{name}, {bundle}, {skin}, seed {seed}{', real time' * in_real_time}"
-                    arguments = (name, subject, seed, in_real_time, digest(subject))
-                    found.append(Job(title, play, arguments))
+                    arguments = (name, subject, seed, in_real_time)
+                    found.append(Job(title, play, arguments, code=digest(subject)))
     return found
 
 
-def play(name: str, subject: Scenario, seed: int, in_real_time: bool, code: str) -> Run:
-    """One run and what came of it; `code` is part of the job's key alone."""
-    del code
+def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> RunRow:
+    """The figures of one run."""
     stem = Path(name).stem
     if in_real_time:
         with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
@@ -62,7 +61,7 @@ def play(name: str, subject: Scenario, seed: int, in_real_time: bool, code: str)
         "seed": seed,
         "real": in_real_time,
         "passed": grade.passed,  # all checks
-        "found": figures["status"] == "converged" and is_near,  # in the end
+        "found": figures["status"] == "converged" and is_near,
         "error_mm": None if error_mm is None else round(error_mm, 3),  # up to symmetry
         "status": figures["status"],
         "contacts": figures["contacts"],  # counted by the daemon
@@ -71,19 +70,19 @@ def play(name: str, subject: Scenario, seed: int, in_real_time: bool, code: str)
     }
 
 
-def described(run: Run) -> str:
-    """What came of a run, in short."""
+def described(run: RunRow) -> str:
+    """A run's figures in short."""
     error = "no estimate" if run["error_mm"] is None else f"{run['error_mm']:.1f} mm"
     failed = f"; failed: {', '.join(run['failed'])}" if run["failed"] else ""
     return f"{run['status']}, {error}{failed}"
 
 
-def lines(runs: Sequence[Run]) -> Iterator[str]:
+def lines(runs: Sequence[RunRow]) -> Iterator[str]:
     """How often each scenario's object was found, as a Markdown table: a column a skin and object;
     with the runs in which a check failed though it was found, and those that failed silently."""
-    columns: dict[str, list[Run]] = {}
+    columns: dict[str, list[RunRow]] = {}
     for run in runs:
-        name = Path(run["bundle"]).name  # of a bundle that is not shipped, its directory's
+        name = Path(run["bundle"]).name  # the directory's name of a bundle that is not shipped
         columns.setdefault(f"{run['skin']}, {name}", []).append(run)
     yield "| scenario | " + " | ".join(columns) + " |"
     yield "|---" * (len(columns) + 1) + "|"
@@ -93,7 +92,7 @@ def lines(runs: Sequence[Run]) -> Iterator[str]:
     yield "| **all** | " + " | ".join(map(_cell, columns.values())) + " |"
 
 
-def _cell(runs: Sequence[Run]) -> str:
+def _cell(runs: Sequence[RunRow]) -> str:
     failed = sum(run["found"] and not run["passed"] for run in runs)
     silent = sum(run["silent"] > 0 for run in runs)
     found = f"{sum(run['found'] for run in runs)} of {len(runs)}"

@@ -1,4 +1,4 @@
-"""What the measurements of many runs share: checks, digests of their code, and files of runs."""
+"""Measurements of many runs: their checks, the digest of their code, and their files."""
 
 import hashlib
 import json
@@ -15,11 +15,12 @@ from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.world import load_model
 
-Run: TypeAlias = dict[str, Any]  # one run's figures, as JSON has them
+RunRow: TypeAlias = dict[str, Any]  # one run's figures, as JSON has them
 
 
-def require(objects: Sequence[str], skins: Sequence[str], seeds: int) -> None:
-    """Check what is asked for, and build each object's mesh once, before several workers need it.
+def require(objects: Sequence[str], skins: Sequence[str], seeds: int, *, soft: bool) -> None:
+    """Check the asked objects, skins and seeds, and build each object's mesh once, before several
+    workers need it; `soft`: only soft skins will do.
 
     Raises:
         SetupError: there is no such skin, an object has no bundle or no mesh here, or there are no
@@ -29,6 +30,8 @@ def require(objects: Sequence[str], skins: Sequence[str], seeds: int) -> None:
         raise SetupError("--seeds must be at least 1")
     demo = scenario.load("demo")
     physics = {demo.on(skin).physics for skin in skins}
+    if soft and "scene" in physics:
+        raise SetupError("--skin scene: is no soft skin; name typical, poor or stiff")
     for name in objects:
         layout = load_model(demo.touching(name)).layout
         if physics != {"scene"}:
@@ -42,25 +45,25 @@ def digest(subject: Scenario) -> str:
         SetupError: the bundle cannot be found or read.
     """
     info = manifest.read(bundle.find(subject.bundle) / manifest.NAME)  # has digests of its files
-    return hashlib.sha256(f"{_code()}\0{subject!r}".encode() + info).hexdigest()[:16]
+    return hashlib.sha256(f"{code()}\0{subject!r}".encode() + info).hexdigest()[:16]
 
 
-def save(path: Path, runs: Sequence[Run]) -> None:
+def save(path: Path, runs: Sequence[RunRow]) -> None:
     """Write runs as JSON, a run a line: a diff can be read."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = ",\n".join(map(json.dumps, runs))
     path.write_text(f'{{"runs": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
-def read(path: Path) -> list[Run]:
+def read(path: Path) -> list[RunRow]:
     """The runs in such a file."""
-    runs: list[Run] = json.loads(path.read_text(encoding="utf-8"))["runs"]
+    runs: list[RunRow] = json.loads(path.read_text(encoding="utf-8"))["runs"]
     return runs
 
 
 @cache
-def _code() -> str:
-    """Hash of the code and of what is shipped with it, as this process first found it."""
+def code() -> str:
+    """Hash of the code and of the files shipped with it, as this process first found them."""
     found = hashlib.sha256()
     for package in ("taxeld", "taxeld_protocol", "taxeld_hil"):
         root = Path(str(resources.files(package)))

@@ -13,7 +13,7 @@ from taxeld.config.tables import LoopConfig, SensorPoseConfig
 from taxeld_hil.scenario.scenario import Fault
 
 HEALTH_S = 1.5  # /taxeld/health comes once a second
-STALE_S = LoopConfig().stale_s + 0.15  # with a scan's period, and a tick
+STALE_S = LoopConfig().stale_s + 0.15  # the threshold, a scan's period and a tick
 POSE_STALE_S = SensorPoseConfig().max_age_s + SensorPoseConfig().wait_s + 0.15
 STUCK_S = 12.5  # 200 scans without a count of change, a slice of a second, and a health message
 JUMP_S = 4.0  # found when the sensor moves on, or by readings under the baseline
@@ -23,12 +23,12 @@ Health = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Flag:
-    """Where the fault must show; one of these is enough."""
+    """Signs of a fault; one of them is enough."""
 
     within_s: float
-    counters: tuple[str, ...] = ()  # of /taxeld/health, that grow
-    taxels: str = ""  # its list that names the taxels
-    status: tuple[str, ...] = ()  # of /taxeld/estimate
+    counters: tuple[str, ...] = ()  # counters of /taxeld/health that grow
+    taxels: str = ""  # list in /taxeld/health that names the taxels
+    status: tuple[str, ...] = ()  # statuses of /taxeld/estimate
     silence: bool = False  # no estimates at all
 
     @property

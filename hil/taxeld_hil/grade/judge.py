@@ -1,4 +1,4 @@
-"""What a subscriber sees of a run, graded as it goes: silent failures, flags, recoveries, ages.
+"""A run as a subscriber sees it, graded as it goes: silent failures, flags, recoveries, ages.
 
 Memory is bounded, so that a day can be judged as well as a minute.
 """
@@ -35,13 +35,13 @@ class Sample(NamedTuple):
     contacts: int
     map: Poses  # (3,)
     scan_t: float  # time of its scan, by whatever clock; 0: there was none yet
-    age_s: float  # of that scan
+    age_s: float  # age of the scan [s]
     total_us: float = 0.0  # time that the tick took
 
 
 @dataclass(slots=True)
 class Seen:
-    """What was seen of one fault."""
+    """Signs of one fault so far."""
 
     fault: Fault
     flag: Flag | None
@@ -50,7 +50,7 @@ class Seen:
     recovered_s: float | None = None  # after its end, to a usable estimate that no stop follows
     close_s: float = 0.0  # until when it may recover
     doubted: bool = False  # at the end of its time the status was INCONSISTENT or BLIND
-    overlapped: bool = False  # by another that is not over, or began before it could recover
+    overlapped: bool = False  # another fault was not over, or began before the recovery
     taxels: tuple[int, ...] = ()
     before: Health | None = None  # the last health without it
     usable_s: float | None = None  # after its end: the first usable estimate that no stop follows
@@ -75,7 +75,8 @@ class Tally:
     silent_episodes: int = 0  # uninterrupted sequences of silent failures
     silent_at_s: list[float] = field(default_factory=list)  # when the first episodes began
     worst_silent_mm: float = 0.0
-    ages: Counter[int] = field(default_factory=Counter)  # of each scan's first estimate
+    # ages of each scan's first estimate [AGE_UNIT_S] and the times of those ticks [us], with counts
+    ages: Counter[int] = field(default_factory=Counter)
     ticks_us: Counter[int] = field(default_factory=Counter)
 
 
@@ -118,7 +119,7 @@ class Judge:
         if self.truth is None:
             return float("nan")
         at = np.asarray(pose).tobytes()
-        if at != self._error[0]:  # it stays the same for many ticks
+        if at != self._error[0]:  # the same pose is published for many ticks
             self._error = at, 1e3 * add_m(self._scene, np.asarray(pose), self.truth)[1]
         return self._error[1]
 
@@ -220,18 +221,18 @@ class Judge:
 
 
 def _window_s(scenario: Scenario) -> float:
-    """After a fault's end, in which it must recover."""
+    """Time to recover after a fault's end [s]."""
     return scenario.expect.recovery_s + SETTLE_S
 
 
 def _close_s(fault: Fault, scenario: Scenario) -> float:
-    """When that window ends: at the latest when another fault begins."""
+    """End of the time to recover: at the latest the begin of another fault."""
     later = [other.at_s for other in scenario.fault if other.at_s >= fault.end_s]
     return min([fault.end_s + _window_s(scenario), *later])
 
 
 def _is_overlapped(fault: Fault, scenario: Scenario) -> bool:
-    """Whether another that stops the estimates is on when this one ends."""
+    """Whether another fault that stops the estimates is on when this one ends."""
     return any(
         other.at_s < fault.end_s < other.end_s
         for other in scenario.fault

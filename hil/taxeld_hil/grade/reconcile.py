@@ -10,8 +10,8 @@ class Law(NamedTuple):
     """Two numbers that must be equal, but for `slack`."""
 
     name: str
-    expected: int  # by the ledger, or by the daemon's own other counters
-    counted: int  # by the daemon
+    expected: int  # count of the ledger, or of the daemon's other counters
+    counted: int  # count of the daemon
     slack: int = 0
 
     @property
@@ -20,7 +20,7 @@ class Law(NamedTuple):
 
 
 def laws(ledger: Ledger, health: dict[str, Any], *, line: bool, exact_times: bool) -> list[Law]:
-    """Those for the host that listens, when nothing is in transit any more.
+    """Laws for the host that listens, when nothing is in transit any more.
 
     `line`: of the native link; `exact_times`: whether the host's stamps are the ledger's times, as
     they are on a fake clock, so that pauses can be compared as well.
@@ -78,7 +78,7 @@ def _line(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
 
 
 def _onwards(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
-    """What became of scans and poses inside the daemon."""
+    """Laws of scans and poses inside the daemon."""
 
     def counted(name: str) -> int:
         return value(health, name)

@@ -1,4 +1,4 @@
-"""What SLCAN adapters do with a host's lines, and with a bus's frames: those that differ."""
+"""SLCAN adapters: their answers to a host's lines, and their lines for a bus's frames."""
 
 import re
 from collections import deque
@@ -8,10 +8,10 @@ from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.slcan import BEL, CR
 
-BUS_RATE = b"S8"  # of the bus that it hangs on, 1 Mbit/s
+BUS_RATE = b"S8"  # the only bit rate on the bus: 1 Mbit/s
 
 
-class Kind(NamedTuple):
+class AdapterKind(NamedTuple):
     """How one kind of adapter differs from the others."""
 
     answers: bool = True  # CR or BEL to each line
@@ -20,11 +20,11 @@ class Kind(NamedTuple):
 
 
 KINDS = {
-    "lawicel": Kind(stamp_digits=4),  # with its stamps on
-    "microseconds": Kind(stamp_digits=8),
-    "plain": Kind(),
-    "canable2": Kind(answers=False, listens_by=b"M1"),
-    "answering canable2": Kind(listens_by=b"M1"),
+    "lawicel": AdapterKind(stamp_digits=4),  # an adapter whose time stamps are on
+    "microseconds": AdapterKind(stamp_digits=8),
+    "plain": AdapterKind(),
+    "canable2": AdapterKind(answers=False, listens_by=b"M1"),
+    "answering canable2": AdapterKind(listens_by=b"M1"),
 }
 
 
@@ -62,7 +62,7 @@ class Adapter:
         return answer if self.kind.answers else b"", frame if sent else None
 
     def bus(self, frame: Frame) -> bytes:
-        """What the host gets of a frame on the bus."""
+        """The line that the host gets for a frame on the bus."""
         if not self.on_bus:
             return b""
         digits = self.kind.stamp_digits
@@ -74,7 +74,7 @@ class Adapter:
         if line == b"C":
             was_open, self.is_open = self.is_open, False
             return was_open
-        if self.is_open:  # the others are for a closed channel
+        if self.is_open:  # all other commands need a closed channel
             return False
         if re.fullmatch(rb"S[0-8]", line):
             self._rate = line

@@ -12,7 +12,7 @@ import zmq
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
-from taxeld_hil.rig.ledger import Unit
+from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import CanPort, NativePort, Port, SlcanPort
 from taxeld_hil.rig.rig import BEFORE_S, Rig
 from taxeld_hil.scenario.scenario import Scenario
@@ -92,7 +92,7 @@ class Bench:
     def close(self) -> None:
         self.port.close()
 
-    def _send(self, units: list[Unit], wall: float) -> None:
+    def _send(self, units: list[WireUnit], wall: float) -> None:
         ledger = self.rig.ledger
         for unit in units:
             item = unit.item
@@ -113,7 +113,7 @@ class Bench:
             self._listeners = self._poses.recv()[:1] == b"\x01"
         wall, x, y, theta = row
         body = msgpack.packb({"t": wall, "x": x, "y": y, "theta": theta})
-        if self._listeners:  # else one who comes just now would hear a pose that is not counted
+        if self._listeners:  # a listener that comes now would hear an uncounted pose
             frames = (messages.SENSOR_POSE, body, b"%.6f" % wall)
             self._poses.send_multipart(frames, zmq.NOBLOCK)
             self.rig.ledger.poses_heard += 1

@@ -10,7 +10,7 @@ from itertools import count
 
 import numpy as np
 
-from taxeld_hil.rig.ledger import Ledger, Unit
+from taxeld_hil.rig.ledger import Ledger, WireUnit
 from taxeld_hil.scenario.scenario import Fault
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import DELIMITER
@@ -39,15 +39,15 @@ class Injector:
         self._active: dict[str, Fault] = {}
         self._edge_s = -np.inf  # when `_active` changes next
         self._order = count()
-        self._late: list[tuple[float, int, Unit]] = []
+        self._late: list[tuple[float, int, WireUnit]] = []
         self._late_poses: list[tuple[float, PoseRow]] = []
-        self._swapped: Unit | None = None
+        self._swapped: WireUnit | None = None
         self._stuck: dict[int, int] = {}
         self._frozen: PoseRow | None = None
         self._flooded_s: float | None = None
 
     def active(self, t: float) -> dict[str, Fault]:
-        """What fails at time t, by kind."""
+        """The faults at time t, by kind."""
         if t >= self._edge_s:
             before = self._active
             self._faults = [fault for fault in self._faults if fault.end_s > t]
@@ -59,7 +59,7 @@ class Injector:
         return self._active
 
     def is_quiet(self, t: float) -> bool:
-        """Whether units pass as they are."""
+        """Whether units pass unchanged."""
         return not self.active(t) and self._swapped is None
 
     def counts(self, counts: list[int], t: float) -> list[int | None]:
@@ -82,12 +82,12 @@ class Injector:
             self._ledger.done["saturated"] += 1
         if fault := active.get("module_dead"):
             channels = self._modules[fault.module]
-            out[channels[0] - 1 : channels[-1] + 1] = [None] * (len(channels) + 1)  # and its T0
+            out[channels[0] - 1 : channels[-1] + 1] = [None] * (len(channels) + 1)  # with T0
             self._ledger.done["module_dead"] += 1
         return out
 
-    def unit(self, unit: Unit, t: float) -> list[Unit]:
-        """What goes over the wire when the hub sends this."""
+    def unit(self, unit: WireUnit, t: float) -> list[WireUnit]:
+        """The units on the wire when the hub sends this one."""
         active, done = self.active(t), self._ledger.done
         if self._hits(active.get("dropped")):
             done["dropped"] += 1
@@ -113,7 +113,7 @@ class Injector:
             self._swapped = None
         return out
 
-    def due(self, t: float, *, line: bool) -> list[Unit]:
+    def due(self, t: float, *, line: bool) -> list[WireUnit]:
         """Late units whose time has come, and what floods the bus (or the `line`) meanwhile."""
         out = []
         while self._late and self._late[0][0] <= t:
@@ -128,7 +128,7 @@ class Injector:
         self._ledger.done["flooded"] += number
         return out + [self._foreign(t, line=line) for _ in range(number)]
 
-    def flush(self) -> list[Unit]:
+    def flush(self) -> list[WireUnit]:
         """All that is held back, at the end of a run."""
         out = [unit for _, _, unit in sorted(self._late)]
         if self._swapped is not None:
@@ -141,7 +141,7 @@ class Injector:
         self._late, self._swapped = [], None
 
     def poses(self, row: PoseRow, t: float) -> list[PoseRow]:
-        """What the robot publishes at scenario time t, when it is at this pose."""
+        """The poses that the robot publishes at scenario time t, when it is at this one."""
         active, done = self.active(t), self._ledger.done
         out = [row]
         if "pose_frozen" in active:
@@ -173,8 +173,8 @@ class Injector:
     def _hits(self, fault: Fault | None) -> bool:
         return fault is not None and (fault.share >= 1.0 or self._rng.random() < fault.share)
 
-    def _damaged(self, unit: Unit) -> Unit:
-        """With one bit flipped, in a frame's data or a line before its end."""
+    def _damaged(self, unit: WireUnit) -> WireUnit:
+        """The unit with one bit flipped, in a frame's data or in a line before its end."""
         data = unit.item if isinstance(unit.item, bytes) else unit.item.data
         end = len(data) - isinstance(unit.item, bytes)
         at, bit = int(self._rng.integers(end)), 1 << int(self._rng.integers(8))
@@ -185,9 +185,9 @@ class Injector:
             return unit._replace(item=damaged)
         return unit._replace(item=unit.item._replace(data=damaged))
 
-    def _foreign(self, t: float, *, line: bool) -> Unit:
+    def _foreign(self, t: float, *, line: bool) -> WireUnit:
         data = self._rng.bytes(8)
         if line:
-            return Unit(b"\xff" + data.replace(b"\0", b"\1") + DELIMITER, None)
+            return WireUnit(b"\xff" + data.replace(b"\0", b"\1") + DELIMITER, None)
         can_id = FOREIGN_IDS[int(self._rng.integers(4))] | int(self._rng.integers(0x100))
-        return Unit(Frame(t, can_id, data), None)
+        return WireUnit(Frame(t, can_id, data), None)

@@ -21,33 +21,33 @@ class Sent(NamedTuple):
     command: int
     fragments: int = 1
     start: int = 0  # SENSOR_DATA: the first channel
-    values: int = 0  # and how many
+    values: int = 0  # number of values in the packet
     declares: bool = False  # the modules' channels
 
 
-class Unit(NamedTuple):
-    """What goes over the wire in one piece: a CAN frame, or a line of the native link."""
+class WireUnit(NamedTuple):
+    """One piece on the wire: a CAN frame, or a line of the native link."""
 
     item: Frame | bytes
     sent: Sent | None  # None: nothing of the skin's
-    part: int = 0  # which of the fragments
+    part: int = 0  # number of the fragment
 
 
 @dataclass(slots=True)
 class Fates:
-    """What must have become of all that was delivered since this host began to listen."""
+    """Expected counts of all that was delivered since this host began to listen."""
 
     units: int = 0  # frames, or lines of the native link
-    bytes: int = 0  # of those lines
+    bytes: int = 0  # bytes in the serial lines
     foreign: int = 0  # units that are not the skin's
     orphan: int = 0  # frames without a first
-    packets: int = 0  # that arrived whole
+    packets: int = 0  # packets that arrived whole
     length_errors: int = 0
     crc_errors: int = 0
     line_errors: int = 0  # lines of the native link, with either error
-    undetected: int = 0  # damaged packets whose checksum is right all the same;
-    unclear: int = 0  # of them, those that are not SENSOR_DATA, and not followed further
-    index_errors: int = 0  # of them, those of a module or channel that does not exist
+    undetected: int = 0  # damaged packets whose checksum is right
+    unclear: int = 0  # undetected packets other than SENSOR_DATA, whose fate is open
+    index_errors: int = 0  # undetected packets for a module or channel that does not exist
     undeclared: int = 0  # SENSOR_DATA before the modules were declared
     scans: int = 0
     incomplete: int = 0
@@ -56,26 +56,26 @@ class Fates:
 
 @dataclass(slots=True)
 class Ledger:
-    """What was sent in one run; `fates` begin anew with each host."""
+    """Counts of all that was sent in one run; `fates` begin anew with each host."""
 
     modules: tuple[int, ...]  # channels of each
     period_s: float
     fates: Fates = field(default_factory=Fates)
-    done: Counter[str] = field(default_factory=Counter)  # what the injector did, by kind
+    done: Counter[str] = field(default_factory=Counter)  # acts of the injector, by kind of fault
     scans_sent: int = 0
     packets_sent: int = 0
     poses_sent: int = 0
-    poses_heard: int = 0  # by this host
+    poses_heard: int = 0  # poses that this host heard
     refused: int = 0  # units that the host did not make room for
     hosts: int = 1
-    _open: list[Unit] = field(default_factory=list)
+    _open: list[WireUnit] = field(default_factory=list)
     _first: list[int] = field(default_factory=list)
     _channels: int = 0
     _declared: bool = False
     _reached: int = 0
     _filled: int = 0
-    _t: float | None = None  # of the last scan's first packet
-    _last_t: float = 0.0  # of the last packet
+    _t: float | None = None  # time of the last scan's first packet [s]
+    _last_t: float = 0.0  # time of the last packet [s]
 
     def __post_init__(self) -> None:
         self._first = [0, *accumulate(self.modules)]
@@ -89,7 +89,7 @@ class Ledger:
         self._open, self._declared, self._t = [], False, None
         self._reached = self._filled = 0
 
-    def deliver(self, unit: Unit, t: float) -> None:
+    def deliver(self, unit: WireUnit, t: float) -> None:
         """The host was handed this at time t."""
         fates = self.fates
         fates.units += 1
@@ -100,8 +100,8 @@ class Ledger:
         else:
             self._frame(unit, unit.sent, t)
 
-    def deliver_all(self, units: list[Unit], t: float) -> None:
-        """The same of several."""
+    def deliver_all(self, units: list[WireUnit], t: float) -> None:
+        """Note the delivery of several units."""
         for unit in units:
             self.deliver(unit, t)
 
@@ -114,7 +114,7 @@ class Ledger:
             "fates": asdict(self.fates),
         }
 
-    def _line(self, unit: Unit, line: bytes, t: float) -> None:
+    def _line(self, unit: WireUnit, line: bytes, t: float) -> None:
         self.fates.bytes += len(line)
         if unit.sent is None or line != unit.sent.data:
             self.fates.foreign += unit.sent is None
@@ -122,7 +122,7 @@ class Ledger:
         else:
             self._arrived(unit.sent, t)
 
-    def _frame(self, unit: Unit, sent: Sent, t: float) -> None:
+    def _frame(self, unit: WireUnit, sent: Sent, t: float) -> None:
         if unit.part == 0:
             self.fates.length_errors += bool(self._open)  # the packet before was cut short
             self._open = []
@@ -137,7 +137,7 @@ class Ledger:
             self._open = []
             self.fates.length_errors += 1
 
-    def _judge(self, parts: list[Unit], t: float) -> None:
+    def _judge(self, parts: list[WireUnit], t: float) -> None:
         """Fragments from a first to a last, which need not be of one packet."""
         fates, sent = self.fates, parts[0].sent
         data = b"".join(part.item.data for part in parts if isinstance(part.item, Frame))

@@ -19,7 +19,7 @@ import can
 
 from taxeld.errors import SetupError
 from taxeld_hil.rig.adapters import Adapter
-from taxeld_hil.rig.ledger import Unit
+from taxeld_hil.rig.ledger import WireUnit
 from taxeld_protocol import slcan
 from taxeld_protocol.cyskin import Packet
 from taxeld_protocol.frames import Frame
@@ -31,7 +31,7 @@ OUTBOX_BYTES = 65536  # beyond what the kernel takes: some tenths of a second of
 
 
 class Port(Protocol):
-    """What a bench asks of a transport."""
+    """A transport, as a bench uses it."""
 
     is_open: bool  # whether a host listens
 
@@ -41,7 +41,7 @@ class Port(Protocol):
         """The host's requests that have come; `t` stamps their frames."""
         ...
 
-    def send(self, unit: Unit) -> bool:
+    def send(self, unit: WireUnit) -> bool:
         """Hand a unit to the host; False: there was no room."""
         ...
 
@@ -93,7 +93,7 @@ class _Terminal:
             self.close()
 
     def _make_link(self, to: str) -> None:
-        """Raises OSError where something stands there, but for what a killed process left."""
+        """Link to a terminal, in place of a killed process's link. Raises OSError."""
         if self._link.is_symlink() and not self._link.exists():
             self._link.unlink()
         if self._link.is_symlink():
@@ -176,7 +176,7 @@ class SlcanPort(_Terminal):
         self.is_open = self._has_host and self.adapter.on_bus
         return [packet for packet in packets if packet is not None]
 
-    def send(self, unit: Unit) -> bool:
+    def send(self, unit: WireUnit) -> bool:
         return isinstance(unit.item, Frame) and self._write(self.adapter.bus(unit.item))
 
     def forget(self) -> None:
@@ -191,7 +191,7 @@ class SlcanPort(_Terminal):
         super().set_plugged(plugged)
 
     def close_channel(self) -> None:
-        """As another process does by writing C to the device."""
+        """Close the channel, as another process does by writing C to the device."""
         self.adapter.host(b"C")
         self.is_open = False
 
@@ -209,7 +209,7 @@ class NativePort(_Terminal):
         self.is_open = self.is_open or bool(packets)
         return packets
 
-    def send(self, unit: Unit) -> bool:
+    def send(self, unit: WireUnit) -> bool:
         return isinstance(unit.item, bytes) and self._write(unit.item)
 
 
@@ -242,7 +242,7 @@ class CanPort:
         self.is_open = self.is_open or bool(packets)
         return [packet for packet in packets if packet is not None]
 
-    def send(self, unit: Unit) -> bool:
+    def send(self, unit: WireUnit) -> bool:
         if not isinstance(unit.item, Frame):
             return False
         message = can.Message(

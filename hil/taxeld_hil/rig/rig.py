@@ -11,7 +11,7 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
 from taxeld_hil.rig.faults import Injector, PoseRow
-from taxeld_hil.rig.ledger import Ledger, Sent, Unit
+from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
 from taxeld_hil.world import robot
 from taxeld_hil.world.world import load_model, make_world
@@ -21,7 +21,7 @@ from taxeld_protocol.modules import is_of_bootloader, wired
 from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 
 POSE_PERIOD_S = 0.01
-POSE_AGE_S = 0.004  # from its measurement to its message: scans fall between poses
+POSE_AGE_S = 0.004  # age of a pose in its message: scans fall between poses
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
 SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
 BEFORE_S = -1.0  # scenario time while no host has started the skin
@@ -44,7 +44,7 @@ class Rig:
         self._first = [0, *accumulate(channels)]
         self._was_on = True
         self._next_pose_s = -1e9
-        self._now = 0.0  # that frames are stamped with
+        self._now = 0.0  # time stamp of the next frames [s]
         self._begin(scenario, seed)
 
     def lap(self, scenario: Scenario, seed: int) -> None:
@@ -102,15 +102,15 @@ class Rig:
         active = self._injector.active(t)
         return "reboot" not in active and "unplugged" not in active
 
-    def answer(self, packet: Packet, t: float) -> list[Unit]:
+    def answer(self, packet: Packet, t: float) -> list[WireUnit]:
         """The answers to a host's request."""
         if not self._power(t):
             return []
         answers = self.hub.answer(packet)
         return [unit for answer in answers for unit in self._send(*answer, t)]
 
-    def scan(self, t: float, now: float) -> list[Unit]:
-        """What the hub sends at scenario time t; `now` is any clock that goes on over laps."""
+    def scan(self, t: float, now: float) -> list[WireUnit]:
+        """The hub's units at scenario time t; `now` is any clock that goes on over laps."""
         self._now = now
         if not self._power(t):
             return []
@@ -122,16 +122,16 @@ class Rig:
                 out += self._send(*answer, t)
         return out
 
-    def rest(self) -> list[Unit]:
-        """What was held back, at the end."""
+    def rest(self) -> list[WireUnit]:
+        """The units that faults held back, at the end."""
         return self._injector.flush()
 
     def pose(self, t: float) -> Poses:
-        """Where the sensor truly is."""
+        """True pose of the sensor (3,)."""
         return self.path.at(t - IDLE_S)
 
     def poses(self, t: float, now: float, wall: float) -> list[PoseRow]:
-        """What the robot publishes, stamped with Unix time `wall`, which may be set; `now` as for
+        """The robot's poses, stamped with Unix time `wall`, which may be set; `now` as for
         `scan`."""
         if now < self._next_pose_s:
             return []
@@ -143,22 +143,22 @@ class Rig:
 
     def _power(self, t: float) -> bool:
         on = self.is_on(t)
-        if self._was_on and not on:  # it forgets what the host has set
+        if self._was_on and not on:  # a hub without power forgets its settings
             self.hub.reboot()
             self._injector.drop_held()
         self._was_on = on
         return on
 
-    def _send(self, command: int, payload: bytes, t: float) -> list[Unit]:
+    def _send(self, command: int, payload: bytes, t: float) -> list[WireUnit]:
         self.ledger.packets_sent += 1
         if self.line:
             line = serial_link.encode(command, payload, ihb=self.hub.short_id)
-            units = [Unit(line, self._sent(line, command, payload, 1))]
+            units = [WireUnit(line, self._sent(line, command, payload, 1))]
         else:
             data = cyskin.encode(command, payload)
             frames = cyskin.fragment(data, self.hub.short_id, self._now)
             sent = self._sent(data, command, payload, len(frames))
-            units = [Unit(frame, sent, i) for i, frame in enumerate(frames)]
+            units = [WireUnit(frame, sent, i) for i, frame in enumerate(frames)]
         if self._injector.is_quiet(t):
             return units
         return [out for unit in units for out in self._injector.unit(unit, t)]

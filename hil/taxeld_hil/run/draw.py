@@ -18,15 +18,13 @@ from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config import file as config_file
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate, Status
-from taxeld.layout.draw import plane
-from taxeld.layout.layout import Layout
+from taxeld.layout.draw import MM, plane
 from taxeld.model import se2
 from taxeld.source import session
 from taxeld.view.stage import truth_of
 
 COLUMNS = 4
-MM = 1e3
-DPI, NUMBERS, WORDS = 110, 7, 8  # of the picture; sizes of its letters
+DPI, NUMBERS, WORDS = 110, 7, 8  # dots per inch; sizes of letters
 TRUTH: dict[str, Any] = {"label": "object, true", "color": "black", "lw": 1.2}
 FOUND: dict[str, Any] = {"label": "object, estimated", "color": "tab:red", "lw": 1.2, "ls": "--"}
 MAYBE: dict[str, Any] = {"label": "object, by each particle", "color": "tab:blue", "lw": 0.8}
@@ -34,8 +32,8 @@ LINK: dict[str, Any] = {"label": "link, seen from above", "color": "0.4", "lw": 
 TAXELS: dict[str, Any] = {"cmap": "plasma", "vmin": 0.0, "vmax": 1.0}
 
 
-class Moment(NamedTuple):
-    """What a scan read, and what was believed after it."""
+class DrawnScan(NamedTuple):
+    """The readings of a scan of M taxels, and the estimate after it."""
 
     estimate: Estimate
     z: Floats  # (M,) activations
@@ -43,8 +41,76 @@ class Moment(NamedTuple):
     particles: Poses  # (N, 3)
 
 
-class Drawing:
-    """A session that is replayed, and what is drawn alike in all its pictures."""
+def draw(directory: Path, out: Path, *, finding: bool = False) -> None:
+    """One panel a contact: its deepest scan, and the estimate at its end. With `finding` instead
+    four moments, each above the unrolled skin.
+
+    Raises:
+        SetupError: the session cannot be used, it has nothing of the kind, or `out` cannot be
+            written.
+    """
+    picture = Picture(directory)
+    shown = four(list(picture.scans())) if finding else dict(_contacts(picture.scans()))
+    if not shown:
+        fault = "its object is not found by touch, so its finding is not drawn"
+        raise SetupError(f"{directory}: {fault if finding else 'holds no contact to draw'}")
+    if finding:
+        figure = Figure(figsize=(11, 4.6), layout="constrained")
+        axes = figure.subplots(2, 4, height_ratios=(3.6, 1.0), sharex="row", sharey="row")
+    else:
+        rows = -(-len(shown) // COLUMNS)
+        figure = Figure(figsize=(11, 2.7 * rows + 0.6), layout="constrained")
+        axes = figure.subplots(rows, min(COLUMNS, len(shown)), squeeze=False)
+        for unused in axes.flat[len(shown) :]:
+            unused.set_axis_off()
+    for (title, scan), axis in zip(shown.items(), axes.flat, strict=False):
+        picture.from_above(axis, scan, span=2.6 if finding else 2.2)
+        axis.set_title(title, fontsize=9)
+    for scan, axis in zip(shown.values(), axes[1] if finding else (), strict=False):
+        picture.unrolled(axis, scan)
+    if finding:
+        for axis in axes[:, 1:].flat:
+            axis.set_ylabel("")  # the panels of a row share it
+    picture.write(figure, out)
+
+
+def _contacts(scans: Iterator[DrawnScan]) -> Iterator[tuple[str, DrawnScan]]:
+    """A title and a scan for each contact."""
+    for contact, group in groupby(scans, key=lambda scan: scan.estimate.contact):
+        if contact:
+            own = list(group)
+            deepest, last = max(own, key=lambda scan: float(scan.z.max())), own[-1]
+            title = f"contact {last.estimate.contacts}: {(deepest.z > 0.0).sum()} taxels"
+            yield title, last._replace(z=deepest.z, sensor=deepest.sensor)
+
+
+def four(scans: list[DrawnScan]) -> dict[str, DrawnScan]:
+    """The four moments by their titles; none where the object is never found."""
+    estimates = [scan.estimate for scan in scans]
+    found = next((k for k, e in enumerate(estimates) if e.status == Status.CONVERGED), None)
+    touches = [k for k, e in enumerate(estimates) if e.contact]
+    if found is None or not touches:
+        return {}
+    number = estimates[touches[0]].contacts
+    first = [k for k in touches if estimates[k].contacts == number]
+    doubted = [k for k in touches if k < found and estimates[k].contacts > number]
+    touched_again = [k for k in touches if k >= found]
+    chosen = {
+        "before any touch": scans[max(touches[0] - 1, 0)],
+        "the first touch": scans[max(first, key=lambda k: float(scans[k].z.sum()))],
+        "the next touch begins": scans[min(doubted, default=first[-1])],
+        "found": scans[min(touched_again, default=len(scans) - 1)],
+    }
+    return {f"{name}\n{_belief(scan.estimate)}": scan for name, scan in chosen.items()}
+
+
+def _belief(e: Estimate) -> str:
+    likely = f"its likeliest pose: {e.modes[0].weight:.0%}" if e.contacts else "it may be anywhere"
+    return f"{e.status.name.lower()}; {likely}"
+
+
+class Picture:
+    """A session that is replayed, and the panels of its picture."""
 
     def __init__(self, directory: Path) -> None:
         """Raises SetupError where the session cannot be used."""
@@ -52,41 +118,52 @@ class Drawing:
         self._pipeline = open_pipeline(directory, config_file.load(directory / session.CONFIG))
         self._scene = self._pipeline.estimator.model.scene
         self._truth = truth_of(directory / session.TRUTH)
-        self.skin: Layout = self._pipeline.skin.layout
+        self._skin = self._pipeline.skin.layout
 
-    def moments(self) -> Iterator[Moment]:
-        """All scans that were used; moments between which the belief stays share its array."""
+    def scans(self) -> Iterator[DrawnScan]:
+        """All scans that were used; scans between which the belief stays share its array."""
         particles: Poses = np.zeros((0, 3))
         for outcome in outcomes(self._directory, self._pipeline):
             if outcome.activation is not None and outcome.sensor is not None:
                 pose = self._pipeline.estimator.rule.belief.pose
                 if not np.array_equal(pose, particles):
                     particles = pose.copy()
-                yield Moment(outcome.estimate, outcome.activation.z, outcome.sensor, particles)
+                yield DrawnScan(outcome.estimate, outcome.activation.z, outcome.sensor, particles)
 
-    def panel(self, axis: Axes, moment: Moment, span: float, *, estimated: bool = True) -> None:
-        """One moment seen from above, `span` sizes of the object to each side of it."""
+    def from_above(self, axis: Axes, scan: DrawnScan, span: float) -> None:
+        """The link and the object, `span` sizes of the object to each side of it."""
         angle = np.linspace(0.0, 2.0 * np.pi, 100)
-        circle = self.skin.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
+        circle = self._skin.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
         outline = np.vstack([self._scene.outline, self._scene.outline[:1]])
-        for pose in moment.particles:
+        for pose in scan.particles:
             _line(axis, pose, outline, alpha=0.06, **MAYBE)
         if self._truth is not None:
             _line(axis, self._truth, outline, **TRUTH)
-        if estimated:
-            _line(axis, moment.estimate.map, outline, **FOUND)
-        _line(axis, moment.sensor, circle, **LINK)
-        pressed = moment.z > 0.0
-        x, y = MM * se2.apply(moment.sensor, self.skin.position_m[pressed, :2]).T
-        axis.scatter(x, y, c=moment.z[pressed], s=14, zorder=3, **TAXELS)
-        middle = moment.estimate.map if self._truth is None else self._truth
+        if scan.estimate.contacts:
+            _line(axis, scan.estimate.map, outline, **FOUND)
+        _line(axis, scan.sensor, circle, **LINK)
+        pressed = scan.z > 0.0
+        x, y = MM * se2.apply(scan.sensor, self._skin.position_m[pressed, :2]).T
+        axis.scatter(x, y, c=scan.z[pressed], s=14, zorder=3, **TAXELS)
+        middle = scan.estimate.map if self._truth is None else self._truth
         reach = span * self._scene.size
         axis.set_xlim(MM * (middle[0] - reach), MM * (middle[0] + reach))
         axis.set_ylim(MM * (middle[1] - reach), MM * (middle[1] + reach))
         _label(axis, "x [mm]", "y [mm]")
 
+    def unrolled(self, axis: Axes, scan: DrawnScan) -> None:
+        """The pressed taxels on the unrolled skin."""
+        x, z = plane(self._skin.position_m, self._skin.radius_m)
+        pressed = scan.z > 0.0
+        axis.scatter(x, z, s=10, color="0.85")
+        axis.scatter(x[pressed], z[pressed], c=scan.z[pressed], s=26, **TAXELS)
+        half = math.pi * self._skin.radius_m * MM
+        axis.set_xlim(-1.05 * half, 1.05 * half)
+        axis.margins(y=0.15)
+        _label(axis, "around the skin [mm]", "z [mm]")
+
     def write(self, figure: Figure, out: Path) -> None:
-        """With a legend and a colour bar. Raises SetupError where `out` cannot be written."""
+        """Write a figure, a legend and a colour bar. Raises SetupError where it cannot be."""
         styles = (FOUND, MAYBE, LINK) if self._truth is None else (TRUTH, FOUND, MAYBE, LINK)
         lines = [Line2D([], [], **style) for style in styles]
         figure.legend(handles=lines, loc="outside lower center", ncols=len(lines), fontsize=WORDS)
@@ -95,95 +172,6 @@ class Drawing:
         bar.set_label("activation of a taxel [full scale]", fontsize=WORDS)
         bar.ax.tick_params(labelsize=NUMBERS)
         save(figure, out)
-
-
-def draw_contacts(directory: Path, out: Path) -> None:
-    """One panel a contact: its deepest moment, and the belief at its end.
-
-    Raises:
-        SetupError: the session cannot be used, or holds no contact.
-    """
-    drawing = Drawing(directory)
-    contacts = list(_contacts(drawing.moments()))
-    if not contacts:
-        raise SetupError(f"{directory}: holds no contact to draw")
-    rows = -(-len(contacts) // COLUMNS)
-    figure = Figure(figsize=(11, 2.7 * rows + 0.6), layout="constrained")
-    axes = figure.subplots(rows, min(COLUMNS, len(contacts)), squeeze=False)
-    for axis in axes.flat[len(contacts) :]:
-        axis.set_axis_off()
-    for number, (contact, axis) in enumerate(zip(contacts, axes.flat, strict=False), 1):
-        drawing.panel(axis, contact, span=2.2)
-        axis.set_title(f"contact {number}: {(contact.z > 0.0).sum()} taxels", fontsize=9)
-    drawing.write(figure, out)
-
-
-def _contacts(moments: Iterator[Moment]) -> Iterator[Moment]:
-    for contact, scans in groupby(moments, key=lambda moment: moment.estimate.contact):
-        if contact:
-            deepest = last = next(scans)
-            for last in scans:
-                deepest = max(deepest, last, key=lambda moment: float(moment.z.max()))
-            yield last._replace(z=deepest.z, sensor=deepest.sensor)
-
-
-def draw_moments(directory: Path, out: Path) -> None:
-    """Four moments: above where the object may be, below the unrolled skin.
-
-    Raises:
-        SetupError: the session cannot be used, or its object is never found.
-    """
-    drawing = Drawing(directory)
-    shown = four(list(drawing.moments()))
-    if shown is None:
-        raise SetupError(
-            f"{directory}: its object is not found by touch, so its finding is not drawn"
-        )
-    figure = Figure(figsize=(11, 4.6), layout="constrained")
-    axes = figure.subplots(2, 4, height_ratios=(3.6, 1.0), sharex="row", sharey="row")
-    for number, (title, moment) in enumerate(shown.items()):
-        above, below = axes[:, number]
-        drawing.panel(above, moment, span=2.6, estimated=number > 0)
-        e = moment.estimate
-        likely = (
-            f"its likeliest pose: {e.modes[0].weight:.0%}" if e.contacts else "it may be anywhere"
-        )
-        above.set_title(f"{title}\n{e.status.name.lower()}; {likely}", fontsize=9)
-        _unrolled(below, drawing.skin, moment)
-        if number:  # the rows share their axes
-            above.set_ylabel("")
-            below.set_ylabel("")
-    drawing.write(figure, out)
-
-
-def four(moments: list[Moment]) -> dict[str, Moment] | None:
-    """The four moments by their titles; None where the object is never found."""
-    estimates = [moment.estimate for moment in moments]
-    found = next((k for k, e in enumerate(estimates) if e.status == Status.CONVERGED), None)
-    touches = [k for k, e in enumerate(estimates) if e.contact]
-    if found is None or not touches:
-        return None
-    number = estimates[touches[0]].contacts
-    first = [k for k in touches if estimates[k].contacts == number]
-    doubted = [k for k in touches if k < found and estimates[k].contacts > number]
-    touched_again = [k for k in touches if k >= found]
-    return {
-        "before any touch": moments[max(touches[0] - 1, 0)],
-        "the first touch": moments[max(first, key=lambda k: float(moments[k].z.sum()))],
-        "the next touch begins": moments[min(doubted, default=first[-1])],
-        "found": moments[min(touched_again, default=len(moments) - 1)],
-    }
-
-
-def _unrolled(axis: Axes, skin: Layout, moment: Moment) -> None:
-    x, z = plane(skin.position_m, skin.radius_m)
-    pressed = moment.z > 0.0
-    axis.scatter(x, z, s=10, color="0.85")
-    axis.scatter(x[pressed], z[pressed], c=moment.z[pressed], s=26, **TAXELS)
-    half = math.pi * skin.radius_m * MM
-    axis.set_xlim(-1.05 * half, 1.05 * half)
-    axis.margins(y=0.15)
-    _label(axis, "around the skin [mm]", "z [mm]")
 
 
 def _label(axis: Axes, x: str, y: str) -> None:
@@ -199,7 +187,7 @@ def _line(axis: Axes, pose: Poses, points: Poses, **style: Any) -> None:
 
 
 def save(figure: Figure, out: Path) -> None:
-    """Raises SetupError where `out` cannot be written."""
+    """Write a figure. Raises SetupError where `out` cannot be written."""
     try:
         figure.savefig(out, dpi=DPI)
     except (OSError, ValueError) as error:  # ValueError: the name has no picture's ending

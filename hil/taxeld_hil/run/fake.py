@@ -42,7 +42,7 @@ class FakeDaemon:
         self.pipeline = Pipeline(config, scene.model, proposal, calibration=calibration)
         self.source = LiveSource(config.source, dialects.live(config.source, skin), device, None)
         self.scans = 0
-        self.outcomes: list[Outcome] = []  # of the last tick
+        self.outcomes: list[Outcome] = []  # outcomes of the last tick
         self._start_s = line.now
         self.pipeline.freshness.came(self._start_s)
         if kept is not None:
@@ -59,11 +59,11 @@ class FakeDaemon:
             self.pipeline.freshness.came(t)
 
     def estimate(self, t: float) -> Estimate:
-        """As it would be published now."""
+        """The estimate as it would be published now."""
         return self.pipeline.freshness.judged(self.pipeline.estimate, t)
 
     def health(self, t: float) -> dict[str, Any]:
-        """What the harness reads of /taxeld/health."""
+        """The part of /taxeld/health that the harness reads."""
         parts = {
             "uptime_s": t - self._start_s,
             "loop": {"scans": self.scans},

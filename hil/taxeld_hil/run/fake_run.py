@@ -20,7 +20,7 @@ HEALTH_S = 1.0
 
 
 class ContactEnd(NamedTuple):
-    """What the daemon estimated when a contact had ended."""
+    """The daemon's estimate at the end of a contact."""
 
     estimate: Estimate
     error_mm: float  # symmetry-aware ADD of the MAP

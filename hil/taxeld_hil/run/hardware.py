@@ -1,5 +1,5 @@
 """A scenario on real hardware: the operator's robot moves and touches, the daemon listens to the
-device, and what it publishes is graded as far as it can be.
+device, and its messages are graded as far as they can be.
 
 Nothing is injected into a real skin; the daemon and a subscriber can be killed. Without the
 object's true pose, accuracy and silent failures are not graded.
@@ -14,7 +14,6 @@ import zmq
 
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
-from taxeld.source import session
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge
 from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S
@@ -25,7 +24,7 @@ from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import KINDS, Scenario
 from taxeld_hil.world.world import load_model
 
-TARGETS = {"can": "can", "serial": "native", "slcan": "slcan"}  # by what stands before the colon
+TARGETS = {"can": "can", "serial": "native", "slcan": "slcan"}  # the target's kind → transport
 POSSIBLE = ("daemon_killed", "subscriber_dead")
 START_S = 60.0  # until the first scan
 STEP_MS = 20
@@ -33,7 +32,7 @@ STEP_MS = 20
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """Where the hardware is."""
+    """The hardware of a run."""
 
     target: str  # can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0
     poses: str  # the robot's endpoint; empty: the sensor stands still
@@ -57,8 +56,8 @@ class Site:
 def graded(
     name: str, scenario: Scenario, site: Site, directory: Path, place: Path, say: Say
 ) -> Grade:
-    """Until the scenario's contacts have been made and the daemon has recovered from its faults, or
-    the time is up; sockets are in `place`.
+    """Run until the scenario's contacts have been made and the daemon has recovered from its
+    faults, or the time is up; sockets are in `place`.
 
     Raises:
         SetupError: the target is malformed, a process failed, or no scan came.
@@ -66,16 +65,15 @@ def graded(
     channel = site.channel
     scenario = site.placed(scenario)
     scene = load_model(scenario).scene
-    directory.mkdir(parents=True, exist_ok=True)
     config = settings.text(scenario, 0, channel, site.poses, place)
-    (directory / session.CONFIG).write_text(config, encoding="utf-8")
+    written = settings.write(directory, config)
     not_injected = tuple(kind for kind in KINDS if kind not in POSSIBLE)
     judge = Judge(scenario, scene, site.truth, not_injected, lambda _: [])
     with ExitStack() as stack:
         context = stack.enter_context(zmq.Context())
         stream = f"ipc://{place}/stream"
         listener = Listener(stack, context, stream, judge, ContactTable(scene, site.truth), say)
-        processes = Processes(directory / session.CONFIG, stream, scenario, "warning")
+        processes = Processes(written, stream, scenario, "warning")
         stack.callback(processes.kill)
         processes.start()
         say(f"touch the object {scenario.contacts} times, after a second of touching nothing")

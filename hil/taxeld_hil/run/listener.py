@@ -1,4 +1,4 @@
-"""The harness as a subscriber: what the daemon publishes, judged and printed as it comes."""
+"""The harness as a subscriber: the daemon's messages, judged and printed as they come."""
 
 import time
 from collections.abc import Callable
@@ -39,7 +39,7 @@ class Listener:
             self._stream.setsockopt(zmq.SUBSCRIBE, topic)
 
     def wait(self, ms: int) -> None:
-        """Until something comes, but no longer."""
+        """Wait for a message, so many milliseconds at most."""
         self._stream.poll(ms)
 
     def receive(self, t: float) -> None:

@@ -1,5 +1,5 @@
 """A run in real time: the daemon as a process of its own, fed by a virtual skin or by hardware, and
-what it publishes graded as it comes."""
+its messages graded as they come."""
 
 import time
 from collections.abc import Iterator
@@ -10,7 +10,6 @@ from pathlib import Path
 import zmq
 
 from taxeld.errors import SetupError
-from taxeld.source import session
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge
 from taxeld_hil.grade.reconcile import Law, laws
@@ -26,8 +25,8 @@ START_S = 20.0  # until the first estimate
 STEP_MS = 2
 LAST_HEALTH_S = 5.0
 DRAIN_S = 0.2
-LOG_LEVEL = "error"  # of the daemon: what goes wrong here is done to it, and told by the ledger
-NOT_INJECTED = {  # by transport
+LOG_LEVEL = "error"  # the daemon warns of injected faults; the ledger has them already
+NOT_INJECTED = {  # transport → kinds of faults
     "can": ("unplugged", "adapter_closed"),  # something else brings the interface up and down
     "native": ("adapter_closed",),
 }
@@ -82,12 +81,11 @@ class LiveRun:
 
     @contextmanager
     def opened(self, place: Path) -> Iterator[Bench]:
-        """With everything running; whatever happens, it is stopped in the end."""
+        """The bench while everything runs; all processes are stopped in the end."""
         scenario, rig = self.scenario, Rig(self.scenario, self.run.seed)
-        self._directory.mkdir(parents=True, exist_ok=True)
         where: Path | str = self._channel if scenario.transport == "can" else place / "skin"
         config = settings.text(scenario, self.run.seed, str(where), f"ipc://{place}/poses", place)
-        (self._directory / session.CONFIG).write_text(config, encoding="utf-8")
+        written = settings.write(self._directory, config)
         self._place = place
         with ExitStack() as stack:
             context = stack.enter_context(zmq.Context())
@@ -98,9 +96,7 @@ class LiveRun:
             self._listener = Listener(
                 stack, context, stream, self._judging(rig), self._table(rig), self._say
             )
-            self.processes = Processes(
-                self._directory / session.CONFIG, stream, scenario, LOG_LEVEL
-            )
+            self.processes = Processes(written, stream, scenario, LOG_LEVEL)
             stack.callback(self.processes.kill)
             self.processes.start()
             yield bench

@@ -37,7 +37,7 @@ class MemoryLine:
         self._deliver(self.rig.answer(Packet(self.now, BROADCAST, command, payload), self.t))
 
     def take(self) -> list[Frame] | list[Chunk]:
-        """What has been delivered since the last call."""
+        """Frames or bytes delivered since the last call."""
         frames, data = self._waiting, self._bytes
         self._waiting, self._bytes = [], b""
         if self.rig.line:

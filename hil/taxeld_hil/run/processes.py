@@ -28,7 +28,7 @@ class Process:
 
     @property
     def pid(self) -> int:
-        """Of the running process."""
+        """Process id of the running process."""
         assert self.running is not None  # noqa: S101  (asked while it runs)
         return self.running.pid
 
@@ -42,7 +42,7 @@ class Process:
             raise SetupError(f"{self.what} ended early, with status {status}")
 
     def kill(self) -> None:
-        """As a crash would."""
+        """End it as a crash would."""
         if self.running is not None:
             self.running.kill()
             self.running.wait()
@@ -72,7 +72,7 @@ class Processes:
         watch = ("watch", "--endpoint", endpoint, "--bundle", scenario.bundle)
         skin = ("--layout", scenario.layout)
         self._printed = tempfile.TemporaryFile()  # noqa: SIM115  (for as long as this lives)
-        self._bytes = 0  # of what the subscriber has printed
+        self._bytes = 0  # bytes printed by the subscriber
         self.daemon = Process("the daemon", "taxeld.cli", *run)
         self._subscriber = Process(
             "the subscriber", "taxeld_hil.cli", *watch, *skin, out=self._printed

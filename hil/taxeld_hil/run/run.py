@@ -16,7 +16,7 @@ from taxeld_hil.scenario.scenario import Scenario
 def simulate(
     name: str, scenario: Scenario, seed: int, directory: Path, say: Say, channel: str, *, fake: bool
 ) -> Grade:
-    """In simulation; `channel`: the CAN interface, where that is the transport.
+    """Run a scenario in simulation; `channel`: the CAN interface, where that is the transport.
 
     Raises:
         SetupError: a process failed, or there is no such interface.
@@ -32,7 +32,7 @@ def simulate(
 
 
 def on_hardware(name: str, scenario: Scenario, site: Site, directory: Path, say: Say) -> Grade:
-    """On a real skin and robot.
+    """Run a scenario on a real skin and robot.
 
     Raises:
         SetupError: the target is malformed, a process failed, or no scan came.

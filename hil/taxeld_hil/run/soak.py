@@ -9,7 +9,7 @@ import json
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from statistics import median_high
@@ -38,11 +38,11 @@ class Soak:
     seed: int
     clock: str
     object: str  # bundle
-    physics: str  # of the skin
+    physics: str  # name of the skin
     hours: float  # asked for
     laps: int = 0
     hours_done: float = 0.0
-    daemons: int = 0  # that were started
+    daemons: int = 0  # number of daemons started
     scans_sent: int = 0
     units: int = 0  # frames delivered
     faults: Counter[str] = field(default_factory=Counter)  # windows, by kind
@@ -53,7 +53,7 @@ class Soak:
     lost_laps: list[int] = field(default_factory=list)  # full laps without the object found
     silent_laps: list[int] = field(default_factory=list)
     silent_after: Counter[str] = field(default_factory=Counter)  # the fault that explains it
-    unexplained_before: int = 0  # of the daemons before this one
+    unexplained_before: int = 0  # units unexplained of earlier daemons
     unexplained: int = 0  # frames, packets, scans and poses that the daemon has not accounted for
     flags_missed: Counter[str] = field(default_factory=Counter)
     worst_recovery_s: dict[str, float] = field(default_factory=dict)
@@ -65,7 +65,7 @@ class Soak:
 
     @property
     def growth_mb(self) -> float:
-        """Of memory, from the median of the first third to that of the last."""
+        """Growth of memory, from the median of the first third to the median of the last."""
         values = [mb for _, mb in self.rss_mb]
         third = max(len(values) // 3, 1)
         return median_high(values[-third:]) - median_high(values[:third]) if values else 0.0
@@ -168,25 +168,34 @@ def resumed(path: Path, base: Scenario, seed: int, clock: str, hours: float) -> 
     new = Soak(seed, clock, base.bundle, base.physics, hours)
     if not path.is_file():
         return new
-    try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-        asked = (new.seed, new.clock, new.object, new.physics)
-        same = tuple(data[key] for key in ("seed", "clock", "object", "physics")) == asked
-        if not same or data["hours_done"] >= hours:
-            return new
-    except (ValueError, KeyError, TypeError):
-        raise SetupError(f"{path}: is no report of a soak; name another file") from None
-    try:
-        kept = {spec.name: data[spec.name] for spec in fields(Soak)}
-    except KeyError:
-        raise SetupError(f"{path}: is of an older kind; name another file") from None
+    data = _read(path)
+    asked = {"seed": seed, "clock": clock, "object": base.bundle, "physics": base.physics}
+    if any(data[key] != value for key, value in asked.items()) or data["hours_done"] >= hours:
+        return new
+    kept = {spec.name: data[spec.name] for spec in fields(Soak)}
     for name in ("faults", "silent_after", "flags_missed", "doubted", "not_recovered"):
         kept[name] = Counter(kept[name])
     return Soak(**{**kept, "hours": hours, "unexplained_before": kept["unexplained"]})
 
 
+def _read(path: Path) -> dict[str, Any]:
+    """A report. Raises SetupError where it has not all that a report has."""
+    try:
+        report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        missing = {spec.name for spec in fields(Soak)} - report.keys()
+    except OSError as error:
+        raise SetupError(f"{path}: {error.strerror}") from None
+    except (ValueError, AttributeError):
+        raise SetupError(f"{path}: is no report of a soak; name another file") from None
+    if missing:
+        raise SetupError(
+            f"{path}: is no report of a soak, or is of an older kind; name another file"
+        )
+    return report
+
+
 def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
-    """On the fake clock, as fast as it goes."""
+    """Run the laps on the fake clock, as fast as they go."""
     run: FakeRun | None = None
     scans, units = soak.scans_sent, soak.units
     for number, scenario, seed in soak.left(base, laps.KINDS):
@@ -215,7 +224,7 @@ def lap_alone(base: Scenario, seed: int, number: int) -> Grade:
 
 
 def soak_live(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
-    """In real time, over the scenario's transport.
+    """Run the laps in real time, over the scenario's transport.
 
     Raises:
         SetupError: a process failed.
@@ -248,3 +257,63 @@ def resident_mb(pid: int | str) -> float:
 
 def _silence(_: str) -> None:
     """Nothing is printed."""
+
+
+def table(paths: list[Path]) -> Iterator[str]:
+    """Reports side by side as a Markdown table, a column each, as docs/harness.md shows them.
+
+    Raises:
+        SetupError: a file is no report of a soak.
+    """
+    reports = [_read(path) for path in paths]
+    yield "| | " + " | ".join(f"[{path.stem}](results/{path.name})" for path in paths) + " |"
+    yield "|---" * (len(paths) + 1) + "|"
+    for name, cell in ROWS.items():
+        yield f"| {name} | " + " | ".join(map(cell, reports)) + " |"
+
+
+def _silent(report: dict[str, Any]) -> str:
+    """Without a fault that misleads, and after one."""
+    after = report["silent_after"]
+    misled = sum(after.get(kind, 0) for kind in laps.MISLEADING)
+    return f"{sum(after.values()) - misled}, {misled}"
+
+
+def _recovery(report: dict[str, Any]) -> str:
+    worst = report["worst_recovery_s"]
+    kind = max(worst, key=worst.__getitem__, default="")
+    return f"{worst[kind]:.2f} s ({kind})" if kind else "none to see"
+
+
+def _memory(report: dict[str, Any]) -> str:
+    values = [mb for _, mb in report["rss_mb"]]
+    if not values:
+        return "too short to see"
+    return f"{min(values):.0f}..{max(values):.0f} MB, {report['growth_mb']:+.1f} MB"
+
+
+def _of_full(report: dict[str, Any], key: str) -> str:
+    full, some = report["full"], report[key]
+    return f"{some} of {full} ({some / full:.1%})" if full else "none"
+
+
+ROWS: dict[str, Callable[[dict[str, Any]], str]] = {
+    "object, skin, clock": lambda r: f"{Path(r['object']).name}, `{r['physics']}`, {r['clock']}",
+    "hours of scans": lambda r: f"{r['hours_done']:.1f}",
+    "laps": lambda r: f"{r['laps']}",
+    "scans sent": lambda r: f"{r['scans_sent']:,}".replace(",", " "),
+    "frames delivered": lambda r: f"{r['units']:,}".replace(",", " "),
+    "faults": lambda r: f"{sum(r['faults'].values())}",
+    "frames, packets, scans and poses not accounted for": lambda r: f"{r['unexplained']}",
+    "silent failures without a misleading fault in the lap, and after one": _silent,
+    "object found at the lap's end": lambda r: f"{r['found']}",
+    f"of laps in which all {laps.CONTACTS} contacts were felt": lambda r: _of_full(r, "full_found"),
+    "of these, a valid estimate within 10 mm at the end": lambda r: _of_full(r, "full_right"),
+    "worst recovery": _recovery,
+    "not recovered in time": lambda r: f"{sum(r['not_recovered'].values())}",
+    "still in doubt 3 s after": lambda r: f"{sum(r['doubted'].values())}",
+    "flags late or never": lambda r: f"{sum(r['flags_missed'].values())}",
+    "memory, and its growth from the first third to the last": _memory,
+    "minutes of one core": lambda r: f"{r['cpu_s'] / 60:.0f}" if r["cpu_s"] else "not measured",
+    "passed": lambda r: "yes" if r["passed"] else "no",
+}

@@ -1,4 +1,4 @@
-"""What a run is: the scenario's TOML file, and the daemon's configuration that follows from it.
+"""A run's definition: the scenario's TOML file, and the daemon's configuration that follows.
 
 Nothing is simulated here.
 """

@@ -48,7 +48,7 @@ class Fault:
 
 @dataclass(frozen=True, slots=True)
 class Expect:
-    """What a run is graded by."""
+    """Bounds that a run is graded by."""
 
     error_mm: float = key(10.0, between(0, 1000), "symmetry-aware ADD at the end, under this")
     recovery_s: float = key(2.0, between(0, 60), "fresh estimates again so soon after a fault")
@@ -72,8 +72,8 @@ class Scenario:
     physics: str = key(
         "typical", one_of("scene", *SKINS), "a soft skin, or the estimator's own model of one"
     )
-    mesh: Given[MeshConfig] = field(default_factory=Given)  # in place of that skin's own keys
-    expect: Expect = Expect()  # what the run is graded by
+    mesh: Given[MeshConfig] = field(default_factory=Given)  # keys that replace the skin's own
+    expect: Expect = Expect()  # grounds of the grade
     fault: tuple[Fault, ...] = key((), doc="what fails, and when")
 
     @property

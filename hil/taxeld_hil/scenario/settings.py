@@ -5,6 +5,8 @@ from pathlib import Path
 
 from taxeld.config import file as config_file
 from taxeld.config.tables import Config
+from taxeld.errors import SetupError
+from taxeld.source import session
 from taxeld_hil.scenario.scenario import Scenario
 
 SOURCES = {
@@ -51,10 +53,26 @@ def text(
     )
 
 
+def write(directory: Path, config: str) -> Path:
+    """Begin the session in a directory with its configuration; → the file.
+
+    Raises:
+        SetupError: the directory has a configuration, which a run would overwrite.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    path = directory / session.CONFIG
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(config)
+    except FileExistsError:
+        raise SetupError(f"--out: {path} is there already; name another directory") from None
+    return path
+
+
 def on_a_fake_clock(
     scenario: Scenario, seed: int, filter_keys: str = "", rate_hz: float = 100.0
 ) -> Config:
-    """The same for a daemon without sockets, files and devices.
+    """The configuration of a daemon without sockets, files and devices.
 
     Raises:
         SetupError: faults in `filter_keys`.

@@ -11,19 +11,19 @@ from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.world import robot
 from taxeld_hil.world.robot import RobotPath
-from taxeld_hil.world.touches import Touch, Touches, Track
+from taxeld_hil.world.touches import Touch, TouchPlan, Track
 
 GOLDEN = 0.5 * (np.sqrt(5.0) - 1.0)  # turns from one stretch of skin to the next: even at any count
 PRESS_MM = (3.4, 4.8)  # firm, but not beyond full depth
-SIDEWAYS = 0.35  # of the object's size, at most, an approach passes its centre by
-WAY_S = 1.2  # from one press to the next
+SIDEWAYS = 0.35  # most that an approach passes the centre by, in sizes of the object
+WAY_S = 1.2  # time between two presses
 SLOW_FROM_M = 0.004
 IDLE_S = 20.0
 
 
 def plan(
     model: ObservationModel, truth: Poses, seed: int, presses: int = 20, idle_s: float = IDLE_S
-) -> Touches:
+) -> TouchPlan:
     """`idle_s` untouched, then so many presses of the object at `truth` (3,)."""
     rng, scene = np.random.default_rng(seed), model.scene
     centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
@@ -55,7 +55,7 @@ def plan(
         track.go(np.vstack([line[:1], way[-1:]]), 0.3)
         yaw = yaw_to
     track.go(track.poses[-1][None], 1.0)
-    return Touches(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
+    return TouchPlan(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
 
 
 def _around(centre: Poses, circle: float, angle: float | Poses) -> Poses:

@@ -1,4 +1,8 @@
-"""From a taxel's depth to counts: its response, cross-talk within a module, thermal drift."""
+"""From a taxel's depth to counts: its response, cross-talk within a module, thermal drift.
+
+The response curve is written here and in `taxeld.model.response`, by two formulas: a fault in one
+of them then shows as an error of the estimate or of a calibration.
+"""
 
 import numpy as np
 
@@ -7,8 +11,8 @@ from taxeld.layout.layout import Layout
 from taxeld_hil.scenario.mesh_config import MeshConfig, Pair
 from taxeld_hil.world.spread import drawn
 
-ONSET = 0.15  # of full scale: within about so much a taxel's own deviation has risen
-LEAST_SLOPE = 0.1  # of a response: who presses harder reads more
+ONSET = 0.15  # share of full depth within which a taxel's own deviation has risen
+LEAST_SLOPE = 0.1  # least slope of a response: a harder press reads more
 GRID = np.linspace(0.0, 1.0, 401)
 
 
@@ -28,7 +32,7 @@ def deviation(h: Floats) -> Floats:
 
 
 class Response:
-    """What M taxels read at a depth, before their gains: the common curve and their own onsets."""
+    """Readings of M taxels at a depth, before their gains: a common curve and own onsets."""
 
     def __init__(self, config: MeshConfig, taxels: int, rng: np.random.Generator) -> None:
         self._bend = config.bend
@@ -44,7 +48,7 @@ class Response:
 
 
 class CrossTalk:
-    """What each taxel reads of the other presses on its module: a share of each, one for each pair.
+    """The part of other presses on its module that a taxel reads: a share for each pair of taxels.
 
     They add up, as currents do. So what is read falls while all presses fade, whichever of them
     then is the strongest.
@@ -63,7 +67,7 @@ class CrossTalk:
 
 
 class ThermalDrift:
-    """What the temperature adds to readings: one slow sine wave, and each taxel's share in it."""
+    """Counts that the temperature adds: one slow sine wave, and each taxel's share in it."""
 
     def __init__(self, taxels: int, counts_per_min: float, period_s: float, cv: float,
                  rng: np.random.Generator) -> None:  # fmt: skip

@@ -6,7 +6,7 @@ from taxeld.arrays import Floats
 from taxeld_hil.scenario.mesh_config import MeshConfig
 from taxeld_hil.world.spread import PerPress, drawn
 
-TURN = 0.1  # of full scale, of travel back, until the foam is on the other branch of its loop
+TURN = 0.1  # travel back, in full scales, after which the foam is on its other branch
 
 
 class Foam:
@@ -33,7 +33,7 @@ class Foam:
         self._t = np.inf
 
     def press(self, reading: Floats, t: float) -> Floats:
-        """What is read at time t [s] in place of readings (M,); times do not go back."""
+        """Readings (M,) of the foam at time t [s] for ideal readings (M,); times do not go back."""
         step = reading - self._reading
         self._receding = np.clip(self._receding - step / TURN, 0.0, 1.0)
         target = np.stack([share.now for share in self._share]) * reading

@@ -39,7 +39,7 @@ class MeshPhysics:
         """`full_scale` (M,): counts of each taxel at `depth_max_m`; `rng` draws the drift, and a
         generator that it spawns the rest."""
         taxels, own = len(layout), rng.spawn(1)[0]
-        self.depth_m: Floats = np.zeros(taxels)  # that the solid presses, sag included
+        self.depth_m: Floats = np.zeros(taxels)  # (M,) the solid's last press, sag included
         self._skin = skin
         self._sag_m = PerPress(config.sag_m, taxels, own)
         self._response = Response(config, taxels, own)

@@ -16,13 +16,13 @@ from taxeld.model import se2
 from taxeld_hil.world.solids import Solid
 
 LATTICE_M = (0.002, 0.003)  # around and along, of the skin's points beside the electrodes'
-MARGIN_M = 0.008  # of skin around the taxels that is simulated
+MARGIN_M = 0.008  # width of the simulated skin around the taxels
 LAYER_M = 0.008  # how deep the skin can give way
 STEP_M = 0.001  # along a ray
-PATCH_M = 0.012  # of skin, of which one distance can show that it is out of reach
-LEAST_M = 5e-6  # what sags less is left out: 20 of 20 000 counts
+PATCH_M = 0.012  # size of a patch; one distance can show that a patch is out of reach
+LEAST_M = 5e-6  # smaller sags are left out: 20 of 20 000 counts
 ELECTRODE = np.vstack([[0.0, 0.0], *([np.cos(a), np.sin(a)] for a in np.arange(6) * np.pi / 3)])
-ELECTRODE_RADII = np.sqrt(7.0 / 12.0)  # to the outer six points: as far on the mean as a disc's
+ELECTRODE_RADII = np.sqrt(7.0 / 12.0)  # of the outer six points: their mean distance is a disc's
 
 
 class MeshSkin:
@@ -34,7 +34,7 @@ class MeshSkin:
         """A skin that does not sag, ever, is spared the points beside its electrodes."""
         self._solid = solid
         self._taxels = len(layout)
-        self._middle_of = layout.position_m  # of each electrode
+        self._middle_of = layout.position_m  # (M, 3) centres of the electrodes
         self._radius_m = taxel_radius_m
         angle = np.arctan2(layout.position_m[:, 1], layout.position_m[:, 0])
         radius = np.hypot(layout.position_m[:, 0], layout.position_m[:, 1])

@@ -22,8 +22,8 @@ from taxeld_hil.world.solids import Grid
 
 FORMAT = 5
 CELL_M = 0.001
-NEAR_M = 0.002  # of the surface: where distances are exact
-MARGIN_M = 0.01  # of the grid beside the mesh, where distances are lower bounds
+NEAR_M = 0.002  # distances are exact so near to the surface
+MARGIN_M = 0.01  # width of the grid beside the mesh; distances there are lower bounds
 BLOCK = 500_000  # pairs of a triangle and a point looked at together
 
 
@@ -119,7 +119,7 @@ def _pairs(
 
 
 def _distance(corners: Floats, point: Floats) -> tuple[Floats, Floats]:
-    """Of points (k, 3) to triangles (k, 3, 3), and how far they stand off the planes, signed."""
+    """Distances (k,) of points (k, 3) to triangles (k, 3, 3), and signed ones to their planes."""
     a, b, c = corners.transpose(1, 0, 2)
     normal = np.cross(b - a, c - a)
     length = np.linalg.norm(normal, axis=1)

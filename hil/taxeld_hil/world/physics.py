@@ -1,4 +1,4 @@
-"""What presses the simulated skin, and what drifts: the interface, and the estimator's own model.
+"""Presses and drift of the simulated skin: the interface, and the estimator's own model.
 
 The other kind of physics, a solid against a soft skin, is in `mesh_physics`.
 """

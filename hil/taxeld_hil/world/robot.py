@@ -19,7 +19,7 @@ YAW_SPREAD_RAD = 0.5
 ARC_STEP_RAD = 0.1
 MARCH_M = 0.0005
 TOUCH = 0.1  # least activation of a press: a corner between two columns may give none,
-TRIES = 20  # and so many places are tried
+TRIES = 20  # places that are tried
 AROUND = 8  # contacts, at most, to once around the object: any so many in turn see all of its sides
 
 

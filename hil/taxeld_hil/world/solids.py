@@ -18,7 +18,7 @@ class Solid(Protocol):
 
     @property
     def size(self) -> float:
-        """That circle's radius [m]."""
+        """Radius of the circle around the centre [m]."""
 
     def distance(self, points: Floats) -> Floats:
         """Signed distance [m] of points (3, n) → (n,); far from the surface it may be a lower

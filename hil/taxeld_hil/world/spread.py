@@ -1,4 +1,4 @@
-"""What differs from taxel to taxel and from press to press: lognormals by two quantiles."""
+"""Differences between taxels and between presses: lognormals by two quantiles."""
 
 import numpy as np
 

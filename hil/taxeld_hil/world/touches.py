@@ -15,13 +15,13 @@ from taxeld.model.observation import ObservationModel
 from taxeld_hil.world import robot
 from taxeld_hil.world.robot import RobotPath
 
-APART_S = (2.0, 3.0)  # from one touch's beginning to the next one's
-LIGHT_AFTER_S = (0.4, 1.4)  # from leaving the object to the ramp that touches it lightly
+APART_S = (2.0, 3.0)  # range of times between the beginnings of two touches
+LIGHT_AFTER_S = (0.4, 1.4)  # range of times between a press and its light touch
 PRESS_MM = (2.0, 4.5)
-LIGHT_MM = (0.3, 0.5)  # of the taxel that is pressed most
+LIGHT_MM = (0.3, 0.5)  # depth range at the taxel that is pressed most
 RAMP_S, HOLD_S = 0.3, 0.7
-SLOW_FROM_M = 0.004  # of clearance, where a ramp begins and ends
-SIDEWAYS = 0.7  # of the object's size, at most, an approach passes its centre by
+SLOW_FROM_M = 0.004  # clearance at which a ramp begins and ends
+SIDEWAYS = 0.7  # most that an approach passes the centre by, in sizes of the object
 REST_S = 2.0
 HALVINGS = 12
 
@@ -31,13 +31,13 @@ Deepest = Callable[[Poses], float]  # [m] of the most pressed taxel, the sensor 
 class Touch(NamedTuple):
     """Times on the path, and whether it is a light one."""
 
-    begin_s: float  # of the ramp in: nothing is touched yet
+    begin_s: float  # begin of the ramp in: nothing is touched yet
     held_s: tuple[float, float]
-    end_s: float  # of the ramp out
+    end_s: float  # end of the ramp out
     is_light: bool
 
 
-class Touches(NamedTuple):
+class TouchPlan(NamedTuple):
     path: RobotPath
     touches: tuple[Touch, ...]
 
@@ -59,7 +59,7 @@ class Track:
         self.times[-1] = self.now
 
     def touch(self, at: Poses, *, is_light: bool) -> Touch:
-        """In to a pose (3,) from where the track is, a hold, and out again."""
+        """Add a ramp in to a pose (3,), a hold, and a ramp out."""
         begin, away = self.now, self.poses[-1]
         self.go(at[None], RAMP_S)
         held = self.now, self.now + HOLD_S
@@ -70,7 +70,7 @@ class Track:
 
 def plan(
     model: ObservationModel, truth: Poses, deepest: Deepest, seed: int, presses: int, pairs: int
-) -> Touches:
+) -> TouchPlan:
     """`presses` touches around the object at `truth` (3,), then `pairs` of a press and a light."""
     rng, scene = np.random.default_rng(seed), model.scene
     centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
@@ -105,7 +105,7 @@ def plan(
         yaw = yaw_to
     track.go(np.vstack([out, [*_around(centre, circle, angle), yaw]]), 0.5)
     track.go(track.poses[-1][None], REST_S)
-    return Touches(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
+    return TouchPlan(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
 
 
 def _around(centre: Floats, circle: float, angle: float | Floats) -> Floats:

@@ -20,7 +20,7 @@ from taxeld_hil.world.spread import drawn
 from taxeld_protocol.modules import Module
 
 COUNT_MAX = 0xFFFF
-T0_COUNTS = 12_000  # of every module's temperature channel, which a press hardly moves
+T0_COUNTS = 12_000  # level of every module's temperature channel; a press hardly moves it
 T0_LEAK = 0.02  # share of a press that it reads: 356 of 8 500 counts on a real skin
 
 
@@ -53,7 +53,7 @@ class World:
     noise_counts: Floats  # (M,) sd of a reading
     physics: Physics
     channels: Channels
-    rng: np.random.Generator  # of the noise
+    rng: np.random.Generator  # draws the noise
 
     def counts(self, sensor: Poses, t: float) -> list[int]:
         """One scan, channel by channel, with the sensor at a pose (3,) in the world at t [s]."""

@@ -1,29 +1,113 @@
-"""One run of touches on the fake clock: the errors of the estimate, and what the daemon felt."""
+"""`taxeld-hil touches`: how well an object is found by ten touches of a soft skin.
 
-from dataclasses import dataclass, field
+Where an object is not found, the likelihood tells why. A true pose that is far likelier than the
+estimate was overlooked: a search of all poses would have found it. If it is not likelier, no search
+could have told it from the estimate: the touches so far, or the model, do not suffice.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.mixture import Mixture
 from taxeld.model import se2
 from taxeld.model.activation import Activation
-from taxeld_hil.experiment.overlooked import truth_nats
+from taxeld_hil.experiment.measurement import RunRow, digest, require
+from taxeld_hil.jobs import Job
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.scenario import scenario as scenarios
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import touches
+from taxeld_hil.world import touches as paths
 from taxeld_hil.world.bundled import solid_of
 from taxeld_hil.world.mesh_physics import MeshPhysics
 from taxeld_hil.world.mesh_skin import MeshSkin
-from taxeld_hil.world.touches import Touch, Touches
+from taxeld_hil.world.touches import Touch, TouchPlan
 
 PRESSES = 10
 PAIRS = 4  # after the presses: a press and a light touch each
 AFTER = (3, 6, 8, 10)  # touches: errors are noted when so many have ended
-RATE_HZ = 40.0  # of the daemon's ticks, as in the soak
-FOUND_MM = 10.0  # with an error below this the object is found
+RATE_HZ = 40.0  # ticks of the daemon, as in the soak
+FOUND_MM = 10.0  # an object with a smaller error is found
 SAME_S = 1e-4  # times of a reading and of its truth that differ by less are of one scan
+CLOSE_MM = 5.0
+OVERLOOKED_NATS = 3.0  # a pose that is likelier by more is far likelier: 20 to 1
+AROUND = np.array([0.004, 0.004, 0.06])  # sd [m, m, rad] of the first poses tried around one
+SHARES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)  # the sd of each round, as shares of AROUND
+TRIED = 400  # poses a round
+
+
+def jobs(objects: Sequence[str], skins: Sequence[str], seeds: int) -> list[Job]:
+    """A job for each run with bundles and skins, seed by seed.
+
+    Raises:
+        SetupError: there is no such object or skin, an object has no mesh here, or there are no
+            seeds.
+    """
+    require(objects, skins, seeds, soft=True)
+    demo = scenarios.load("demo")
+    subjects = [demo.touching(name).on(skin) for skin in skins for name in objects]
+    return [
+        Job(f"{s.bundle}, {s.physics}, seed {seed}", figures, (s, seed), code=digest(s))
+        for seed in range(seeds)
+        for s in subjects
+    ]
+
+
+def figures(subject: Scenario, seed: int) -> RunRow:
+    """One run, as JSON has it."""
+    return asdict(play(subject, seed))
+
+
+def described(run: RunRow) -> str:
+    """A run's errors, in short."""
+    return f"{run['error_mm']} mm after {AFTER}"
+
+
+def lines(runs: Sequence[RunRow]) -> Iterator[str]:
+    """Errors and failures as a Markdown table: a row a skin and object."""
+    head = [
+        "skin, object",
+        *(f"median (p90) mm, < 5 mm after {n}" for n in AFTER),
+        *(f"not found after {n}, overlooked" for n in AFTER[-2:]),
+        "felt in the air",
+        "light ones missed",
+        "silent",
+    ]
+    yield "| " + " | ".join(head) + " |"
+    yield "|---" * len(head) + "|"
+    for skin, name in dict.fromkeys((run["skin"], run["object"]) for run in runs):
+        mine = [run for run in runs if (run["skin"], run["object"]) == (skin, name)]
+        errors = np.array([run["error_mm"] for run in mine])  # (runs, len(AFTER))
+        nats = np.array([run["truth_nats"] for run in mine], dtype=float)  # nan: found
+        lost = (errors >= FOUND_MM).sum(axis=0)
+        overlooked = (nats > OVERLOOKED_NATS).sum(axis=0)
+        scans, felt, light, missed = (
+            sum(run[key] for run in mine) for key in ("scans", "felt_in_air", "light", "missed")
+        )
+        cells = [
+            f"{skin}, {name}",
+            *map(_errors, errors.T),
+            *(f"{lost[k]}, {overlooked[k]}" for k in (-2, -1)),
+            f"{felt / scans:.1%}",
+            f"{missed / light:.0%} of {light}",
+            f"{np.mean([run['silent_episodes'] > 0 for run in mine]):.1%}",
+        ]
+        yield "| " + " | ".join(cells) + " |"
+
+
+def _errors(error_mm: Sequence[float]) -> str:
+    """Median and 90th percentile of errors (runs,) [mm], and the share that is close."""
+    error = np.asarray(error_mm)
+    median, p90 = (
+        f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"
+        for value in np.quantile(error, (0.5, 0.9))
+    )
+    return f"{median} ({p90}), {np.mean(error < CLOSE_MM):.0%}"
 
 
 @dataclass(slots=True)
@@ -67,7 +151,7 @@ class _Witness:
 
 
 def play(scenario: Scenario, seed: int) -> TouchRun:
-    """The scenario's object and skin, touched by `touches.plan`.
+    """The scenario's object and skin, touched by `world.touches.plan`.
 
     Raises:
         SetupError: the object has no mesh here.
@@ -105,7 +189,7 @@ def play(scenario: Scenario, seed: int) -> TouchRun:
 
 def planned(
     scenario: Scenario, run: FakeRun, seed: int, presses: int = PRESSES, pairs: int = PAIRS
-) -> Touches:
+) -> TouchPlan:
     """Touches of the scenario's object where it stands: presses, then pairs of a press and a light
     touch."""
     model, truth = run.rig.model, run.rig.world.truth
@@ -116,7 +200,7 @@ def planned(
     def deepest(sensor: Poses) -> float:
         return float(skin.indentation(se2.compose(se2.inverse(sensor), truth), hard).max())
 
-    return touches.plan(model, truth, deepest, seed, presses, pairs)
+    return paths.plan(model, truth, deepest, seed, presses, pairs)
 
 
 def _note(found: TouchRun, run: FakeRun) -> None:
@@ -140,3 +224,29 @@ def _count(found: TouchRun, activation: Activation, pressed: Bools) -> None:
 
 def _held(touch: Touch, t: float) -> bool:
     return touch.held_s[0] <= t <= touch.held_s[1]
+
+
+def truth_nats(estimator: Estimator, truth: Poses) -> float | None:
+    """How much likelier [nats] the best pose around the truth (3,) is than the best pose around the
+    estimate; None: the estimator's rule remembers no touches."""
+    if not isinstance(estimator.rule, Mixture):
+        return None
+    best = [_best(estimator.rule, pose) for pose in (truth, estimator.estimate.map)]
+    return round(best[0] - best[1], 2)
+
+
+def _best(rule: Mixture, pose: Poses) -> float:
+    """The log posterior [nats] of the best pose that is found around a pose (3,)."""
+    rng = np.random.default_rng(0)
+    best = float(_log_posterior(rule, pose[None])[0])
+    for share in SHARES:
+        near = pose + share * AROUND * rng.standard_normal((TRIED, 3))
+        found = _log_posterior(rule, near)
+        if found.max() > best:
+            best, pose = float(found.max()), near[found.argmax()]
+    return best
+
+
+def _log_posterior(rule: Mixture, poses: Poses) -> Floats:
+    """(N,) log posterior [nats] of poses (N, 3), up to a constant."""
+    return np.asarray(rule.memory.explain(poses) @ rule.memory.share)

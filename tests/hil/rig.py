@@ -1,4 +1,4 @@
-"""A skin of known gains, response and mount that presses an object, for a calibration to find."""
+"""The skin, object and scenario of most tests; and a skin of known gains that is pressed."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -6,12 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
+from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.response import response
+from taxeld.proposals import bundle
 from taxeld_hil.calibration.fit import depths
 from taxeld_hil.calibration.presses import Presses
+from taxeld_hil.scenario import scenario
 from taxeld_hil.world import calibration_touches
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
@@ -19,7 +22,12 @@ from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.virtual_hub import told
 
-PLACED = np.array([0.05, -0.04, 0.6])  # of the object
+DEMO = scenario.load("demo")
+SKIN = layouts.load(DEMO.layout)
+MODEL = bundle.load("box", SKIN, 0.005).model
+MODULES = wired(SKIN.uid.tolist())
+TRUTH = np.array([0.05, -0.1, 0.7])  # pose of a touched object
+PLACED = np.array([0.05, -0.04, 0.6])  # pose of the object that calibrates
 PERIOD_S, BASE = 0.05, 10_000
 
 

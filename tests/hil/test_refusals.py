@@ -1,0 +1,84 @@
+"""A wrong command line of `taxeld-hil` is refused with one line, before any work is done."""
+
+import shlex
+from pathlib import Path
+
+import pytest
+
+from taxeld_hil.cli import main
+
+from .accept_skin import LAYOUT
+
+ACCEPT = f"--layout {LAYOUT} --out {{place}}/out"
+NO_SKIN = "no skin 'marble'; there are scene, typical, poor, stiff\n"
+NO_BUNDLE = "scene.bundle: no bundle 'party'"
+NO_MEMORY = "--memory: {place}/file/m: "
+NO_ENDPOINT = "; use ipc:///path or tcp://"
+WATCH = "watch --bundle box --endpoint"
+EMULATE = "emulate demo --link {place}/skin --out {place}/out --poses"
+
+WRONG = [  # a command line, and words of its line
+    ("run demo --target usb0", "--target: 'usb0' is none of sim, can:DEVICE"),
+    ("run demo --skin marble", NO_SKIN),
+    ("run demo --clock fake --object party", NO_BUNDLE),
+    ("run party", "no scenario 'party'; shipped are "),
+    ("soak --skin marble", NO_SKIN),
+    ("soak --object party", NO_BUNDLE),
+    ("soak --lap -1", "--lap: must be at least 0"),
+    ("soak --table {place}/file", "is no report of a soak"),
+    ("soak --table {place}/none", "No such file"),
+    ("table --skin marble", NO_SKIN),
+    ("table --object party", NO_BUNDLE),
+    ("matrix demo --skin marble --out {place}/out", NO_SKIN),
+    ("matrix demo --object party --out {place}/out", NO_BUNDLE),
+    ("matrix demo --seeds 0 --out {place}/out", "--seeds must be at least 1"),
+    ("matrix demo --memory {place}/file/m --out {place}/out", NO_MEMORY),
+    ("touches --skin scene --out {place}/out", "--skin scene: is no soft skin"),
+    ("touches --object box --workers 0 --out {place}/out", "--workers must be at least 1"),
+    ("touches --object box", "--out: is required"),
+    ("calibration --skin scene --out {place}/out", "--skin scene: is no soft skin"),
+    ("physics --touches --out {place}/out", "taxeld-hil physics is gone; "),
+    (f"{WATCH} foo", f"--endpoint: 'foo' is no endpoint{NO_ENDPOINT}"),
+    (f"{WATCH} tcp://", NO_ENDPOINT),
+    (f"{WATCH} tcp://a:b", NO_ENDPOINT),
+    (f"{WATCH} tcp://127.0.0.1:99999", NO_ENDPOINT),
+    (f"{WATCH} ''", NO_ENDPOINT),
+    (f"{EMULATE} foo", "--poses: 'foo' "),
+    (f"{EMULATE} tcp://", NO_ENDPOINT),
+    (f"accept slcan:/dev/nothing {ACCEPT}", "plugged in"),
+    (f"accept serial:/dev/nothing {ACCEPT}", "plugged in"),
+    (f"accept serial:/dev/nothing@fast {ACCEPT}", "'fast' is no baud rate"),
+    (f"accept slcan:/dev/nothing@fast {ACCEPT}", "use slcan:/dev/nothing@115200"),
+    (f"accept serial:/dev/nothing@99999999999999999999 {ACCEPT}", "is no baud rate"),
+    (f"accept no_such:x {ACCEPT}", "driver installed"),
+    (f"accept can0 {ACCEPT}", "use can:can0"),
+    (f"accept can: {ACCEPT}", "use can:can0"),
+    (f"accept :can0 {ACCEPT}", "use can:can0"),
+    (f"accept slcan:/dev/nothing {ACCEPT} --seconds 1", "--seconds: must be 5..600"),
+    (f"accept slcan:/dev/nothing {ACCEPT} --seconds nan", "--seconds: must be 5..600"),
+    (f"accept slcan:/dev/nothing {ACCEPT} --period-ms 0", "--period-ms: must be 1..65535"),
+    (f"accept slcan:/dev/nothing {ACCEPT} --layout nothing.json", "skin.layout"),
+]
+
+
+@pytest.mark.parametrize(("line", "expected"), WRONG)
+def test_a_wrong_command_line_is_refused_with_one_line_and_leaves_nothing(
+    line: str, expected: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").write_text("{}", encoding="utf-8")
+    assert main([word.format(place=tmp_path) for word in shlex.split(line)]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert expected.format(place=tmp_path) in error
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_run_leaves_a_configuration_that_is_there_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "config.toml"
+    mine.write_text("mine", encoding="utf-8")
+    assert main(["run", "demo", "--out", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert said == f"--out: {mine} is there already; name another directory\n"
+    assert mine.read_text(encoding="utf-8") == "mine"
