@@ -6,6 +6,7 @@ import signal
 import socket as kernel
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -139,6 +140,15 @@ def pose(x: float) -> list[bytes]:
     """A message of the robot."""
     body = msgpack.packb({"t": 1.0, "x": x, "y": 0.0, "theta": 0.0})
     return [b"/robot/sensor_pose", body, b"1.0"]
+
+
+def open_to_all(place: Path) -> None:
+    """The socket files in a directory of a test, to every user."""
+    for directory in (place, *place.parents):
+        if directory.is_relative_to(tempfile.gettempdir()) and directory.name != "tmp":
+            directory.chmod(0o755)
+    for name in ("stream", "control"):
+        (place / name).chmod(0o666)
 
 
 @contextlib.contextmanager
