@@ -24,7 +24,7 @@ from zmq.auth import create_certificates, load_certificate
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from tests.door import attacks
-from tests.door.stand import free_port, program, resident_bytes
+from tests.rig.processes import free_port, program, resident_bytes
 from tests.system.touched import Touched, touched
 
 KILL_S, ASK_S, LOOK_S, STATUS_S = 1.0, 2.0, 0.1, 2.0

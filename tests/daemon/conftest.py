@@ -79,6 +79,14 @@ class Sockets(contextlib.ExitStack):
     def open(self, kind: int) -> zmq.Socket[Any]:
         return self.keep(self.context.socket(kind))
 
+    def subscriber(self, endpoint: str, *topics: bytes) -> zmq.Socket[Any]:
+        """It hears from then on; without topics, everything."""
+        made = self.open(zmq.SUB)
+        for topic in topics or (b"",):
+            made.setsockopt(zmq.SUBSCRIBE, topic)
+        made.connect(endpoint)
+        return made
+
     def keep(self, socket: zmq.Socket[Any]) -> zmq.Socket[Any]:
         socket.setsockopt(zmq.LINGER, 0)
         return self.enter_context(socket)

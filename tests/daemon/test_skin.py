@@ -76,15 +76,6 @@ def test_a_lost_channel_is_not_live_and_not_remembered(skin: Layout) -> None:
     assert activation.z[0] == 0
 
 
-def test_a_taxel_silent_through_the_baseline_is_dead(skin: Layout) -> None:
-    subject = Skin(skin, SkinConfig(baseline_scans=5))
-    for _ in range(5):
-        subject.on_scan(scan(skin, {3: -BASE}))
-    activation = subject.on_scan(scan(skin, {3: 5_000}))
-    assert activation is not None
-    assert not activation.live[3]
-
-
 def test_tare_learns_the_baseline_anew(skin: Layout) -> None:
     subject = tared(skin)
     subject.tare()

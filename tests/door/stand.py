@@ -3,9 +3,6 @@
 import contextlib
 import os
 import signal
-import socket as kernel
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -18,6 +15,8 @@ import zmq
 from taxeld.door.settings import Settings
 from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream.link import Link
+
+from ..rig.processes import free_port
 
 INFO = {"taxeld": "0"}
 QUEUE = 60
@@ -125,13 +124,6 @@ class Stand(contextlib.ExitStack):
         return self.socket(zmq.PUB)
 
 
-def free_port() -> int:
-    """Of TCP on this machine, a moment ago."""
-    with kernel.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def robots_endpoint() -> str:
     return f"tcp://127.0.0.1:{free_port()}"
 
@@ -167,24 +159,3 @@ def another_user(does: Callable[[], None], groups: Sequence[int] = ()) -> Iterat
     finally:
         os.kill(number, signal.SIGKILL)
         os.waitpid(number, 0)
-
-
-@contextlib.contextmanager
-def program(code: str, *arguments: object) -> Iterator[None]:
-    """Meanwhile a Python program runs, which has said that it is ready."""
-    with subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stdin=subprocess.PIPE,
-    ) as process:
-        assert process.stdout is not None
-        process.stdout.readline()
-        try:
-            yield
-        finally:
-            process.kill()
-
-
-def resident_bytes(pid: int) -> int:
-    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")

@@ -9,8 +9,9 @@ import pytest
 
 from taxeld.stream.link import Report
 
+from ..rig.processes import program, resident_bytes
 from . import attacks
-from .stand import Stand, needs_root, open_to_all, program, resident_bytes, robots_endpoint
+from .stand import Stand, needs_root, open_to_all, robots_endpoint
 
 KERNEL = tuple(map(int, os.uname().release.split(".")[:2]))
 MOST_BYTES = 160 << 20

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,9 @@ from taxeld.service import doorkeeper
 from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream import pair
 
-from .stand import INFO, Stand, free_port
+from ..rig.clocks import until
+from ..rig.processes import free_port, python
+from .stand import INFO, Stand
 
 
 def test_a_killed_door_is_back_and_subscribers_come_back_by_themselves(
@@ -76,10 +77,7 @@ def test_a_door_ends_with_its_loop(tmp_path: Path) -> None:
         door = int(loop.stdout.readline())
         loop.kill()
         loop.wait()
-        deadline = time.monotonic() + 20.0
-        while Path(f"/proc/{door}").exists() and "taxeld.door" in cmdline(door):
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        until(lambda: "taxeld.door" not in cmdline(door))
 
 
 def cmdline(pid: int) -> str:
@@ -183,12 +181,7 @@ def test_a_confined_door_reads_no_file_no_device_and_signals_nobody(tmp_path: Pa
     secret, place = tmp_path / "secret", tmp_path / "sockets"
     secret.write_text("s", encoding="ascii")
     place.mkdir()
-    run = subprocess.run(
-        [sys.executable, "-c", CONFINED, str(place), str(secret), str(free_port())],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    run = python(CONFINED, place, secret, free_port(), check=False)
     if run.returncode == 77:
         pytest.skip("this kernel has no Landlock")
     files, ports, signals = run.stdout.split()[:5], run.stdout.split()[5], run.stdout.split()[6]

@@ -13,8 +13,9 @@ from zmq.auth import create_certificates, load_certificate
 from taxeld.errors import SetupError
 from taxeld.stream import curve, topics
 
+from ..rig.processes import free_port, program, resident_bytes
 from . import attacks
-from .stand import PATIENCE_S, Stand, free_port, pose, program, resident_bytes, robots_endpoint
+from .stand import PATIENCE_S, Stand, pose, robots_endpoint
 
 
 def pair(directory: Path, name: str) -> tuple[bytes, bytes]:

@@ -9,8 +9,9 @@ import pytest
 
 from taxeld.door.robot import as_pose
 
+from ..rig.processes import program
 from . import attacks
-from .stand import Stand, pose, program, robots_endpoint
+from .stand import Stand, pose, robots_endpoint
 
 
 class Robot:

@@ -13,7 +13,8 @@ import zmq
 from taxeld.door.streams import EVENTS_MAX
 from taxeld.stream import topics
 
-from .stand import INFO, QUEUE, Stand, free_port
+from ..rig.processes import free_port
+from .stand import INFO, QUEUE, Stand
 
 
 @pytest.fixture(params=["ipc", "tcp"])
