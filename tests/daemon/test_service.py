@@ -1,5 +1,7 @@
 """A daemon on a serial skin that is restarted under a touch, and whose clock somebody sets."""
 
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -11,15 +13,18 @@ import msgpack
 import numpy as np
 import pytest
 
+from taxeld.commands import replay
 from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
 from taxeld.service.clock import WallClock
 from taxeld.service.loop import Daemon
+from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
 from tests.daemon.conftest import Sockets
 from tests.daemon.simulated_skin import SimulatedSkin
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.configurations import Table, config, served
+from tests.rig.processes import door_of
 from tests.virtual_hub import VirtualHub
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
@@ -40,11 +45,11 @@ def hub(tmp_path: Path) -> Iterator[Hub]:
     made.unplug()
 
 
-def daemon_of(place: Path, **tables: Table) -> Daemon:
+def daemon_of(place: Path, recorder: Recorder | None = None, **tables: Table) -> Daemon:
     source = {"kind": "serial", "channel": place / "skin", "period_ms": 10}
     skin, proposal = {"state_dir": place / "state"}, {"proposal": "manifold"}
     more = {**served(place), "control": {"endpoint": ""}, **tables}
-    return Daemon(config(source=source, skin=skin, filter=proposal, **more))
+    return Daemon(config(source=source, skin=skin, filter=proposal, **more), recorder)
 
 
 def tick(daemon: Daemon, hub: Hub, holds: Callable[[], bool]) -> None:
@@ -72,6 +77,20 @@ def test_a_restarted_daemon_feels_what_is_held_from_the_first_scan(
     assert skin.figures()["begun_again"] == 0
     assert np.abs(skin.baseline - hub.skin.base).max() < 100.0
     again.close()
+
+
+def test_doors_that_are_killed_cost_no_scan_and_no_record(tmp_path: Path, hub: Hub) -> None:
+    daemon = daemon_of(tmp_path, Recorder(tmp_path / "session", moves=False))
+    scans = daemon.pipeline.skin.counters
+    for starts in (1, 2, 3):
+        tick(daemon, hub, lambda: daemon.link.is_ready and door_of(os.getpid()) > 0)
+        os.kill(door_of(os.getpid()), signal.SIGKILL)
+        tick(daemon, hub, lambda starts=starts: daemon.door.starts > starts)
+    until(lambda: scans.scans == hub.scans, lambda: daemon.tick(time.monotonic()))
+    settings = daemon.config
+    daemon.close()
+    pipeline = replay.open_pipeline(tmp_path / "session", settings)
+    assert len(list(replay.outcomes(tmp_path / "session", pipeline))) == hub.scans > 20
 
 
 def test_a_scan_is_estimated_when_it_comes_however_slow_the_ticks_are(
