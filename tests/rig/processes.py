@@ -5,7 +5,7 @@ import os
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,12 @@ def taxeld(*arguments: object, **how: Any) -> "subprocess.Popen[str]":
     return subprocess.Popen([*TAXELD, *map(str, arguments)], text=True, **how)
 
 
-def python(code: str, *arguments: object, check: bool = True) -> "subprocess.CompletedProcess[str]":
+def python(
+    code: str, *arguments: object, check: bool = True, env: Mapping[str, str] | None = None
+) -> "subprocess.CompletedProcess[str]":
     """A program of a few lines, run to its end."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, check=check)
+    return subprocess.run(command, capture_output=True, text=True, check=check, env=env)
 
 
 @contextlib.contextmanager
