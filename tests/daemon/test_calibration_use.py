@@ -17,7 +17,7 @@ from taxeld.pipeline.poses import PoseTrack
 from taxeld.skin.skin import Skin
 from tests.daemon.simulated_skin import SimulatedSkin
 from tests.daemon.test_calibration_file import NOW, of
-from tests.daemon.test_stream_document import documented
+from tests.rig.stream_page import documented
 
 TEXT = '[scene]\nbundle = "box"\n[source]\nkind = "can"\nchannel = "can0"\n'
 

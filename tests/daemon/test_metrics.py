@@ -11,8 +11,8 @@ import zmq
 from taxeld.stream import messages
 
 from ..rig.clocks import PATIENCE_S, until
+from ..rig.stream_page import ROOT, documented
 from .conftest import Sockets
-from .test_stream_document import ROOT, documented
 
 EXAMPLE = ROOT / "examples" / "metrics.py"
 METRIC = re.compile(

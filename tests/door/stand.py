@@ -16,11 +16,11 @@ from taxeld.door.settings import Settings
 from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream.link import Link
 
+from ..rig.clocks import until
 from ..rig.processes import free_port
 
 INFO = {"taxeld": "0"}
 QUEUE = 60
-PATIENCE_S = 60.0
 NOBODY = 65_534
 needs_root = os.geteuid() != 0, "only root can be another user"
 
@@ -65,12 +65,8 @@ class Stand(contextlib.ExitStack):
             self.link.send(b"/taxeld/estimate", {"seq": self.sent}, 1.0)
         self.keeper.look(self.link, now_s)
 
-    def until(self, holds: Callable[[], object], seconds: float = PATIENCE_S) -> None:
-        deadline = time.monotonic() + seconds
-        while not holds():
-            assert time.monotonic() < deadline, "it does not come to that"
-            self.look()
-            time.sleep(0.002)
+    def until(self, holds: Callable[[], object]) -> None:
+        until(holds, self.look)
 
     def socket(self, kind: int, endpoint: str = "", **options: int) -> zmq.Socket[Any]:
         made: zmq.Socket[Any] = self.enter_context(self.context.socket(kind))

@@ -34,14 +34,7 @@ ATTACKS = {
     "requests without end": Attack(
         attacks.REQUESTS, "ipc://{path}/control", lambda r: r.control.requests > 300, 2
     ),
-    "correlated requests": Attack(
-        attacks.CORRELATED, "ipc://{path}/control", lambda r: r.control.requests > 30, 2
-    ),
-    "a slow subscriber": Attack(attacks.SLOW, "ipc://{path}/stream", lambda r: r.peers > 1, 2),
     "a false robot": Attack(attacks.ENDLESS_POSE, "{port}", lambda r: r.hoarders >= 3),
-    "large and odd messages of a robot": Attack(
-        attacks.CARELESS_ROBOT, "{robot}", lambda r: r.robot.oversized
-    ),
     "descriptors that linger": Attack(attacks.LINGER, "{path}/stream", copies=3),
     "every place of control": Attack(
         attacks.PLACES, "{path}/control", lambda r: r.crowded_out > 100

@@ -19,8 +19,9 @@ from taxeld.door.control import Control, for_members, open_router, packed_ok
 from taxeld.stream import client, topics
 from taxeld.stream.link import ControlCounters
 
+from ..rig.clocks import PATIENCE_S
 from ..rig.processes import free_port
-from .stand import PATIENCE_S, Stand, another_user, needs_root, open_to_all
+from .stand import Stand, another_user, needs_root, open_to_all
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from typing import Any
 
 PATIENCE_S = 60.0  # of a test for a process, on a busy machine
 
@@ -20,14 +21,11 @@ class Clock:
         self.now += seconds
 
 
-def until(
-    holds: Callable[[], object],
-    meanwhile: Callable[[], object] = lambda: None,
-    seconds: float = PATIENCE_S,
-) -> None:
-    """Do what is done meanwhile, each two milliseconds, until something holds."""
-    deadline = time.monotonic() + seconds
-    while not holds():
+def until(holds: Callable[[], Any], meanwhile: Callable[[], object] = lambda: None) -> Any:
+    """The value of `holds` once it is true; `meanwhile` is called each two milliseconds."""
+    deadline = time.monotonic() + PATIENCE_S
+    while not (found := holds()):
         assert time.monotonic() < deadline, "waited in vain"
         meanwhile()
         time.sleep(0.002)
+    return found

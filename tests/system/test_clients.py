@@ -18,10 +18,10 @@ import zmq
 from taxeld.stream import messages
 
 from ..daemon.conftest import Sockets
-from ..daemon.test_stream_document import documented
 from ..rig.clocks import PATIENCE_S, until
 from ..rig.configurations import configuration
 from ..rig.processes import taxeld
+from ..rig.stream_page import documented
 
 ROOT = Path(__file__).parents[2]
 CLIENTS = ROOT / "examples" / "clients"

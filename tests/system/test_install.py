@@ -6,12 +6,12 @@ import re
 import signal
 import subprocess
 import sys
-import time
 import tomllib
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from ..rig.clocks import until
 
 ROOT = Path(__file__).parents[2]
 
@@ -307,14 +307,6 @@ def test_two_installations_at_once_do_not_mix(machine: Machine) -> None:
         assert said.startswith(f"make {target}: another one is at work in {machine.lib}")
         assert machine.tree() == before
     os.close(other)
-
-
-def until(true: Callable[[], bool]) -> None:
-    for _ in range(600):
-        if true():
-            return
-        time.sleep(0.05)
-    raise AssertionError("waited in vain")
 
 
 def pins(text: str) -> dict[str, str]:
