@@ -7,13 +7,11 @@ from hypothesis import strategies as st
 
 from taxeld.errors import SetupError
 from taxeld.estimator.memory import Memory
-from taxeld.estimator.prior import Prior
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Noise, Observation, ObservationModel
-from taxeld.model.symmetry import PoseMetric
 
 from .conftest import DEPTH_MAX_M
 
@@ -146,21 +144,6 @@ def test_silences_of_other_taxels_or_floors_tell_other_things(box_model: Observa
             memory.add(Observation(np.zeros(3), np.zeros(taxels), live, floor, residue))
         assert np.array_equal(everything.explain_newest(poses), alone.explain_newest(poses))
         assert everything.ceiling[-1] == alone.ceiling[0]
-
-
-def test_a_prior_that_is_forgotten_has_no_share(box_model: ObservationModel) -> None:
-    taxels, poses, weight = len(box_model.layout), np.zeros((4, 3)), np.full(4, 0.25)
-    metric = PoseMetric(box_model.scene)
-    prior = Prior(metric, poses, weight, metric.modes(poses, weight, 0.02, 5, 64))
-    memory = Memory(box_model, Noise(), prior)
-    memory.add(Observation(np.zeros(3), np.full(taxels, 0.5), np.ones(taxels, dtype=bool)), 1)
-    for asked in (False, True):
-        if asked:
-            assert len(memory.share) == 2
-        for has_prior in (True, False):
-            kept = memory.only(np.array([True]), prior=has_prior)
-            assert len(kept.share) == kept.terms == 1 + has_prior
-            assert kept.explain(poses).shape == (4, kept.terms)
 
 
 def test_a_dead_taxel_says_nothing(box_model: ObservationModel) -> None:
