@@ -13,7 +13,7 @@ from taxeld.model import contacts, se2
 from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Noise, Observation, ObservationModel
 
-from .conftest import DEPTH_MAX_M
+from ..rig.scenes import DEPTH_MAX_M
 
 pose = st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-7, 7)).map(np.array)
 

@@ -11,8 +11,8 @@ import zmq
 from taxeld.stream import messages
 
 from ..rig.clocks import PATIENCE_S, until
+from ..rig.sockets import Sockets
 from ..rig.stream_page import ROOT, documented
-from .conftest import Sockets
 
 EXAMPLE = ROOT / "examples" / "metrics.py"
 METRIC = re.compile(

@@ -10,7 +10,7 @@ from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric, add_m
 
-from .conftest import box, scene_of
+from ..rig.scenes import box, scene_of
 
 poses = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3, 3)).map(np.array)
 

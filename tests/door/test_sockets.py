@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from taxeld.door.binding import Binding
 from taxeld.stream.sockets import open_socket, unpack
 
-from ..daemon.conftest import Sockets
+from ..rig.sockets import Sockets
 
 
 @pytest.mark.parametrize("kind", [zmq.XPUB, zmq.ROUTER])

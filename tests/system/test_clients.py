@@ -17,10 +17,10 @@ import zmq
 
 from taxeld.stream import messages
 
-from ..daemon.conftest import Sockets
 from ..rig.clocks import PATIENCE_S, until
 from ..rig.configurations import configuration
 from ..rig.processes import taxeld
+from ..rig.sockets import Sockets
 from ..rig.stream_page import documented
 
 ROOT = Path(__file__).parents[2]
