@@ -11,6 +11,7 @@ from taxeld_protocol import cyskin
 from taxeld_protocol.frames import format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
+from tests.rig.configurations import configuration as of_daemon
 from tests.virtual_hub import told
 
 PERIOD_S = 0.05
@@ -46,12 +47,7 @@ def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S) -> 
 
 
 def configuration(place: Path, more: str = "") -> Path:
-    """Of a daemon that replays `place` and serves there."""
-    path = place / "config.toml"
-    path.write_text(
-        f'[source]\nkind = "replay"\npath = "{place}"\n[scene]\nbundle = "box"\n'
-        f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
-        f'[control]\nendpoint = "ipc://{place}/control"\n{more}',
-        encoding="utf-8",
-    )
+    """Of a daemon that replays `place` and serves there; `more`: tables."""
+    path = of_daemon(place)
+    path.write_text(path.read_text(encoding="utf-8") + more, encoding="utf-8")
     return path

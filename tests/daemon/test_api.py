@@ -1,9 +1,6 @@
 """The public face: every name, and the page and the notebook that show how it is used."""
 
-import json
 import shutil
-import subprocess
-import sys
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -19,7 +16,6 @@ ROOT = Path(__file__).parents[2]
 PAGE, NOTEBOOK = ROOT / "docs" / "api.md", ROOT / "examples" / "belief.ipynb"
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
 PACKAGES = ("taxeld_protocol", "taxeld", "taxeld_training", "taxeld_hil", "taxeld_ros2")
-MOST_BYTES = 100_000
 
 
 @pytest.fixture
@@ -34,11 +30,6 @@ def test_every_public_name_is_there_and_says_what_it_is(name: str) -> None:
     found = getattr(api, name)
     assert found.__doc__
     assert not found.__doc__.startswith(f"{name}(")  # what a dataclass has without a docstring
-
-
-@pytest.mark.parametrize("name", api.__all__)
-def test_every_public_name_is_on_the_page(name: str) -> None:
-    assert name in PAGE.read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -119,16 +110,3 @@ def test_the_notebook_goes_from_a_session_to_a_picture_of_the_belief(
         assert any(len(c.get_offsets()) > 1 for c in axes.collections), "particles"
         assert len(axes.lines) > 1, "the object and the skin"
     plt.close("all")
-
-
-def test_the_notebook_holds_no_more_output_than_a_repository_bears() -> None:
-    notebook = json.loads(NOTEBOOK.read_text(encoding="utf-8"))
-    assert notebook["nbformat"] == 4
-    for cell in notebook["cells"]:
-        assert len(json.dumps(cell.get("outputs", []))) < MOST_BYTES
-
-
-def test_taxeld_by_itself_imports_nothing_that_is_slow() -> None:
-    code = "import sys, taxeld; print('numpy' in sys.modules or 'zmq' in sys.modules)"
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert ran.stdout == "False\n"

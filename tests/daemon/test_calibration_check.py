@@ -150,31 +150,3 @@ def test_an_object_that_gives_way_is_not_judged_by() -> None:
     touching = Touching(0)
     touching.check = CalibrationCheck(MODEL, FilterConfig(motion="push"), touching.doubt)
     assert touching.touches(12, factor=2.5) is Suspect.NONE
-
-
-def test_a_doubt_that_lasts_is_counted_once() -> None:
-    touching = Touching(3)
-    assert touching.touches(8, factor=2.5) is Suspect.SCALE
-    touching.touch(factor=2.5)
-    assert touching.doubt.raised == 1
-
-
-def test_a_touch_costs_no_scan_more_than_one_step() -> None:
-    touching = Touching(0)
-    steps: list[int] = []
-    inner = touching.check._better
-
-    def counted(x: Floats, free: np.ndarray) -> Floats:
-        steps[-1] += 1
-        return inner(x, free)
-
-    touching.check._better = counted  # type: ignore[method-assign]
-    scan = touching.scan
-
-    def noted(used: Observation | None) -> None:
-        steps.append(0)
-        scan(used)
-
-    touching.scan = noted  # type: ignore[method-assign]
-    touching.touches(10)
-    assert max(steps) == 1

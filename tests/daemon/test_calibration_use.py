@@ -17,6 +17,7 @@ from taxeld.pipeline.poses import PoseTrack
 from taxeld.skin.skin import Skin
 from tests.daemon.simulated_skin import SimulatedSkin
 from tests.daemon.test_calibration_file import NOW, of
+from tests.rig.stream_page import documented
 
 TEXT = '[scene]\nbundle = "box"\n[source]\nkind = "can"\nchannel = "can0"\n'
 
@@ -115,19 +116,8 @@ def test_status_tells_how_old_a_calibration_is_and_what_speaks_against_it(skin: 
 
 
 def _status(calibration: dict[str, object]) -> str:
-    health = {
-        "uptime_s": 1.0, "loop": {"ticks": 1, "scans": 1, "overruns": 0, "own_overruns": 0},
-        "source": {"incomplete": 0, "frames": 1, "dropped": {}, "lost": 0, "unsent": 0},
-        "inputs": {"scans_stale": False, "poses_stale": False, "poses_malformed": 0,
-                   "poses_rejected": 0, "poses_far": 0, "poses_from_the_future": 0, "poses": 0,
-                   "scans_without_pose": 0},
-        "over_budget": {}, "degraded": {}, "realtime": {"fifo": 0, "locked": False},
-        "dead_taxels": [], "lat_us": {}, "calibration": calibration,
-    }  # fmt: skip
-    pose = {"x": 0.0, "y": 0.0, "theta": 0.0}
-    estimate = {
-        "status": 1, "valid": False, "map": pose, "cov": np.eye(3).tolist(), "modes": [],
-        "contacts": 0, "contact": False, "age_us": 0.0, "particles": 1, "ess": 1.0, "proposal": 0,
-    }  # fmt: skip
-    found = list(lines({"estimate": estimate, "health": health, "waits_for": ""}))
+    _, health = documented("/taxeld/health")
+    _, estimate = documented("/taxeld/estimate")
+    answer = {"estimate": estimate, "health": health | {"calibration": calibration}}
+    found = list(lines(answer | {"waits_for": ""}))
     return next(line for line in found if line.startswith("Calibration"))

@@ -22,7 +22,7 @@ from taxeld.model import contacts
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
 
-from .conftest import box, scene_of
+from ..rig.scenes import box, scene_of
 
 SESSION = Path(__file__).parent / "session"
 EXPLAIN = "estimator/explain"

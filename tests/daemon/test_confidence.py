@@ -7,7 +7,7 @@ import pytest
 
 from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import AGREEING, LEAST, SEARCHED, Confidence, status
-from taxeld.estimator.estimate import Status, summarise
+from taxeld.estimator.estimate import Status
 from taxeld.estimator.particles import Belief
 from taxeld.model.observation import ObservationModel
 
@@ -69,37 +69,6 @@ def test_two_contacts_are_not_enough_where_nothing_was_known_before(
         assert status(made, contact) is (Status.CONVERGED if enough else Status.AMBIGUOUS)
 
 
-def test_the_summary_follows_whatever_changes_the_belief(box_model: ObservationModel) -> None:
-    subject = belief()
-    made = Confidence.of(subject, box_model.scene)
-    made.learned(subject, 0, 1, 1, in_doubt=False)
-
-    def moves() -> None:
-        subject.pose[:, 0] += 0.01
-
-    def weighs() -> None:
-        subject.log_weight = np.log(np.arange(1.0, 101.0) / 5050.0)
-
-    def grows() -> None:
-        subject.pose, subject.log_weight = np.zeros((200, 3)), np.full(200, -np.log(200))
-
-    for change in (moves, weighs, grows):
-        change()
-        made.learned(subject, 0, 1, 1, in_doubt=False)
-        whole = summarise(subject, made.metric)
-        assert np.array_equal(made.summary.mean, whole.mean)
-        assert (made.summary.ess, made.summary.particles) == (whole.ess, whole.particles)
-
-
-def test_one_contact_confirms_once(confidence: Confidence) -> None:
-    confidence.learned(belief(0.1), SEARCHED, 3, 3, in_doubt=False)
-    for _ in range(3):
-        confidence.learned(belief(0.1), SEARCHED, 3, 3, in_doubt=False)
-    assert status(confidence, 3) is Status.AMBIGUOUS
-    confidence.learned(belief(0.1), 0, 4, 4, in_doubt=False)
-    assert status(confidence, 4) is Status.CONVERGED
-
-
 def test_a_belief_that_few_samples_have_searched_is_not_converged(confidence: Confidence) -> None:
     confidence.learned(belief(0.1), 50, 3, 3, in_doubt=False)
     confidence.learned(belief(0.1), SEARCHED - 1, 4, 4, in_doubt=False)
@@ -152,12 +121,6 @@ def test_contradictions_before_all_that_is_remembered_count_once_at_most(
             assert status(confidence, contact) is expected
     confidence.learned(belief(), 50, 40, AGREEING - 1, 38, in_doubt=False)
     assert status(confidence, 40) is Status.AMBIGUOUS
-
-
-def test_doubts_are_counted_in_a_row(confidence: Confidence) -> None:
-    for doubt, expected in ((True, 1), (True, 2), (False, 0), (True, 1)):
-        confidence.judged(doubt=doubt)
-        assert (confidence.doubt, confidence.doubted) == (doubt, expected)
 
 
 def test_before_any_contact_and_where_blind_nothing_else_counts(confidence: Confidence) -> None:

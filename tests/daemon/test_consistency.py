@@ -90,16 +90,3 @@ def test_many_contacts_that_deviate_alike_are_no_more_in_doubt_than_a_few(
             deviant = np.full(number, consistency.USUAL + 6 * a_taxel)
             belief = pf.equal(AT, (memory.ceiling - deviant)[None])
             assert consistency.is_excessive(memory, belief) is excessive
-
-
-def test_without_a_prior_there_is_none_to_refute(box_model: ObservationModel) -> None:
-    memory = Memory(box_model, Noise())
-    assert not consistency.refutes_prior(memory, pf.equal(AT, np.empty((1, 0))))
-
-
-def test_a_prior_is_a_term_and_not_a_scan(box_model: ObservationModel) -> None:
-    memory = Memory(box_model, Noise(), prior(box_model))
-    assert (len(memory), memory.terms) == (0, 1)
-    assert memory.explain(AT).shape == (1, 1)
-    assert memory.of_scans(memory.explain(AT)).shape == (1, 0)
-    assert memory.only(np.ones(0, dtype=np.bool_), prior=False).terms == 0

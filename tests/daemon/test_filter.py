@@ -79,21 +79,6 @@ def test_rejuvenation_samples_its_target() -> None:
     assert np.allclose(made.remembered, explain(made.pose))
 
 
-def test_roughening_parts_copies() -> None:
-    made = belief([0.0] * 100)
-    made.pose[:] = [1.0, 2.0, 3.1]
-    pf.roughen(made, rng())
-    assert len(np.unique(made.pose[:, 0])) == 100
-    assert (np.abs(made.pose[:, 2]) <= np.pi).all()
-
-
-@pytest.mark.parametrize("n", [1, 3, 250])
-def test_resampling_makes_any_number(n: int) -> None:
-    made = pf.resample(belief([0.0, -1.0, -2.0]), n, rng())
-    assert len(made) == n
-    assert np.isclose(made.weight.sum(), 1.0)
-
-
 def test_occupied_cells_are_counted_once() -> None:
     poses = np.array([[0.0, 0.0, 0.0], [0.001, 0.001, 0.01], [0.05, 0.0, 0.0], [0.0, 0.0, -1.0]])
     assert pf.occupied(poses) == 3

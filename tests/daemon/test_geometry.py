@@ -7,16 +7,13 @@ from hypothesis import strategies as st
 
 from taxeld.errors import SetupError
 from taxeld.estimator.memory import Memory
-from taxeld.estimator.prior import Prior
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Noise, Observation, ObservationModel
-from taxeld.model.symmetry import PoseMetric
-from taxeld.proposals import scene_file
 
-from .conftest import DEPTH_MAX_M
+from ..rig.scenes import DEPTH_MAX_M
 
 pose = st.tuples(st.floats(-2, 2), st.floats(-2, 2), st.floats(-7, 7)).map(np.array)
 
@@ -40,12 +37,6 @@ def test_many_angles_are_wrapped_as_each_alone_is() -> None:
         assert np.array_equal(se2.wrap(angles), alone)
         assert (np.abs(alone) <= np.pi).all()
     assert np.isnan(se2.wrap(np.full(2 * se2.MANY, np.nan))).all()
-
-
-@given(pose, st.floats(-3, 3))
-def test_rotation_about_a_point_leaves_it(a: np.ndarray, angle: float) -> None:
-    centre = a[:2]
-    assert np.allclose(se2.apply(se2.rotation_about(centre, angle), centre[None]), centre)
 
 
 def test_a_generated_cylinder_is_numbered_from_below_and_counter_clockwise() -> None:
@@ -155,41 +146,6 @@ def test_silences_of_other_taxels_or_floors_tell_other_things(box_model: Observa
         assert everything.ceiling[-1] == alone.ceiling[0]
 
 
-def test_shares_are_those_of_what_is_remembered_now(box_model: ObservationModel) -> None:
-    """However often they were asked for on the way there."""
-    rng = np.random.default_rng(0)
-    taxels, often, seldom = len(box_model.layout), *(Memory(box_model, Noise()) for _ in range(2))
-    for number in range(40):
-        z = np.full(taxels, 0.5 * (rng.random() < 0.5))
-        for memory in (often, seldom):
-            memory.add(Observation(np.zeros(3), z, np.ones(taxels, dtype=bool)), number // 3)
-        kept = rng.random(len(often)) < 0.9
-        assert len(often.share) == len(often)
-        often, seldom = often.only(kept), seldom.only(kept)
-        often.share.sum()
-    assert np.array_equal(often.share, seldom.share)
-    assert often.contacts == len(np.unique(often.number[often.contact])) > 2
-
-
-def test_a_prior_that_is_forgotten_has_no_share(box_model: ObservationModel) -> None:
-    taxels, poses, weight = len(box_model.layout), np.zeros((4, 3)), np.full(4, 0.25)
-    metric = PoseMetric(box_model.scene)
-    prior = Prior(metric, poses, weight, metric.modes(poses, weight, 0.02, 5, 64))
-    memory = Memory(box_model, Noise(), prior)
-    memory.add(Observation(np.zeros(3), np.full(taxels, 0.5), np.ones(taxels, dtype=bool)), 1)
-    for asked in (False, True):
-        if asked:
-            assert len(memory.share) == 2
-        for has_prior in (True, False):
-            kept = memory.only(np.array([True]), prior=has_prior)
-            assert len(kept.share) == kept.terms == 1 + has_prior
-            assert kept.explain(poses).shape == (4, kept.terms)
-
-
-def test_nothing_to_explain_has_no_columns(box_model: ObservationModel) -> None:
-    assert Memory(box_model, Noise()).explain(np.zeros((5, 3))).shape == (5, 0)
-
-
 def test_a_dead_taxel_says_nothing(box_model: ObservationModel) -> None:
     memory = Memory(box_model, Noise())
     memory.add(Observation(np.zeros(3), np.zeros(32), np.zeros(32, dtype=bool)))
@@ -237,17 +193,3 @@ def test_projected_contacts_press_as_deep_as_asked(disc_model: ObservationModel)
     assert len(made.pose) + made.dropped == 2000
     assert made.dropped < 20  # the disc's middle alone has no direction
     assert np.allclose(gap, -made.depth_m, atol=contacts.RESIDUAL_MAX_M + 1e-4)
-
-
-def test_a_damaged_scene_file_is_one_line(tmp_path, box_model: ObservationModel) -> None:  # type: ignore[no-untyped-def]
-    path = tmp_path / "scene.npz"
-    scene_file.save(box_model.scene, path)
-    assert np.array_equal(scene_file.load(path).slices, box_model.scene.slices)
-    whole = path.read_bytes()
-    for damaged in (b"", b"junk", whole[: len(whole) // 2]):
-        path.write_bytes(damaged)
-        with pytest.raises(SetupError, match="unusable scene"):
-            scene_file.load(path)
-    np.savez(path, slices=np.zeros(3))
-    with pytest.raises(SetupError, match="silhouette"):
-        scene_file.load(path)

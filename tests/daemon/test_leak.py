@@ -30,10 +30,6 @@ def test_a_press_leaks_into_its_module_and_beside_it(skin: Layout) -> None:
     assert (leak[beside] >= SAG * 0.8 - 1e-12).all()
 
 
-def test_nothing_pressed_leaks_nothing(skin: Layout) -> None:
-    assert not Leak(skin).of(np.zeros(len(skin))).any()
-
-
 def test_a_reading_that_may_be_leaked_is_none_and_raises_what_is_felt(
     box_model: ObservationModel,
 ) -> None:

@@ -1,6 +1,7 @@
 """Which scans count."""
 
 import numpy as np
+import pytest
 
 from taxeld.estimator.news import News
 from taxeld.model.observation import Observation
@@ -13,41 +14,32 @@ def feel(strongest: float, x: float = 0.0) -> Observation:
     return Observation(np.array([x, 0.0, 0.0]), z, LIVE)
 
 
-def told(readings: list[float], x: list[float] | None = None) -> list[list[float]]:
-    """The strongest activation of what each scan has counted, at 20 Hz."""
-    news, where = News(0.04), x or [0.0] * len(readings)
-    scans = [news.on_scan(0.05 * k, feel(r, where[k])) for k, r in enumerate(readings)]
-    return [[] if felt is None else [float(felt.z.max())] for felt in scans]
+STAYS = [0.0] * 7
+# the strongest activation of each scan, where it is felt [m]; of those that count, the activation
+COUNTED = {
+    "a press, once it stops deepening": (
+        [0.0, 0.2, 0.4, 0.6, 0.61, 0.6, 0.6], STAYS, {0: 0.0, 4: 0.61}
+    ),
+    "a tap that ends while deepening, by its strongest": (
+        [0.0, 0.2, 0.5, 0.0, 0.0], STAYS, {0: 0.0, 3: 0.5}
+    ),
+    "a press that eases, as it is held": ([0.3, 0.6, 0.5, 0.5], STAYS, {2: 0.5}),
+    "a slide, every few millimetres": (
+        [0.5] * 7, [0.0, 0.0, 0.002, 0.004, 0.006, 0.008, 0.012], {1: 0.5, 4: 0.5, 6: 0.5}
+    ),
+    "a taxel that changes much": ([0.3, 0.3, 0.6, 0.9, 0.9], STAYS, {1: 0.3, 4: 0.9}),
+    "no release": ([0.9, 0.9, 0.5, 0.3, 0.1], STAYS, {1: 0.9}),
+    "silence, as the sensor moves": (
+        [0.0] * 6, [0.0, 0.0, 0.003, 0.006, 0.006, 0.02], {0: 0.0, 3: 0.0, 5: 0.0}
+    ),
+}  # fmt: skip
 
 
-def test_a_press_counts_once_when_it_stops_deepening() -> None:
-    assert told([0.0, 0.2, 0.4, 0.6, 0.61, 0.6, 0.6]) == [[0.0], [], [], [], [0.61], [], []]
-
-
-def test_a_tap_that_ends_while_deepening_counts_by_its_strongest_scan() -> None:
-    assert told([0.0, 0.2, 0.5, 0.0, 0.0]) == [[0.0], [], [], [0.5], []]
-
-
-def test_a_press_that_eases_counts_as_it_is_held() -> None:
-    assert told([0.3, 0.6, 0.5, 0.5]) == [[], [], [0.5], []]
-
-
-def test_a_slide_counts_every_few_millimetres() -> None:
-    x = [0.0, 0.0, 0.002, 0.004, 0.006, 0.008, 0.012]
-    assert [len(each) for each in told([0.5] * 7, x)] == [0, 1, 0, 0, 1, 0, 1]
-
-
-def test_a_taxel_that_changes_much_counts() -> None:
-    assert [len(each) for each in told([0.3, 0.3, 0.6, 0.9, 0.9])] == [0, 1, 0, 0, 1]
-
-
-def test_a_release_tells_nothing_new() -> None:
-    assert [len(each) for each in told([0.9, 0.9, 0.5, 0.3, 0.1])] == [0, 1, 0, 0, 0]
-
-
-def test_silence_counts_as_the_sensor_moves_and_not_while_it_stands() -> None:
-    x = [0.0, 0.0, 0.003, 0.006, 0.006, 0.02]
-    assert [len(each) for each in told([0.0] * 6, x)] == [1, 0, 0, 1, 0, 1]
+@pytest.mark.parametrize("what", COUNTED)
+def test_what_counts_at_20_hz(what: str) -> None:
+    news, (readings, x, expected) = News(0.04), COUNTED[what]
+    felt = [news.on_scan(0.05 * k, feel(z, x[k])) for k, z in enumerate(readings)]
+    assert {k: told.z.max() for k, told in enumerate(felt) if told is not None} == expected
 
 
 def test_a_flicker_does_not_begin_a_contact() -> None:

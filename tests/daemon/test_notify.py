@@ -4,7 +4,6 @@ import os
 import signal
 import socket
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,9 +11,9 @@ import pytest
 
 from taxeld.service.notify import Notifier
 from tests.logged import warnings
-
-from .test_cli import configuration
-from .test_ticker import FakeClock
+from tests.rig.clocks import Clock
+from tests.rig.configurations import QUIET, configuration
+from tests.rig.processes import taxeld
 
 DEADLINE_S = 60.0
 
@@ -46,7 +45,7 @@ def heard(manager: socket.socket) -> list[str]:
 
 def ticks(notifier: Notifier, seconds: float) -> None:
     """A loop at 100 Hz on a fake clock."""
-    clock = FakeClock()
+    clock = Clock()
     while clock.now < seconds:
         notifier.tick(clock.now, lambda now_s: f"{now_s:.1f} s")
         clock.sleep(0.01)
@@ -94,38 +93,11 @@ def test_a_manager_that_is_slow_or_gone_holds_nobody_up(manager: socket.socket) 
     notifier.stopping()
 
 
-def test_without_a_manager_nothing_is_asked() -> None:
-    asked: list[float] = []
-
-    def status(now_s: float) -> str:
-        asked.append(now_s)
-        return ""
-
-    notifier = Notifier({"WATCHDOG_USEC": "1000000"})
-    notifier.ready()
-    notifier.tick(0.0, status)
-    notifier.stopping()
-    assert not asked
-
-
-@pytest.fixture
-def config(tmp_path: Path) -> Path:
-    """A daemon's configuration, on a bus where nobody speaks."""
-    path = configuration(tmp_path, "source", "kind", '"can"')
-    text = path.read_text(encoding="utf-8")
-    path.write_text(
-        text.replace("[source]\n", '[source]\ninterface = "virtual"\nchannel = "quiet"\n'),
-        encoding="utf-8",
-    )
-    return path
-
-
 def test_a_daemon_is_ready_says_how_it_is_feeds_the_watchdog_and_says_when_it_stops(
-    manager: socket.socket, config: Path
+    manager: socket.socket, tmp_path: Path
 ) -> None:
-    said = environ(manager, WATCHDOG_USEC="200000")
-    command = [sys.executable, "-m", "taxeld.cli", "run", str(config)]
-    with subprocess.Popen(command, env={**os.environ, **said}) as process:
+    said = os.environ | environ(manager, WATCHDOG_USEC="200000")
+    with taxeld("run", configuration(tmp_path, source=QUIET), env=said) as process:
         first = [manager.recv(4096).decode() for _ in range(5)]
         process.send_signal(signal.SIGTERM)
         assert process.wait(DEADLINE_S) == 0
@@ -136,10 +108,9 @@ def test_a_daemon_is_ready_says_how_it_is_feeds_the_watchdog_and_says_when_it_st
     assert heard(manager)[-1] == "STOPPING=1"
 
 
-def test_a_daemon_that_is_halted_falls_silent(manager: socket.socket, config: Path) -> None:
-    said = environ(manager, WATCHDOG_USEC="200000")
-    command = [sys.executable, "-m", "taxeld.cli", "run", str(config)]
-    with subprocess.Popen(command, env={**os.environ, **said}) as process:
+def test_a_daemon_that_is_halted_falls_silent(manager: socket.socket, tmp_path: Path) -> None:
+    said = os.environ | environ(manager, WATCHDOG_USEC="200000")
+    with taxeld("run", configuration(tmp_path, source=QUIET), env=said) as process:
         for _ in range(4):
             manager.recv(4096)
         process.send_signal(signal.SIGSTOP)
@@ -154,16 +125,9 @@ def test_a_daemon_that_is_halted_falls_silent(manager: socket.socket, config: Pa
 def test_a_daemon_whose_device_is_away_is_ready_and_says_what_it_waits_for(
     manager: socket.socket, tmp_path: Path
 ) -> None:
-    path = configuration(tmp_path, "source", "kind", '"serial"')
-    text = path.read_text(encoding="utf-8")
-    device = tmp_path / "skin"
-    path.write_text(
-        text.replace("[source]\n", f'[source]\nchannel = "{device}"\n'), encoding="utf-8"
-    )
-    command = [sys.executable, "-m", "taxeld.cli", "run", str(path)]
-    with subprocess.Popen(
-        command, env={**os.environ, **environ(manager)}, stderr=subprocess.PIPE, text=True
-    ) as process:
+    device, said = tmp_path / "skin", os.environ | environ(manager)
+    config = configuration(tmp_path, source={"kind": "serial", "channel": device})
+    with taxeld("run", config, env=said, stderr=subprocess.PIPE) as process:
         said = [manager.recv(4096).decode() for _ in range(3)]
         reason = f"source.channel: cannot open {device} (it is not there; is it plugged in?)"
         assert said == ["READY=1", *[f"STATUS=waiting, {reason}"] * 2]

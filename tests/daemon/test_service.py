@@ -1,5 +1,7 @@
 """A daemon on a serial skin that is restarted under a touch, and whose clock somebody sets."""
 
+import os
+import signal
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -10,19 +12,22 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
-import zmq
 
-from taxeld.config.file import parse
+from taxeld.commands import replay
 from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
 from taxeld.service.clock import WallClock
 from taxeld.service.loop import Daemon
+from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
 from tests.daemon.simulated_skin import SimulatedSkin
+from tests.rig.clocks import PATIENCE_S, until
+from tests.rig.configurations import Table, config, served
+from tests.rig.processes import door_of
+from tests.rig.sockets import Sockets
 from tests.virtual_hub import VirtualHub
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-DEADLINE_S = 30.0
 
 
 class Hub(VirtualHub):
@@ -40,24 +45,19 @@ def hub(tmp_path: Path) -> Iterator[Hub]:
     made.unplug()
 
 
-def daemon_of(place: Path, more: str = "") -> Daemon:
-    return Daemon(
-        parse(
-            f'[source]\nkind = "serial"\nchannel = "{place}/skin"\nperiod_ms = 10\n'
-            f'[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\n'
-            f'[skin]\nstate_dir = "{place}/state"\n'
-            f'[publish]\nendpoints = ["ipc://{place}/stream"]\n[control]\nendpoint = ""\n' + more
-        )
-    )
+def daemon_of(place: Path, recorder: Recorder | None = None, **tables: Table) -> Daemon:
+    source = {"kind": "serial", "channel": place / "skin", "period_ms": 10}
+    skin, proposal = {"state_dir": place / "state"}, {"proposal": "manifold"}
+    more = {**served(place), "control": {"endpoint": ""}, **tables}
+    return Daemon(config(source=source, skin=skin, filter=proposal, **more), recorder)
 
 
-def tick(daemon: Daemon, hub: Hub, until: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not until():
-        assert time.monotonic() < deadline
+def tick(daemon: Daemon, hub: Hub, holds: Callable[[], bool]) -> None:
+    def tick_once() -> None:
         hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
         daemon.tick(time.monotonic())
-        time.sleep(0.002)
+
+    until(holds, tick_once)
 
 
 def test_a_restarted_daemon_feels_what_is_held_from_the_first_scan(
@@ -79,29 +79,42 @@ def test_a_restarted_daemon_feels_what_is_held_from_the_first_scan(
     again.close()
 
 
+def test_doors_that_are_killed_cost_no_scan_and_no_record(tmp_path: Path, hub: Hub) -> None:
+    daemon = daemon_of(tmp_path, Recorder(tmp_path / "session", moves=False))
+    scans = daemon.pipeline.skin.counters
+    for starts in (1, 2, 3):
+        tick(daemon, hub, lambda: daemon.link.is_ready and door_of(os.getpid()) > 0)
+        os.kill(door_of(os.getpid()), signal.SIGKILL)
+        tick(daemon, hub, lambda starts=starts: daemon.door.starts > starts)
+    until(lambda: scans.scans == hub.scans, lambda: daemon.tick(time.monotonic()))
+    settings = daemon.config
+    daemon.close()
+    pipeline = replay.open_pipeline(tmp_path / "session", settings)
+    assert len(list(replay.outcomes(tmp_path / "session", pipeline))) == hub.scans > 20
+
+
 def test_a_scan_is_estimated_when_it_comes_however_slow_the_ticks_are(
     tmp_path: Path, hub: Hub
 ) -> None:
     """At one tick a second, each of a hundred scans a second has an estimate of its own."""
-    daemon = daemon_of(tmp_path, "[loop]\nrate_hz = 1.0\nstale_s = 5.0\n")
+    daemon = daemon_of(tmp_path, loop={"rate_hz": 1.0, "stale_s": 5.0})
     runs = threading.Thread(target=daemon.run)
     heard: list[dict[str, Any]] = []
-    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.setsockopt(zmq.SUBSCRIBE, messages.ESTIMATE)
-        socket.connect(f"ipc://{tmp_path}/stream")
+    with Sockets() as sockets:
+        socket = sockets.subscriber(f"ipc://{tmp_path}/stream", messages.ESTIMATE)
+
+        def listen() -> None:
+            hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
+            while socket.poll(0):
+                estimate = msgpack.unpackb(socket.recv_multipart()[1])
+                heard.extend([estimate] * (estimate["lat_us"]["filter"] > 0.0))
+
         runs.start()
         try:
-            deadline = time.monotonic() + DEADLINE_S
-            while len(heard) < 60:
-                assert time.monotonic() < deadline, f"{len(heard)} scans were estimated"
-                hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
-                if socket.poll(2):
-                    estimate = msgpack.unpackb(socket.recv_multipart()[1])
-                    heard += [estimate] * (estimate["lat_us"]["filter"] > 0.0)
+            until(lambda: len(heard) >= 60, listen)
         finally:
             daemon.stop()
-            runs.join(DEADLINE_S)
+            runs.join(PATIENCE_S)
     assert not runs.is_alive()
     # on a busy machine two scans are read at once, or one is late and an estimate comes without it
     assert all(b["seq"] > a["seq"] for a, b in pairwise(heard))
@@ -124,7 +137,7 @@ def test_a_clock_that_is_set_by_an_hour_leaves_the_daemon_at_work(
     taken = pipeline.estimator.counters.scans
     tick(daemon, hub, lambda: pipeline.estimator.counters.scans >= taken + 20)
     assert pipeline.estimate.status is Status.SEARCHING
-    assert abs(pipeline.estimate.t - time.time()) < DEADLINE_S
+    assert abs(pipeline.estimate.t - time.time()) < PATIENCE_S
     assert pipeline.inputs.clock_steps == 1
     assert pipeline.inputs.scans_old + pipeline.inputs.scans_from_the_future <= 3
     assert pipeline.estimator.counters.back_in_time == 0

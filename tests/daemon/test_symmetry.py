@@ -10,7 +10,7 @@ from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric, add_m
 
-from .conftest import box, scene_of
+from ..rig.scenes import box, scene_of
 
 poses = st.tuples(st.floats(-1, 1), st.floats(-1, 1), st.floats(-3, 3)).map(np.array)
 
@@ -59,13 +59,6 @@ def test_modes_merge_equivalents_and_order_by_weight(skin: Layout) -> None:
     assert sorted(modes[0].members) == [0, 1]
 
 
-def test_particles_without_weight_make_no_mode(skin: Layout) -> None:
-    metric = PoseMetric(scene_of(box(0.03, 0.06), skin, symmetry=1))
-    cloud = np.array([[0.0, 0, 0], [0.5, 0, 0]])
-    modes = metric.modes(cloud, np.array([1.0, 0.0]), 0.02, most=5, candidates=64)
-    assert len(modes) == 1
-
-
 def test_no_mode_is_passed_over_for_where_it_stands_in_the_array(
     box_model: ObservationModel,
 ) -> None:
@@ -76,11 +69,3 @@ def test_no_mode_is_passed_over_for_where_it_stands_in_the_array(
     for order in (slice(None), slice(None, None, -1)):
         found = PoseMetric(box_model.scene).modes(poses[order], weight, 0.02, 5, 64)
         assert [round(mode.weight, 6) for mode in found] == [0.75, 0.25]
-
-
-def test_the_turn_of_a_round_object_is_no_error(disc_model: ObservationModel) -> None:
-    scene = disc_model.scene
-    assert scene.symmetry == 0
-    for angle in np.linspace(-3.0, 3.0, 13):
-        turned = np.array([0.001, 0.0, angle])
-        assert add_m(scene, turned, np.zeros(3))[1] < 0.0011

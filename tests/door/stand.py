@@ -3,9 +3,7 @@
 import contextlib
 import os
 import signal
-import socket as kernel
-import subprocess
-import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -18,9 +16,11 @@ from taxeld.door.settings import Settings
 from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream.link import Link
 
+from ..rig.clocks import until
+from ..rig.processes import free_port
+
 INFO = {"taxeld": "0"}
 QUEUE = 60
-PATIENCE_S = 60.0
 NOBODY = 65_534
 needs_root = os.geteuid() != 0, "only root can be another user"
 
@@ -65,12 +65,8 @@ class Stand(contextlib.ExitStack):
             self.link.send(b"/taxeld/estimate", {"seq": self.sent}, 1.0)
         self.keeper.look(self.link, now_s)
 
-    def until(self, holds: Callable[[], object], seconds: float = PATIENCE_S) -> None:
-        deadline = time.monotonic() + seconds
-        while not holds():
-            assert time.monotonic() < deadline, "it does not come to that"
-            self.look()
-            time.sleep(0.002)
+    def until(self, holds: Callable[[], object]) -> None:
+        until(holds, self.look)
 
     def socket(self, kind: int, endpoint: str = "", **options: int) -> zmq.Socket[Any]:
         made: zmq.Socket[Any] = self.enter_context(self.context.socket(kind))
@@ -124,13 +120,6 @@ class Stand(contextlib.ExitStack):
         return self.socket(zmq.PUB)
 
 
-def free_port() -> int:
-    """Of TCP on this machine, a moment ago."""
-    with kernel.create_server(("127.0.0.1", 0)) as probe:
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def robots_endpoint() -> str:
     return f"tcp://127.0.0.1:{free_port()}"
 
@@ -139,6 +128,15 @@ def pose(x: float) -> list[bytes]:
     """A message of the robot."""
     body = msgpack.packb({"t": 1.0, "x": x, "y": 0.0, "theta": 0.0})
     return [b"/robot/sensor_pose", body, b"1.0"]
+
+
+def open_to_all(place: Path) -> None:
+    """The socket files in a directory of a test, to every user."""
+    for directory in (place, *place.parents):
+        if directory.is_relative_to(tempfile.gettempdir()) and directory.name != "tmp":
+            directory.chmod(0o755)
+    for name in ("stream", "control"):
+        (place / name).chmod(0o666)
 
 
 @contextlib.contextmanager
@@ -157,24 +155,3 @@ def another_user(does: Callable[[], None], groups: Sequence[int] = ()) -> Iterat
     finally:
         os.kill(number, signal.SIGKILL)
         os.waitpid(number, 0)
-
-
-@contextlib.contextmanager
-def program(code: str, *arguments: object) -> Iterator[None]:
-    """Meanwhile a Python program runs, which has said that it is ready."""
-    with subprocess.Popen(
-        [sys.executable, "-c", code, *map(str, arguments)],
-        stdout=subprocess.PIPE,
-        stdin=subprocess.PIPE,
-    ) as process:
-        assert process.stdout is not None
-        process.stdout.readline()
-        try:
-            yield
-        finally:
-            process.kill()
-
-
-def resident_bytes(pid: int) -> int:
-    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
-    return pages * os.sysconf("SC_PAGE_SIZE")

@@ -19,8 +19,9 @@ from taxeld.door.control import Control, for_members, open_router, packed_ok
 from taxeld.stream import client, topics
 from taxeld.stream.link import ControlCounters
 
-from . import attacks
-from .stand import PATIENCE_S, Stand, another_user, free_port, needs_root, program
+from ..rig.clocks import PATIENCE_S
+from ..rig.processes import free_port
+from .stand import Stand, another_user, needs_root, open_to_all
 
 
 @pytest.fixture
@@ -78,63 +79,11 @@ def test_messages_of_any_shape_get_an_answer(stand: Stand, parts: list[bytes]) -
     assert not msgpack.unpackb(stand.received(odd)[-1])["ok"]
 
 
-def test_clients_with_correlated_requests_are_answered(stand: Stand) -> None:
-    """REQ_CORRELATE puts a number before the delimiter, which must come back."""
-    asking = stand.socket(zmq.REQ, stand.control, REQ_CORRELATE=1, REQ_RELAXED=1)
-    for _ in range(3):
-        asking.send(msgpack.packb({"cmd": "info"}))
-        assert msgpack.unpackb(stand.received(asking)[0])["ok"]
-
-
-def test_clients_behind_a_proxy_are_answered(stand: Stand, tmp_path: Path) -> None:
-    with zmq.Context() as context:
-        front, back = context.socket(zmq.ROUTER), context.socket(zmq.DEALER)
-        front.bind(f"ipc://{tmp_path}/proxy")
-        back.connect(stand.control)
-
-        def serve() -> None:
-            try:
-                zmq.proxy(front, back)
-            except zmq.ContextTerminated:
-                front.close(linger=0)
-                back.close(linger=0)
-
-        threading.Thread(target=serve, daemon=True).start()
-        assert stand.answer({"cmd": "info"}, f"ipc://{tmp_path}/proxy")["ok"]
-        context.term()
-
-
 def test_a_message_of_very_many_frames_is_not_read_to_its_end(stand: Stand) -> None:
     flooder = stand.socket(zmq.DEALER, stand.control)
     flooder.send_multipart([b"x"] * 200_000)
     stand.until(lambda: stand.link.report.control.refused)
     assert stand.answer({"cmd": "tare"})["ok"]
-
-
-def test_a_client_takes_turns_with_those_who_flood(stand: Stand) -> None:
-    with program(attacks.REQUESTS, stand.control), program(attacks.REQUESTS, stand.control):
-        for _ in range(5):
-            assert stand.answer({"cmd": "info"})["ok"]
-
-
-def open_to_all(place: Path) -> None:
-    for directory in (place, *place.parents):
-        if directory.is_relative_to(tempfile.gettempdir()) and directory.name != "tmp":
-            directory.chmod(0o755)
-    (place / "control").chmod(0o666)
-
-
-@pytest.mark.skipif(needs_root[0], reason=needs_root[1])
-def test_places_are_left_for_root_where_another_user_takes_all(
-    stand: Stand, tmp_path: Path
-) -> None:
-    open_to_all(tmp_path)
-    door = stand.pid
-    with program(attacks.PLACES, tmp_path / "control"):
-        stand.until(lambda: stand.link.report.crowded_out > 100)
-        for _ in range(2):
-            assert stand.answer({"cmd": "info"})["ok"]
-    assert stand.pid == door
 
 
 def ask(endpoint: str, command: str, into: Path) -> None:

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -18,7 +17,9 @@ from taxeld.service import doorkeeper
 from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream import pair
 
-from .stand import INFO, Stand, free_port
+from ..rig.clocks import until
+from ..rig.processes import free_port, python
+from .stand import INFO, Stand
 
 
 def test_a_killed_door_is_back_and_subscribers_come_back_by_themselves(
@@ -76,10 +77,7 @@ def test_a_door_ends_with_its_loop(tmp_path: Path) -> None:
         door = int(loop.stdout.readline())
         loop.kill()
         loop.wait()
-        deadline = time.monotonic() + 20.0
-        while Path(f"/proc/{door}").exists() and "taxeld.door" in cmdline(door):
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
+        until(lambda: "taxeld.door" not in cmdline(door))
 
 
 def cmdline(pid: int) -> str:
@@ -155,41 +153,6 @@ def test_the_kernel_limits_the_door_and_ends_it_first(tmp_path: Path) -> None:
         assert len(list((place / "task").iterdir())) < 8
 
 
-def test_where_memory_is_short_a_door_that_is_starting_goes_before_the_loop_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    starting = tmp_path / "python"
-    starting.write_text("#!/bin/sh\nexec sleep 60\n", encoding="ascii")
-    starting.chmod(0o755)
-    monkeypatch.setattr(sys, "executable", str(starting))
-    keeper = Doorkeeper(Settings((f"ipc://{tmp_path}/stream",), "", "", "", 1))
-    deadline = time.monotonic() + 20.0
-    while keeper._started is None:
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-    process = keeper._started.process
-    score = Path(f"/proc/{process.pid}/oom_score_adj").read_text(encoding="ascii")
-    keeper._stops.set()
-    process.kill()
-    keeper.close()
-    assert int(score) == OOM_SCORE
-
-
-GREEDY = """
-from taxeld.door import sandbox
-sandbox.limit()
-try:
-    held = [bytearray(1 << 20) for _ in range(4096)]
-except MemoryError:
-    print("no more", end="")
-"""
-
-
-def test_a_greedy_door_gets_no_more_memory_than_its_limit() -> None:
-    run = subprocess.run([sys.executable, "-c", GREEDY], capture_output=True, text=True, check=True)
-    assert run.stdout == "no more"
-
-
 CONFINED = """
 import os, signal, socket, sys
 from pathlib import Path
@@ -218,12 +181,7 @@ def test_a_confined_door_reads_no_file_no_device_and_signals_nobody(tmp_path: Pa
     secret, place = tmp_path / "secret", tmp_path / "sockets"
     secret.write_text("s", encoding="ascii")
     place.mkdir()
-    run = subprocess.run(
-        [sys.executable, "-c", CONFINED, str(place), str(secret), str(free_port())],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    run = python(CONFINED, place, secret, free_port(), check=False)
     if run.returncode == 77:
         pytest.skip("this kernel has no Landlock")
     files, ports, signals = run.stdout.split()[:5], run.stdout.split()[5], run.stdout.split()[6]
@@ -231,31 +189,3 @@ def test_a_confined_door_reads_no_file_no_device_and_signals_nobody(tmp_path: Pa
     release = tuple(map(int, os.uname().release.split(".")[:2]))
     assert ports == "True" or release < (6, 7)
     assert signals == "True" or release < (6, 12)
-
-
-def test_the_loops_process_has_no_zeromq_and_no_peer(tmp_path: Path) -> None:
-    config = tmp_path / "t.toml"
-    config.write_text(
-        f'[source]\nkind = "can"\ninterface = "virtual"\nchannel = "x"\n[scene]\nbundle = "box"\n'
-        f'[publish]\nendpoints = ["ipc://{tmp_path}/stream"]\n'
-        f'[control]\nendpoint = "ipc://{tmp_path}/control"\n'
-        f'[sensor_pose]\nendpoint = "tcp://127.0.0.1:{free_port()}"\n',
-        encoding="utf-8",
-    )
-    environment = {k: v for k, v in os.environ.items() if k != "NOTIFY_SOCKET"}
-    with subprocess.Popen(
-        [sys.executable, "-m", "taxeld.cli", "run", str(config)],
-        stderr=subprocess.PIPE, text=True, env=environment,
-    ) as loop:  # fmt: skip
-        assert loop.stderr is not None
-        while "ready: " not in loop.stderr.readline():
-            pass
-        place = Path(f"/proc/{loop.pid}")
-        mapped = (place / "maps").read_text(encoding="ascii")
-        links = [str(fd.readlink()) for fd in (place / "fd").iterdir()]
-        loop.terminate()
-        loop.communicate()
-    assert "libzmq" not in mapped
-    assert "_zmq" not in mapped
-    assert sum(link.startswith("socket:") for link in links) == 1, links
-    assert loop.returncode == 0

@@ -13,8 +13,9 @@ from zmq.auth import create_certificates, load_certificate
 from taxeld.errors import SetupError
 from taxeld.stream import curve, topics
 
+from ..rig.processes import free_port, program, resident_bytes
 from . import attacks
-from .stand import PATIENCE_S, Stand, free_port, pose, program, resident_bytes, robots_endpoint
+from .stand import Stand, pose, robots_endpoint
 
 
 def pair(directory: Path, name: str) -> tuple[bytes, bytes]:
@@ -134,7 +135,7 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
             true.send_multipart(pose(2.0))
             return bool(keyed.poses)
 
-        keyed.until(heard, PATIENCE_S)
+        keyed.until(heard)
         assert {p[1] for p in keyed.poses} == {2.0}
 
 

@@ -3,7 +3,6 @@
 import logging
 import math
 import socket
-import struct
 from collections.abc import Iterator
 from dataclasses import asdict
 
@@ -246,13 +245,3 @@ def test_descriptors_that_a_door_passes_are_refused_where_the_kernel_can(ends: E
             return
     with socket.socket() as probe, pytest.raises(OSError, match=r"."):
         probe.setsockopt(socket.SOL_SOCKET, pair.SO_PASSRIGHTS, 0)
-
-
-def test_a_body_of_any_size_reaches_the_door(ends: Ends) -> None:
-    ends.heard()
-    cloud = {"x": b"y" * 1_000_000}
-    ends.link.send(topics.PARTICLES, cloud, 1.5)
-    ((kind, body),) = ends.heard()
-    assert kind == Kind.MESSAGE
-    assert struct.unpack_from("=Bd", body) == (topics.TOPICS.index(topics.PARTICLES), 1.5)
-    assert msgpack.unpackb(body[pair.HEAD.size :]) == cloud

@@ -1,11 +1,7 @@
 """Subscribers at the door: newcomers, the slow, the silent and the flooding."""
 
 import contextlib
-import os
-import select
-import socket as kernel
 import stat
-import struct
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,14 +10,11 @@ import msgpack
 import pytest
 import zmq
 
-from taxeld.door.settings import Settings
 from taxeld.door.streams import EVENTS_MAX
-from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream import topics
-from taxeld.stream.link import Link
 
-from . import attacks
-from .stand import INFO, PATIENCE_S, QUEUE, Stand, free_port, program, resident_bytes
+from ..rig.processes import free_port
+from .stand import INFO, QUEUE, Stand
 
 
 @pytest.fixture(params=["ipc", "tcp"])
@@ -40,20 +33,6 @@ def local(tmp_path: Path) -> Iterator[Stand]:
         yield made
 
 
-def hello(path: Path) -> kernel.socket:
-    """A subscriber by hand, after both sides have said who they are."""
-    ready = b"\x05READY\x0bSocket-Type" + struct.pack(">I", 3) + b"SUB"
-    made = kernel.socket(kernel.AF_UNIX)
-    made.connect(str(path))
-    made.sendall(
-        b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(48) + bytes((4, len(ready))) + ready
-    )
-    said = b""
-    while b"XPUB" not in said:
-        said += made.recv(4096)
-    return made
-
-
 @pytest.mark.parametrize("prefix", [b"", b"/", b"/taxeld/", b"/taxeld/info"])
 def test_a_subscriber_to_info_by_any_prefix_is_told_who_speaks(stand: Stand, prefix: bytes) -> None:
     heard = stand.subscriber(prefix)
@@ -68,23 +47,6 @@ def test_a_subscriber_to_other_topics_is_not_told(stand: Stand) -> None:
     stand.until(lambda: stand.link.wants(topics.ESTIMATE))
     for _ in range(20):
         assert stand.received(other)[0] == topics.ESTIMATE
-
-
-def test_a_subscriber_that_comes_before_the_loop_is_told_once_the_loop_has_spoken(
-    tmp_path: Path,
-) -> None:
-    served = Settings((f"ipc://{tmp_path}/stream",), "", "", "", QUEUE)
-    with contextlib.ExitStack() as opened:
-        keeper = opened.enter_context(contextlib.closing(Doorkeeper(served)))
-        link = Link(INFO, lambda *_: None, {})
-        opened.callback(link.detach)
-        heard = opened.enter_context(opened.enter_context(zmq.Context()).socket(zmq.SUB))
-        heard.setsockopt(zmq.SUBSCRIBE, topics.INFO)
-        heard.connect(served.publish[0])
-        heard.poll(2000)  # nothing comes, as no loop has looked at the door
-        keeper.wait(link)
-        assert heard.poll(1000 * PATIENCE_S)
-        assert msgpack.unpackb(heard.recv_multipart()[1]) == INFO
 
 
 def test_late_joiners_and_who_subscribes_again_are_told(stand: Stand) -> None:
@@ -211,70 +173,3 @@ def test_a_socket_file_that_another_has_taken_is_left_to_it(
     local.link.detach()
     local.keeper.close()
     assert (tmp_path / "stream").read_text(encoding="ascii") == "another's"
-
-
-def test_a_peer_that_shuts_its_reading_side_ends_nothing(local: Stand, tmp_path: Path) -> None:
-    """Its next message finds a broken pipe, between two events of the same connection."""
-    honest = local.subscriber(b"/taxeld/e")
-    door = local.pid
-    for _ in range(10):
-        with hello(tmp_path / "stream") as peer:
-            peer.sendall(b"\x00\x0a\x01/taxeld/e")
-            local.until(lambda peer=peer: can_read(peer))
-            peer.sendall(b"\x00")
-            peer.shutdown(kernel.SHUT_RD)
-            local.received(honest)
-    assert local.pid == door
-
-
-def can_read(peer: kernel.socket) -> bool:
-    return bool(select.select([peer], [], [], 0)[0])
-
-
-def test_a_descriptor_that_lingers_stops_nothing(local: Stand, tmp_path: Path) -> None:
-    """Closing it would wait for seconds, inside the process that it was passed to."""
-    honest = local.subscriber(b"/taxeld/e")
-    local.received(honest)
-    with program(attacks.LINGER, tmp_path / "stream"):
-        if tuple(map(int, os.uname().release.split(".")[:2])) < (6, 16):
-            pytest.skip("before Linux 6.16 the door cannot refuse it; the loop is not concerned")
-        for _ in range(40):
-            local.received(honest)
-    with (
-        hello(tmp_path / "stream") as peer,
-        kernel.socket() as passed,
-        pytest.raises(PermissionError),
-    ):
-        kernel.send_fds(peer, [b"\0"], [passed.fileno()])
-
-
-def test_a_message_without_end_costs_its_sender_the_connection(
-    local: Stand, tmp_path: Path
-) -> None:
-    honest = local.subscriber(b"/taxeld/e")
-    local.received(honest)
-    door, lost = local.pid, local.losses(honest)
-    with program(attacks.HOARD, tmp_path / "stream"):
-        local.until(lambda: local.link.report.hoarders >= 3)
-        assert resident_bytes(door) < 160 << 20
-        local.received(honest)
-    assert local.pid == door
-    assert not lost.poll(0)
-
-
-def test_newcomers_who_ask_again_and_again_make_the_door_no_larger(
-    local: Stand, tmp_path: Path
-) -> None:
-    peers = [hello(tmp_path / "stream") for _ in range(50)]
-    before = resident_bytes(local.pid)
-    for _ in range(100):
-        for peer in peers:
-            with contextlib.suppress(BlockingIOError, BrokenPipeError):
-                peer.sendall(b"\x00\x0d\x01/taxeld/info")
-        local.look()
-    for _ in range(100):
-        local.look()
-        time.sleep(0.01)
-    assert resident_bytes(local.pid) - before < 30 << 20
-    for peer in peers:
-        peer.close()

@@ -5,7 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
-import time
+import tomllib
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +17,11 @@ import zmq
 
 from taxeld.stream import messages
 
-from ..daemon.test_stream_document import documented
+from ..rig.clocks import PATIENCE_S, until
+from ..rig.configurations import configuration
+from ..rig.processes import taxeld
+from ..rig.sockets import Sockets
+from ..rig.stream_page import documented
 
 ROOT = Path(__file__).parents[2]
 CLIENTS = ROOT / "examples" / "clients"
@@ -25,9 +29,6 @@ SESSION = ROOT / "tests" / "daemon" / "session"  # four contacts of a mug
 LAYOUT = ROOT / "examples" / "plotjuggler.xml"
 NODE_MODULES = Path(os.environ.get("NODE_PATH", str(Path(sys.prefix) / "node" / "node_modules")))
 CPP_HEADERS = ("zmq_addon.hpp", "msgpack.hpp")
-INLINE_BYTES = 33  # ZeroMQ keeps no more in the message itself, where the next frame goes
-PATIENCE_S = 120.0
-MOST_LINES = 30
 
 
 def expected(estimates: list[dict[str, Any]]) -> list[str]:
@@ -88,22 +89,15 @@ def started(place: Path, name: str, command: list[str]) -> "subprocess.Popen[byt
 def configured(place: Path) -> Path:
     """A daemon that replays a recorded session and serves in `place`."""
     shutil.copytree(SESSION, place / "session")
-    text = (SESSION / "config.toml").read_text(encoding="utf-8")
-    source = f'kind = "replay"\npath = "{place}/session"\n'
-    served = (
-        f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
-        f'[control]\nendpoint = "ipc://{place}/control"\n'
-    )
-    text = text.replace('kind = "serial"\nchannel = "/dev/null"\n', source) + served
-    (place / "config.toml").write_text(text, encoding="utf-8")
-    return place / "config.toml"
+    recorded = tomllib.loads((SESSION / "config.toml").read_text(encoding="utf-8"))
+    source = {"kind": "replay", "path": place / "session"}
+    return configuration(place, **{**recorded, "source": source})
 
 
-def wait_for_subscriptions(context: "zmq.Context[Any]", place: Path, wanted: int) -> None:
+def wait_for_subscriptions(sockets: Sockets, place: Path, wanted: int) -> None:
     """Until so many clients have started and subscribed; they will find the daemon by
     themselves, in the same place."""
-    with context.socket(zmq.XPUB) as stand_in:
-        stand_in.setsockopt(zmq.LINGER, 0)
+    with sockets.open(zmq.XPUB) as stand_in:
         stand_in.setsockopt(zmq.XPUB_VERBOSE, 1)
         stand_in.bind(f"ipc://{place}/stream")
         for _ in range(wanted):
@@ -121,23 +115,21 @@ def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
     clients = [started(place, name, command) for name, command in commands.items()]
     estimates: list[dict[str, Any]] = []
     try:
-        with zmq.Context() as context, context.socket(zmq.SUB) as socket:
-            socket.setsockopt(zmq.LINGER, 0)
-            socket.setsockopt(zmq.SUBSCRIBE, messages.ESTIMATE)
-            wait_for_subscriptions(context, place, len(clients))
-            socket.connect(f"ipc://{place}/stream")
-            with subprocess.Popen([sys.executable, "-m", "taxeld.cli", "run", config]) as daemon:
+        with Sockets() as sockets:
+            wait_for_subscriptions(sockets, place, len(clients))
+            socket = sockets.subscriber(f"ipc://{place}/stream", messages.ESTIMATE)
+            with taxeld("run", config) as daemon:
                 while daemon.poll() is None or socket.poll(100):
                     if socket.poll(100):
                         estimates.append(msgpack.unpackb(socket.recv_multipart()[1]))
             assert daemon.returncode == 0
-        lines = expected(estimates)
-        deadline = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline:
-            said = {name: (place / name).read_text().splitlines() for name in commands}
-            if all(len(told) >= len(lines) for told in said.values()):
-                break
-            time.sleep(0.05)
+        lines, said = expected(estimates), dict[str, list[str]]()
+
+        def all_have_printed() -> bool:
+            said.update((name, (place / name).read_text().splitlines()) for name in commands)
+            return all(len(told) >= len(lines) for told in said.values())
+
+        until(all_have_printed)
     finally:
         for client in clients:
             client.kill()
@@ -153,23 +145,6 @@ def test_each_client_prints_where_a_running_daemon_believes_the_object_after_eac
         pytest.skip(f"{NEEDS[name]}: not here")
     assert len(printed["expected"]) >= 3
     assert printed[name] == printed["expected"]
-
-
-@pytest.mark.parametrize("name", ["subscribe.py", "subscribe.cpp", "subscribe.mjs"])
-def test_each_client_is_as_short_as_the_page_says(name: str) -> None:
-    lines = len((CLIENTS / name).read_text(encoding="utf-8").splitlines())
-    page = (ROOT / "docs" / "stream.md").read_text(encoding="utf-8")
-    (row,) = (line for line in page.splitlines() if line.startswith(f"| `{name}` |"))
-    assert row.endswith(f"| {lines} |")
-    assert lines <= MOST_LINES
-
-
-@pytest.mark.parametrize("topic", [topic.decode() for topic in messages.TOPICS])
-def test_no_payload_is_so_small_that_the_next_frame_takes_its_place(topic: str) -> None:
-    """PlotJuggler 3.10 to 3.17.2 read a payload after its message took the third frame."""
-    _, example = documented(topic)
-    least = {key: value[:1] if isinstance(value, list) else value for key, value in example.items()}
-    assert len(msgpack.packb(least)) > INLINE_BYTES
 
 
 def test_plotjugglers_layout_plots_keys_that_are_sent_and_fills_each_of_its_panes() -> None:

@@ -2,12 +2,12 @@
 loop's core, and a touch of 640 taxels costs several times the CPU."""
 
 import os
-import subprocess
-import sys
 
 import pytest
 
 from taxeld.command_line import ONE_THREAD
+
+from ..rig.processes import python
 
 ASKED = """
 import sys
@@ -28,9 +28,6 @@ def test_numpys_libraries_have_one_thread_unless_the_environment_says_otherwise(
     module: str, given: dict[str, str], expected: str
 ) -> None:
     environ = {k: v for k, v in os.environ.items() if k not in ONE_THREAD}
-    command = [sys.executable, "-c", ASKED.format(module=module, names=ONE_THREAD)]
-    done = subprocess.run(
-        command, check=False, env={**environ, **given}, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+    code = ASKED.format(module=module, names=ONE_THREAD)
+    done = python(code, env={**environ, **given})
     assert done.stdout.splitlines()[-1] == expected

@@ -1,0 +1,71 @@
+"""The commands as processes of their own, and what such processes are asked."""
+
+import contextlib
+import os
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+TAXELD = [sys.executable, "-m", "taxeld.cli"]
+
+
+def taxeld(*arguments: object, **how: Any) -> "subprocess.Popen[str]":
+    """A command that has been started; `how`: of Popen."""
+    return subprocess.Popen([*TAXELD, *map(str, arguments)], text=True, **how)
+
+
+def python(
+    code: str, *arguments: object, check: bool = True, env: Mapping[str, str] | None = None
+) -> "subprocess.CompletedProcess[str]":
+    """A program of a few lines, run to its end."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=check, env=env)
+
+
+@contextlib.contextmanager
+def program(code: str, *arguments: object) -> Iterator[None]:
+    """Meanwhile a Python program runs, which has said by a line that it is ready."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        try:
+            yield
+        finally:
+            process.kill()
+
+
+def door_of(pid: int) -> int:
+    """The number of a daemon's door; 0: it is not there."""
+    for children in Path(f"/proc/{pid}/task").glob("*/children"):
+        with contextlib.suppress(OSError):
+            for number in children.read_text(encoding="ascii").split():
+                if b"taxeld.door" in Path(f"/proc/{number}/cmdline").read_bytes():
+                    return int(number)
+    return 0
+
+
+def free_port() -> int:
+    """Of TCP on this machine, a moment ago."""
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def resident_bytes(pid: int) -> int:
+    pages = int(Path(f"/proc/{pid}/statm").read_text(encoding="ascii").split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE")
+
+
+def read_all(ours: int) -> str:
+    """All that was drawn on a pseudo-terminal before the other end closed: one `read` may return a
+    part of it."""
+    drawn = bytearray()
+    with contextlib.suppress(OSError):  # EIO: the other end has closed, and all has been read
+        while part := os.read(ours, 65536):
+            drawn += part
+    os.close(ours)
+    return drawn.decode()
