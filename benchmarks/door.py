@@ -66,6 +66,7 @@ class Place:
         directory.chmod(0o755)
         port = str(free_port())
         tcp = f"tcp://127.0.0.1:{port}"
+        anywhere = tcp.replace("127.0.0.1", "0.0.0.0")  # noqa: S104  (loopback takes no keys)
         self.names = {"path": str(directory), "port": port, "tcp": tcp, "key": ""}
         if needs == "robot":
             self.settings = f'[sensor_pose]\nendpoint = "{tcp}"\n'
@@ -76,8 +77,8 @@ class Place:
             create_certificates(keys / "clients", "client")
             (keys / "server.key_secret").chmod(0o600)
             self.names["key"] = load_certificate(keys / "server.key")[0].decode()
-            self.settings = f'[curve]\ndirectory = "{keys}"\nloopback = true\n'
-            self.settings += f'[relay]\npublish = ["{tcp}"]\n'
+            self.settings = f'[curve]\ndirectory = "{keys}"\n'
+            self.settings += f'[relay]\npublish = ["{anywhere}"]\n'
 
 
 STREAM, CONTROL = "{path}/stream", "{path}/control"

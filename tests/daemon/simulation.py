@@ -78,7 +78,7 @@ class Run:
             '[source]\nkind = "can"\ninterface = "slcan"\nchannel = "memory"\n'
             f'[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\nseed = {seed}\n'
             '[publish]\nendpoints = ["ipc:///nowhere/s"]\n[control]\nendpoint = ""\n'
-            + '[sensor_pose]\nendpoint = "ipc:///nowhere/p"\nextrapolate_s = 0.0\n'
+            + '[sensor_pose]\nendpoint = "ipc:///nowhere/p"\n'
             * moves
         )
         try:

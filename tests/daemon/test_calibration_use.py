@@ -83,7 +83,7 @@ def test_thresholds_are_of_the_calibrations_noise_from_the_first_capture_on(skin
 def test_the_sensors_pose_is_the_robots_with_the_mount() -> None:
     mount = np.array([0.01, -0.02, 0.3])
     heard: list[tuple[float, ...]] = []
-    track = PoseTrack(1.0, on_pose=lambda *row: heard.append(row), mount=mount)
+    track = PoseTrack(on_pose=lambda *row: heard.append(row), mount=mount)
     track.add(1.0, 0.1, 0.2, 0.5)
     track.add(2.0, 0.1, 0.2, 0.5)
     assert track.at(1.5) == pytest.approx(se2.compose(np.array([0.1, 0.2, 0.5]), mount))
@@ -120,9 +120,9 @@ def _status(calibration: dict[str, object]) -> str:
         "source": {"incomplete": 0, "frames": 1, "dropped": {}, "lost": 0, "unsent": 0},
         "inputs": {"scans_stale": False, "poses_stale": False, "poses_malformed": 0,
                    "poses_rejected": 0, "poses_far": 0, "poses_from_the_future": 0, "poses": 0,
-                   "scans_without_pose": 0},
-        "over_budget": {}, "degraded": {}, "realtime": {"fifo": 0, "locked": False},
-        "dead_taxels": [], "lat_us": {}, "calibration": calibration,
+                   "scans_without_pose": 0, "poses_connected": False, "poses_age_s": -1.0},
+        "degraded": {}, "realtime": {"fifo": 0, "locked": False}, "dead_taxels": [],
+        "lat_us": {"total": {"p50": 0.0, "p99": 0.0, "max": 0.0}}, "calibration": calibration,
     }  # fmt: skip
     pose = {"x": 0.0, "y": 0.0, "theta": 0.0}
     estimate = {

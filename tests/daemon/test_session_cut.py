@@ -56,7 +56,7 @@ def box() -> Bundle:
 
 def config_of(transport: str) -> Config:
     return parse(
-        f'[source]\n{SOURCES[transport]}\n[scene]\nbundle = "box"\n[skin]\nbaseline_scans = 2\n'
+        f'[source]\n{SOURCES[transport]}\n[scene]\nbundle = "box"\n'
         '[filter]\nproposal = "manifold"\nparticles = 50\nparticles_max = 50\ninjected = 20\n'
         '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
     )
@@ -293,7 +293,7 @@ def test_a_daemon_that_replays_uses_the_recorded_poses(tmp_path: Path) -> None:
     record(tmp_path, "can")
     config = parse(
         f'[source]\nkind = "replay"\npath = "{tmp_path}"\n[scene]\nbundle = "box"\n'
-        '[skin]\nbaseline_scans = 2\n[filter]\nproposal = "manifold"\n'
+        '[filter]\nproposal = "manifold"\n'
         '[publish]\nendpoints = []\n[control]\nendpoint = ""\n'
     )
     daemon = Daemon(config)

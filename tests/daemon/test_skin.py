@@ -24,7 +24,7 @@ def scan(skin: Layout, taxels: dict[int, int], t: float = 0.0, base: int = BASE)
 
 
 def tared(skin: Layout, noise: int = 0) -> Skin:
-    subject = Skin(skin, SkinConfig(baseline_scans=20))
+    subject = Skin(skin, SkinConfig(), baseline_scans=20)
     rng = np.random.default_rng(0)
     for _ in range(20):
         jitter = {i: int(v) for i, v in enumerate(noise * rng.standard_normal(len(skin)))}
@@ -61,7 +61,6 @@ def test_invalid_counts_are_not_live(skin: Layout, invalid: int) -> None:
     assert not activation.live[7]
     assert activation.z[7] == 0
     assert activation.live.sum() == len(skin) - 1
-    assert subject.counters.invalid_counts == 1
 
 
 def test_a_lost_channel_is_not_live_and_not_remembered(skin: Layout) -> None:
@@ -77,7 +76,7 @@ def test_a_lost_channel_is_not_live_and_not_remembered(skin: Layout) -> None:
 
 
 def test_a_taxel_silent_through_the_baseline_is_dead(skin: Layout) -> None:
-    subject = Skin(skin, SkinConfig(baseline_scans=5))
+    subject = Skin(skin, SkinConfig(), baseline_scans=5)
     for _ in range(5):
         subject.on_scan(scan(skin, {3: -BASE}))
     activation = subject.on_scan(scan(skin, {3: 5_000}))

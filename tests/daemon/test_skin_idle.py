@@ -24,7 +24,7 @@ def test_an_untouched_skin_is_captured_in_one_window(noise: float, scans: int) -
     windows = []
     for seed in range(20):
         simulated = SimulatedSkin(MANY, seed, noise)
-        skin = Skin(MANY, SkinConfig(baseline_scans=scans))
+        skin = Skin(MANY, SkinConfig(), baseline_scans=scans)
         while not skin.is_ready:
             skin.on_scan(simulated.scan())
         windows.append(skin.counters.scans / scans)
@@ -41,7 +41,6 @@ def test_a_touch_that_comes_and_goes_begins_the_capture_again(skin: Layout) -> N
     simulated.press[:] = 0.0
     assert not subject.is_ready
     list(simulated.lead(subject, 2.0))
-    assert subject.figures()["begun_again"] == 2
     assert subject._idle.known.all()
     assert error(subject, simulated) < 50.0
 
@@ -71,7 +70,7 @@ def test_a_touch_held_before_and_through_the_capture_ends_with_its_release(skin:
     simulated.press[:] = 0.0
     simulated.run(subject, 4.0)
     assert error(subject, simulated) < 50.0
-    assert subject.figures()["lowered"] == 2
+    assert subject.lowered == 2
     simulated.press[3] = 2_000.0
     assert simulated.run(subject, 0.5).z[3] == pytest.approx(0.1, abs=0.02)
 
@@ -98,7 +97,7 @@ def test_a_taxel_that_never_rests_gets_no_baseline(skin: Layout) -> None:
 def test_the_noise_of_each_taxel_is_its_own(skin: Layout) -> None:
     simulated = SimulatedSkin(skin)
     simulated.spread = np.where(np.arange(len(skin)) < 10, 3.0, 1.0)
-    subject = Skin(skin, SkinConfig(baseline_scans=200))
+    subject = Skin(skin, SkinConfig(), baseline_scans=200)
     simulated.run(subject, 11.0)
     assert subject.threshold == pytest.approx(6 * NOISE * simulated.spread, rel=0.25)
 

@@ -20,9 +20,7 @@ from taxeld_protocol.decoder import Scan
 from tests.daemon.simulated_skin import SimulatedSkin
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
-CONFIG = (
-    '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n[skin]\nbaseline_scans = 5\n'
-)
+CONFIG = '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n'
 LEARNED = 8  # scans, until the baseline is there
 
 

@@ -160,7 +160,7 @@ def test_a_device_that_is_waited_for_is_one_line(
 def test_a_daemon_whose_ticks_are_slow_answers_at_once(tmp_path: Path) -> None:
     """A client asks anew where it has heard nothing for half a second."""
     source = f'[source]\nkind = "can"\ninterface = "virtual"\nchannel = "{tmp_path.name}"\n'
-    with started(tmp_path, f"{source}[loop]\nrate_hz = 1.0\nstale_s = 5.0\n"):
+    with started(tmp_path, f"{source}[loop]\nrate_hz = 1.0\n"):
         assert client.ask(f"ipc://{tmp_path}/control", "info", timeout_s=60.0) is not None
         answer = client.ask(f"ipc://{tmp_path}/control", "info", timeout_s=20.0)
     assert answer is not None

@@ -143,7 +143,7 @@ def test_a_robot_with_other_keys_is_told_as_one_that_refuses(tmp_path: Path) -> 
         pairs[name] = load_certificate(keys / f"{name}.key_secret")
     (keys / "robot.key").write_bytes((keys / "stranger.key").read_bytes())
     endpoint = robots_endpoint()
-    with Stand(tmp_path, robot=endpoint, keys=str(keys), loopback_keys=True) as stand:
+    with Stand(tmp_path, robot=endpoint, keys=str(keys)) as stand:
         robot = stand.robot()
         robot.setsockopt(zmq.CURVE_SERVER, 1)
         secret = pairs["robot"][1]

@@ -9,6 +9,7 @@ import pytest
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import SensorPoseConfig
+from taxeld.pipeline.poses import EXTRAPOLATE_S
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
 
@@ -23,7 +24,7 @@ def run(seed: int, extrapolate_s: float) -> tuple[float, float, int]:
     assert ran.daemon is not None
     pipeline, take = ran.daemon.pipeline, ran.daemon.pose
     track, at = pipeline.poses, pipeline.poses.at
-    track._extrapolate_s = extrapolate_s  # type: ignore[union-attr]
+    track.extrapolate_s = extrapolate_s  # type: ignore[union-attr]
     told: list[tuple[float, ...]] = []
     placed: list[tuple[float, Poses]] = []
     on_the_way: deque[tuple[float, float, float, float]] = deque()
@@ -52,11 +53,10 @@ def run(seed: int, extrapolate_s: float) -> tuple[float, float, int]:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_scans_after_the_last_pose_are_placed_within_what_the_robot_errs(seed: int) -> None:
-    usual = SensorPoseConfig()
     waited_mm, exact_mm, waited = run(seed, 0.0)
-    placed_mm, off_mm, not_waited = run(seed, usual.extrapolate_s)
+    placed_mm, off_mm, not_waited = run(seed, EXTRAPOLATE_S)
     assert waited > 100
     assert not_waited < 0.1 * waited
     assert exact_mm < 1e-6
-    assert off_mm < 0.5 * 1e3 * usual.sigma_m
+    assert off_mm < 0.5 * 1e3 * SensorPoseConfig().sigma_m
     assert max(waited_mm, placed_mm) < DEMO.expect.error_mm

@@ -50,9 +50,9 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
             found.append(str(error))
     found += away
     try:
-        keys, loopback = config.curve.directory, config.curve.loopback
-        curve.robot_keys(keys, config.sensor_pose.endpoint, loopback)
-        curve.relay_keys(keys, (*config.relay.publish, config.relay.control), loopback)
+        keys = config.curve.directory
+        curve.robot_keys(keys, config.sensor_pose.endpoint)
+        curve.relay_keys(keys, (*config.relay.publish, config.relay.control))
     except SetupError as error:
         found.append(str(error))
     for key, endpoints in (
