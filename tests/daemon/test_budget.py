@@ -50,7 +50,7 @@ def pipeline_of(box: Bundle) -> Pipeline:
 def begun(box: Bundle) -> tuple[Pipeline, SimulatedSkin]:
     """A pipeline on a clock that stands still, with a baseline, and the skin that it is of."""
     pipeline, skin = pipeline_of(box), SimulatedSkin(SKIN, noise=5.0)
-    for _ in range(8):
+    for _ in range(24):
         scan = skin.scan()
         list(pipeline.advance([scan], scan.t))
     assert pipeline.estimate.status is Status.SEARCHING
@@ -88,7 +88,7 @@ def test_of_more_scans_than_can_ever_be_taken_the_oldest_are_let_go_and_counted(
     assert inputs.scans_crowded_out > 0
     assert (
         pipeline.skin.counters.scans
-        - 8
+        - 24
         + inputs.scans_crowded_out
         + inputs.scans_old
         + len(pipeline._waiting)

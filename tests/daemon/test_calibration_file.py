@@ -160,7 +160,10 @@ def test_check_refuses_what_run_would_refuse(
     skin = layouts.load(SkinConfig().layout)
     path = configured(tmp_path, "c.toml")
     assert main(["check", str(path)]) == 2
-    assert "skin.calibration: there is no file" in capsys.readouterr().err
+    assert (
+        "skin.calibration: c.toml: unreadable (No such file or directory); calib"
+        in capsys.readouterr().err
+    )
     written(skin, tmp_path / "c.toml", of(skin, t=time.time() - 400 * DAY_S))
     assert main(["check", str(path)]) == 2
     assert "is 400 days old" in capsys.readouterr().err

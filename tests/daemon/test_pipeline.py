@@ -43,6 +43,7 @@ CONFIG = (
 ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
 TRUTH = np.array([0.02, -0.03, 0.4])
 HOUR_S = 3600.0
+LEARNED = 24  # scans until the baseline is there, and some more
 START_S = 10_000.0
 
 
@@ -65,7 +66,7 @@ def begun(
 ) -> tuple[Pipeline, SimulatedSkin]:
     """A pipeline with a baseline, and the skin that it is of; the sensor at rest."""
     pipeline, skin = pipeline_of(box, text, extrapolate_s), SimulatedSkin(SKIN, noise=5.0)
-    for _ in range(24):
+    for _ in range(LEARNED):
         scan = skin.scan()
         pipeline.poses.add(scan.t, 0.3, 0.0, 0.0)
         assert len(list(pipeline.advance([scan], scan.t))) == 1
@@ -87,7 +88,7 @@ def test_a_scan_of_another_time_makes_the_estimate_stale_until_the_next(
     assert refused.estimate.status is Status.STALE
     assert not pipeline.freshness.is_valid(refused.estimate)
     assert getattr(pipeline.inputs, counter) == 1
-    assert pipeline.skin.counters.scans == 8
+    assert pipeline.skin.counters.scans == LEARNED
     scan = skin.scan()
     (taken,) = pipeline.advance([scan], scan.t + 0.49)
     assert taken.estimate.status is Status.SEARCHING

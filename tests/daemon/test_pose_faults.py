@@ -80,8 +80,10 @@ def test_without_poses_the_connection_tells_the_mistake(line: dict[str, Any], fa
 def test_messages_that_are_no_poses_are_a_fault_while_they_come() -> None:
     watch = watched(right)
     for second, malformed in enumerate((3, 6, 6, 6)):
-        watch.add(NOW + 9.0 + second, NOW + 9.0 + second)
-        look(watch, NOW + 9.0 + second, malformed=malformed)
+        now = NOW + 9.0 + second
+        for k in range(100):
+            watch.add(right(now - 0.01 * k), now - 0.01 * k)
+        look(watch, now, malformed=malformed)
         assert watch.fault.startswith("messages come and are no poses") == (second in (1, 2))
 
 

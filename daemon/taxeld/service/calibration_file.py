@@ -117,9 +117,9 @@ def read(path: Path, layout: Layout, full_scale_depth_m: float) -> Calibration:
     try:
         table = parse(CalibrationTable, text_of(path), path.name)
     except ConfigError as error:
-        faults = [error.faults[0].removeprefix(f"{path.name}: ")]
-        faults += [f"{len(error.faults) - 1} more faults"] * (len(error.faults) > 1)
-        fault = "; ".join(faults)
+        first = error.faults[0].removeprefix(f"{path.name}: ").removeprefix(f"{path}: ")
+        fault = first.replace("unreadable configuration", "unreadable").split("; name a")[0]
+        fault += f"; {len(error.faults) - 1} more faults" if len(error.faults) > 1 else ""
     else:
         fault = _fault(table, layout, full_scale_depth_m)
     if fault:

@@ -42,7 +42,7 @@ class Signals:
     def __enter__(self) -> Self:
         self._handle(self._note, signal.SIGHUP, signal.SIGUSR1)
         self._handle(_end, signal.SIGXCPU, signal.SIGABRT)
-        self._handle(signal.SIG_IGN, signal.SIGUSR2)  # typed for USR1, it would end the daemon
+        self._handle(signal.SIG_IGN, signal.SIGUSR2, signal.SIGALRM)  # they would end the daemon
         return self
 
     def __exit__(self, *_: object) -> None:
