@@ -131,7 +131,7 @@ def manifest_used(content: bytes) -> None:
     for name in (*PROPOSALS, *found.order):
         used_or_refused(lambda name=name: found.cheaper(found.resolve(name)))  # type: ignore[misc]
     for sampler in made.samplers:
-        assert found.resolve("auto", sampler.name) == sampler.name
+        assert found.resolve(sampler.name) == sampler.name
     messages.info(found.model.layout, found.model.scene, info, str(FilterConfig()))
 
 

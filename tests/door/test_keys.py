@@ -14,7 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.stream import curve, topics
 
 from . import attacks
-from .stand import PATIENCE_S, Stand, free_port, pose, program, resident_bytes, robots_endpoint
+from .stand import ANYWHERE, PATIENCE_S, Stand, pose, program, resident_bytes, robots_endpoint
 
 
 def pair(directory: Path, name: str) -> tuple[bytes, bytes]:
@@ -45,8 +45,7 @@ class Keyed(Stand):
     """A door that takes keys on TCP, and its clients."""
 
     def __init__(self, place: Path, **settings: Any) -> None:
-        self.tcp = f"tcp://0.0.0.0:{free_port()}"  # loopback alone takes no keys
-        self.asked = f"tcp://0.0.0.0:{free_port()}"
+        self.tcp, self.asked = robots_endpoint(ANYWHERE), robots_endpoint(ANYWHERE)
         taken = {"relay_publish": (self.tcp,), "relay_control": self.asked}
         super().__init__(place, keys=str(place / "keys"), **(taken | settings))
         self.server = curve.public_key(place / "keys" / "server.key")
@@ -110,7 +109,7 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
     keys: Path, tmp_path: Path
 ) -> None:
     assert keys.is_dir()
-    endpoint = robots_endpoint()
+    endpoint = robots_endpoint(ANYWHERE)
     with Keyed(tmp_path, robot=endpoint) as keyed:
 
         def robot(x: float, secret: bytes) -> zmq.Socket[Any]:

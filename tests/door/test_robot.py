@@ -14,7 +14,7 @@ from zmq.auth import create_certificates, load_certificate
 from taxeld.door.robot import as_pose
 
 from . import attacks
-from .stand import PATIENCE_S, Stand, pose, program, resident_bytes, robots_endpoint
+from .stand import ANYWHERE, PATIENCE_S, Stand, pose, program, resident_bytes, robots_endpoint
 
 
 class Robot:
@@ -142,7 +142,7 @@ def test_a_robot_with_other_keys_is_told_as_one_that_refuses(tmp_path: Path) -> 
         (keys / f"{name}.key_secret").chmod(0o600)
         pairs[name] = load_certificate(keys / f"{name}.key_secret")
     (keys / "robot.key").write_bytes((keys / "stranger.key").read_bytes())
-    endpoint = robots_endpoint()
+    endpoint = robots_endpoint(ANYWHERE)
     with Stand(tmp_path, robot=endpoint, keys=str(keys)) as stand:
         robot = stand.robot()
         robot.setsockopt(zmq.CURVE_SERVER, 1)
