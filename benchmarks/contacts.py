@@ -19,12 +19,12 @@ GOOD_MM = 10.0
 VARIANTS = {
     "default": "",
     "mixture, N = 100": "particles_max = 100",
-    "mixture, N = 100, ddpm-100": 'particles_max = 100\nsampler = "ddpm-100"',
+    "mixture, N = 100, ddpm-100": 'particles_max = 100\nproposal = "ddpm-100"',
     "mixture, N = 100, table": 'particles_max = 100\nproposal = "table"',
     "mixture, N = 100, manifold": 'particles_max = 100\nproposal = "manifold"',
     "mixture, N = 100, projection": 'particles_max = 100\nproposal = "projection"',
     "paper": 'injection = "paper"',
-    "paper, ddpm-100": 'injection = "paper"\nsampler = "ddpm-100"',
+    "paper, ddpm-100": 'injection = "paper"\nproposal = "ddpm-100"',
     "paper, projection": 'injection = "paper"\nproposal = "projection"',
 }
 

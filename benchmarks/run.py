@@ -80,9 +80,7 @@ def touches() -> list[Row]:
     for name, switch in [*((name, "1") for name in by_c), (shipped, "0")]:
         os.environ[native.SWITCH] = switch
         native.library.cache_clear()
-        sampler = "" if name == "projection" else name
-        kind = "projection" if name == "projection" else "auto"
-        estimator = Estimator(model, loaded.proposal(kind, sampler), settings)
+        estimator = Estimator(model, loaded.proposal(name), settings)
         spent: list[float] = []
         t = 0.0
         for _ in range(ROUNDS):

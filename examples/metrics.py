@@ -16,9 +16,8 @@ import zmq
 SILENT_MS = 5_000  # without health: the daemon has ended, or cannot be reached
 UNITS = {"_us": 1e-6, "_s": 1.0}  # ends of keys whose values are times, in seconds
 GAUGES = {  # whole numbers that can fall; all others count since the start
-    *("source.pending", "inputs.scans_waiting", "realtime.fifo", "drift.t0_modules", "door.peers"),
-    *("calibration.suspect", "calibration.touches", "modules.layout", "modules.foreign"),
-    *("inputs.poses_fault", "inputs.poses_other_topics"),
+    *("source.pending", "inputs.scans_waiting", "realtime.fifo", "door.peers"),
+    *("calibration.suspect", "modules.layout", "modules.foreign"),
 }
 
 

@@ -31,7 +31,7 @@ from taxeld.proposals import bundle, manifest, scene_file
 from taxeld.proposals.analytic import Manifold, Projection, check_contacts
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.sampler import Sampler
-from taxeld.service import state_format
+from taxeld.service import state_file
 from taxeld.skin.skin import Skin
 from taxeld.source import session
 from taxeld.stream import curve, messages
@@ -131,7 +131,7 @@ def manifest_used(content: bytes) -> None:
     for name in (*PROPOSALS, *found.order):
         used_or_refused(lambda name=name: found.cheaper(found.resolve(name)))  # type: ignore[misc]
     for sampler in made.samplers:
-        assert found.resolve("auto", sampler.name) == sampler.name
+        assert found.resolve(sampler.name) == sampler.name
     messages.info(found.model.layout, found.model.scene, info, str(FilterConfig()))
 
 
@@ -196,7 +196,7 @@ def _state(content: bytes) -> None:
     """Its own error is a ValueError, which the daemon puts into a line of its log."""
     skin = _skin()
     try:
-        state = state_format.parse(content, skin.digest, len(skin.layout), skin.modules)
+        state = state_file.parse(content, skin.digest, len(skin.layout), skin.modules)
     except ValueError as error:
         if not str(error).startswith("it"):
             raise
@@ -209,7 +209,7 @@ def _state(content: bytes) -> None:
 def _states() -> list[bytes]:
     state = _skin().state()
     assert state is not None
-    return [state_format.dump(state)]
+    return [state_file.dump(state)]
 
 
 def _frames() -> list[bytes]:

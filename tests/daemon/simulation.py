@@ -22,6 +22,7 @@ from taxeld.commands import replay
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.pipeline.outcome import Outcome
+from taxeld.pipeline.poses import PoseTrack
 from taxeld.service import health
 from taxeld.service.clock import WallClock
 from taxeld.service.gathering import Gathering
@@ -78,7 +79,7 @@ class Run:
             '[source]\nkind = "can"\ninterface = "slcan"\nchannel = "memory"\n'
             f'[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\nseed = {seed}\n'
             '[publish]\nendpoints = ["ipc:///nowhere/s"]\n[control]\nendpoint = ""\n'
-            + '[sensor_pose]\nendpoint = "ipc:///nowhere/p"\nextrapolate_s = 0.0\n'
+            + '[sensor_pose]\nendpoint = "ipc:///nowhere/p"\n'
             * moves
         )
         try:
@@ -94,6 +95,8 @@ class Run:
         world = self.world
         self._recorder = Recorder(self._place, moves=world.moves)
         daemon = Daemon(self._config, self._recorder)
+        if isinstance(daemon.pipeline.poses, PoseTrack):
+            daemon.pipeline.poses.extrapolate_s = 0.0  # as in the replay
         try:
             daemon.clock = WallClock(world.unix, lambda: world.now)
             self._listen_to(daemon)

@@ -1,6 +1,5 @@
 """A calibration's file: written, read, refused in one line, and kept with sessions."""
 
-import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,8 +43,8 @@ def written(skin: Layout, place: Path, calibration: Calibration) -> Path:
     return place
 
 
-def config_of(path: Path, **keys: object) -> SkinConfig:
-    return replace(SkinConfig(), calibration=str(path), **keys)  # type: ignore[arg-type]
+def config_of(path: Path) -> SkinConfig:
+    return SkinConfig(calibration=str(path))
 
 
 def test_what_is_written_is_read(skin: Layout, tmp_path: Path) -> None:
@@ -112,7 +111,7 @@ def test_a_damaged_file_is_refused_in_one_line_with_the_cure(
 
 def test_a_file_that_is_missing_or_no_text_is_refused(skin: Layout, tmp_path: Path) -> None:
     (tmp_path / "noise").write_bytes(bytes(range(256)))
-    for name, what in (("nothing", "there is no"), (".", "there is no"), ("noise", "unreadable")):
+    for name, what in (("nothing", "unreadable"), (".", "no regular"), ("noise", "unreadable")):
         with pytest.raises(SetupError, match=r"^skin\.calibration: ") as error:
             calibration_file.load(config_of(tmp_path / name), skin, NOW)
         assert what in str(error.value)
@@ -129,22 +128,13 @@ def test_a_calibration_of_another_layout_is_refused_by_name(skin: Layout, tmp_pa
 
 def test_an_old_calibration_is_refused_with_its_age(skin: Layout, tmp_path: Path) -> None:
     path = written(skin, tmp_path / "c.toml", of(skin))
-    config = config_of(path, calibration_max_age_days=30.0)
-    assert calibration_file.load(config, skin, NOW + 29 * DAY_S) is not None
-    with pytest.raises(SetupError, match=r"is 31 days old, more than skin\.calibration_max"):
-        calibration_file.load(config, skin, NOW + 31 * DAY_S)
+    config = config_of(path)
+    assert calibration_file.load(config, skin, NOW + 179 * DAY_S) is not None
+    with pytest.raises(SetupError, match=r"is 181 days old, more than 180"):
+        calibration_file.load(config, skin, NOW + 181 * DAY_S)
     with pytest.raises(SetupError, match="from 3 days ahead; set this machine's clock"):
         calibration_file.load(config, skin, NOW - 3 * DAY_S)
     assert calibration_file.load(config, skin, NOW - 3 * DAY_S, recorded=True) is not None
-
-
-def test_the_daemon_runs_without_a_calibration_only_if_told_to(
-    skin: Layout, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    config = config_of(tmp_path / "missing.toml", calibration_required=False)
-    with caplog.at_level(logging.WARNING):
-        assert calibration_file.load(config, skin, NOW) is None
-    assert "the daemon runs without it" in caplog.text
 
 
 def configured(place: Path, named: str) -> Path:
@@ -170,7 +160,10 @@ def test_check_refuses_what_run_would_refuse(
     skin = layouts.load(SkinConfig().layout)
     path = configured(tmp_path, "c.toml")
     assert main(["check", str(path)]) == 2
-    assert "skin.calibration: there is no file" in capsys.readouterr().err
+    assert (
+        "skin.calibration: c.toml: unreadable (No such file or directory); calib"
+        in capsys.readouterr().err
+    )
     written(skin, tmp_path / "c.toml", of(skin, t=time.time() - 400 * DAY_S))
     assert main(["check", str(path)]) == 2
     assert "is 400 days old" in capsys.readouterr().err

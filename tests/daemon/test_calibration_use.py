@@ -84,10 +84,10 @@ def test_thresholds_are_of_the_calibrations_noise_from_the_first_capture_on(skin
 def test_the_sensors_pose_is_the_robots_with_the_mount() -> None:
     mount = np.array([0.01, -0.02, 0.3])
     heard: list[tuple[float, ...]] = []
-    track = PoseTrack(1.0, on_pose=lambda *row: heard.append(row), mount=mount)
+    track = PoseTrack(on_pose=lambda *row: heard.append(row), mount=mount)
     track.add(1.0, 0.1, 0.2, 0.5)
-    track.add(2.0, 0.1, 0.2, 0.5)
-    assert track.at(1.5) == pytest.approx(se2.compose(np.array([0.1, 0.2, 0.5]), mount))
+    track.add(1.1, 0.1, 0.2, 0.5)
+    assert track.at(1.05) == pytest.approx(se2.compose(np.array([0.1, 0.2, 0.5]), mount))
     assert heard[0] == (1.0, 0.1, 0.2, 0.5)  # what is recorded is what came
     assert track.at(9.0) is None
 

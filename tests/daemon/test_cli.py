@@ -115,7 +115,7 @@ FAULTS = [
     ),
     ("skin", "layout", '"ball"', "skin.layout: 'ball' is no known layout"),
     ("skin", "full_scale_depth_m", "0.004", "skin.full_scale_depth_m: is 0.004, but box"),
-    ("filter", "sampler", '"ddpm-7"', "filter.sampler: box has no 'ddpm-7'; it has "),
+    ("filter", "proposal", '"ddpm-7"', "filter.proposal: box has no 'ddpm-7'; it has auto, "),
     ("publish", "endpoints", '["tcp://0.0.0.0:1"]', "publish.endpoints: 'tcp://0.0.0.0:1' is of"),
     ("control", "endpoint", '"tcp://*:1"', "control.endpoint: 'tcp://*:1' is of TCP"),
     ("relay", "publish", '["tcp://0.0.0.0:1"]', "relay.publish: 'tcp://0.0.0.0:1' is not local"),

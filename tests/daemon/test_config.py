@@ -34,10 +34,6 @@ def test_a_minimal_configuration_has_every_default() -> None:
         ("[loop]\nrate_hz = 0", "loop.rate_hz: must be 1..1000, not 0"),
         ("[loop]\nrate_hz = nan", "loop.rate_hz: must be a number, not nan"),
         ("[loop]\nrate_hz = 1000", "loop.rate_hz: 1000 leaves 1.0 ms a tick, and budget has 7.5"),
-        (
-            "[metrics]\nfile = '/run/skin.prom'",
-            "metrics.file: is gone; run examples/metrics.py, which subscribes",
-        ),
         ("[log]\nlevel = 'loud'", "log.level: must be one of debug, info, warning, error"),
         ("[loop]\nrate_hz = true", "loop.rate_hz: must be a number, not True"),
         ("[filter]\nparticles = 1.5", "filter.particles: must be an integer, not 1.5"),
@@ -90,6 +86,21 @@ def test_each_fault_is_one_line_that_names_its_path(change: str, fault: str) -> 
         parse(text)
     assert any(line.startswith(fault) for line in error.value.faults), error.value.faults
     assert all(line.isprintable() and len(line) < 1100 for line in error.value.faults)
+
+
+GONE = dict(Config.GONE)
+for table, cls in get_type_hints(Config).items():
+    GONE |= {f"{table}.{key}": why for key, why in getattr(cls, "GONE", {}).items()}
+
+
+@pytest.mark.parametrize("name", GONE)
+def test_a_key_that_is_gone_is_refused_with_what_replaces_it(name: str) -> None:
+    table, _, key = name.partition(".")
+    text = MINIMAL.replace(f"[{table}]\n", f"[{table}]\n{key} = 1\n")
+    text += "" if f"[{table}]" in text else f"[{table}]\n{key} = 1\n"
+    with pytest.raises(ConfigError) as error:
+        parse(text)
+    assert error.value.faults == [f"{name}: is gone; {GONE[name]}"]
 
 
 def test_all_faults_are_found_at_once() -> None:

@@ -42,7 +42,7 @@ NONE_AT_ALL = [
 def test_this_machine_takes_no_keys(endpoint: str) -> None:
     assert endpoints.fault(endpoint, has_keys=False) is None
     assert endpoints.is_local(endpoint)
-    assert not takes_keys(endpoint, loopback=False)
+    assert not takes_keys(endpoint)
 
 
 @pytest.mark.parametrize("endpoint", BEYOND)
@@ -51,17 +51,12 @@ def test_what_lies_beyond_is_refused_or_takes_keys(endpoint: str) -> None:
     assert fault is not None
     assert "is not local; use ipc:///path or tcp://127.0.0.1:port, or set curve.dir" in fault
     assert endpoints.fault(endpoint, has_keys=True) is None
-    assert takes_keys(endpoint, loopback=False)
+    assert takes_keys(endpoint)
 
 
 @pytest.mark.parametrize("endpoint", NONE_AT_ALL)
 def test_what_is_no_endpoint_is_refused_with_keys_as_well(endpoint: str) -> None:
     assert endpoints.fault(endpoint, has_keys=True) is not None
-
-
-def test_on_request_tcp_takes_keys_on_this_machine_too() -> None:
-    assert takes_keys("tcp://127.0.0.1:9872", loopback=True)
-    assert not takes_keys("ipc:///run/taxeld/stream", loopback=True)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
+from taxeld.estimator import mixture
 from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.estimate import Estimate, Status
@@ -188,11 +189,8 @@ def test_by_the_papers_rule_nothing_is_remembered(box_model: ObservationModel) -
     assert not hasattr(subject.rule, "memory")
 
 
-@pytest.mark.parametrize(
-    ("decay", "expected"), [(0.5, [50, 25, 12, 6, 3, 2, 1]), (0.0, [50]), (1.0, [50] * 8)]
-)
 def test_by_the_papers_rule_a_contact_asks_for_fewer_samples_than_the_one_before_down_to_none(
-    box_model: ObservationModel, decay: float, expected: list[int]
+    box_model: ObservationModel,
 ) -> None:
     asked = []
 
@@ -201,15 +199,18 @@ def test_by_the_papers_rule_a_contact_asks_for_fewer_samples_than_the_one_before
             asked.append(n)
             return super().propose(z, live, n, rng)
 
-    config = FilterConfig(injection="paper", injected_decay=decay)
+    config = FilterConfig(injection="paper")
     subject = Estimator(box_model, Asked(box_model), config)
     for k in range(8):
         approach(subject, box_model, t=10.0 * k)
-    assert asked == expected
+    assert asked == [50, 25, 12, 6, 3, 2, 1]
 
 
-def test_the_memory_is_bounded(box_model: ObservationModel) -> None:
-    subject = estimator(box_model, memory=3)
+def test_the_memory_is_bounded(
+    box_model: ObservationModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(mixture, "REMEMBERED", 3)
+    subject = estimator(box_model)
     for k in range(6):
         approach(subject, box_model, t=10.0 * k)
     rule = subject.rule
@@ -220,9 +221,10 @@ def test_the_memory_is_bounded(box_model: ObservationModel) -> None:
 
 
 def test_a_long_press_makes_room_for_itself_and_no_other_contact_is_forgotten(
-    box_model: ObservationModel,
+    box_model: ObservationModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    subject = estimator(box_model, memory=4, injected=0)
+    monkeypatch.setattr(mixture, "REMEMBERED", 4)
+    subject = estimator(box_model, injected=0)
     for contact in range(1, 4):
         approach(subject, box_model, t=10.0 * contact)
     numbers = []

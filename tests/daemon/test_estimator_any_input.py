@@ -29,14 +29,11 @@ class AnyInput(RuleBasedStateMachine):
         motion=st.sampled_from(["none", "push"]),
         particles=st.integers(2, 30),
         injected=st.integers(0, 20),
-        memory=st.integers(1, 4),
     )
-    def begin(
-        self, injection: str, motion: str, particles: int, injected: int, memory: int
-    ) -> None:
+    def begin(self, injection: str, motion: str, particles: int, injected: int) -> None:
         config = FilterConfig(
             injection=injection, motion=motion, particles=particles, particles_max=60,
-            injected=injected, memory=memory,
+            injected=injected,
         )  # fmt: skip
         self.subject = Estimator(self.model, Manifold(self.model), config)
         self.t, self.scans = 0.0, 0

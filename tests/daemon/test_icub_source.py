@@ -143,7 +143,7 @@ def test_boards_that_are_not_named_are_found_and_what_is_missing_is_said(
 def test_a_touch_is_felt_by_the_taxel_that_the_layout_names() -> None:
     boards = Boards(*BOARDS)
     bus = BoardsBus(settings("touch"), boards)
-    skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200, baseline_scans=8))
+    skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200), baseline_scans=8)
     for scan in bus.run(3.0):
         skin.on_scan(scan)
     touched = [IDLE] * CHANNELS
@@ -162,7 +162,7 @@ def test_a_taxel_that_fails_does_not_blind_its_triangle() -> None:
     """The board says so of the whole triangle, and marks which it is."""
     boards = Boards(*BOARDS)
     bus = BoardsBus(settings("fails"), boards)
-    skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200, baseline_scans=8))
+    skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200), baseline_scans=8)
     for scan in bus.run(3.0):
         skin.on_scan(scan)
     boards.errors[9] = {0: icub.NO_ACKNOWLEDGE | 1 << 4 + 2}

@@ -6,7 +6,6 @@ import pty
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -104,25 +103,19 @@ def test_a_status_that_flickers_does_not_fill_the_log(
     assert "changes before were not logged)" in lines[-1]
 
 
-def told_of(health: dict[str, Any], wiring: Wiring, seconds: int, told: Notices) -> None:
-    for second in range(seconds):
-        told.inputs(health, {"endpoint": "tcp://robot:1", "topics": []}, wiring, 20.0, second)
-
-
-def health(fault: int = 0, *, match: bool = True) -> dict[str, Any]:
-    figures = {"poses_fault": fault, "poses_offset_s": 4.2, "poses_reach_m": 0.0,
-               "poses_rate_hz": 0.0, "poses_age_s": 0.0}  # fmt: skip
-    return {"t": 1.7e9, "inputs": figures, "modules": {"match": match}}
+def told_of(told: Notices, wiring: Wiring, *, fault: str = "", match: bool = True) -> None:
+    """Eight looks, a second each."""
+    for second in range(8):
+        told.inputs(fault, wiring, match=match, now_s=second)
 
 
 def test_what_is_wrong_with_poses_is_logged_once_and_so_is_its_end(
     logged: Callable[[], list[str]],
 ) -> None:
     told, wiring = notices(), Wiring(layouts.load(SPEC))
-    told_of(health(8), wiring, 5, told)
-    (line,) = logged()
-    assert line.startswith("WARNING: sensor_pose: the robot's clock is 4.2 s behind this machine's")
-    told_of(health(0), wiring, 5, told)
+    told_of(told, wiring, fault="no pose comes")
+    assert logged() == ["WARNING: sensor_pose: no pose comes"]
+    told_of(told, wiring)
     assert logged() == ["INFO: sensor_pose: poses come as they should"]
 
 
@@ -166,7 +159,7 @@ def test_a_hub_that_lacks_modules_of_the_layout_is_logged(
 ) -> None:
     pipeline, _ = hub_of(5)
     logged()
-    told_of(health(match=False), pipeline.skin.wiring, 8, notices())
+    told_of(notices(), pipeline.skin.wiring, match=False)
     assert logged() == [
         "INFO: hub 1 sends: 5 modules, 5 of them in the layout",
         "WARNING: skin.layout: 3 of its 8 modules are on no hub (SUI 6, 7, 8); estimates are not "

@@ -93,7 +93,6 @@ def test_a_daemon_starts_without_a_skin_state_that_is_damaged(
     daemon = Daemon(parse(settings(tmp_path) + f'[skin]\nstate_dir = "{tmp_path}"\n'))
     try:
         daemon.tick(time.monotonic())
-        assert daemon.kept.counters.refused == 1
         (line,) = [line for line in caplog.messages if "skin.json" in line]
         assert line.startswith(f"{state}: not used, it is ")
     finally:
@@ -207,10 +206,9 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
     with zmq.Context() as context, subscribe(context, tmp_path, messages.HEALTH) as socket:
         health = msgpack.unpackb(receive(daemon, socket)[1])
     assert set(health) == {
-        "v", "seq", "t", "uptime_s", "loop", "over_budget", "degraded", "realtime", "source",
-        "skin", "skin_state", "estimator", "inputs", "control", "recording", "subscribers",
-        "hoarders", "keys_refused", "lat_us", "belief", "drift", "dead_taxels", "stuck_taxels",
-        "saturated_taxels", "untared_taxels", "calibration", "modules", "missing_modules", "door",
+        "v", "seq", "t", "uptime_s", "loop", "degraded", "lat_us", "realtime", "source", "skin",
+        "estimator", "inputs", "calibration", "door", "recording", "modules", "missing_modules",
+        "dead_taxels", "stuck_taxels", "saturated_taxels", "untared_taxels",
     }  # fmt: skip
     assert health["source"]["frames"] == 0
 
@@ -300,7 +298,7 @@ def test_a_replay_ends_with_its_last_scan(tmp_path: Path) -> None:
     times = np.arange(items[0].t, items[-1].t - 0.03, 0.01)
     rows = "".join(f"{t:.6f},0.3,0,0\n" for t in times)
     (tmp_path / session.POSES).write_text(f"t,x,y,theta\n{rows}", "ascii")
-    text = "extrapolate_s = 0\nwait_s = 0.5\n"
+    text = "wait_s = 0.5\n"
     config = configuration(tmp_path)
     settings = config.read_text("utf-8")
     assert "[sensor_pose]" not in settings
@@ -332,7 +330,5 @@ def test_a_daemon_ends_in_the_midst_of_a_touch(
     assert daemon.pipeline.is_at_work
     daemon.close()
     monkeypatch.undo()
-    assert daemon.kept.counters.saved >= 1
     again = Daemon(parse(text))
-    assert again.kept.counters.loaded == 1
     again.close()

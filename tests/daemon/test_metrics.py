@@ -46,7 +46,7 @@ def test_health_becomes_a_file_of_metrics_that_goes_when_health_does(
     assert len(found) == text.count("# HELP"), "each name is there once"
     assert found["taxeld_loop_ticks_total"] == ("loop.ticks", "counter", 500.0)
     assert found["taxeld_uptime_seconds"] == ("uptime_s", "gauge", 5.0)
-    assert found["taxeld_lat_source_p50_seconds"] == ("lat_us.source.p50", "gauge", 168e-6)
+    assert found["taxeld_lat_total_p50_seconds"] == ("lat_us.total.p50", "gauge", 613 * 1e-6)
     assert found["taxeld_realtime_locked"] == ("realtime.locked", "gauge", 1.0)
     assert found["taxeld_dead_taxels"] == ("dead_taxels", "gauge", 3.0)
     assert {"taxeld_seq_total", "taxeld_t"}.isdisjoint(found)

@@ -21,6 +21,7 @@ from taxeld.model import se2
 from taxeld.pipeline.freshness import Freshness
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
+from taxeld.pipeline.poses import EXTRAPOLATE_S
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
 from taxeld.source import session
@@ -37,11 +38,12 @@ SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(SPEC)
 CONFIG = (
     '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n[filter]\n'
-    'proposal = "manifold"\n[skin]\nbaseline_scans = 5\n'
+    'proposal = "manifold"\n'
 )
-ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\nextrapolate_s = 0\n'
+ROBOT = '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
 TRUTH = np.array([0.02, -0.03, 0.4])
 HOUR_S = 3600.0
+LEARNED = 24  # scans until the baseline is there, and some more
 START_S = 10_000.0
 
 
@@ -54,15 +56,17 @@ def config_of(text: str = "") -> Config:
     return parse(CONFIG + text)
 
 
-def pipeline_of(box: Bundle, text: str = "") -> Pipeline:
+def pipeline_of(box: Bundle, text: str = "", extrapolate_s: float = 0.0) -> Pipeline:
     config = config_of(text)
-    return Pipeline(config, box.model, box.untimed(config.filter))
+    return Pipeline(config, box.model, box.untimed(config.filter), extrapolate_s=extrapolate_s)
 
 
-def begun(box: Bundle, text: str = ROBOT) -> tuple[Pipeline, SimulatedSkin]:
+def begun(
+    box: Bundle, text: str = ROBOT, extrapolate_s: float = 0.0
+) -> tuple[Pipeline, SimulatedSkin]:
     """A pipeline with a baseline, and the skin that it is of; the sensor at rest."""
-    pipeline, skin = pipeline_of(box, text), SimulatedSkin(SKIN, noise=5.0)
-    for _ in range(8):
+    pipeline, skin = pipeline_of(box, text, extrapolate_s), SimulatedSkin(SKIN, noise=5.0)
+    for _ in range(LEARNED):
         scan = skin.scan()
         pipeline.poses.add(scan.t, 0.3, 0.0, 0.0)
         assert len(list(pipeline.advance([scan], scan.t))) == 1
@@ -84,7 +88,7 @@ def test_a_scan_of_another_time_makes_the_estimate_stale_until_the_next(
     assert refused.estimate.status is Status.STALE
     assert not pipeline.freshness.is_valid(refused.estimate)
     assert getattr(pipeline.inputs, counter) == 1
-    assert pipeline.skin.counters.scans == 8
+    assert pipeline.skin.counters.scans == LEARNED
     scan = skin.scan()
     (taken,) = pipeline.advance([scan], scan.t + 0.49)
     assert taken.estimate.status is Status.SEARCHING
@@ -118,11 +122,8 @@ def test_a_scan_does_not_wait_for_its_pose_for_ever(
     assert pipeline.inputs.scans_without_pose == (status is Status.STALE)
 
 
-MOVING = ROBOT.replace("extrapolate_s = 0", "extrapolate_s = 0.02")
-
-
 def test_a_scan_a_little_after_the_last_pose_is_placed_by_its_speed(box: Bundle) -> None:
-    pipeline, skin = begun(box, MOVING)
+    pipeline, skin = begun(box, ROBOT, EXTRAPOLATE_S)
     scan = skin.scan()
     pipeline.poses.add(scan.t - 0.018, 0.30, 0.0, 3.14)
     pipeline.poses.add(scan.t - 0.008, 0.31, 0.0, -3.13)
@@ -138,7 +139,7 @@ def test_a_scan_a_little_after_the_last_pose_is_placed_by_its_speed(box: Bundle)
     ids=["two of its periods", "as configured", "though a scan's age is no more than poses' limit"],
 )
 def test_farther_from_the_last_pose_it_waits(box: Bundle, before_s: float, last_s: float) -> None:
-    pipeline, skin = begun(box, MOVING)
+    pipeline, skin = begun(box, ROBOT, EXTRAPOLATE_S)
     skin.t += 1.0
     scan = skin.scan()
     pipeline.poses.add(scan.t - before_s - 0.002, 0.30, 0.0, 0.0)
@@ -151,7 +152,7 @@ def test_farther_from_the_last_pose_it_waits(box: Bundle, before_s: float, last_
 
 
 def test_a_pose_that_jumped_is_not_gone_on_from(box: Bundle) -> None:
-    pipeline, skin = begun(box, MOVING)
+    pipeline, skin = begun(box, ROBOT, EXTRAPOLATE_S)
     scan = skin.scan()
     pipeline.poses.add(scan.t - 0.012, 0.30, 0.0, 0.0)
     pipeline.poses.add(scan.t - 0.002, 0.30 + 2.0 * se2.JUMP_M, 0.0, 0.0)

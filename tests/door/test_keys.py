@@ -13,9 +13,9 @@ from zmq.auth import create_certificates, load_certificate
 from taxeld.errors import SetupError
 from taxeld.stream import curve, topics
 
-from ..rig.processes import free_port, program, resident_bytes
+from ..rig.processes import program, resident_bytes
 from . import attacks
-from .stand import Stand, pose, robots_endpoint
+from .stand import ANYWHERE, Stand, pose, robots_endpoint
 
 
 def pair(directory: Path, name: str) -> tuple[bytes, bytes]:
@@ -46,10 +46,9 @@ class Keyed(Stand):
     """A door that takes keys on TCP, and its clients."""
 
     def __init__(self, place: Path, **settings: Any) -> None:
-        self.tcp = f"tcp://127.0.0.1:{free_port()}"
-        self.asked = f"tcp://127.0.0.1:{free_port()}"
+        self.tcp, self.asked = robots_endpoint(ANYWHERE), robots_endpoint(ANYWHERE)
         taken = {"relay_publish": (self.tcp,), "relay_control": self.asked}
-        super().__init__(place, keys=str(place / "keys"), loopback_keys=True, **(taken | settings))
+        super().__init__(place, keys=str(place / "keys"), **(taken | settings))
         self.server = curve.public_key(place / "keys" / "server.key")
 
     def listener(self, *own: bytes, server: bytes = b"", kind: int = zmq.SUB) -> zmq.Socket[Any]:
@@ -111,7 +110,7 @@ def test_a_robots_poses_are_believed_only_from_the_holder_of_its_key(
     keys: Path, tmp_path: Path
 ) -> None:
     assert keys.is_dir()
-    endpoint = robots_endpoint()
+    endpoint = robots_endpoint(ANYWHERE)
     with Keyed(tmp_path, robot=endpoint) as keyed:
 
         def robot(x: float, secret: bytes) -> zmq.Socket[Any]:
@@ -162,8 +161,8 @@ def test_keys_that_cannot_be_used_are_one_line(
     keys: Path, damage: Callable[[Path], object], fault: str
 ) -> None:
     def load() -> None:
-        curve.relay_keys(str(keys), ["tcp://127.0.0.1:9"], loopback=True)
-        curve.robot_keys(str(keys), "tcp://127.0.0.1:8", loopback=True)
+        curve.relay_keys(str(keys), ["tcp://192.0.2.1:9"])
+        curve.robot_keys(str(keys), "tcp://192.0.2.1:8")
 
     damage(keys)
     with pytest.raises(SetupError) as error:
@@ -175,7 +174,7 @@ def test_keys_that_cannot_be_used_are_one_line(
 
 def test_a_secret_that_the_group_may_read_is_fine(keys: Path) -> None:
     (keys / "server.key_secret").chmod(0o640)
-    loaded = curve.relay_keys(str(keys), ["tcp://127.0.0.1:9"], loopback=True)
+    loaded = curve.relay_keys(str(keys), ["tcp://192.0.2.1:9"])
     assert loaded is not None
     assert len(loaded.clients) == 1
 

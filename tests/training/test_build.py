@@ -129,7 +129,7 @@ def test_the_daemon_loads_a_built_bundle_and_samples_from_it(built: Path) -> Non
     z = np.zeros(16)
     z[5] = 0.8
     for sampler in loaded.info["samplers"]:
-        proposal = loaded.proposal("auto", sampler["name"])
+        proposal = loaded.proposal(sampler["name"])
         assert proposal.name == sampler["kind"]
         poses = proposal.propose(z, np.ones(16, dtype=bool), 40, rng)
         assert poses.shape == (40, 3)

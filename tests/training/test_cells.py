@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import FilterConfig
+from taxeld.estimator import mixture
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.rule import noise_of
@@ -175,12 +176,13 @@ def test_cans_that_a_filter_takes_for_boxes_are_flagged_after_eight_contacts() -
 
 
 def test_the_grid_learns_from_the_scans_that_the_estimator_learns_from(
-    ring_model: ObservationModel,
+    ring_model: ObservationModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As they are after what may leak, and what foam may keep, was taken off."""
     trial = Trial(ring_model, 3, 3, TrialConditions(skin="typical"))
     *_, (_, grid) = gridded.after_touches(trial, ring_model)
-    config = FilterConfig(injected=0, memory=99)
+    monkeypatch.setattr(mixture, "REMEMBERED", 99)
+    config = FilterConfig(injected=0)
     estimator = Estimator(ring_model, ANALYTIC["manifold"](ring_model), config)
     for moment in trial:
         estimator.on_scan(moment.activation, moment.sensor)

@@ -31,8 +31,6 @@ CONFIG = f"""\
 [source]
 kind = "can"
 channel = "%s"
-[skin]
-baseline_scans = 10
 [scene]
 bundle = "box"
 [sensor_pose]

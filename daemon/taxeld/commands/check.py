@@ -99,9 +99,9 @@ def _open_bundle(config: Config, skin: Layout) -> None:
 
 
 def _read_keys(config: Config) -> None:
-    keys, relay, loopback = config.curve.directory, config.relay, config.curve.loopback
-    curve.robot_keys(keys, config.sensor_pose.endpoint, loopback)
-    curve.relay_keys(keys, (*relay.publish, relay.control), loopback)
+    keys, relay = config.curve.directory, config.relay
+    curve.robot_keys(keys, config.sensor_pose.endpoint)
+    curve.relay_keys(keys, (*relay.publish, relay.control))
 
 
 def _serve(endpoint: str, key: str) -> None:

@@ -61,11 +61,11 @@ class Recording:
         Raises:
             SetupError: a device or the directory cannot be used.
         """
-        config, moves = self.config, self.config.sensor_pose
+        config = self.config
         with contextlib.ExitStack() as opened:
             door = opened.enter_context(contextlib.closing(Doorkeeper(poses_alone(config))))
             recorder = opened.enter_context(self._recorder)
-            track = PoseTrack(moves.max_age_s, moves.within_m, recorder.pose)
+            track = PoseTrack(recorder.pose)
             link = Link({}, lambda t, x, y, yaw: track.add(t, x, y, yaw, time.time()), {})
             opened.callback(link.detach)
             source = open_source(config.source, layouts.load(config.skin.layout), recorder)

@@ -92,14 +92,19 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
         SetupError: a file named by the configuration cannot be used.
     """
     where = str(directory) if session.has_poses(directory) else ""
-    # all poses are known, so each scan is placed between two and none is extrapolated
-    moves = replace(config.sensor_pose, endpoint=where, extrapolate_s=0.0)
-    config = replace(config, sensor_pose=moves)
+    config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
     skin = layouts.load(config.skin.layout)
     loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
     begun = session.begun(directory) if config.skin.calibration else 0.0
     calibration = calibration_file.load(config.skin, skin, begun, recorded=True)
-    return Pipeline(config, loaded.model, loaded.untimed(config.filter), calibration=calibration)
+    # all poses are known, so each scan is placed between two and none is extrapolated
+    return Pipeline(
+        config,
+        loaded.model,
+        loaded.untimed(config.filter),
+        calibration=calibration,
+        extrapolate_s=0.0,
+    )
 
 
 def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:

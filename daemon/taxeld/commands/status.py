@@ -6,7 +6,6 @@ from typing import Any
 
 from taxeld.estimator.calibration_check import Suspect
 from taxeld.estimator.estimate import ProposalKind, Status
-from taxeld.pipeline import pose_watch
 from taxeld.skin.channels import mismatch
 from taxeld.stream.messages import name_of
 
@@ -45,8 +44,6 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     yield "Rate", f"{rates}, over {up_s:.0f} s"
     own = f"{loop['own_overruns']} of the loop's own work"
     yield "Ticks", f"{loop['ticks']}, {loop['overruns']} overruns, {own}"
-    over = ", ".join(f"{n} {stage}" for stage, n in health["over_budget"].items() if n) or "none"
-    yield "Over budget", over
     yield (
         "Samples",
         ", ".join(f"{n} {step}" for step, n in health["degraded"].items() if n) or "none",
@@ -67,10 +64,8 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     if modules:
         spoken = health["skin"]["scans"] > 0
         yield "Modules", _modules(modules, health["missing_modules"]) if spoken else "no scan yet"
-    for stage, us in health["lat_us"].items():
-        p50, p99, top = (us[key] / 1e3 for key in ("p50", "p99", "max"))
-        figures = f"median {p50:.2f} ms, 99 % {p99:.2f} ms, max {top:.2f} ms"
-        yield f"{stage.capitalize()} time", figures
+    p50, p99, top = (health["lat_us"]["total"][key] / 1e3 for key in ("p50", "p99", "max"))
+    yield "Total time", f"median {p50:.2f} ms, 99 % {p99:.2f} ms, max {top:.2f} ms"
 
 
 def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator[tuple[str, str]]:
@@ -86,17 +81,14 @@ def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator
         return
     used = f"{inputs['poses']} used, {unused}"
     yield "Sensor poses", f"{used}; {inputs['scans_without_pose']} scans without one"
-    if "poses_received" not in inputs:  # the daemon is older than this count
-        return
     link = "connected" if inputs["poses_connected"] else "not connected"
     yield "Pose link", f"{link}{f' to {endpoint}' if endpoint else ''}"
-    if inputs["poses_received"]:
+    if inputs["poses_age_s"] >= 0.0:
         rate, age_s = inputs["poses_rate_hz"], inputs["poses_age_s"]
         late = f"their time {inputs['poses_offset_s']:.3g} s behind this clock"
         yield "Pose timing", f"{rate:.4g} a second, the last {age_s:.3g} s ago, {late}"
-    fault = pose_watch.line(inputs, health["t"], endpoint or "", sensor_pose.get("topics", ()))
-    if fault:
-        yield "Pose fault", fault
+    if sensor_pose.get("fault"):
+        yield "Pose fault", sensor_pose["fault"]
 
 
 def _modules(modules: dict[str, Any], missing: list[int]) -> str:

@@ -116,8 +116,6 @@ def _check_rate(config: Config, faults: list[str]) -> None:
 
 def _check_endpoints(config: Config, faults: list[str]) -> None:
     has_keys = bool(config.curve.directory)
-    if config.curve.loopback and not has_keys:
-        faults.append("curve.directory: is required with curve.loopback")
     for name, used, relay_key in (
         ("publish.endpoints", config.publish.endpoints, "relay.publish"),
         ("control.endpoint", (config.control.endpoint,), "relay.control"),

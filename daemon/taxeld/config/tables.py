@@ -76,18 +76,11 @@ class SkinConfig:
         20000.0, between(1, 65535), "counts over baseline at full_scale_depth_m"
     )
     full_scale_depth_m: float = key(0.005, between(1e-4, 0.05), "depth that reads as 1")
-    baseline_scans: int = key(20, between(2, 10000), "untouched scans that make the baseline")
     threshold_sigmas: float = key(
         6.0, between(1, 100), "idle noise a reading must exceed to be a touch"
     )
-    drift_s: float = key(
-        60.0, between(1, 86_400), "time constant of the baseline's following, out of contact"
-    )
     state_dir: str = key(
         "", doc="where the baseline is kept over restarts; empty: $STATE_DIRECTORY, or nowhere"
-    )
-    state_max_age_s: float = key(
-        43_200.0, between(1, 1e8), "a baseline that was stored longer ago is not used"
     )
     missing_modules: int = key(
         0, between(0, 65535), "modules of the layout that the hubs may lack; with more, not valid"
@@ -95,12 +88,14 @@ class SkinConfig:
     calibration: str = key(
         "", doc="what taxeld calibrate wrote, relative to this file; empty: none is used"
     )
-    calibration_max_age_days: float = key(
-        180.0, between(0.01, 1e5), "an older calibration is refused"
-    )
-    calibration_required: bool = key(
-        True, doc="false: where the calibration cannot be used, run without it"
-    )
+
+    GONE: ClassVar = {
+        "baseline_scans": "20 untouched scans make the baseline",
+        "drift_s": "baselines follow drift within 60 s",
+        "state_max_age_s": "a baseline that was stored more than 12 h ago is not used",
+        "calibration_max_age_days": "a calibration older than 180 days is refused: calibrate again",
+        "calibration_required": "leave skin.calibration empty to run without one",
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,9 +121,8 @@ class SourceConfig:
     modules: tuple[tuple[int, ...], ...] = key(
         (), _modules, "[SUI, mask] of each module in its hub's order, where no DECLARE is heard"
     )
-    max_age_s: float = key(
-        0.5, between(0.01, 60), "a scan that is older when it arrives is not used"
-    )
+
+    GONE: ClassVar = {"max_age_s": "a scan that is older than 0.5 s when it arrives is not used"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,21 +133,18 @@ class SceneConfig:
 @dataclass(frozen=True, slots=True)
 class SensorPoseConfig:
     endpoint: str = key("", doc="SUB endpoint of the robot; empty: the sensor stands still")
-    max_age_s: float = key(0.2, between(0.001, 60), "a scan whose pose is older is not used")
     wait_s: float = key(
         0.02, between(0, 1), "a scan waits so long for a pose that tells where the sensor was"
-    )
-    extrapolate_s: float = key(
-        0.02,
-        between(0, 1),
-        "a scan so long after the last pose is placed by the speed of the last two; 0: it waits",
     )
     sigma_m: float = key(
         0.001, between(0, 0.05), "sd of the sensor's place, the same throughout a touch"
     )
-    within_m: float = key(
-        10.0, between(0.01, 1e6), "a pose whose x or y lies farther from the origin is not taken"
-    )
+
+    GONE: ClassVar = {
+        "max_age_s": "a scan whose pose is older than 0.2 s is not used",
+        "extrapolate_s": "the speed of the last two poses holds for 20 ms",
+        "within_m": "a pose more than 10 m from the origin is not taken: send metres",
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,10 +154,13 @@ class LoopConfig:
         between(1, 1000),
         "1 / rate_hz is the time for a pass, and at most between two while something is under way",
     )
-    stale_s: float = key(0.5, between(0.01, 60), "without a scan for so long, not valid")
     priority: int = key(
         20, between(0, 99), "SCHED_FIFO, and memory locked, where permitted; 0: neither"
     )
+
+    GONE: ClassVar = {
+        "stale_s": "without a scan for 0.5 s, or three periods, an estimate is not valid"
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,33 +188,35 @@ class FilterConfig:
 
     particles: int = key(100, between(2, 100_000), "N, at least")
     particles_max: int = key(400, between(2, 100_000), "N while the belief is wide, at most")
-    kld_error: float = key(0.05, between(0.001, 10), "nats between a wide belief and its particles")
-    kld_confidence: float = key(0.99, between(0.5, 0.999999), "probability of no more than that")
     injected: int = key(50, between(0, 10_000), "S, samples a touch brings")
-    injected_decay: float = key(0.5, between(0, 1), "injection paper: S times this a contact more")
     proposal: str = key(
         "auto",
-        one_of("auto", "density", "ddpm", "table", "manifold", "projection"),
-        "where they come from; auto: the bundle's best that fits the budget",
+        doc="where they come from; auto: the bundle's best that fits the budget",
     )
     injection: str = key(
         "mixture", one_of("mixture", "paper"),
         "how they enter: weighed against all that is remembered, or by Algorithm 1 of the paper",
     )  # fmt: skip
-    project: bool = key(True, doc="bring samples that miss the object onto it by one step")
     motion: str = key(
         "none", one_of("none", "push"), "what the object does: stands still, or gives way to a push"
     )
     nudge_m: float = key(0.001, between(0, 0.05), "sd of what the object gives way at a touch")
-    memory: int = key(16, between(1, 100), "injection mixture: scans of touches remembered")
-    sampler: str = key("", doc="which of the bundle's samplers; empty: as proposal says")
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")
     half_width_m: float = key(0.5, between(0.01, 100), "of that square, world frame")
     # a soft skin's readings differ by this much from expected ones (docs/physics.md)
     noise_sigma: float = key(0.04, between(1e-4, 1), "sd of an activation")
     gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
-    outliers: float = key(0.01, between(0, 0.5), "share of readings that mean nothing")
+
+    GONE: ClassVar = {
+        "kld_error": "particles and particles_max bound the number of particles",
+        "kld_confidence": "particles and particles_max bound the number of particles",
+        "injected_decay": "injection paper halves its samples with each contact, as published",
+        "project": "all samples are brought onto the object",
+        "memory": "16 scans of touches are remembered",
+        "sampler": "name the sampler in filter.proposal",
+        "outliers": "1 % of the readings may mean nothing",
+    }
 
 
 @dataclass(frozen=True, slots=True)
@@ -246,15 +242,15 @@ class RelayConfig:
     publish: tuple[str, ...] = key((), doc="where they are published; [] is nowhere")
     control: str = key("", doc="where status and info are answered; empty: nowhere")
     change: bool = key(False, doc="tare and reset are taken there as well")
-    frames: int = key(
-        3, between(2, 3), "of a message; 2: without its time, for a PlotJuggler that spoils three"
-    )
+
+    GONE: ClassVar = {"frames": "messages have three frames: use a PlotJuggler after 3.17.2"}
 
 
 @dataclass(frozen=True, slots=True)
 class CurveConfig:
     directory: str = key("", doc="keys, without which nothing goes beyond this machine")
-    loopback: bool = key(False, doc="tcp endpoints of this machine take keys as well")
+
+    GONE: ClassVar = {"loopback": "loopback is open to this machine: use a Unix socket there"}
 
 
 @dataclass(frozen=True, slots=True)

@@ -223,32 +223,32 @@ class Door:
         if keys.relay is not None:
             self._admission = Admission(context, keys.relay)
         for endpoint in settings.publish:
-            self._publish(context, settings, endpoint, "publish.endpoints", 3)
+            self._publish(context, settings, endpoint, "publish.endpoints")
         for endpoint in settings.relay_publish:
-            self._publish(context, settings, endpoint, "relay.publish", settings.relay_frames)
+            self._publish(context, settings, endpoint, "relay.publish")
         refused = "" if settings.relay_change else "not over TCP: relay.change is false"
-        self._serve(context, settings, settings.control, "control.endpoint", members)
-        self._serve(context, settings, settings.relay_control, "relay.control", lambda _: refused)
+        self._serve(context, settings.control, "control.endpoint", members)
+        self._serve(context, settings.relay_control, "relay.control", lambda _: refused)
         if settings.robot:
             now_s = time.monotonic()
             self._robot = Robot(context, settings.robot, self._on_poses, keys.robot, now_s)
             self._report.robot = self._robot.line
 
-    def _guard_of(self, endpoint: str, settings: Settings) -> Admission | None:
+    def _guard_of(self, endpoint: str) -> Admission | None:
         """Of an endpoint that takes keys."""
-        return self._admission if curve.takes_keys(endpoint, settings.loopback_keys) else None
+        return self._admission if curve.takes_keys(endpoint) else None
 
     def _publish(
-        self, context: zmq.Context[Any], settings: Settings, endpoint: str, key: str, frames: int
+        self, context: zmq.Context[Any], settings: Settings, endpoint: str, key: str
     ) -> None:
         """Endpoints that are alike share a socket."""
-        guard = self._guard_of(endpoint, settings)
+        guard = self._guard_of(endpoint)
         alike = (key, guard is not None)
         if alike not in self._publishers:
             publisher = open_publisher(context, settings.queue)
             if guard is not None:
                 guard.serve(publisher)
-            made = Streams(publisher, self._report.subscribers, frames)
+            made = Streams(publisher, self._report.subscribers)
             self._publishers[alike] = made
             self._streams.append(made)
         self._publishers[alike].bind(endpoint, key)
@@ -256,13 +256,12 @@ class Door:
     def _serve(
         self,
         context: zmq.Context[Any],
-        settings: Settings,
         endpoint: str,
         key: str,
         may_change: MayChange,
     ) -> None:
         if endpoint:
-            opens = partial(_open_router, context, self._guard_of(endpoint, settings))
+            opens = partial(_open_router, context, self._guard_of(endpoint))
             counters = self._report.control
             self._controls.append(Control(opens, endpoint, key, counters, may_change))
 
@@ -315,10 +314,9 @@ def main() -> None:
 
 def _keys(settings: Settings) -> _Keys:
     """Raises SetupError where a key that is needed cannot be used."""
-    served, loopback = (*settings.relay_publish, settings.relay_control), settings.loopback_keys
+    served = (*settings.relay_publish, settings.relay_control)
     return _Keys(
-        curve.robot_keys(settings.keys, settings.robot, loopback),
-        curve.relay_keys(settings.keys, served, loopback),
+        curve.robot_keys(settings.keys, settings.robot), curve.relay_keys(settings.keys, served)
     )
 
 

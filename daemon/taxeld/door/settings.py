@@ -19,9 +19,7 @@ class Settings:
     relay_publish: tuple[str, ...] = ()  # TCP
     relay_control: str = ""  # TCP; empty: none
     relay_change: bool = False  # tare and reset are taken there
-    relay_frames: int = 3  # of a message over TCP
     keys: str = ""  # directory of CURVE's keys; empty: none
-    loopback_keys: bool = False  # endpoints of this machine take keys as well
 
     @property
     def is_needed(self) -> bool:

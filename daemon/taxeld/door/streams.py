@@ -28,11 +28,10 @@ INFO_S = 0.1  # at least, between two greetings
 class Streams:
     """Endpoints of one kind: all plain, or all with keys, as a socket is either."""
 
-    def __init__(self, socket: zmq.Socket[Any], counters: SubscriberCounters, frames: int) -> None:
-        """`socket`: from `open_publisher`; `frames`: of a message, 2 without its time."""
+    def __init__(self, socket: zmq.Socket[Any], counters: SubscriberCounters) -> None:
+        """`socket`: from `open_publisher`."""
         self.socket = socket
         self._counters = counters
-        self._frames = frames
         self._prefixes: Counter[bytes] = Counter()  # of our topics, by how many connections
         self._asked: dict[int, set[bytes]] = {}  # by connection, as its inode
         self._events: Counter[int] = Counter()  # messages of each connection of late
@@ -71,8 +70,7 @@ class Streams:
 
     def send(self, frames: Iterable[bytes]) -> None:
         """A message: topic, map and time."""
-        parts = list(frames)[: self._frames]
-        self.socket.send_multipart(parts, flags=zmq.NOBLOCK)
+        self.socket.send_multipart(list(frames), flags=zmq.NOBLOCK)
 
     def look(self, connections: Set[int]) -> None:
         """`connections`: the inodes of all that are there now."""

@@ -49,7 +49,7 @@ class Estimator:
         rng = np.random.default_rng(config.seed)
         self.rule = RULES[config.injection](self.model, config, self.robot_m, rng)
         self.rule.counters = self.counters.rule
-        self._sampling = Sampling(self.model, self.proposal, rng, project=config.project)
+        self._sampling = Sampling(self.model, self.proposal, rng)
         self._intake = Intake(self.model, self.counters)
         self._news = News(layout.radius_m)
         self._before: Observation | None = None

@@ -20,8 +20,11 @@ from taxeld.model.observation import Observation, ObservationModel
 
 ROOM = 3.0  # half-widths of the table around the last touch: the whole table, and more
 MOVES = 2  # Metropolis steps a contact
+REMEMBERED = 16  # scans of touches remembered at most
 SILENT_MAX = 32  # silent scans remembered at most
 TELLING = 1.0  # nats of range over the particles; a less telling silent scan is not remembered
+KLD_ERROR = 0.05  # nats between a wide belief and its particles, with a probability of
+KLD_CONFIDENCE = 0.99
 SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # candidate factors on the configured slack
 SLACK_FROM = 3  # contacts: fewer agree with any slack
 SLACK_PARTICLES = 32  # particles that estimate the evidence of a slack
@@ -278,8 +281,8 @@ class Mixture:
         drawn = pf.resample(belief, config.particles, self._rng)
         wanted = pf.enough(
             pf.occupied(drawn.pose, pf.CELL * [self._scale, self._scale, 1.0]),
-            config.kld_error,
-            config.kld_confidence,
+            KLD_ERROR,
+            KLD_CONFIDENCE,
         )
         return min(max(wanted, config.particles), config.particles_max)
 
@@ -339,7 +342,7 @@ class Mixture:
         kept = np.ones(len(memory), dtype=np.bool_)
         touched, silent = np.flatnonzero(memory.contact), np.flatnonzero(memory.silent)
         kept[silent[: max(len(silent) - SILENT_MAX, 0)]] = False
-        for _ in range(len(touched) - self._config.memory):
+        for _ in range(len(touched) - REMEMBERED):
             touched = touched[kept[touched]]
             _, which, count = np.unique(
                 memory.number[touched], return_inverse=True, return_counts=True

@@ -14,6 +14,8 @@ from taxeld.estimator.push import assumed, push
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
+INJECTED_DECAY = 0.5  # samples of a contact, of those of the contact before
+
 
 class Paper:
     """Algorithm 1: samples take the mean weight, and nothing is remembered but the newest scan."""
@@ -89,5 +91,5 @@ class Paper:
         """Number of samples. It falls with each contact to nothing: the paper's algorithm sets no
         lower limit, so a belief that settled wrongly stays wrong."""
         config = self._config
-        share = config.injected_decay ** max(contacts - 1, 0)
+        share = INJECTED_DECAY ** max(contacts - 1, 0)
         return min(round(share * config.injected), len(self.belief))

@@ -57,7 +57,7 @@ def drawn(draw: Draw, observation: Observation, n: int) -> Poses:
 
 
 def noise_of(config: FilterConfig) -> Noise:
-    return Noise(config.noise_sigma, config.gain_cv, config.outliers)
+    return Noise(config.noise_sigma, config.gain_cv)
 
 
 def anew(config: FilterConfig, rng: np.random.Generator) -> Belief:

@@ -16,17 +16,10 @@ class Sampling:
     """A proposal as the `draw` of `estimator.rule`."""
 
     def __init__(
-        self,
-        model: ObservationModel,
-        proposal: Proposal,
-        rng: np.random.Generator,
-        *,
-        project: bool,
+        self, model: ObservationModel, proposal: Proposal, rng: np.random.Generator
     ) -> None:
-        """`project`: bring samples that miss the object onto it by one step."""
         self.kind = ProposalKind.NONE  # kind of the last samples
         self._model, self._proposal, self._rng = model, proposal, rng
-        self._project = project
 
     def __call__(self, observation: Observation, n: int) -> Poses:
         """At most n poses (≤ n, 3) in the world that explain an observation by itself."""
@@ -34,7 +27,6 @@ class Sampling:
         poses = poses[np.isfinite(poses).all(axis=1)]
         if not len(poses):
             return poses
-        if self._project:
-            poses = injection.project(self._model, poses)
+        poses = injection.project(self._model, poses)  # those that miss the object, by one step
         self.kind = ProposalKind[self._proposal.name.upper()]
         return se2.compose(observation.sensor, poses)

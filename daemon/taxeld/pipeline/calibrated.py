@@ -1,6 +1,6 @@
 """A configuration with a calibration's values, and the report on that calibration."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 from taxeld.config.tables import Config, FilterConfig
@@ -29,6 +29,9 @@ def told(calibration: Calibration | None, doubt: CalibrationDoubt, now: float) -
     return {
         "used": calibration is not None,
         "age_s": 0.0 if calibration is None else calibration.age_days(now) * DAY_S,
-        **asdict(doubt),
         "suspect": int(doubt.suspect),
+        "scale": doubt.scale,
+        "mount_x_m": doubt.mount_x_m,
+        "mount_y_m": doubt.mount_y_m,
+        "mount_yaw_rad": doubt.mount_yaw_rad,
     }

@@ -18,7 +18,7 @@ from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.freshness import Freshness
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
-from taxeld.pipeline.poses import OnPose, PoseTrack, StandingStill
+from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
 from taxeld.pipeline.work import Work, estimator_of
 from taxeld.proposals.ladder import Ladder
 from taxeld.skin.calibration import Calibration
@@ -27,8 +27,9 @@ from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
 
 FUTURE_S = 0.1  # a scan stamped farther in the future was stamped wrongly
+SCAN_AGE_S = 0.5  # a scan that is older when it arrives is not used
 WAITING_MAX = 64  # scans that may wait; beyond, the oldest are dropped
-SILENT_PERIODS = 3.0  # scan periods after which a hub without a scan is silent
+SILENT_PERIODS = 3.0  # scan periods after which a hub without a scan is silent, and a skin stale
 PART_KEPT = 0.95  # decay of the longest part's time, with each touch
 SCAN_SHARE = 0.8  # share of the time until the next scan that work on one scan may take
 
@@ -47,26 +48,24 @@ class Pipeline:
         ladder: Ladder,
         on_pose: OnPose | None = None,
         calibration: Calibration | None = None,
+        extrapolate_s: float = EXTRAPOLATE_S,
     ) -> None:
         """`on_pose` is called with every accepted sensor pose (t, x, y, θ), as the robot sends it.
-        `calibration`: of the skin and its mount on the robot."""
+        `calibration`: of the skin and its mount on the robot. `extrapolate_s`: as of PoseTrack."""
         config = calibrated(config, calibration)
         self.config = config
         self.calibration = calibration
         self.ladder = ladder
         period_s = config.source.period_ms / 1000.0
-        silent_s = max(config.source.max_age_s, SILENT_PERIODS * period_s)
+        silent_s = max(SCAN_AGE_S, SILENT_PERIODS * period_s)
         self.skin = Skin(model.layout, config.skin, silent_s, calibration)
         self.poses: PoseTrack | StandingStill = StandingStill()
         if config.sensor_pose.endpoint:
-            moves = config.sensor_pose
             mount = None if calibration is None else calibration.mount
-            self.poses = PoseTrack(
-                moves.max_age_s, moves.within_m, on_pose, mount, moves.extrapolate_s
-            )
+            self.poses = PoseTrack(on_pose, mount, extrapolate_s)
         self.estimator = estimator_of(model, ladder, config)
         square = config.filter.half_width_m + _reach_m(model)
-        self.freshness = Freshness(config.loop.stale_s, config.filter.centre_m, square)
+        self.freshness = Freshness(silent_s, config.filter.centre_m, square)
         self.estimate = self.freshness.judged(self.estimator.estimate)
         self.inputs = InputCounters()
         self.ends_ns = math.inf  # end of the time for a call, on the ladder's clock [ns]
@@ -89,7 +88,7 @@ class Pipeline:
         by, self._is_put_off = self._stepped_s, False
         for scan in scans:
             age = now - scan.t
-            if -FUTURE_S <= age <= self.config.source.max_age_s:
+            if -FUTURE_S <= age <= SCAN_AGE_S:
                 self._waiting.append((now - by, later(scan, -by)))
                 self.inputs.scans_waited += not self.poses.reaches(scan.t)
             else:
@@ -97,7 +96,6 @@ class Pipeline:
         while self._work or (self._waiting and self._is_due(*self._waiting[0], now - by)):
             yield from self._next()
             if self._work or self._is_late():
-                self.inputs.scans_put_off += len(self._waiting)
                 self._is_put_off = bool(self._waiting)
                 break
         while len(self._waiting) > WAITING_MAX:
@@ -146,16 +144,20 @@ class Pipeline:
             "poses_rejected": self.poses.rejected,
             "poses_far": self.poses.far,
             "poses_from_the_future": self.poses.from_the_future,
-            "poses_begun_again": self.poses.begun_again,
         }
 
     def health(self) -> dict[str, Any]:
         """Counters of the stages since start, and the taxels that cannot be believed."""
+        counted = self.estimator.counters
         return {
-            "skin": self.skin.counters,
-            "estimator": self.estimator.counters,
-            "belief": self.estimator.figures(),
-            "drift": self.skin.figures(),
+            "skin": {**asdict(self.skin.counters), "lowered": self.skin.lowered},
+            "estimator": {
+                "scans": counted.scans,
+                "updates": counted.updates,
+                "stuck": counted.stuck,
+                "jumps": counted.jumps,
+                "forgotten": counted.rule.forgotten,
+            },
             "modules": {
                 "layout": self.skin.modules,
                 "foreign": len(self.skin.wiring.foreign),

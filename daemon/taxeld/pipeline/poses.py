@@ -12,6 +12,9 @@ from taxeld.arrays import Poses
 from taxeld.model import se2
 
 KEPT = 512  # poses: five seconds at 100 Hz
+AGE_S = 0.2  # a pose that is older does not place a scan
+EXTRAPOLATE_S = 0.02  # of a live robot, whose next pose may be on its way
+FAR_M = 10.0  # a pose whose |x| or |y| is larger is in a wrong unit
 FUTURE_S = 0.1  # a pose stamped farther in the future was stamped wrongly
 REACH_PERIODS = 2.0  # pose periods after the last pose for which its motion is taken to go on
 BACK_MAX = 10  # ordered poses in a row before the last one: the robot's clock was set back
@@ -24,26 +27,20 @@ class PoseTrack:
 
     def __init__(
         self,
-        max_age_s: float,
-        within_m: float = math.inf,
         on_pose: OnPose | None = None,
         mount: Poses | None = None,
         extrapolate_s: float = 0.0,
     ) -> None:
-        """`within_m`: limit of |x| and |y|. `extrapolate_s`: longest time after the last pose for
-        which the motion of the last two is taken to go on. `on_pose` is called with every accepted
-        pose (t, x, y, θ), as it came. `mount` (3,): the sensor's frame in the frame of the
-        poses."""
+        """`on_pose` is called with every accepted pose (t, x, y, θ), as it came. `mount` (3,): the
+        sensor's frame in the frame of the poses. `extrapolate_s`: longest time
+        after the last pose for which the motion of the last two is taken to go on."""
         self._mount = mount
-        self.max_age_s = max_age_s
-        self._within_m = within_m
-        self._extrapolate_s = extrapolate_s
+        self.extrapolate_s = extrapolate_s
         self._on_pose = on_pose
         self.taken = 0
         self.rejected = 0  # not finite, not later than the one before, far, or in the future
-        self.far = 0  # beyond `within_m`
+        self.far = 0  # beyond FAR_M
         self.from_the_future = 0
-        self.begun_again = 0  # times the robot's clock was seen to be set back
         self._back, self._back_t = 0, np.inf  # poses in a row that went back, and the last time
         self._t: deque[float] = deque(maxlen=KEPT)
         self._pose: deque[tuple[float, float, float]] = deque(maxlen=KEPT)
@@ -75,7 +72,7 @@ class PoseTrack:
         if t > now + FUTURE_S:  # it would keep out all poses before its time
             self.from_the_future += 1
             return False
-        if max(abs(x), abs(y)) > self._within_m:
+        if max(abs(x), abs(y)) > FAR_M:
             self.far += 1
             return False
         return t > self.latest_t or self._is_set_back(t)
@@ -91,7 +88,6 @@ class PoseTrack:
         self._back_t = t
         if self._back < BACK_MAX:
             return False
-        self.begun_again += 1
         self.clear()
         return True
 
@@ -111,17 +107,17 @@ class PoseTrack:
         if i == len(self._t):
             if self._goes_on(t):
                 return self._between(i - 2, t)
-            return before if t - t_before <= self.max_age_s else None
-        if self._t[i] - t_before > self.max_age_s:
-            return before if t - t_before <= self.max_age_s else None
+            return before if t - t_before <= AGE_S else None
+        if self._t[i] - t_before > AGE_S:
+            return before if t - t_before <= AGE_S else None
         return self._between(i - 1, t)
 
     def _goes_on(self, t: float) -> bool:
         """Whether the last two poses tell the pose at the later time t."""
-        if len(self._t) < 2 or not self._extrapolate_s:
+        if len(self._t) < 2 or not self.extrapolate_s:
             return False
         ahead_s, period_s = t - self._t[-1], self._t[-1] - self._t[-2]
-        return 0.0 < ahead_s <= min(self._extrapolate_s, REACH_PERIODS * period_s, self.max_age_s)
+        return 0.0 < ahead_s <= min(self.extrapolate_s, REACH_PERIODS * period_s, AGE_S)
 
     def _between(self, i: int, t: float) -> Poses:
         """The pose (3,) on the line through two poses, or beyond the second."""
@@ -137,8 +133,7 @@ class PoseTrack:
 class StandingStill:
     """A sensor without a robot: always at the origin."""
 
-    max_age_s = np.inf
-    taken = rejected = far = from_the_future = begun_again = 0
+    taken = rejected = far = from_the_future = 0
     latest_t = np.inf
 
     def add(self, t: float, x: float, y: float, theta: float, now: float = math.inf) -> None:

@@ -29,28 +29,25 @@ class Bundle:
     files: dict[str, bytes]  # name → content of each file beside bundle.json
     model: ObservationModel
 
-    def resolve(self, name: str, sampler: str = "") -> str:
-        """The analytic proposal or the sampler named by the configuration.
+    def resolve(self, name: str) -> str:
+        """The analytic proposal or the sampler that `filter.proposal` names.
 
-        An analytic proposal is named by itself, a `sampler` by its own name. A kind of sampler
-        (`density`, `ddpm`) is the bundle's first of that kind, and `auto` the bundle's first
-        choice, whatever it costs on this machine.
+        A kind of sampler (`density`, `ddpm`) is the bundle's first of that kind, and `auto` the
+        bundle's first choice, whatever it costs on this machine.
 
         Raises:
             SetupError: the bundle has none of that name.
         """
         samplers = self._samplers()
-        if sampler and sampler not in samplers:
-            known = ", ".join(samplers) or "none"
-            raise SetupError(f"filter.sampler: {self.path.name} has no '{sampler}'; it has {known}")
-        if name in ANALYTIC or sampler:
-            return name if name in ANALYTIC else sampler
+        if name in ANALYTIC or name in samplers:
+            return name
         if name == "auto":
             return self.order[0]
         for entry in samplers.values():
             if entry.kind == name:
                 return entry.name
-        raise SetupError(f"filter.proposal: {self.path.name} holds no {name} sampler; use auto")
+        known = ", ".join(dict.fromkeys(["auto", *ANALYTIC, *samplers]))
+        raise SetupError(f"filter.proposal: {self.path.name} has no '{name}'; it has {known}")
 
     @property
     def order(self) -> list[str]:
@@ -95,13 +92,13 @@ class Bundle:
         path = self.path / entry.file
         return Sampler(self.files[entry.file], self.model.layout, entry.kind, path)
 
-    def proposal(self, name: str, sampler: str = "") -> Proposal:
-        """The proposal named by the configuration, by the rules of `resolve`."""
-        return self.open(self.resolve(name, sampler))
+    def proposal(self, name: str) -> Proposal:
+        """The proposal that `filter.proposal` names, by the rules of `resolve`."""
+        return self.open(self.resolve(name))
 
     def untimed(self, config: FilterConfig) -> Ladder:
         """The configured proposal alone, without a clock: the same samples on any machine."""
-        return Ladder([Rung(Step.CHOSEN, self.proposal(config.proposal, config.sampler))])
+        return Ladder([Rung(Step.CHOSEN, self.proposal(config.proposal))])
 
     def _samplers(self) -> dict[str, SamplerEntry]:
         return {sampler.name: sampler for sampler in self.manifest.samplers}

@@ -14,6 +14,7 @@ from taxeld.proposals.analytic import Table
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.ladder import ClockNs, Cost, Ladder, Rung, Step
 
+AUTO = "auto"
 TIMED_CALLS = 5  # calls whose median is the cost of a proposal
 SHARES = (0.5, 0.25)  # shares of the samples, if the cheapest sampler is too slow for all
 
@@ -39,8 +40,8 @@ def open_all(bundle: Bundle, config: FilterConfig) -> Opened:
     Raises:
         SetupError: the bundle has none of the configured name, or one cannot be used.
     """
-    chosen = bundle.resolve(config.proposal, config.sampler)
-    names = bundle.choices if _is_auto(config) else [chosen, *bundle.cheaper(chosen)]
+    chosen = bundle.resolve(config.proposal)
+    names = bundle.choices if config.proposal == AUTO else [chosen, *bundle.cheaper(chosen)]
     return {name: bundle.open(name) for name in dict.fromkeys([*names, Table.name])}
 
 
@@ -50,8 +51,8 @@ def choose(bundle: Bundle, opened: Opened, config: FilterConfig, budget_ms: floa
     `auto` is the first of the bundle's choices whose CPU time for the samples of a touch is at most
     `budget_ms`, or the cheapest where none is.
     """
-    if not _is_auto(config):
-        return bundle.resolve(config.proposal, config.sampler)
+    if config.proposal != AUTO:
+        return bundle.resolve(config.proposal)
     timed: list[tuple[float, str]] = []
     for name in bundle.choices:
         ms = cpu_ms(opened[name], bundle.model, config.injected)
@@ -93,7 +94,3 @@ def cpu_ms(proposal: Proposal, model: ObservationModel, samples: int) -> float:
         proposal.propose(z, live, samples, rng)
         spent.append((time.thread_time_ns() - start) / 1e6)
     return float(np.median(spent[1:]))
-
-
-def _is_auto(config: FilterConfig) -> bool:
-    return config.proposal == "auto" and not config.sampler

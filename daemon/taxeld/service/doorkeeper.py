@@ -166,9 +166,7 @@ def settings_of(config: Config, robot: str) -> Settings:
         relay_publish=config.relay.publish,
         relay_control=config.relay.control,
         relay_change=config.relay.change,
-        relay_frames=config.relay.frames,
         keys=config.curve.directory,
-        loopback_keys=config.curve.loopback,
     )
 
 
@@ -181,7 +179,6 @@ def poses_alone(config: Config) -> Settings:
         robot=config.sensor_pose.endpoint,
         queue=QUEUE_LEAST,
         keys=config.curve.directory,
-        loopback_keys=config.curve.loopback,
     )
 
 

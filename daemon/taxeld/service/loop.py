@@ -99,8 +99,7 @@ class Daemon:
         self.latencies = Latencies(messages.STAGES)
         self.clock = WallClock()
         place, pipeline = state_file.directory(config), self.pipeline
-        max_age_s = config.skin.state_max_age_s
-        self.kept = StateFile(place, pipeline.skin, pipeline.skin_state, max_age_s)
+        self.kept = StateFile(place, pipeline.skin, pipeline.skin_state)
         self.kept.restore(time.time())
         self._budget_us = {s: 1e3 * getattr(config.budget, f"{s}_ms") for s in STAGES}
         self.over_budget = dict.fromkeys(STAGES, 0)
@@ -246,7 +245,7 @@ class Daemon:
     def _on_pose(self, t: float, x: float, y: float, theta: float) -> None:
         now = time.time()
         self.pipeline.poses.add(t, x, y, theta, now)
-        self._watch.add(t, x, y, now)
+        self._watch.add(t, now)
 
     def close(self) -> None:
         """Stop the skin and free everything that is open."""
@@ -334,9 +333,8 @@ class Daemon:
             self._next_health_s = now_s + HEALTH_S
             self._health_sent = health.of(self, self._seq, now_s, wall_s)
             self.link.send(messages.HEALTH, self._health_sent, wall_s)
-            scans_hz = 1000.0 / self.config.source.period_ms
-            wiring = self.pipeline.skin.wiring
-            self._notices.inputs(self._health_sent, self._sensor_pose(), wiring, scans_hz, now_s)
+            fault, match = self._watch.fault, self.pipeline.freshness.is_whole
+            self._notices.inputs(fault, self.pipeline.skin.wiring, match=match, now_s=now_s)
             self.link.tell({"waits_for": self.source.waits_for, "sensor_pose": self._sensor_pose()})
 
     def _estimate(self, now_s: float) -> Estimate:
@@ -363,7 +361,8 @@ class Daemon:
 
     def _sensor_pose(self) -> dict[str, Any]:
         topics = self.link.report.robot.topics
-        return {"endpoint": self.config.sensor_pose.endpoint, "topics": topics}
+        endpoint = self.config.sensor_pose.endpoint
+        return {"endpoint": endpoint, "topics": topics, "fault": self._watch.fault}
 
     def pose_figures(self, t: float) -> PoseFigures:
         """Figures of the robot's poses at the Unix time t; to be called once a second."""
@@ -371,11 +370,9 @@ class Daemon:
             return PoseFigures()
         line = self.link.report.robot
         return self._watch.look(
-            t, line.malformed, connected=line.connected, refused=line.refused,
-            topics=len(line.topics),
-        )  # fmt: skip
+            t, line.malformed, line.topics, connected=line.connected, refused=line.refused
+        )
 
 
 def _watch_of(config: Config) -> PoseWatch:
-    place, period_s = config.filter, config.source.period_ms / 1000.0
-    return PoseWatch(place.centre_m, place.half_width_m, period_s)
+    return PoseWatch(config.sensor_pose.endpoint, config.source.period_ms / 1000.0)

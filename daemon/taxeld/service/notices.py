@@ -11,7 +11,6 @@ from typing import Any
 
 from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Estimate, Status
-from taxeld.pipeline import pose_watch
 from taxeld.skin.channels import Wiring, mismatch
 
 GRAVE = (Status.STALE, Status.BLIND, Status.INCONSISTENT)
@@ -47,7 +46,7 @@ class Notices:
     def __init__(self, bundle: Path, proposal: str) -> None:
         self._samples = f"{proposal or 'no samples'} of {bundle}"
         self._status: tuple[Status, bool] | None = None  # the last status, and whether valid
-        self._poses_fault = 0  # the last fault
+        self._poses_fault = ""  # the last fault
         self._modules = ""  # the last line on missing modules
         self._hubs: dict[int, list[int]] = {}
         self._looks = 0  # since another module came
@@ -85,24 +84,12 @@ class Notices:
         line += f" ({left_out} changes before were not logged)" if left_out else ""
         log.log(logging.WARNING if status in GRAVE else logging.INFO, "status: %s", line)
 
-    def inputs(
-        self,
-        health: Mapping[str, Any],
-        sensor_pose: Mapping[str, Any],
-        wiring: Wiring,
-        scans_hz: float,
-        now_s: float,
-    ) -> None:
-        """Log what has changed of the modules that the hubs have, and of the robot's poses."""
-        self._look_at_modules(wiring, health["modules"]["match"], now_s)
-        poses = health["inputs"]
-        if poses["poses_fault"] != self._poses_fault:
-            self._poses_fault = poses["poses_fault"]
-            endpoint, topics = sensor_pose["endpoint"], sensor_pose["topics"]
-            line = pose_watch.line(poses, health["t"], endpoint, topics, scans_hz)
-            self._say("sensor_pose", line, "poses come as they should", now_s)
-
-    def _look_at_modules(self, wiring: Wiring, match: bool, now_s: float) -> None:
+    def inputs(self, poses_fault: str, wiring: Wiring, *, match: bool, now_s: float) -> None:
+        """Log what has changed of the robot's poses, and of the modules that the hubs have;
+        `match`: whether these suffice."""
+        if poses_fault != self._poses_fault:
+            self._poses_fault = poses_fault
+            self._say("sensor_pose", poses_fault, "poses come as they should", now_s)
         for hub, suis in wiring.hubs.items():
             if self._hubs.get(hub) != suis:
                 self._looks, self._hubs[hub] = 0, suis

@@ -1,23 +1,21 @@
 """Signals: each is noted when it comes, and acted upon between two passes of the loop.
 
-TERM, INT and QUIT end the daemon, HUP reads the configuration anew, and USR1 logs what the daemon
-knows. USR1 also logs at once where each thread is, which shows where a loop hangs. XCPU comes to a
-real-time thread that does not pause (`LimitRTTIME=`), and ABRT from a watchdog that waits in vain:
-both say where the process is, and end it. USR2, which is soon typed for USR1, and ALRM are ignored.
-All others do as ever.
+TERM, INT and QUIT end the daemon, HUP reads the configuration anew, USR1 logs what the daemon
+knows, and XCPU (`LimitRTTIME=`) and ABRT (a watchdog) say where the code is and end it.
 
-All handlers are Python's own, which run between two of its steps. `faulthandler.register` and
-`enable` are not used: they look at stacks that may be half made, and give all handlers a small
-stack of their own, which a few signals at once overflow; either ends the process.
+All handlers are Python's own, which run between two of its steps. `faulthandler` looks at stacks
+that may be half made, and gives all handlers a small stack, which a few signals at once overflow.
 """
 
 import contextlib
-import faulthandler
 import json
 import logging
 import os
 import select
 import signal
+import sys
+import threading
+import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import FrameType
@@ -29,7 +27,7 @@ from taxeld.config.toml_tables import ConfigError
 from taxeld.service import log as service_log
 
 STOP = (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT)
-END_S = 1.0  # that standard error may take for the last lines
+END_S = 1.0  # time that standard error may take for the last lines
 
 log = logging.getLogger(__name__)
 
@@ -44,7 +42,7 @@ class Signals:
     def __enter__(self) -> Self:
         self._handle(self._note, signal.SIGHUP, signal.SIGUSR1)
         self._handle(_end, signal.SIGXCPU, signal.SIGABRT)
-        self._handle(signal.SIG_IGN, signal.SIGUSR2, signal.SIGALRM)
+        self._handle(signal.SIG_IGN, signal.SIGUSR2, signal.SIGALRM)  # they would end the daemon
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -65,11 +63,10 @@ class Signals:
             self._before[number] = signal.signal(number, handler)
 
     def _note(self, number: int, _: FrameType | None) -> None:
-        if number in self._noted:
-            return
-        self._noted.append(number)
-        if number == signal.SIGUSR1:
-            log.warning("%s", _stacks(all_threads=True).rstrip())
+        if number not in self._noted:
+            self._noted.append(number)
+            if number == signal.SIGUSR1:  # at once: it shows where a loop hangs
+                log.warning("%s", _stacks())
 
 
 def reload(path: Path, config: Config, level: str | None = None) -> None:
@@ -82,11 +79,8 @@ def reload(path: Path, config: Config, level: str | None = None) -> None:
         return
     level = level or new.log.level
     service_log.set_level(level)
-    others = [
-        name
-        for name in Config.__dataclass_fields__
-        if name != "log" and getattr(new, name) != getattr(config, name)
-    ]
+    names = (name for name in Config.__dataclass_fields__ if name != "log")
+    others = [name for name in names if getattr(new, name) != getattr(config, name)]
     rest = f"; a restart is needed for what changed in {', '.join(others)}" if others else ""
     log.warning("%s: read again, log.level is %s%s", path, level, rest)
 
@@ -97,9 +91,9 @@ def dump(state: Mapping[str, object]) -> None:
         log.warning("%s: %s", name, json.dumps(part, default=str))
 
 
-def _end(number: int, _: FrameType | None) -> None:
+def _end(number: int, frame: FrameType | None) -> None:
     """Say where the process is, if standard error takes it, and have it end by the signal."""
-    text = _stacks(all_threads=False).encode()[: select.PIPE_BUF]
+    text = "".join(traceback.format_stack(frame)).encode()[-select.PIPE_BUF :]
     with contextlib.suppress(OSError):
         if select.select([], [service_log.STDERR], [], END_S)[1]:
             os.write(service_log.STDERR, text)
@@ -107,12 +101,10 @@ def _end(number: int, _: FrameType | None) -> None:
     signal.raise_signal(number)
 
 
-def _stacks(*, all_threads: bool) -> str:
-    """Where this thread is, or all are. It goes by way of memory: nothing waits for a reader."""
-    try:
-        with os.fdopen(os.memfd_create("stacks"), "w+b") as file:
-            faulthandler.dump_traceback(file, all_threads=all_threads)
-            file.seek(0)
-            return file.read().decode("utf-8", "replace").strip() + "\n"
-    except OSError as error:  # no descriptor is left
-        return f"the stacks cannot be shown ({error.strerror})\n"
+def _stacks() -> str:
+    """Where all threads are."""
+    names = {thread.ident: thread.name for thread in threading.enumerate()}
+    return "\n".join(
+        f"thread {names.get(ident, ident)}:\n{''.join(traceback.format_stack(frame)).rstrip()}"
+        for ident, frame in sys._current_frames().items()
+    )

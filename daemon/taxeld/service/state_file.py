@@ -1,41 +1,82 @@
-"""The file that a skin's state is kept in: read at the start, written seldom, by its own thread.
+"""The file that a skin's state is kept in: JSON of less than 50 kB, read at the start, written
+seldom, by its own thread.
 
 It is written beside, synced and then renamed, so that a power cut leaves the old one or the new
-one, whole; the directory is not synced, as an older baseline is no loss. Whatever is wrong with
-the disk or the file is counted, warned of once, and costs a fresh capture at most.
+one, whole. A fault of the disk or the file is warned of once, and costs a fresh capture at most.
 """
 
+import json
 import logging
+import math
 import os
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from queue import SimpleQueue
+from typing import Any
 
+import numpy as np
+
+from taxeld.arrays import Floats
 from taxeld.config.file import opened
 from taxeld.config.tables import Config
-from taxeld.service import state_format
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
 
 NAME = "skin.json"
-EVERY_S = 300.0  # out of contact
+VERSION = 1
+EVERY_S = 300.0  # between two writings out of contact
+MAX_AGE_S = 43_200.0  # a state that was stored longer ago is not used
 FUTURE_S = 3600.0  # a state from farther ahead was stored by a wrong clock, or is read by one
-CLOSE_S = 2.0  # that the last writing may take
-MAX_BYTES = 1_000_000  # ten times what the largest skin takes
+CLOSE_S = 2.0  # time that the last writing may take
+MAX_BYTES = 1_000_000  # ten times the file of the largest skin
+COUNT_MAX = 0xFFFF
+ARRAYS = {  # digits, least, most, whether nan is allowed (null in the file)
+    "baseline": (2, 0.0, COUNT_MAX, True),
+    "noise": (2, 0.0, COUNT_MAX, False),
+    "coefficient": (5, -100.0, 100.0, False),
+    "leak": (5, 0.0, 1.0, False),
+    "t0": (2, -COUNT_MAX, COUNT_MAX, True),
+}
+OF_TAXELS = ("baseline", "noise")  # the others are of modules
 
 log = logging.getLogger(__name__)
 
 
-@dataclass(slots=True)
-class StateCounters:
-    """Since start."""
+def dump(state: SkinState) -> bytes:
+    """As JSON, in one line."""
+    data: dict[str, Any] = {"version": VERSION, "t": round(state.t, 3), "digest": state.digest}
+    for name, (digits, *_) in ARRAYS.items():
+        values = np.round(getattr(state, name), digits).tolist()
+        data[name] = [None if math.isnan(value) else value for value in values]
+    return json.dumps(data, separators=(",", ":"), allow_nan=False).encode()
 
-    loaded: int = 0
-    refused: int = 0  # files that could not be used
-    saved: int = 0
-    failed: int = 0  # files that could not be written
+
+def parse(text: bytes, digest: str, taxels: int, modules: int) -> SkinState:
+    """The state of the skin `digest` from the bytes of `dump`.
+
+    Raises:
+        ValueError: it is damaged, or of another skin.
+    """
+    try:
+        data = json.loads(text)
+        if (data["version"], data["digest"]) == (VERSION, digest):
+            sizes = {name: taxels if name in OF_TAXELS else modules for name in ARRAYS}
+            arrays = {name: _array(data[name], name, size) for name, size in sizes.items()}
+            return SkinState(t=float(data["t"]), digest=digest, **arrays)
+    except (ValueError, TypeError, LookupError, OverflowError, RecursionError):
+        raise ValueError("it is damaged") from None
+    raise ValueError("it is of another skin or version")
+
+
+def _array(values: Any, name: str, size: int) -> Floats:
+    """The numbers (size,) of a list; null is nan."""
+    _, low, high, gaps = ARRAYS[name]
+    found = np.array(values, dtype=np.float64)
+    fine = ((found >= low) & (found <= high)) | (np.isnan(found) & gaps)
+    if found.shape != (size,) or not fine.all():
+        raise ValueError(name)
+    return found
 
 
 def directory(config: Config) -> Path | None:
@@ -50,40 +91,36 @@ class StateFile:
     """Keeps the state of one skin, if there is a directory to keep it in."""
 
     def __init__(
-        self,
-        place: Path | None,
-        skin: Skin,
-        state: Callable[[], SkinState | None],
-        max_age_s: float,
+        self, place: Path | None, skin: Skin, state: Callable[[], SkinState | None]
     ) -> None:
         """`state`: what the skin has learned so far, of Unix time."""
-        self.counters = StateCounters()
         self._path = place / NAME if place else None
         self._skin = skin
         self._state = state
-        self._max_age_s = max_age_s
         self._captures = skin.captures
         self._next_s = -1.0
+        self._failed = False
         self._waiting: SimpleQueue[SkinState | None] = SimpleQueue()  # None: no more will come
         # a disk that hangs must not keep the daemon from ending
-        self._thread = threading.Thread(
-            target=self._run, args=(self._path,), name="skin state", daemon=True
-        )
+        self._thread = threading.Thread(target=self._run, name="skin state", daemon=True)
 
     def restore(self, now: float) -> None:
         """Give the skin what is stored; `now` is Unix time."""
         if self._path is None:
             return
         try:
-            state = self._load(self._path, now)
+            with opened(self._path, MAX_BYTES) as file:
+                text = file.read(MAX_BYTES)
+            skin = self._skin
+            state = parse(text, skin.digest, len(skin.layout), skin.modules)
+            if not -FUTURE_S <= now - state.t <= MAX_AGE_S:
+                raise ValueError(f"it is {(now - state.t) / 3600.0:.1f} h old")
         except FileNotFoundError:
             return
         except (OSError, ValueError) as error:
-            self.counters.refused += 1
             reason = error.strerror if isinstance(error, OSError) else error
             log.warning("%s: not used, %s; the idle baseline is learned again", self._path, reason)
             return
-        self.counters.loaded += 1
         self._skin.restore(state)
 
     def keep(self, now_s: float) -> None:
@@ -98,26 +135,11 @@ class StateFile:
 
     def close(self) -> None:
         """Write the last state, unless the disk does not take it in time."""
-        if self._path is None:
-            return
-        self._offer(self._state())
-        self._path = None
+        if self._path is not None:
+            self._offer(self._state())
         if self._thread.is_alive():
             self._waiting.put(None)
             self._thread.join(CLOSE_S)
-
-    def _load(self, path: Path, now: float) -> SkinState:
-        """Raises OSError and ValueError, with what is wrong."""
-        with opened(path, MAX_BYTES) as file:
-            text = file.read(MAX_BYTES)
-        skin = self._skin
-        state = state_format.parse(text, skin.digest, len(skin.layout), skin.modules)
-        age = now - state.t
-        if age > self._max_age_s:
-            raise ValueError(f"it is {age / 3600.0:.1f} h old")
-        if age < -FUTURE_S:
-            raise ValueError("it is from the future")
-        return state
 
     def _offer(self, state: SkinState | None) -> None:
         if state is not None:
@@ -125,16 +147,14 @@ class StateFile:
             if self._thread.ident is None:  # it has not been started
                 self._thread.start()
 
-    def _run(self, path: Path) -> None:
-        while (state := self._waiting.get()) is not None:
+    def _run(self) -> None:
+        while self._path and (state := self._waiting.get()) is not None:
             try:
-                _write(path, state_format.dump(state))
+                _write(self._path, dump(state))
             except OSError as error:
-                self.counters.failed += 1
-                if self.counters.failed == 1:
-                    log.warning("%s: not written (%s)", path, error.strerror)
-            else:
-                self.counters.saved += 1
+                if not self._failed:
+                    log.warning("%s: not written (%s)", self._path, error.strerror)
+                self._failed = True
 
 
 def _write(path: Path, content: bytes) -> None:
@@ -142,11 +162,8 @@ def _write(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     beside = path.with_suffix(".new")
     beside.unlink(missing_ok=True)
-    try:
-        with beside.open("xb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
+    with beside.open("xb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)

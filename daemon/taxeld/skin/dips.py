@@ -20,7 +20,6 @@ class Dips:
 
     def __init__(self, taxels: int) -> None:
         self.lowered = 0  # baselines lowered, since start
-        self.raised = 0  # lowered baselines that were raised again after a dip
         self._below = np.zeros(taxels, dtype=np.int64)  # (M,) slices in a row below the threshold
         self._by = np.zeros(taxels)  # (M,) amount by which each was lowered [counts]
         self._group = np.zeros(taxels, dtype=np.int64)  # (M,) number of the group lowered together
@@ -58,6 +57,5 @@ class Dips:
             if self._back[group] >= BACK_SLICES:
                 risen[those] = self._by[those]
                 self._by[those] = 0.0
-                self.raised += int(those.sum())
                 del self._back[group]
         return risen

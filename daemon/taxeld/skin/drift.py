@@ -14,6 +14,7 @@ from taxeld.skin.channels import Wiring
 from taxeld.skin.dips import Dips
 from taxeld.skin.temperature import Temperature
 
+DRIFT_S = 60.0  # time constant at which the baselines of free taxels follow
 SLICE_S = 1.0
 GAP_S = 5.0  # a longer pause between two scans begins a new slice
 NEAR_M = 0.025  # a press changes its neighbours' readings, also below their thresholds
@@ -78,25 +79,18 @@ class Slice:
 class Drift:
     """The baselines of M taxels on K modules, and everything that moves them."""
 
-    def __init__(self, layout: Layout, wiring: Wiring, full_scale: float, drift_s: float) -> None:
-        """`drift_s`: time constant at which baselines follow."""
+    def __init__(self, layout: Layout, wiring: Wiring, full_scale: float) -> None:
         taxels = len(layout)
         self.baseline: Floats = np.zeros(taxels)
         self.temperature = Temperature(len(wiring.suis), full_scale)
         self.dips = Dips(taxels)
         self._module = wiring.module
         self._modules = len(wiring.suis)
-        self._drift_s = drift_s
         self._rate_max = RATE_MAX * full_scale
         self._zero = np.zeros(taxels)  # (M,) baseline from which drift is counted
         self._busy_until = np.full(taxels, -np.inf)
         x, y, z = (axis[:, None] - axis for axis in layout.position_m.T.astype(np.float32))
         self._near: Bools = x * x + y * y + z * z <= NEAR_M**2
-
-    @property
-    def followed(self) -> Floats:
-        """(M,) motion of the baseline since it was captured [counts]."""
-        return self.baseline - self._zero
 
     def take(self, taxels: Index, counts: Floats) -> None:
         """Set new baselines (n,) of taxels (n,) [counts]."""
@@ -130,7 +124,7 @@ class Drift:
         free = usable & ~self.busy(part.start)
         self._learn_temperature(part.mean, free, usable)
         seconds = part.end - part.start
-        share, most = -np.expm1(-seconds / self._drift_s), self._rate_max * seconds
+        share, most = -np.expm1(-seconds / DRIFT_S), self._rate_max * seconds
         self.baseline[free] += np.clip(share * over[free], -most, most)
         self._correct(part.mean, free & (over < -threshold), usable, threshold)
         return free & (np.abs(over) <= threshold)

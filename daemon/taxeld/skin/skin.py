@@ -26,20 +26,17 @@ from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
 
 INVALID_FROM = 43_000  # public tools treat counts of 0 and from here on as invalid
+BASELINE_SCANS = 20  # untouched scans that make a baseline
 SILENT_S = 0.5  # time for which the readings of a hub's last scan hold
 
 
 @dataclass(slots=True)
 class SkinCounters:
-    """Counters since start; channels are counted once a scan."""
+    """Counters of scans, since start."""
 
     scans: int = 0
-    invalid_counts: int = 0
     unmapped: int = 0  # scans whose module table names no taxel of the layout
     learning: int = 0  # scans before any taxel had a baseline
-    hubs_silent: int = 0  # times that a hub sent no scan for too long while others did
-    states_believed: int = 0  # stored baselines that the first scans confirmed
-    states_refused: int = 0  # stored baselines that the first scans refuted
 
 
 class Reading(NamedTuple):
@@ -67,9 +64,11 @@ class Skin:
         config: SkinConfig,
         silent_s: float = SILENT_S,
         calibration: Calibration | None = None,
+        baseline_scans: int = BASELINE_SCANS,
     ) -> None:
         """`silent_s`: time for which a hub's readings hold without a new scan. `calibration`
-        replaces the configured full scale."""
+        replaces the configured full scale. `baseline_scans`: untouched scans that make a
+        baseline."""
         taxels = len(layout)
         self.layout = layout
         self.config = config
@@ -81,6 +80,7 @@ class Skin:
         self.threshold: Floats = np.zeros(taxels)
         self.over: Floats = np.zeros(taxels)  # (M,) counts over baseline of the last activation
         self._silent_s = silent_s
+        self._baseline_scans = baseline_scans
         self._scale = Scale.used(config.full_scale_counts, calibration)
         self._floor = FLOOR * self._scale.full_scale_counts
         self.wiring = Wiring(layout)
@@ -94,17 +94,16 @@ class Skin:
         self._state: SkinState | None = None  # stored, and not confirmed for `_pending` taxels
         self._pending = np.zeros(taxels, dtype=bool)
         self._slice = Slice(taxels, len(self.wiring.suis))
-        self._drift = Drift(layout, self.wiring, self._scale.full_scale_counts, config.drift_s)
+        self._drift = Drift(layout, self.wiring, self._scale.full_scale_counts)
         self._rest = Rest(taxels, calibration)
         self._residue = Residue(taxels)
         self._marks: Marks | None = None  # marks without presses, at the current thresholds
         self.tare()
 
     def tare(self) -> None:
-        """Forget the baseline; the next `baseline_scans` untouched scans make a new one."""
-        config = self.config
+        """Forget the baseline; the next untouched scans make a new one."""
         self._idle = Idle(
-            len(self.layout), config.baseline_scans, self._scale.full_scale_counts, self._floor
+            len(self.layout), self._baseline_scans, self._scale.full_scale_counts, self._floor
         )
         self._state = None
         self._slice.begin(-np.inf)
@@ -200,18 +199,10 @@ class Skin:
             "missing_modules": list(self.wiring.lacking),
         }
 
-    def figures(self) -> dict[str, float]:
-        """Figures of the idle capture and of drift."""
-        drift, temperature = self._drift, self._drift.temperature
-        return {
-            "begun_again": self._idle.begun_again,
-            "max_counts": float(np.abs(drift.followed).max()),
-            "lowered": drift.dips.lowered,
-            "raised": drift.dips.raised,
-            "t0_modules": int(np.count_nonzero(temperature.coefficient)),
-            "t0_coefficient_max": float(np.abs(temperature.coefficient).max()),
-            "t0_steps": temperature.steps,
-        }
+    @property
+    def lowered(self) -> int:
+        """Baselines that were above the readings of a free taxel and were lowered, since start."""
+        return self._drift.dips.lowered
 
     def _read(self, counts: tuple[int, ...], wired: Wired) -> Reading:
         """A hub's channels as readings of taxels and temperatures."""
@@ -222,7 +213,6 @@ class Skin:
         found, t0 = channels[wired.channels], channels[wired.t0_channels]
         valid, t0_valid = (found > 0) & (found < INVALID_FROM), (t0 > 0) & (t0 < INVALID_FROM)
         self._saturated[wired.places] = found >= INVALID_FROM
-        self.counters.invalid_counts += int(len(found) - valid.sum())
         return Reading(np.where(valid, found, 0.0), valid, np.where(t0_valid, t0, 0.0), t0_valid)
 
     def _age(self, hub: int, t: float, taxels: Index | slice) -> None:
@@ -233,7 +223,6 @@ class Skin:
             if self._t - last > self._silent_s:
                 self._counts[silent] = 0.0
                 del self._last_scans[other]
-                self.counters.hubs_silent += 1
 
     def _judge(self, state: SkinState, wired: Wired, counts: Floats, t0: Floats) -> None:
         """Use or refuse the stored state of a hub's taxels, by its first scan."""
@@ -251,13 +240,11 @@ class Skin:
         warmer[wired.t0_modules] = t0 - (state.leak * press + state.t0)[wired.t0_modules]
         moved = (state.coefficient * np.nan_to_num(warmer))[module]
         if not skin_state.is_confirmed(over - moved, threshold, answered):
-            self.counters.states_refused += 1
             self._state = None
             return
         self._idle.known[taxels[asked]] = True
         self._know(taxels[asked], (state.baseline[taxels] + moved)[asked], noise[asked])
         if not self._pending.any():
-            self.counters.states_believed += 1
             self._state = None
 
     def _capture(self, taxels: Index, counts: Floats) -> None:
@@ -270,7 +257,7 @@ class Skin:
         """Set the baselines and noise (n,) of taxels (n,) [counts]."""
         self.captures += 1
         self._drift.take(taxels, baseline)
-        self._rest.take(taxels, noise, self.config.baseline_scans)
+        self._rest.take(taxels, noise, self._baseline_scans)
         self.threshold[taxels] = self._threshold(self._rest.noise[taxels])
         self._marks = None
         self._usable = self._idle.known & ~self._rest.frozen

@@ -24,7 +24,6 @@ class Temperature:
     def __init__(self, modules: int, full_scale: float) -> None:
         self.coefficient: Floats = np.zeros(modules)
         self.leak: Floats = np.zeros(modules)
-        self.steps = 0  # jumps since start that were not taken for a temperature
         self._moves = (MOVES * full_scale) ** 2
         self._press_min = PRESS * full_scale
         self._step_max = STEP * full_scale
@@ -60,7 +59,6 @@ class Temperature:
         self._learn_leak(by, pressed)
         moved = np.nan_to_num(by - self.leak * pressed)
         stepped = np.abs(moved) > self._step_max
-        self.steps += int(stepped.sum())
         moved[stepped] = 0.0
         self._t0 = np.where(known, t0, self._t0)
         self._press = np.where(known, press, self._press)

@@ -39,12 +39,12 @@ class RelayKeys:
     clients: frozenset[bytes]
 
 
-def takes_keys(endpoint: str, loopback: bool) -> bool:
-    """Whether an endpoint takes keys where there are any; `loopback`: those of this machine do."""
-    return endpoint.startswith(endpoints.TCP) and (loopback or not endpoints.is_local(endpoint))
+def takes_keys(endpoint: str) -> bool:
+    """Whether an endpoint takes keys where there are any: those beyond this machine do."""
+    return endpoint.startswith(endpoints.TCP) and not endpoints.is_local(endpoint)
 
 
-def robot_keys(directory: str, endpoint: str, loopback: bool) -> RobotKeys | None:
+def robot_keys(directory: str, endpoint: str) -> RobotKeys | None:
     """The keys for the robot's poses; None where they come plainly. `directory` is empty where no
     keys are used.
 
@@ -52,19 +52,19 @@ def robot_keys(directory: str, endpoint: str, loopback: bool) -> RobotKeys | Non
         SetupError: a key is missing, damaged or open to others.
     """
     own = _own(directory)
-    if own is None or not takes_keys(endpoint, loopback):
+    if own is None or not takes_keys(endpoint):
         return None
     return RobotKeys(*own, public_key(Path(directory) / ROBOT))
 
 
-def relay_keys(directory: str, served: Iterable[str], loopback: bool) -> RelayKeys | None:
+def relay_keys(directory: str, served: Iterable[str]) -> RelayKeys | None:
     """The keys for the endpoints that are served over TCP; None where all of them are plain.
 
     Raises:
         SetupError: a key is missing, damaged or open to others.
     """
     own = _own(directory)
-    if own is None or not any(takes_keys(endpoint, loopback) for endpoint in served):
+    if own is None or not any(takes_keys(endpoint) for endpoint in served):
         return None
     place = Path(directory) / CLIENTS
     clients = [public_key(path) for path in sorted(place.glob("*.key"))]

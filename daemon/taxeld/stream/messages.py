@@ -15,7 +15,6 @@ from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.scene import Scene
-from taxeld.pipeline.pose_watch import PoseFault
 from taxeld.proposals.ladder import Step
 from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, PARTICLES, SENSOR_POSE, TAXELS, TOPICS
 
@@ -103,7 +102,6 @@ def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str)
         "status": {str(int(s)): s.name.lower() for s in Status},
         "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
         "degraded": {str(int(s)): s.name.lower() for s in Step},
-        "poses_fault": {str(int(f)): f.name.lower() for f in PoseFault},
         "layout": {
             "name": layout.name,
             "digest": layout.digest,

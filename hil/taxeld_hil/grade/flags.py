@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
-from taxeld.config.tables import LoopConfig, SensorPoseConfig
+from taxeld.config.tables import SensorPoseConfig
+from taxeld.pipeline import pipeline, poses
 from taxeld_hil.scenario.scenario import Fault
 
 HEALTH_S = 1.5  # /taxeld/health comes once a second
-STALE_S = LoopConfig().stale_s + 0.15  # the threshold, a scan's period and a tick
-POSE_STALE_S = SensorPoseConfig().max_age_s + SensorPoseConfig().wait_s + 0.15
+STALE_S = pipeline.SCAN_AGE_S + 0.15  # with a scan's period, and a tick
+POSE_STALE_S = poses.AGE_S + SensorPoseConfig().wait_s + 0.15
 STUCK_S = 12.5  # 200 scans without a count of change, a slice of a second, and a health message
 JUMP_S = 4.0  # found when the sensor moves on, or by readings under the baseline
 
@@ -80,7 +81,7 @@ def _flag(fault: Fault, transport: str) -> Flag | None:
         case "saturated":
             return Flag(HEALTH_S, taxels="saturated_taxels")
         case "baseline_jump":
-            counters = ("estimator.stuck", "drift.lowered")
+            counters = ("estimator.stuck", "skin.lowered")
             return Flag(JUMP_S, counters, status=("INCONSISTENT",))
         case "reboot" | "unplugged":
             return Flag(STALE_S, status=("STALE",))

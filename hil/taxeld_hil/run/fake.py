@@ -3,7 +3,6 @@
 Its process, its sockets and the kernel's devices are not part of it: a run in real time has them.
 """
 
-from dataclasses import asdict
 from typing import Any
 
 from taxeld.config.tables import Config, SourceConfig
@@ -67,7 +66,7 @@ class FakeDaemon:
         parts = {
             "uptime_s": t - self._start_s,
             "loop": {"scans": self.scans},
-            "source": {**self.source.wire.stats(), **asdict(self.source.counters)},
+            "source": self.source.wire.stats(),
             "inputs": {**self.pipeline.input_counts(), "poses_malformed": 0},
             **self.pipeline.health(),
         }

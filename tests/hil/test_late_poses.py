@@ -1,0 +1,62 @@
+"""A robot whose poses are a period late: its scans are placed by the speed of the last two, nearer
+than the robot's own error, and the object is found."""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taxeld.arrays import Poses
+from taxeld.config.tables import SensorPoseConfig
+from taxeld.pipeline.poses import EXTRAPOLATE_S
+from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.scenario import scenario
+
+DEMO = replace(scenario.load("demo"), contacts=4)
+SEEDS = (0, 1)
+
+
+def run(seed: int, extrapolate_s: float) -> tuple[float, float, int]:
+    """→ the final error [mm], the most that a touch's place was off [mm], and the scans that
+    waited."""
+    ran = FakeRun(DEMO, seed)
+    assert ran.daemon is not None
+    pipeline, take = ran.daemon.pipeline, ran.daemon.pose
+    track, at = pipeline.poses, pipeline.poses.at
+    track.extrapolate_s = extrapolate_s  # type: ignore[union-attr]
+    told: list[tuple[float, ...]] = []
+    placed: list[tuple[float, Poses]] = []
+    on_the_way: deque[tuple[float, float, float, float]] = deque()
+
+    def pose(t: float, x: float, y: float, theta: float) -> None:
+        told.append((t, x, y, theta))
+        on_the_way.append((t, x, y, theta))
+        if len(on_the_way) > 1:
+            take(*on_the_way.popleft())
+
+    def placing(t: float) -> Poses | None:
+        found = at(t)
+        if found is not None and pipeline.skin.touched:
+            placed.append((t, found))
+        return found
+
+    ran.daemon.pose = pose  # type: ignore[method-assign]
+    track.at = placing  # type: ignore[method-assign]
+    ends = ran.run()
+    t, x, y, _ = np.array(told).T
+    when = [at_s for at_s, _ in placed]
+    where = np.array([sensor[:2] for _, sensor in placed])
+    off = where - np.column_stack([np.interp(when, t, x), np.interp(when, t, y)])
+    return ends[-1].error_mm, 1e3 * float(np.hypot(*off.T).max()), pipeline.inputs.scans_waited
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_scans_after_the_last_pose_are_placed_within_what_the_robot_errs(seed: int) -> None:
+    waited_mm, exact_mm, waited = run(seed, 0.0)
+    placed_mm, off_mm, not_waited = run(seed, EXTRAPOLATE_S)
+    assert waited > 100
+    assert not_waited < 0.1 * waited
+    assert exact_mm < 1e-6
+    assert off_mm < 0.5 * 1e3 * SensorPoseConfig().sigma_m
+    assert max(waited_mm, placed_mm) < DEMO.expect.error_mm
