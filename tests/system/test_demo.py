@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from ..rig.processes import replayed
+
 SCENARIO = 'bundle = "box"\ncontacts = 2\n'
 
 
@@ -24,11 +26,6 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return place / "s", done.stdout
 
 
-def replay(session: Path, *more: str) -> bytes:
-    command = [sys.executable, "-m", "taxeld.cli", "replay", str(session), *more]
-    return subprocess.run(command, capture_output=True, timeout=120, check=True).stdout
-
-
 def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path, str]) -> None:
     lines = ran[1].splitlines()
     assert [line.split()[0] for line in lines[2:4]] == ["1", "2"]
@@ -39,9 +36,9 @@ def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path
 
 
 def test_a_replay_gives_the_same_bytes_twice(ran: tuple[Path, str]) -> None:
-    first = replay(ran[0])
-    assert first == replay(ran[0])
-    assert first != replay(ran[0], "--seed", "77")
+    first = replayed(ran[0])
+    assert first == replayed(ran[0])
+    assert first != replayed(ran[0], "--seed", "77")
     estimates = [json.loads(line) for line in first.splitlines()]
     assert estimates[-1]["contacts"] == 2
     assert [e["seq"] for e in estimates] == list(range(len(estimates)))
