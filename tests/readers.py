@@ -14,6 +14,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
+from logging.handlers import BufferingHandler
 from pathlib import Path
 
 import numpy as np
@@ -66,14 +67,13 @@ class Reader:
 
 
 @cache
+def _kept() -> tempfile.TemporaryDirectory[str]:
+    return tempfile.TemporaryDirectory(prefix="readers-")
+
+
 def place() -> Path:
     """Where files are put that have to have a path."""
-    made = tempfile.TemporaryDirectory(prefix="readers-")
-    _KEPT.append(made)
-    return Path(made.name)
-
-
-_KEPT: list[tempfile.TemporaryDirectory[str]] = []
+    return Path(_kept().name)
 
 
 @cache
@@ -84,31 +84,21 @@ def loaded() -> Bundle:
 
 def used_or_refused(use: Callable[[], object]) -> None:
     """It ends, and what a user sees of it is one line."""
-    said, printed, logged = [""], io.StringIO(), _Logged()
-    logging.getLogger("taxeld").addHandler(logged)
+    said, printed, log = [""], io.StringIO(), BufferingHandler(1000)
+    logging.getLogger("taxeld").addHandler(log)
     with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
         try:
             use()
         except SetupError as error:
             said = getattr(error, "faults", [str(error)])
         finally:
-            logging.getLogger("taxeld").removeHandler(logged)
-    for line in (*said, *logged.lines):
+            logging.getLogger("taxeld").removeHandler(log)
+    logged = [record.getMessage() for record in log.buffer]
+    for line in (*said, *logged):
         assert line.isprintable(), repr(line)
         assert len(line) <= MOST
-    assert len(logged.lines) <= 1
+    assert len(logged) <= 1
     assert printed.getvalue() == ""
-
-
-class _Logged(logging.Handler):
-    """Lines in the log, which is not printed meanwhile."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.lines: list[str] = []
-
-    def emit(self, record: logging.LogRecord) -> None:
-        self.lines.append(record.getMessage())
 
 
 def scene_used(scene: Scene) -> None:
@@ -149,22 +139,12 @@ def _in_session(name: str) -> Use:
     """A recorded session of which one file is another."""
 
     def use(content: bytes) -> None:
-        kind = "frames" if name == session.FRAMES else "serial"
-        directory = place() / f"session of {kind}"
-        if not directory.exists():
-            shutil.copytree(RECORDED, directory)
-            if kind == "frames":
-                (directory / session.SERIAL).unlink()
-        whole = directory / name
-        before = whole.read_bytes() if whole.exists() else None
-        whole.write_bytes(content)
-        try:
-            session.read(directory)
-        finally:
-            if before is None:
-                whole.unlink()
-            else:
-                whole.write_bytes(before)
+        directory = place() / f"session of {name}"
+        shutil.copytree(RECORDED, directory, dirs_exist_ok=True)
+        if name == session.FRAMES:
+            (directory / session.SERIAL).unlink()
+        (directory / name).write_bytes(content)
+        session.read(directory)
 
     return use
 

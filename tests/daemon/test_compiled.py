@@ -1,9 +1,6 @@
 """The C code explains what numpy explains."""
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,6 +19,7 @@ from taxeld.model import contacts
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
 
+from ..rig.processes import replayed
 from ..rig.scenes import box, scene_of
 
 SESSION = Path(__file__).parent / "session"
@@ -184,13 +182,10 @@ def test_a_session_ends_at_the_same_pose_with_and_without_c(tmp_path: Path) -> N
     config = tmp_path / "config.toml"
     text = (SESSION / "config.toml").read_text(encoding="utf-8")
     config.write_text(f'{text}proposal = "table"\n', encoding="utf-8")
-    command = [sys.executable, "-m", "taxeld.cli", "replay", str(SESSION), "--config", str(config)]
     last = []
     for switch in ("0", "1"):
-        done = subprocess.run(
-            command, capture_output=True, check=True, env=os.environ | {native.SWITCH: switch}
-        )
-        last.append(json.loads(done.stdout.splitlines()[-1]))
+        printed = replayed(SESSION, "--config", config, env={native.SWITCH: switch})
+        last.append(json.loads(printed.splitlines()[-1]))
     assert last[0]["status"] == last[1]["status"]
     poses = [[end["map"][axis] for axis in ("x", "y", "theta")] for end in last]
     assert np.allclose(*poses, atol=[0.002, 0.002, 0.02])

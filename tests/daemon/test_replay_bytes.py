@@ -6,14 +6,13 @@ here and says so.
 """
 
 import hashlib
-import os
 import platform
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+
+from ..rig.processes import replayed
 
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug, over a native serial line
 FIXED = {
@@ -48,7 +47,6 @@ def test_a_recorded_session_gives_the_bytes_it_gave_before(
     text = (SESSION / "config.toml").read_text(encoding="utf-8")
     config = tmp_path / "config.toml"
     config.write_text(f"{text}{filter_keys}\n", encoding="utf-8")
-    command = [sys.executable, "-m", "taxeld.cli", "replay", str(SESSION), "--config", str(config)]
-    done = subprocess.run(command, capture_output=True, check=True, env=os.environ | FIXED)
-    assert done.stdout.count(b"\n") == 254
-    assert hashlib.sha256(done.stdout).hexdigest()[:16] == digest
+    printed = replayed(SESSION, "--config", config, env=FIXED)
+    assert printed.count(b"\n") == 254
+    assert hashlib.sha256(printed).hexdigest()[:16] == digest

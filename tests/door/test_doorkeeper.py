@@ -15,7 +15,7 @@ from taxeld.door.settings import OOM_SCORE, Settings
 from taxeld.errors import SetupError
 from taxeld.service import doorkeeper
 from taxeld.service.doorkeeper import Doorkeeper
-from taxeld.stream import pair
+from taxeld.stream import link, pair
 
 from ..rig.clocks import until
 from ..rig.processes import free_port, python
@@ -39,7 +39,10 @@ def test_a_killed_door_is_back_and_subscribers_come_back_by_themselves(
     assert "door: ended by SIGKILL; it is started again" in caplog.messages
 
 
-def test_a_door_that_hangs_is_ended_and_replaced(tmp_path: Path) -> None:
+def test_a_door_that_hangs_is_ended_and_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(link, "SILENT_S", 2.0)  # a door speaks each second
     with Stand(tmp_path) as stand:
         before = stand.pid
         os.kill(before, signal.SIGSTOP)

@@ -26,11 +26,6 @@ def served(place: Path) -> dict[str, Table]:
     return {"publish": {"endpoints": [stream]}, "control": {"endpoint": control}}
 
 
-def silent() -> dict[str, Table]:
-    """The tables of a daemon that serves nobody."""
-    return {"publish": {"endpoints": []}, "control": {"endpoint": ""}}
-
-
 def config(**tables: Table) -> Config:
     """A configuration of a box, and a CAN bus where `source` is not given."""
     whole = {"source": {"kind": "can", "channel": "can0"}, "scene": {"bundle": "box"}} | tables

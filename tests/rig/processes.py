@@ -17,6 +17,13 @@ def taxeld(*arguments: object, **how: Any) -> "subprocess.Popen[str]":
     return subprocess.Popen([*TAXELD, *map(str, arguments)], text=True, **how)
 
 
+def replayed(session: Path, *options: object, env: Mapping[str, str] | None = None) -> bytes:
+    """What `taxeld replay` prints of a session; `env`: more of the environment."""
+    command = [*TAXELD, "replay", str(session), *map(str, options)]
+    environment = os.environ | (env or {})
+    return subprocess.run(command, capture_output=True, check=True, env=environment).stdout
+
+
 def python(
     code: str, *arguments: object, check: bool = True, env: Mapping[str, str] | None = None
 ) -> "subprocess.CompletedProcess[str]":
