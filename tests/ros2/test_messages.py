@@ -58,17 +58,6 @@ def test_fields_that_are_left_out_are_zero_or_empty() -> None:
     assert made.texture.header.stamp.sec == 0
 
 
-def test_the_covariance_stands_where_ros_has_x_y_and_yaw(estimate: dict[str, Any]) -> None:
-    values = ros.pose_with_covariance(estimate, "table", 0.3)
-    made = dds.message("geometry_msgs/PoseWithCovarianceStamped", values)
-    found = np.array(made.pose.covariance).reshape(6, 6)
-    assert np.array_equal(found[np.ix_([0, 1, 5], [0, 1, 5])], np.array(estimate["cov"]))
-    assert np.count_nonzero(found) == 9
-    at, turn = made.pose.pose.position, made.pose.pose.orientation
-    assert (at.x, at.y, at.z) == (estimate["mean"]["x"], estimate["mean"]["y"], 0.3)
-    assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(estimate["mean"]["theta"])
-
-
 def test_a_mode_is_drawn_where_it_is_as_strongly_as_it_weighs_if_it_is_valid(
     estimate: dict[str, Any],
 ) -> None:
