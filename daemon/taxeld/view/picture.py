@@ -45,6 +45,7 @@ class Picture:
     def __init__(self, stage: Stage, stream: rr.RecordingStream) -> None:
         self._stage, self._stream = stage, stream
         self._status: int | None = None
+        self._text = ""  # the words on the last estimate
         self._felt: object = None  # the activations that were drawn last
         self._is_placed = False
         self._slices = slices_of(stage)
@@ -129,7 +130,9 @@ class Picture:
         rows = [f"**{name}** {text}" for name, text in estimate_rows(e)]
         rows += [] if error_mm is None else [f"**Error (ADD)** {error_mm:.1f} mm"]
         text = "\n\n".join(rows)
-        self._stream.log("status/now", rr.TextDocument.from_fields(text=text))
+        if text != self._text:
+            self._text = text
+            self._stream.log("status/now", rr.TextDocument.from_fields(text=text))
         if e["status"] != self._status:
             self._status = e["status"]
             line = f"{messages.name_of(Status, e['status'])}, contacts {e['contacts']}"
