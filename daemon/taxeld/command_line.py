@@ -21,7 +21,7 @@ FAILED, USAGE_ERROR = 1, 2
 STDERR = 2  # the last standard stream's number
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 EXTRAS = {  # extra of pyproject.toml → modules that only it installs
-    "view": ("matplotlib", "rich", "rerun"),
+    "view": ("contourpy", "matplotlib", "rich", "rerun"),
     "calibrate": ("scipy", "matplotlib"),
     "export": ("mcap_ros2",),
     "train": (
@@ -90,6 +90,14 @@ def add_endpoint(made: argparse.ArgumentParser, about: str) -> None:
 def add_keys(made: argparse.ArgumentParser) -> None:
     about = "with server.key and client.key_secret"
     made.add_argument("--keys", type=Path, metavar="DIR", help=about)
+
+
+def stopping() -> Callable[[], bool]:
+    """From now on, whether a signal asked for the end."""
+    stopped: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT):
+        signal.signal(number, lambda got, _: stopped.append(got))
+    return lambda: bool(stopped)
 
 
 def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = "") -> int:

@@ -8,7 +8,7 @@ import logging
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,7 +54,6 @@ class Bridge:
 
     def __init__(self, settings: BridgeSettings) -> None:
         """A daemon need not be there. Raises SetupError where a setting cannot be used."""
-        self.stopping = False
         self._settings = settings
         self._forwarded = 0
         self._last: dict[bytes, dict[str, Any]] = {}  # message of each topic
@@ -80,8 +79,8 @@ class Bridge:
             self._poller.register(self._wake, zmq.POLLIN)
             self._opened = opened.pop_all()
 
-    def run(self) -> None:
-        """Until `stop`.
+    def run(self, stopping: Callable[[], bool]) -> None:
+        """Until `stopping`.
 
         Raises:
             SetupError: the daemon speaks another version of the stream.
@@ -89,14 +88,11 @@ class Bridge:
         notifier = Notifier()
         notifier.ready()
         try:
-            while not self.stopping:
+            while not stopping():
                 self._step()
                 notifier.tick(time.monotonic(), self._status_line)
         finally:
             notifier.stopping()
-
-    def stop(self) -> None:
-        self.stopping = True
 
     def close(self) -> None:
         self._opened.close()

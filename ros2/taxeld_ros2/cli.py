@@ -3,7 +3,6 @@
 import argparse
 import math
 import re
-import signal
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -35,10 +34,8 @@ def _run(args: argparse.Namespace) -> int:
     with log.written():
         log.set_level("info")
         bridge = Bridge(settings)
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGQUIT):
-            signal.signal(number, lambda *_: bridge.stop())
         try:
-            bridge.run()
+            bridge.run(command_line.stopping())
         except SetupError as error:  # at work: the daemon may have been exchanged
             print(error, file=sys.stderr)
             return FAILED

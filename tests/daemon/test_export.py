@@ -1,7 +1,6 @@
 """What is exported for ROS 2 is what the replay says, read by another's reader."""
 
 import shutil
-from collections.abc import Iterator
 from itertools import dropwhile
 from pathlib import Path
 from typing import Any
@@ -28,12 +27,13 @@ from taxeld.view import export, ros
 RELEASES = [*dropwhile(lambda store: store is not Stores.ROS2_HUMBLE, Stores)]
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
 Heard = dict[str, list[Any]]
+Said = dict[bytes, list[dict[str, Any]]]
 
 
 @pytest.fixture(scope="module")
-def said() -> dict[bytes, list[dict[str, Any]]]:
+def said() -> Said:
     """What a replay says, by topic."""
-    found: dict[bytes, list[dict[str, Any]]] = {}
+    found: Said = {}
     for topic, message in recorded(SESSION)[1]:
         found.setdefault(topic, []).append(message)
     return found
@@ -48,16 +48,12 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> Heard:
     assert main(["export", str(place / "session"), "--mcap", str(place / "run.mcap")]) == 0
     assert [p.name for p in place.iterdir() if p.is_file()] == ["run.mcap"]
     found: Heard = {}
-    for connection, t_ns, message in read(place / "run.mcap"):
-        assert connection.msgtype == export.TYPES[connection.topic].replace("/", "/msg/")
-        found.setdefault(connection.topic, []).append((t_ns, message))
-    return found
-
-
-def read(path: Path) -> Iterator[tuple[Any, int, Any]]:
-    with AnyReader([path]) as reader:
+    with AnyReader([place / "run.mcap"]) as reader:
         for connection, t_ns, raw in reader.messages():
-            yield connection, t_ns, reader.deserialize(raw, connection.msgtype)
+            assert connection.msgtype == export.TYPES[connection.topic].replace("/", "/msg/")
+            message = reader.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append((t_ns, message))
+    return found
 
 
 def yaw(orientation: Any) -> float:
@@ -65,9 +61,7 @@ def yaw(orientation: Any) -> float:
     return 2.0 * float(np.arctan2(orientation.z, orientation.w))
 
 
-def test_poses_are_mean_and_covariance_of_the_valid_estimates(
-    heard: Heard, said: dict[bytes, list[dict[str, Any]]]
-) -> None:
+def test_poses_are_mean_and_covariance_of_the_valid_estimates(heard: Heard, said: Said) -> None:
     valid = [e for e in said[messages.ESTIMATE] if e["valid"]]
     assert len(heard["/taxeld/pose"]) == len(valid) > 10
     for (t_ns, message), e in zip(heard["/taxeld/pose"], valid, strict=True):
@@ -83,22 +77,17 @@ def test_poses_are_mean_and_covariance_of_the_valid_estimates(
         assert np.count_nonzero(cov) <= 9
 
 
-def test_modes_and_particles_are_arrays_of_poses(
-    heard: Heard, said: dict[bytes, list[dict[str, Any]]]
-) -> None:
+def test_modes_and_particles_are_arrays_of_poses(heard: Heard, said: Said) -> None:
     valid = [e for e in said[messages.ESTIMATE] if e["valid"]]
     assert max(len(e["modes"]) for e in valid) > 1, "else the session tests little"
     for (_, message), e in zip(heard["/taxeld/modes"], valid, strict=True):
         assert [p.position.x for p in message.poses] == [mode["x"] for mode in e["modes"]]
-    for (_, message), cloud in zip(
-        heard["/taxeld/particles"], said[messages.PARTICLES], strict=True
-    ):
+    clouds = said[messages.PARTICLES]
+    for (_, message), cloud in zip(heard["/taxeld/particles"], clouds, strict=True):
         assert [p.position.y for p in message.poses] == [p[1] for p in cloud["xytheta"]]
 
 
-def test_taxels_are_points_with_their_activation_in_a_frame_that_moves_with_the_sensor(
-    heard: Heard, said: dict[bytes, list[dict[str, Any]]]
-) -> None:
+def test_taxels_are_points_in_a_frame_that_moves_with_the_sensor(heard: Heard, said: Said) -> None:
     position = recorded(SESSION)[0].position_m
     taxels = said[messages.TAXELS]
     assert max(max(one["z"]) for one in taxels) > 0.1
@@ -119,9 +108,7 @@ def test_taxels_are_points_with_their_activation_in_a_frame_that_moves_with_the_
         assert yaw(link.transform.rotation) == pytest.approx(one["sensor"]["theta"])
 
 
-def test_every_estimate_has_a_status_by_its_name(
-    heard: Heard, said: dict[bytes, list[dict[str, Any]]]
-) -> None:
+def test_every_estimate_has_a_status_by_its_name(heard: Heard, said: Said) -> None:
     assert len(heard["/taxeld/status"]) == len(said[messages.ESTIMATE])
     names = {message.status[0].message for _, message in heard["/taxeld/status"]}
     assert {"searching", "ambiguous"} <= names
@@ -148,8 +135,7 @@ def test_every_status_has_a_level_and_its_name(status: int) -> None:
     estimate = {**documented("/taxeld/estimate")[1], "status": int(status)}
     health = documented("/taxeld/health")[1]
     (told,) = ros.diagnostics(5.0, "taxeld", estimate, health)["status"]
-    of_a_later_daemon = "unknown (99)"
-    assert told["message"] == getattr(status, "name", of_a_later_daemon).lower()
+    assert told["message"] == getattr(status, "name", "unknown (99)").lower()
     good = {Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED}
     assert (told["level"] == ros.OK) == (status in good)
     assert {"key": "dead taxels", "value": "4 17 30"} in told["values"]

@@ -4,12 +4,9 @@ import contextlib
 import io
 import os
 import pty
-import select
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +25,7 @@ from taxeld.stream import messages
 from taxeld.view.streams import Subscriber
 from taxeld.view.watch import Page
 
+from ..terminals import read_all, read_until
 from .conftest import Sockets
 from .test_stream_document import documented
 
@@ -145,81 +143,48 @@ def test_a_stream_of_another_version_or_program_is_refused_with_what_is_wrong(
             list(streams.wait(WAIT_S))
 
 
-class Terminal:
-    """`taxeld watch` in a terminal of 80 by 24, and the publisher that it listens to."""
-
-    def __init__(self, place: Path, publisher: "zmq.Socket[Any]") -> None:
-        self._endpoint, self._publisher = f"ipc://{place}/stream", publisher
-        self._ours, theirs = pty.openpty()
-        command = [sys.executable, "-m", "taxeld.cli", "watch", "--endpoint", self._endpoint]
-        environment = {**os.environ, "TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
-        self.process = subprocess.Popen(
-            command, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, env=environment
-        )
-        os.close(theirs)
-        self.seen = ""
-
-    def say(self, said: Maps) -> None:
-        """Publish messages once all topics are subscribed to."""
-        self._publisher.bind(self._endpoint)
-        for _ in messages.TOPICS:
-            assert self._publisher.poll(round(1e3 * WAIT_S))
-            self._publisher.recv()
-        for topic, body in said.items():
-            self._publisher.send_multipart([topic, msgpack.packb(body), b"0.0"])
-
-    def until(self, done: Callable[[], object]) -> None:
-        """Read what is shown until `done`, once at least."""
-        deadline = time.monotonic() + WAIT_S
-        while True:
-            if select.select([self._ours], [], [], 0.1)[0]:
-                with contextlib.suppress(OSError):  # its end is closed
-                    self.seen += os.read(self._ours, 1 << 16).decode(errors="replace")
-            if done():
-                return
-            assert time.monotonic() < deadline, self.seen
-
-    def end(self) -> tuple[int, str]:
-        """Exit status and standard error of a command that ends."""
-        self.until(lambda: self.process.poll() is not None)
-        self.until(lambda: True)
-        assert self.process.stderr is not None
-        return self.process.returncode, self.process.stderr.read().decode()
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.communicate()
-        os.close(self._ours)
+VERSION_7 = {messages.INFO: maps()[messages.INFO] | {"v": 7}}
+OTHER = "the stream is of version 7, where this taxeld reads 1; use the taxeld of the daemon\n"
 
 
-@pytest.fixture
-def terminal(tmp_path: Path, sockets: Sockets) -> Iterator[Terminal]:
-    opened = Terminal(tmp_path, sockets.open(zmq.XPUB))
-    yield opened
-    opened.close()
-
-
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(
+    ("end", "status", "line"),
+    [(signal.SIGINT, 0, ""), (signal.SIGTERM, 0, ""), (None, 2, OTHER)],
+    ids=["SIGINT", "SIGTERM", "another version"],
+)
 def test_it_waits_for_a_daemon_shows_it_and_gives_the_terminal_back(
-    terminal: Terminal, number: int
+    sockets: Sockets, tmp_path: Path, end: int | None, status: int, line: str
 ) -> None:
-    terminal.until(lambda: "no daemon answers at" in terminal.seen)
-    terminal.say(maps())
-    terminal.until(lambda: "CONVERGED" in terminal.seen)
-    terminal.process.send_signal(number)
-    assert terminal.end() == (0, "")
-    assert terminal.seen.count("\x1b[?1049h") == terminal.seen.count("\x1b[?1049l") == 1
-    assert terminal.seen.rstrip().endswith(("\x1b[?25h", "\x1b[?1049l")), "the cursor is back"
+    endpoint, publisher = f"ipc://{tmp_path}/stream", sockets.open(zmq.XPUB)
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "taxeld.cli", "watch", "--endpoint", endpoint]
+    size = {"TERM": "xterm", "COLUMNS": "80", "LINES": "24"}
 
+    def say(said: Maps) -> None:
+        for topic, body in said.items():
+            publisher.send_multipart([topic, msgpack.packb(body), b"0.0"])
 
-def test_another_version_ends_it_with_one_line_after_the_terminal_is_given_back(
-    terminal: Terminal,
-) -> None:
-    terminal.say({messages.INFO: maps()[messages.INFO] | {"v": 7}})
-    status, said = terminal.end()
-    assert status == 2
-    assert said.startswith("the stream is of version 7, where this taxeld reads 1")
-    assert said.count("\n") == 1
+    with subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, env={**os.environ, **size}
+    ) as process:
+        os.close(theirs)
+        try:
+            seen = read_until(ours, "no daemon answers at")
+            publisher.bind(endpoint)
+            for _ in messages.TOPICS:
+                assert publisher.poll(round(1e3 * WAIT_S))
+                publisher.recv()
+            say(maps())
+            seen += read_until(ours, "CONVERGED")
+            say(VERSION_7) if end is None else process.send_signal(end)
+            seen += read_all(ours)
+            assert process.stderr is not None
+            assert process.stderr.read().decode() == line
+            assert process.wait(WAIT_S) == status
+        finally:
+            process.kill()
+    assert seen.count("\x1b[?1049h") == seen.count("\x1b[?1049l") == 1
+    assert seen.rstrip().endswith(("\x1b[?25h", "\x1b[?1049l")), "the cursor is back"
 
 
 def test_without_a_terminal_it_says_what_else_there_is(

@@ -1,5 +1,6 @@
 """Both ends of the bridge."""
 
+import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,13 +11,11 @@ from .loopback import Daemon, Robot
 
 @pytest.fixture
 def daemon(tmp_path: Path) -> Iterator[Daemon]:
-    opened = Daemon(tmp_path)
-    yield opened
-    opened.close()
+    with contextlib.closing(Daemon(tmp_path)) as opened:
+        yield opened
 
 
 @pytest.fixture
 def robot(tmp_path: Path) -> Iterator[Robot]:
-    opened = Robot(tmp_path)
-    yield opened
-    opened.close()
+    with contextlib.closing(Robot(tmp_path)) as opened:
+        yield opened

@@ -17,9 +17,9 @@ from taxeld.stream import messages
 from tests.daemon.test_stream_document import documented
 
 PATIENCE_S = 60.0
-DOMAIN = 100 + os.getpid() % 100  # of this run of the tests, as others may run beside it
-# No multicast: participants find each other at the ports of the first few of a domain. One that
-# hangs is not taken for gone while a test lasts
+DOMAIN = 100 + os.getpid() % 100  # other runs of the tests have other domains
+# Without multicast participants find each other at a domain's first ports. The lease is long, so
+# that a participant that hangs is not taken for gone
 URI = (
     "<CycloneDDS><Domain><General><Interfaces><NetworkInterface name='lo' multicast='false'/>"
     "</Interfaces><AllowMulticast>false</AllowMulticast></General><Discovery>"
@@ -31,15 +31,26 @@ URI = (
 ENVIRONMENT = {**os.environ, "CYCLONEDDS_URI": URI, "ROS_DOMAIN_ID": str(DOMAIN)}
 
 
-class Daemon:
+class End:
+    """A socket of ZeroMQ at an endpoint, to be closed."""
+
+    def __init__(self, kind: int, endpoint: str) -> None:
+        self.endpoint = endpoint
+        self._context: zmq.Context[Any] = zmq.Context()
+        self._socket = self._context.socket(kind)
+        self._socket.setsockopt(zmq.LINGER, 0)
+
+    def close(self) -> None:
+        self._socket.close()
+        self._context.term()
+
+
+class Daemon(End):
     """Publishes the examples of docs/stream.md."""
 
     def __init__(self, place: Path) -> None:
-        self.endpoint = f"ipc://{place}/stream"
+        super().__init__(zmq.PUB, f"ipc://{place}/stream")
         self.estimate = documented("/taxeld/estimate")[1]
-        self._context: zmq.Context[Any] = zmq.Context()
-        self._socket = self._context.socket(zmq.PUB)
-        self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.bind(self.endpoint)
 
     def say(self, **changed: Any) -> dict[str, Any]:
@@ -54,22 +65,15 @@ class Daemon:
             self._send(topic, documented(topic.decode())[1])
         return self.say()
 
-    def close(self) -> None:
-        self._socket.close()
-        self._context.term()
-
     def _send(self, topic: bytes, message: dict[str, Any]) -> None:
         self._socket.send_multipart([topic, msgpack.packb(message), b"0.0"])
 
 
-class Robot:
+class Robot(End):
     """The daemon's end of the robot's poses."""
 
     def __init__(self, place: Path) -> None:
-        self.endpoint = f"ipc://{place}/robot"
-        self._context: zmq.Context[Any] = zmq.Context()
-        self._socket = self._context.socket(zmq.SUB)
-        self._socket.setsockopt(zmq.LINGER, 0)
+        super().__init__(zmq.SUB, f"ipc://{place}/robot")
         self._socket.setsockopt(zmq.SUBSCRIBE, messages.SENSOR_POSE)
         self._socket.connect(self.endpoint)
 
@@ -79,10 +83,6 @@ class Robot:
         _, body, _ = self._socket.recv_multipart()
         pose: dict[str, float] = msgpack.unpackb(body)
         return pose
-
-    def close(self) -> None:
-        self._socket.close()
-        self._context.term()
 
 
 @contextlib.contextmanager

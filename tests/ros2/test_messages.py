@@ -58,18 +58,9 @@ def test_fields_that_are_left_out_are_zero_or_empty() -> None:
     assert made.texture.header.stamp.sec == 0
 
 
-def test_the_covariance_stands_where_ros_has_x_y_and_yaw(estimate: dict[str, Any]) -> None:
-    values = ros.pose_with_covariance(estimate, "table", 0.3)
-    made = dds.message("geometry_msgs/PoseWithCovarianceStamped", values)
-    found = np.array(made.pose.covariance).reshape(6, 6)
-    assert np.array_equal(found[np.ix_([0, 1, 5], [0, 1, 5])], np.array(estimate["cov"]))
-    assert np.count_nonzero(found) == 9
-    at, turn = made.pose.pose.position, made.pose.pose.orientation
-    assert (at.x, at.y, at.z) == (estimate["mean"]["x"], estimate["mean"]["y"], 0.3)
-    assert 2 * math.atan2(turn.z, turn.w) == pytest.approx(estimate["mean"]["theta"])
-
-
-def test_a_mode_is_drawn_where_it_is_and_as_strongly_as_it_weighs(estimate: dict[str, Any]) -> None:
+def test_a_mode_is_drawn_where_it_is_as_strongly_as_it_weighs_if_it_is_valid(
+    estimate: dict[str, Any],
+) -> None:
     cloud = {"xytheta": [[0.0, 0.0, 0.0]] * 3}
     *modes, particles = markers(estimate, cloud, OUTLINE, "world", 0.1)["markers"]
     at = [(p["x"], p["y"], p["z"]) for p in modes[0]["points"]]
@@ -78,10 +69,6 @@ def test_a_mode_is_drawn_where_it_is_and_as_strongly_as_it_weighs(estimate: dict
     assert [m["color"]["a"] for m in modes[:2]] == [0.75, FAINTEST]
     assert [m["action"] for m in modes] == [ADD, ADD, DELETE, DELETE, DELETE]
     assert len(particles["points"]) == 3
-
-
-def test_nothing_is_drawn_of_an_estimate_that_is_not_valid(estimate: dict[str, Any]) -> None:
-    cloud = {"xytheta": [[0.0, 0.0, 0.0]]}
     drawn = markers({**estimate, "valid": False}, cloud, OUTLINE, "world", 0.0)["markers"]
     assert {m["action"] for m in drawn} == {DELETE}
 

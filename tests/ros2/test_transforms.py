@@ -103,27 +103,18 @@ def test_a_transform_that_holds_always_may_be_told_anew() -> None:
     assert news(tree)[1] == 2.0
 
 
-def test_times_older_than_all_that_is_kept_are_not_guessed() -> None:
+@pytest.mark.parametrize(
+    "links",
+    [
+        [(1.0, "world", "base"), (1.0, "flange", "skin")],
+        [(ALWAYS, "world", "flange"), (ALWAYS, "flange", "skin")],
+        [(1.0, "a", "b"), (1.0, "b", "a"), (1.0, "a", "skin"), (1.0, "skin", "skin")],
+        [(1.0, "link", "skin"), *[(2.0 + k, "world", "link") for k in range(2 * KEPT)]],
+    ],
+    ids=["apart", "never moves", "a ring", "older than all that is kept"],
+)
+def test_frames_without_a_common_time_have_no_place(links: list[tuple[float, str, str]]) -> None:
     tree = Transforms("world", "skin")
-    tree.take(1.0, "link", "skin", NOWHERE)
-    for k in range(2 * KEPT):
-        tree.take(2.0 + k, "world", "link", NOWHERE)
-    assert tree.news() is None
-
-
-def test_frames_that_go_round_end() -> None:
-    tree = Transforms("world", "skin")
-    for parent, child in (("a", "b"), ("b", "a"), ("a", "skin"), ("skin", "skin")):
-        tree.take(1.0, parent, child, NOWHERE)
-    assert tree.news() is None
-
-
-def test_frames_that_do_not_hang_together_or_never_move_have_no_place() -> None:
-    tree = Transforms("world", "skin")
-    assert tree.news() is None
-    tree.take(1.0, "world", "base", NOWHERE)
-    assert tree.news() is None
-    tree.take(ALWAYS, "flange", "skin", NOWHERE)
-    assert tree.news() is None
-    tree.take(ALWAYS, "world", "flange", NOWHERE)
+    for t, parent, child in links:
+        tree.take(t, parent, child, NOWHERE)
     assert tree.news() is None

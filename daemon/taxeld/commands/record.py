@@ -79,7 +79,7 @@ class Recording:
                 if on_poll is not None:
                     on_poll(scans, track)
                 time.sleep(POLL_S)
-        return self._said() + self._listed(source)
+        return self._summary() + self._listed(source)
 
     def _listed(self, source: Source) -> str:
         """Write the hubs' modules to a file for later listeners; → a line that names the file."""
@@ -96,7 +96,7 @@ class Recording:
             return f"; {path} cannot be written ({error.strerror})"
         return f"; its modules are listed in {path}, for source.modules"
 
-    def _said(self) -> str:
+    def _summary(self) -> str:
         written = self._recorder.counters
         if not (written.frames or written.bytes or written.poses or written.failed):
             return f"{self._directory}: nothing came, so nothing is kept"

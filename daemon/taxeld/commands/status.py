@@ -14,11 +14,17 @@ WIDTH = 14
 
 def lines(answer: dict[str, Any]) -> Iterator[str]:
     """Lines of a subject each, from the answer to `status`; missing parts are left out."""
-    for name, text in _rows(answer.get("estimate", {}), answer):
+    rows = [*estimate_rows(answer["estimate"])]
+    rows.append(("Age", f"{answer['estimate']['age_us'] / 1e3:.1f} ms since the scan"))
+    if answer.get("health"):
+        rows += _health_rows(answer["health"], answer.get("waits_for"))
+        rows += _input_rows(answer["health"], answer.get("sensor_pose", {}))
+    for name, text in rows:
         yield f"{name:{WIDTH}s}: {text}"
 
 
-def _rows(e: dict[str, Any], answer: dict[str, Any]) -> Iterator[tuple[str, str]]:
+def estimate_rows(e: dict[str, Any]) -> Iterator[tuple[str, str]]:
+    """Names and texts of an estimate's parts, from its map in the stream."""
     yield "Status", f"{name_of(Status, e['status'])}, {'valid' if e['valid'] else 'not valid'}"
     pose, cov = e["map"], e["cov"]
     yield "Pose", f"x {pose['x']:.4f} m, y {pose['y']:.4f} m, yaw {pose['theta']:.3f} rad"
@@ -29,12 +35,8 @@ def _rows(e: dict[str, Any], answer: dict[str, Any]) -> Iterator[tuple[str, str]
     why = "; not narrow, or not confirmed by a touch since: touch another side" if alone else ""
     yield "Modes", f"{len(e['modes'])} ({weights}){why}"
     yield "Contacts", f"{e['contacts']}, {'touching' if e['contact'] else 'not touching'} now"
-    yield "Age", f"{e['age_us'] / 1e3:.1f} ms since the scan"
     yield "Particles", f"{e['particles']}, {e['ess']:.0f} effective"
     yield "Proposal", name_of(ProposalKind, e["proposal"])
-    if answer.get("health"):
-        yield from _health_rows(answer["health"], answer.get("waits_for"))
-        yield from _input_rows(answer["health"], answer.get("sensor_pose", {}))
 
 
 def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tuple[str, str]]:

@@ -2,11 +2,9 @@
 
 import argparse
 import math
-import signal
-from collections.abc import Callable
 from pathlib import Path
 
-from taxeld.command_line import FAILED, Commands, add_endpoint, add_keys, documented
+from taxeld.command_line import FAILED, Commands, add_endpoint, add_keys, documented, stopping
 from taxeld.config.endpoints import for_this_user
 from taxeld.config.file import load
 from taxeld.config.tables import PublishConfig
@@ -46,7 +44,7 @@ def _view(args: argparse.Namespace) -> int:
     source = args.source
     if not args.seconds > 0.0:
         raise SetupError("--seconds: must be more than 0")
-    target = view.Target(args.save, args.web, args.seconds, _stopping())
+    target = view.Target(args.save, args.web, args.seconds, stopping())
     if source is not None and (source.is_dir() or source.suffix != ".toml"):
         if args.endpoint or args.keys:
             raise SetupError("--endpoint, --keys: are for a running daemon, not for a session")
@@ -66,7 +64,7 @@ def _watch(args: argparse.Namespace) -> int:
     """
     from taxeld.view.watch import watch
 
-    watch(_endpoint(args.endpoint, args.config), args.keys, _stopping())
+    watch(_endpoint(args.endpoint, args.config), args.keys, stopping())
     return 0
 
 
@@ -80,14 +78,6 @@ def _export(args: argparse.Namespace) -> int:
     written = export(args.session, args.mcap, args.config)
     print("\n".join([f"written: {args.mcap}", *(f"{n:8d}  {t}" for t, n in written.items())]))
     return 0
-
-
-def _stopping() -> Callable[[], bool]:
-    """From now on, whether a signal asked for the end."""
-    stopped: list[int] = []
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda got, _: stopped.append(got))
-    return lambda: bool(stopped)
 
 
 def _endpoint(named: str | None, config: Path | None) -> str:

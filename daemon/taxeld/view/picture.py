@@ -21,6 +21,7 @@ from matplotlib import colormaps
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
+from taxeld.commands.status import estimate_rows
 from taxeld.estimator.estimate import Status
 from taxeld.model import se2
 from taxeld.stream import messages
@@ -44,6 +45,7 @@ class Picture:
     def __init__(self, stage: Stage, stream: rr.RecordingStream) -> None:
         self._stage, self._stream = stage, stream
         self._status: int | None = None
+        self._text = ""  # the words on the last estimate
         self._felt: object = None  # the activations that were drawn last
         self._is_placed = False
         self._slices = slices_of(stage)
@@ -125,23 +127,16 @@ class Picture:
             self._stream.log("plot/latency", rr.Scalars(took_ms))
 
     def _say(self, e: dict[str, Any], error_mm: float | None) -> None:
-        status, pose = messages.name_of(Status, e["status"]), e["map"]
-        rows = {
-            "valid": "yes" if e["valid"] else "no",
-            "touching": "yes" if e["contact"] else "no",
-            "contacts": e["contacts"],
-            "x, y": f"{1e3 * pose['x']:.1f} mm, {1e3 * pose['y']:.1f} mm",
-            "yaw": f"{math.degrees(pose['theta']):.1f}°",
-            "modes": " ".join(f"{mode['weight']:.0%}" for mode in e["modes"]),
-            "effective particles": f"{e['ess']:.0f}",
-        }
-        if error_mm is not None:
-            rows["error (ADD)"] = f"{error_mm:.1f} mm"
-        text = "\n\n".join([f"# {status}", *(f"**{name}** {row}" for name, row in rows.items())])
-        self._stream.log("status/now", rr.TextDocument.from_fields(text=text))
+        rows = [f"**{name}** {text}" for name, text in estimate_rows(e)]
+        rows += [] if error_mm is None else [f"**Error (ADD)** {error_mm:.1f} mm"]
+        text = "\n\n".join(rows)
+        if text != self._text:
+            self._text = text
+            self._stream.log("status/now", rr.TextDocument.from_fields(text=text))
         if e["status"] != self._status:
             self._status = e["status"]
-            self._stream.log("status/log", rr.TextLog(f"{status}, contacts {e['contacts']}"))
+            line = f"{messages.name_of(Status, e['status'])}, contacts {e['contacts']}"
+            self._stream.log("status/log", rr.TextLog(line))
 
     def _particles(self, m: dict[str, Any]) -> None:
         pose = np.array(m["xytheta"], dtype=float).reshape(-1, 3)

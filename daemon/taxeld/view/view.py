@@ -85,8 +85,8 @@ def show(stage: Stage, heard: Iterable[Message], target: Target) -> bool:
             _say(f"written: {target.save}; see it with: rerun {target.save}")
         elif begun_s and not stage.is_live:
             _say("the session is shown")
-        while target.web and not target.stopping():  # the browser asks the viewer's process
-            time.sleep(LOOK_S)
+        while target.web and not target.stopping() and not _has_ended(viewer):
+            time.sleep(LOOK_S)  # the browser asks the viewer's process
     finally:
         if target.web and not _has_ended(viewer):  # a window stays
             os.kill(viewer, signal.SIGTERM)
