@@ -41,21 +41,29 @@ def main(argv: list[str] | None = None) -> int:
 def _run(args: argparse.Namespace) -> int:
     import numpy as np
 
-    from taxeld_hil.run.hardware import Site
-    from taxeld_hil.run.run import on_hardware, simulate
+    from taxeld_hil.grade import report
+    from taxeld_hil.run import hardware
+    from taxeld_hil.run.fake_run import FakeRun
+    from taxeld_hil.run.live import LiveRun
 
     transport, _, channel = args.transport.partition(":")
     scenario = _scenario(args).over(transport)
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
-    if args.target == "sim":
-        fake = args.clock == "fake"
-        grade = simulate(name, scenario, args.seed, out, _say, channel or VCAN, fake=fake)
-    else:
-        truth = None if args.truth is None else np.array(args.truth)
-        site = Site(args.target, args.poses, truth, args.limit_s)
-        grade = on_hardware(name, scenario, site, out, _say)
+    with tempfile.TemporaryDirectory(prefix="taxeld-") as place:
+        if args.target != "sim":
+            truth = None if args.truth is None else np.array(args.truth)
+            site = hardware.Site(args.target, args.poses, truth, args.limit_s)
+            grade = hardware.graded(name, scenario, site, out, Path(place), _say)
+        elif args.clock == "fake":
+            grade = FakeRun(scenario, args.seed).graded(name)
+        else:
+            run = LiveRun(name, scenario, args.seed, out, channel or VCAN, _say)
+            grade = run.graded(Path(place))
+    report.write(grade, out)
+    for line in report.lines(grade):
+        _say(line)
     return 0 if grade.passed else 1
 
 

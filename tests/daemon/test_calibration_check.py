@@ -18,7 +18,7 @@ from taxeld.model import se2
 from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Observation
 from taxeld.proposals import bundle
-from tests.hil.pressed_skin import PLACED, PressedSkin
+from tests.hil.rig import PLACED, PressedSkin
 
 SKIN = layouts.load(SkinConfig().layout)
 MODEL = bundle.load("box", SKIN, 0.005).model

@@ -37,7 +37,8 @@ def lines(grade: Grade) -> Iterator[str]:
 
 
 def write(grade: Grade, directory: Path) -> None:
-    """grade.json and junit.xml."""
+    """Write grade.json and junit.xml."""
+    directory.mkdir(parents=True, exist_ok=True)
     text = json.dumps(grade.as_json(), indent=1)
     (directory / GRADE).write_text(text + "\n", encoding="utf-8")
     ET.ElementTree(_junit(grade)).write(directory / JUNIT, encoding="utf-8", xml_declaration=True)

@@ -9,6 +9,7 @@ from typing import Any
 import msgpack
 import zmq
 
+from taxeld.errors import SetupError
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
@@ -136,6 +137,22 @@ def recorded(
             yield bench
         finally:
             bench.close()
+
+
+def write_config(directory: Path, config: str) -> Path:
+    """Begin the session in a directory with its configuration; → the file.
+
+    Raises:
+        SetupError: the directory has a configuration, which a run would overwrite.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    path = directory / session.CONFIG
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(config)
+    except FileExistsError:
+        raise SetupError(f"--out: {path} is there already; name another directory") from None
+    return path
 
 
 def write_truth(directory: Path, rig: Rig) -> None:

@@ -16,6 +16,7 @@ from taxeld.arrays import Poses
 from taxeld.errors import SetupError
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge
+from taxeld_hil.rig.bench import write_config
 from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S
 from taxeld_hil.run.listener import Listener, Say
 from taxeld_hil.run.processes import Processes
@@ -66,7 +67,7 @@ def graded(
     scenario = site.placed(scenario)
     scene = load_model(scenario).scene
     config = settings.text(scenario, 0, channel, site.poses, place)
-    written = settings.write(directory, config)
+    written = write_config(directory, config)
     not_injected = tuple(kind for kind in KINDS if kind not in POSSIBLE)
     judge = Judge(scenario, scene, site.truth, not_injected, lambda _: [])
     with ExitStack() as stack:

@@ -13,7 +13,7 @@ from taxeld.errors import SetupError
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge
 from taxeld_hil.grade.reconcile import Law, laws
-from taxeld_hil.rig.bench import Bench, recorded
+from taxeld_hil.rig.bench import Bench, recorded, write_config
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.listener import Listener, Say, socket
 from taxeld_hil.run.processes import Processes
@@ -85,7 +85,7 @@ class LiveRun:
         scenario, rig = self.scenario, Rig(self.scenario, self.run.seed)
         where: Path | str = self._channel if scenario.transport == "can" else place / "skin"
         config = settings.text(scenario, self.run.seed, str(where), f"ipc://{place}/poses", place)
-        written = settings.write(self._directory, config)
+        written = write_config(self._directory, config)
         self._place = place
         with ExitStack() as stack:
             context = stack.enter_context(zmq.Context())

@@ -5,8 +5,6 @@ from pathlib import Path
 
 from taxeld.config import file as config_file
 from taxeld.config.tables import Config
-from taxeld.errors import SetupError
-from taxeld.source import session
 from taxeld_hil.scenario.scenario import Scenario
 
 SOURCES = {
@@ -51,22 +49,6 @@ def text(
         filter_keys=filter_keys,
         place=place,
     )
-
-
-def write(directory: Path, config: str) -> Path:
-    """Begin the session in a directory with its configuration; → the file.
-
-    Raises:
-        SetupError: the directory has a configuration, which a run would overwrite.
-    """
-    directory.mkdir(parents=True, exist_ok=True)
-    path = directory / session.CONFIG
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(config)
-    except FileExistsError:
-        raise SetupError(f"--out: {path} is there already; name another directory") from None
-    return path
 
 
 def on_a_fake_clock(
