@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize
 
 from taxeld.arrays import Floats
-from taxeld.model import contacts, se2
+from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld_training.filters.pushing import (
@@ -19,6 +19,8 @@ from taxeld_training.filters.pushing import (
     gave_way,
     told,
 )
+
+from .rig import gap_m
 
 
 class Calm(np.random.Generator):
@@ -45,7 +47,7 @@ def slide(ground: Ground, contact: Floats, wanted: Floats, inwards: Floats) -> F
 
 def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> float:
     seen = se2.compose(se2.inverse(sensor), pose)[None]
-    return -float(contacts.clearance(model.scene, model.layout.radius_m, seen)[0])
+    return -float(gap_m(model, seen)[0])
 
 
 def test_the_object_gives_way_until_friction_holds_it(
