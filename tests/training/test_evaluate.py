@@ -295,7 +295,7 @@ def test_other_code_and_other_bundles_have_a_memory_of_their_own(tmp_path: Path)
     assert Options(tmp_path, tmp_path).measured == tmp_path / options.code()
 
 
-class Machine:
+class CachedClock:
     """A clock, and a cache that holds what the last sampler called needs."""
 
     def __init__(self) -> None:
@@ -310,7 +310,7 @@ class Machine:
 class TimedSampler:
     """A sampler that takes 1 000 ms when first called."""
 
-    def __init__(self, name: str, machine: Machine, warm_ms: int, cold_ms: int) -> None:
+    def __init__(self, name: str, machine: CachedClock, warm_ms: int, cold_ms: int) -> None:
         self.name = name
         self.calls = 0
         self._machine, self._ms = machine, (warm_ms, cold_ms)
@@ -328,7 +328,7 @@ class TimedSampler:
 def test_cold_calls_of_all_samplers_alternate_and_warm_ones_follow_each_other(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    machine = Machine()
+    machine = CachedClock()
     monkeypatch.setattr("time.thread_time_ns", lambda: machine.now_ns)
     two = [TimedSampler("a", machine, 1, 5), TimedSampler("b", machine, 2, 3)]
     readings, rng = np.zeros((6, 4)), np.random.default_rng(0)

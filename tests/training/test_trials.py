@@ -283,7 +283,7 @@ def test_the_cover_sags_less_with_distance() -> None:
     np.testing.assert_allclose(z, 0.8 * np.exp(-apart / 0.006), atol=1e-6)
 
 
-class Pressed:
+class GivenDepths:
     """Depths, given for each step, in place of a solid's."""
 
     def __init__(self, depth_m: Floats) -> None:
@@ -307,7 +307,7 @@ def test_presses_are_read_as_the_harness_reads_them() -> None:
     ours, depth_max_m = skin(config), 0.005
     theirs = MeshPhysics(
         config,
-        Pressed(depth_max_m * h),
+        GivenDepths(depth_max_m * h),
         LAYOUT,
         depth_max_m,
         np.full(TAXELS, FULL),

@@ -67,7 +67,7 @@ def simulate(
     )
 
 
-class SimulatedSkin:
+class SkinReader:
     """Reads true activations as a filter sees them.
 
     A taxel that is pressed reads the activation times its gain, and departs from that by the
@@ -137,7 +137,7 @@ def read(
 ) -> SimulatedReadings:
     """`n` simulated contacts as a filter sees them: each is felt by a live taxel at least. A share
     `dead` of the taxels is dead in each."""
-    skin = SimulatedSkin(model.leak, noise, int(rng.integers(2**63)), torch.device("cpu"))
+    skin = SkinReader(model.leak, noise, int(rng.integers(2**63)), torch.device("cpu"))
     found, parts = 0, []
     while found < n:
         touches = simulate(model, n, rng)
@@ -161,7 +161,7 @@ class Batches:
         """`coordinates` (n, 3) of the touches' poses."""
         self.activation = torch.from_numpy(touches.activation).to(device)
         self.coordinates = coordinates.to(device)  # (n, 3) coordinates of touches.pose
-        self._skin = SimulatedSkin(leak, noise, seed, device)
+        self._skin = SkinReader(leak, noise, seed, device)
         self._generator = self._skin.generator
 
     def draw(self, n: int) -> tuple[Tensor, Tensor, Tensor]:
