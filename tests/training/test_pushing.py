@@ -16,8 +16,8 @@ from taxeld_training.filters.pushing import (
     TOUCHES,
     Ground,
     PushedTrial,
+    by_ground,
     gave_way,
-    told,
 )
 
 from .rig import gap_m
@@ -123,7 +123,7 @@ def test_who_is_told_the_ground_pushes_every_particle_as_the_world_does(
     after = before - [STEP_M, 0.0, 0.0]
     (pose,), _ = gave_way(ring_model, ground, np.zeros((1, 3)), before, after)
     calm = Calm()
-    poses, pushed = told(ground)(
+    poses, pushed = by_ground(ground)(
         ring_model, PoseMetric(ring_model.scene), np.zeros((3, 3)), np.zeros((3, 4)), before, after,
         DEPTH_M, calm,
     )  # fmt: skip

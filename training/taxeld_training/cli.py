@@ -100,7 +100,7 @@ def _scene(args: argparse.Namespace) -> int:
 
 
 def _doubt(args: argparse.Namespace, mesh: "trimesh.Trimesh", skin: "Layout") -> None:
-    """Say what is probably wrong with how the mesh lies and is cut."""
+    """Warn of probable faults in how the mesh lies and is cut."""
     from taxeld_training.objects.doubts import doubts
 
     for line in doubts(mesh, skin, args.height_m):

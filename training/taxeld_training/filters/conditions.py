@@ -93,7 +93,7 @@ class TrialSkin:
 
 
 class SoftSkin:
-    """A soft skin of the harness between true activations and what is read.
+    """A soft skin of the harness between true activations and readings.
 
     The harness presses a mesh against points of a cover. Here a trial's own activations are pressed
     in, so that thousands of trials are affordable: the cover sags from taxel to taxel. Figures,

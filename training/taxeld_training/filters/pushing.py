@@ -65,8 +65,8 @@ class Ground:
 
     def slide(self, contact: Floats, wanted: Floats, inwards: Floats) -> Floats:
         """(N, 3) motions of the object in its own frame, (x, y) of its origin and turn, where the
-        skin touches it at `contact` (N, 2) and moves on by `wanted` (N, 2), of which at least the
-        part along the normal `inwards` (N, 2) must be followed. A contact sticks while the force
+        skin touches it at `contact` (N, 2) and moves on by `wanted` (N, 2). The object must follow at
+        least the part along the normal `inwards` (N, 2). A contact sticks while the force
         that this takes is inside the friction cone; else it slips along the cone's edge."""
         n = len(contact)
         hold = np.zeros((n, 2, 3))
@@ -181,7 +181,7 @@ def gave_way(
     return poses, pushed
 
 
-def told(ground: Ground) -> Push:
+def by_ground(ground: Ground) -> Push:
     """`estimator.push.push` by the world's own ground: the limit of what can be known of a push, as
     no filter knows what the object rests on."""
 

@@ -69,7 +69,7 @@ def run(options: Options) -> list[Path]:
 
 
 def measure(setting: Setting, level: Level, bank: int, trials: int) -> list[dict[str, Any]]:
-    """Rows of all proposals on the touches of so many trials.
+    """Rows of all proposals on the touches of `trials` trials.
 
     Raises:
         SetupError: no bundle of the object is shipped.

@@ -30,7 +30,7 @@ def shown(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
     with Progress(*columns, console=Console(file=stream), disable=not stream.isatty()) as bars:
         tasks = [bars.add_task(name, total=1.0, start=name is names[0]) for name in names]
 
-        def tell(stage: str, share: float) -> None:
+        def advance(stage: str, share: float) -> None:
             at = stages.index(stage)
             bars.update(tasks[at], completed=share)
             if share < 1.0 or len(began_s) > at + 1:
@@ -42,4 +42,4 @@ def shown(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
                 took_s = began_s[-1] - began_s[-2]
                 print(f"{names[at]}: {took_s:.0f} s", file=stream, flush=True)
 
-        yield tell
+        yield advance

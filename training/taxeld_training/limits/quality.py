@@ -63,10 +63,10 @@ def reference(
     rng: np.random.Generator, *, bank: int = BANK, workers: int = 1,
     progress: Callable[[str, float], None] = lambda *_: None,
 ) -> Reference:  # fmt: skip
-    """Exact posteriors of so many simulated readings, or of given ones, each with its true pose
+    """Exact posteriors of a number of simulated readings, or of given ones, each with its true pose
     (3,) in the sensor frame. Where the bank is too thin for one, contacts are made around it. Each
     reading has a random generator of its own, so any number of `workers` (processes) makes the
-    same. `progress` is told the stage, and which share of it is done."""
+    same. `progress` is called with the stage and its share that is done."""
     contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
     exact = Posterior(model, contacts, noise, rng)
     if isinstance(readings, int):

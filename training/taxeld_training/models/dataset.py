@@ -42,7 +42,7 @@ def simulate(
     progress: Callable[[float], None] = lambda _: None,
 ) -> SimulatedTouches:  # fmt: skip
     """`n` contacts under the prior of single-step projection, each with a taxel over
-    MIN_ACTIVATION. `progress` is told which share is done.
+    MIN_ACTIVATION. `progress` is called with the share that is done.
 
     Raises:
         SetupError: hardly any contact presses a taxel.
@@ -73,7 +73,7 @@ class SkinReader:
     A taxel that is pressed reads the activation times its gain, and departs from that by the
     filter's noise; one that is not has the skin's own noise, far under its floor. Either reads as
     well what presses beside it leave there, of the size of the `Leak`'s bound. The skin reports 0
-    under its floor, and the filter takes for 0 what is under the bound.
+    under its floor, and the filter takes a reading under the bound for 0.
     """
 
     def __init__(self, leak: Leak, noise: Noise, seed: int, device: torch.device) -> None:

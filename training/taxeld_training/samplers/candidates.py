@@ -97,8 +97,8 @@ def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str,
     why.
 
     The cheapest that is shown to be within `tolerance` times the nearest one's distance comes
-    first: over the readings that all have met, the excess is below zero by more than chance. What
-    too few readings cannot tell is not taken for as good. The others follow by distance.
+    first: over the readings that all have met, the excess is below zero by more than chance. A
+    proposal that too few readings tell apart does not count as good. The others follow by distance.
     """
     best = min(candidates, key=lambda name: candidates[name]["energy_distance"])
     nearest = candidates[best]
