@@ -64,10 +64,12 @@ class Ground:
         return np.asarray(self.load @ self.points)
 
     def slide(self, contact: Floats, wanted: Floats, inwards: Floats) -> Floats:
-        """(N, 3) motions of the object in its own frame, (x, y) of its origin and turn, where the
-        skin touches it at `contact` (N, 2) and moves on by `wanted` (N, 2). The object must follow at
-        least the part along the normal `inwards` (N, 2). A contact sticks while the force
-        that this takes is inside the friction cone; else it slips along the cone's edge."""
+        """(N, 3) motions of the object in its own frame, (x, y) of its origin and turn.
+
+        The skin touches it at `contact` (N, 2) and moves on by `wanted` (N, 2). The object must
+        follow at least the part along the normal `inwards` (N, 2). A contact sticks while the force
+        that this takes is inside the friction cone; else it slips along the cone's edge.
+        """
         n = len(contact)
         hold = np.zeros((n, 2, 3))
         hold[:, 0, 0] = hold[:, 1, 1] = 1.0

@@ -90,7 +90,8 @@ class CellLikelihood:
                 self._add_block(cells, near[begin : begin + BLOCK], each, taxel, silent)
 
     def _near(self, cells: Cells, sensor: Floats, taxel: Floats, band_m: float) -> NDArray[np.intp]:
-        """Indices of the cells in which some pose may press a taxel, or come within the band of it."""
+        """Indices of the cells in which some pose may press a taxel, or come within the band of
+        it."""
         scene = self._model.scene
         c, s = np.cos(cells.mid[:, 2]), np.sin(cells.mid[:, 2])
         u = (c * sensor[0] + s * sensor[1] + cells.mid[:, 0] - scene.origin[0]) / scene.cell
@@ -167,8 +168,8 @@ class CellLikelihood:
     def _mean(
         self, pairs: Pairs, z: Floats, floor: Floats, residue: Floats
     ) -> tuple[Floats, Floats]:
-        """Log density (P,) of readings z (P,) over the cell, and Fisher's information of each on its depth
-        (P,)."""
+        """Log density (P,) of readings z (P,) over the cell, and Fisher's information of each on
+        its depth (P,)."""
         change = pairs.rise - pairs.fall
         middle = pairs.depth + 0.5 * (pairs.fall + pairs.rise).sum(axis=0)
         spread = 0.5 * np.sqrt((change**2).sum(axis=0))
@@ -248,8 +249,9 @@ def _reach_m(edge: Floats, far_m: float) -> Floats:
 def _information(
     pairs: Pairs, known: Floats, offset: Offset, of_cells: Callable[[Floats], Floats]
 ) -> Floats:
-    """(n, 3) Fisher's along each edge, times the variance within the cell, of pairs that tell so
-    much of their depths (P,): less what the scan's offset explains as well (Schur)."""
+    """(n, 3) Fisher information along each edge, times the variance within the cell, of pairs with
+    information (P,) on their depths, less the part that the scan's offset explains as well
+    (Schur)."""
     change, across = pairs.rise - pairs.fall, pairs.across / np.sqrt(12.0)
     own = np.stack([of_cells(c * c / 12.0 * known) for c in change], axis=1)
     if np.isinf(offset.precision):
