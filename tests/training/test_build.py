@@ -76,9 +76,13 @@ def test_a_build_that_is_piped_prints_a_line_a_stage(built: Path) -> None:
     lines = (built.parent / "errors").read_text(encoding="utf-8").splitlines()
     stages = [line for line in lines if re.match(r"\d/\d ", line)]
     assert [line.split(":")[0] for line in stages] == [
-        "1/6 scene", "2/6 contacts", "3/6 training", "4/6 contacts to measure with",
-        "5/6 exact posteriors", "6/6 measuring",
-    ]  # fmt: skip
+        "1/6 scene",
+        "2/6 contacts",
+        "3/6 training",
+        "4/6 contacts to measure with",
+        "5/6 exact posteriors",
+        "6/6 measuring",
+    ]
     assert all(re.search(r": \d+ s$", line) for line in stages)
 
 
@@ -107,11 +111,16 @@ def test_exact_posteriors_are_the_same_by_any_number_of_workers_and_tell_their_s
     told: list[tuple[str, float]] = []
     one, two = (
         quality.reference(
-            ring_model, Noise(), 4, np.random.default_rng(0), bank=60_000, workers=workers,
+            ring_model,
+            Noise(),
+            4,
+            np.random.default_rng(0),
+            bank=60_000,
+            workers=workers,
             progress=lambda stage, share: told.append((stage, share)),
         )
         for workers in (1, 2)
-    )  # fmt: skip
+    )
     # A sum differs in its last digits by the threads that share it, and a worker has one
     assert one.ess == pytest.approx(two.ess, rel=1e-9)
     np.testing.assert_allclose(one.exact, two.exact, rtol=1e-9, atol=1e-12)
@@ -124,10 +133,7 @@ def test_exact_posteriors_are_the_same_by_any_number_of_workers_and_tell_their_s
 
 def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
     ours, theirs = pty.openpty()
-    with (
-        os.fdopen(theirs, "w") as terminal,
-        stages.shown(("scene", "training"), terminal) as tell,
-    ):
+    with os.fdopen(theirs, "w") as terminal, stages.shown(("scene", "training"), terminal) as tell:
         tell("scene", 1.0)
         tell("training", 0.5)
     drawn = read_all(ours)

@@ -192,9 +192,7 @@ def test_filter_has_a_row_a_method_and_contact_and_goes_on_where_it_was_cut(
     assert written_at(tmp_path / "memory") == before
 
 
-def test_what_ships_and_the_grid_meet_the_same_trials(
-    tmp_path: Path,
-) -> None:
+def test_what_ships_and_the_grid_meet_the_same_trials(tmp_path: Path) -> None:
     few = ("--groups", "shipped,grid", "--seeds", "1", "--cells", "as assumed")
     assert evaluate("filter", "003_cracker_box", tmp_path, *few) == 0
     assert not (tmp_path / "out" / "filter.json").exists()  # chosen cells have a file of their own

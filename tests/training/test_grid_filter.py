@@ -127,10 +127,7 @@ def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel
     first, second = contact_poses(model, 2, rng)
     beside = se2.compose(first, se2.inverse(second * BACK))
     z = NOISE.draw(model.activation(first[None])[0], rng)
-    scans = [
-        Observation(np.zeros(3), z, LIVE),
-        Observation(beside, np.zeros(len(SKIN)), LIVE),
-    ]
+    scans = [Observation(np.zeros(3), z, LIVE), Observation(beside, np.zeros(len(SKIN)), LIVE)]
     likelihood, known = CellLikelihood(model, NOISE), Memory(model, NOISE)
     for scan in scans:
         known.add(scan)

@@ -103,12 +103,14 @@ def test_the_exact_posterior_is_that_of_the_daemons_likelihood(
     poses = np.concatenate([se2.compose(turn, bank.pose) for turn in back])
     told = []
     for seen in read(ring_model, NOISE, 5, rng):
-        log_w = np.concatenate([
-            NOISE.log_density(
-                seen.z, bank.activation[:, turn].astype(float), seen.floor, seen.residue
-            ).sum(axis=1)
-            for turn in SKIN.turns
-        ])  # fmt: skip
+        log_w = np.concatenate(
+            [
+                NOISE.log_density(
+                    seen.z, bank.activation[:, turn].astype(float), seen.floor, seen.residue
+                ).sum(axis=1)
+                for turn in SKIN.turns
+            ]
+        )
         w = np.exp(log_w - log_w.max())
         pick = rng.choice(len(w), 2000, p=w / w.sum())
         ess = w.sum() ** 2 / (w**2).sum()

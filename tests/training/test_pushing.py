@@ -50,9 +50,7 @@ def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> floa
     return -float(gap_m(model, seen)[0])
 
 
-def test_the_object_gives_way_until_friction_holds_it(
-    ring_model: ObservationModel,
-) -> None:
+def test_the_object_gives_way_until_friction_holds_it(ring_model: ObservationModel) -> None:
     scans = [scan for scan in PushedTrial(ring_model, 0) if scan.touch == TOUCHES]
     depths = [depth(ring_model, scan.truth, scan.sensor) for scan in scans]
     assert max(depths) < DEPTH_M + 3e-4
@@ -124,9 +122,15 @@ def test_who_is_told_the_ground_pushes_every_particle_as_the_world_does(
     (pose,), _ = gave_way(ring_model, ground, np.zeros((1, 3)), before, after)
     calm = Calm()
     poses, pushed = by_ground(ground)(
-        ring_model, PoseMetric(ring_model.scene), np.zeros((3, 3)), np.zeros((3, 4)), before, after,
-        DEPTH_M, calm,
-    )  # fmt: skip
+        ring_model,
+        PoseMetric(ring_model.scene),
+        np.zeros((3, 3)),
+        np.zeros((3, 4)),
+        before,
+        after,
+        DEPTH_M,
+        calm,
+    )
     assert abs(pose[2]) > 1e-3
     assert np.allclose(poses, pose, atol=[2e-5, 2e-5, 1e-3])
     assert np.allclose(pushed, STEP_M, atol=3e-4)

@@ -297,9 +297,15 @@ def test_presses_are_read_as_the_harness_reads_them() -> None:
     """Whatever is drawn is given, and sag is off, which is a solid's there: then response, loop,
     residues and cross-talk are the same, press after press, scan by scan."""
     config = replace(
-        TYPICAL, sag_m=LITTLE, onset=(1.5, 1.5), hysteresis=(0.03, 0.03), residue=(0.02, 0.02),
-        residue_slow=(0.05, 0.05), cross_talk=(0.03, 0.03), noise_counts=LITTLE,
-    )  # fmt: skip
+        TYPICAL,
+        sag_m=LITTLE,
+        onset=(1.5, 1.5),
+        hysteresis=(0.03, 0.03),
+        residue=(0.02, 0.02),
+        residue_slow=(0.05, 0.05),
+        cross_talk=(0.03, 0.03),
+        noise_counts=LITTLE,
+    )
     rng = np.random.default_rng(0)
     h = np.repeat(rng.uniform(0.0, 1.0, (40, TAXELS)), 5, axis=0)
     h[np.repeat(rng.random((40, TAXELS)) < 0.8, 5, axis=0)] = 0.0

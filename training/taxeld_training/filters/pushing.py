@@ -150,9 +150,15 @@ class PushedTrial:
 
 
 def gave_way(
-    model: ObservationModel, ground: Ground, poses: Poses, before: Poses, after: Poses,
-    depth_m: float = DEPTH_M, *, limited: bool = False,
-) -> tuple[Poses, Floats]:  # fmt: skip
+    model: ObservationModel,
+    ground: Ground,
+    poses: Poses,
+    before: Poses,
+    after: Poses,
+    depth_m: float = DEPTH_M,
+    *,
+    limited: bool = False,
+) -> tuple[Poses, Floats]:
     """The object's poses (N, 3) once the sensor has moved from one pose (3,) to another and presses
     `depth_m` deep, and how far each was pushed (N,): with `limited` no farther than the sensor
     went, so that a pose that overlaps the skin from the start is not thrown out of it."""
@@ -188,9 +194,15 @@ def by_ground(ground: Ground) -> Push:
     no filter knows what the object rests on."""
 
     def push(
-        model: ObservationModel, metric: PoseMetric, poses: Poses, assumed: Floats, before: Poses,
-        after: Poses, depth_m: float, rng: np.random.Generator,
-    ) -> tuple[Poses, Floats]:  # fmt: skip
+        model: ObservationModel,
+        metric: PoseMetric,
+        poses: Poses,
+        assumed: Floats,
+        before: Poses,
+        after: Poses,
+        depth_m: float,
+        rng: np.random.Generator,
+    ) -> tuple[Poses, Floats]:
         del assumed
         poses, pushed = gave_way(model, ground, poses, before, after, depth_m, limited=True)
         noise = TOLD_SPREAD * pushed[:, None] * rng.standard_normal((len(poses), 3))

@@ -22,9 +22,13 @@ Tell = Callable[[str, float], None]  # of a stage, and the share of it that is d
 def shown(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
     """→ a function to call with a stage of `stages`, which follow one another, and its share."""
     columns = (
-        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(),
-    )  # fmt: skip
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
     names = [f"{number}/{len(stages)} {stage}" for number, stage in enumerate(stages, 1)]
     began_s = [time.monotonic()]  # when each stage began [s], of the stages so far
     with Progress(*columns, console=Console(file=stream), disable=not stream.isatty()) as bars:

@@ -127,9 +127,14 @@ class CellLikelihood:
         cells.information[block] += each.share * _information(pairs, known, offset, of_cells)
 
     def _offset(
-        self, pairs: Pairs, z: Floats, floor: Floats, residue: Floats, each: Evidence,
+        self,
+        pairs: Pairs,
+        z: Floats,
+        floor: Floats,
+        residue: Floats,
+        each: Evidence,
         reach_m: Floats,
-    ) -> Offset:  # fmt: skip
+    ) -> Offset:
         """The scan's own offset, of cells whose poses are at most reach_m (n,) from the middle."""
         none, variance = np.zeros(len(reach_m)), each.variance_m2
         if not variance:

@@ -38,9 +38,11 @@ class SimulatedTouches:
 
 
 def simulate(
-    model: ObservationModel, n: int, rng: np.random.Generator,
+    model: ObservationModel,
+    n: int,
+    rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _: None,
-) -> SimulatedTouches:  # fmt: skip
+) -> SimulatedTouches:
     """`n` contacts under the prior of single-step projection, each with a taxel over
     MIN_ACTIVATION. `progress` is called with the share that is done.
 
@@ -155,9 +157,14 @@ class Batches:
     """Batches of noisy readings with the coordinates of their poses, drawn with replacement."""
 
     def __init__(
-        self, touches: SimulatedTouches, coordinates: Tensor, leak: Leak, noise: Noise, seed: int,
+        self,
+        touches: SimulatedTouches,
+        coordinates: Tensor,
+        leak: Leak,
+        noise: Noise,
+        seed: int,
         device: torch.device,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`coordinates` (n, 3) of the touches' poses."""
         self.activation = torch.from_numpy(touches.activation).to(device)
         self.coordinates = coordinates.to(device)  # (n, 3) coordinates of touches.pose
