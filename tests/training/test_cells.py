@@ -64,16 +64,6 @@ def test_a_world_that_is_smaller_in_all_is_the_same_but_for_its_lengths() -> Non
     assert little.depth_max_m == 0.25 * usual.depth_max_m
 
 
-def test_a_density_is_trained_once_and_read_from_its_file(small: Setting, tmp_path: Path) -> None:
-    job = trained.training(small, "density", tmp_path)
-    job.work(*job.arguments, *job.beside)
-    (file,) = job.beside
-    assert Path(file).parent == tmp_path
-    sampler = trained.proposal_of("density", small, file)
-    z, live = np.eye(1, 40)[0], np.ones(40, dtype=bool)
-    assert sampler.propose(z, live, 5, np.random.default_rng(0)).shape == (5, 3)
-
-
 def test_the_papers_own_diffusion_is_run_by_the_papers_own_rule(
     small: Setting, tmp_path: Path
 ) -> None:

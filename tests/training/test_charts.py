@@ -36,12 +36,20 @@ def made_rows(objects: tuple[str, ...] = OBJECTS) -> list[dict[str, Any]]:
         for columns in (16, 32):
             for (proposal, steps, width), (ms, gap) in SAMPLERS.items():
                 add_mm = 25.0 * gap**0.25 * rng.uniform(0.8, 1.25)
-                rows.append({
-                    "object": name, "columns": columns, "proposal": proposal, "steps": steps,
-                    "width": width, "ms": ms * rng.uniform(0.9, 1.2), "ms_eager_ddpm100": 140.0,
-                    "energy_distance": 0.004 * gap * rng.uniform(0.7, 1.5), "energy_floor": 0.004,
-                    "add_mm": {"median": add_mm, "best": 0.2 * add_mm, "worst": 2.1 * add_mm},
-                })  # fmt: skip
+                rows.append(
+                    {
+                        "object": name,
+                        "columns": columns,
+                        "proposal": proposal,
+                        "steps": steps,
+                        "width": width,
+                        "ms": ms * rng.uniform(0.9, 1.2),
+                        "ms_eager_ddpm100": 140.0,
+                        "energy_distance": 0.004 * gap * rng.uniform(0.7, 1.5),
+                        "energy_floor": 0.004,
+                        "add_mm": {"median": add_mm, "best": 0.2 * add_mm, "worst": 2.1 * add_mm},
+                    }
+                )
     return rows
 
 
@@ -95,16 +103,24 @@ def test_the_rows_of_the_results_can_be_drawn_again(name: str, tmp_path: Path) -
 def test_a_map_of_all_levels_is_small(tmp_path: Path) -> None:
     rows = [
         {
-            "object": name, "factor": level.factor, "level": level.level, "contact": 8,
-            "proposal": method.proposal, "injection": method.injection,
-            "success_rate": (i % 11) / 10.0, "success_ci": [0.0, 1.0], "flagged_rate": 0.3,
-            "silent_failure_rate": 0.05 * (i % 3 == 0), "silent_so_far_rate": 0.1, "seeds": 100,
+            "object": name,
+            "factor": level.factor,
+            "level": level.level,
+            "contact": 8,
+            "proposal": method.proposal,
+            "injection": method.injection,
+            "success_rate": (i % 11) / 10.0,
+            "success_ci": [0.0, 1.0],
+            "flagged_rate": 0.3,
+            "silent_failure_rate": 0.05 * (i % 3 == 0),
+            "silent_so_far_rate": 0.1,
+            "seeds": 100,
             "map_mm": {"median": 1.0},
         }
         for i, level in enumerate(LEVELS)
         for name in level.objects or STABILITY.objects
         for method in STABILITY.methods
-    ]  # fmt: skip
+    ]
     trial_charts.failures(rows, tmp_path / "map.png")
     check_picture(tmp_path / "map.png")
     text = trial_table(rows)

@@ -192,9 +192,7 @@ def test_filter_has_a_row_a_method_and_contact_and_goes_on_where_it_was_cut(
     assert written_at(tmp_path / "memory") == before
 
 
-def test_what_ships_and_the_grid_meet_the_same_trials(
-    tmp_path: Path,
-) -> None:
+def test_what_ships_and_the_grid_meet_the_same_trials(tmp_path: Path) -> None:
     few = ("--groups", "shipped,grid", "--seeds", "1", "--cells", "as assumed")
     assert evaluate("filter", "003_cracker_box", tmp_path, *few) == 0
     assert not (tmp_path / "out" / "filter.json").exists()  # chosen cells have a file of their own
@@ -295,7 +293,7 @@ def test_other_code_and_other_bundles_have_a_memory_of_their_own(tmp_path: Path)
     assert Options(tmp_path, tmp_path).measured == tmp_path / options.code()
 
 
-class Machine:
+class CachedClock:
     """A clock, and a cache that holds what the last sampler called needs."""
 
     def __init__(self) -> None:
@@ -310,7 +308,7 @@ class Machine:
 class TimedSampler:
     """A sampler that takes 1 000 ms when first called."""
 
-    def __init__(self, name: str, machine: Machine, warm_ms: int, cold_ms: int) -> None:
+    def __init__(self, name: str, machine: CachedClock, warm_ms: int, cold_ms: int) -> None:
         self.name = name
         self.calls = 0
         self._machine, self._ms = machine, (warm_ms, cold_ms)
@@ -328,7 +326,7 @@ class TimedSampler:
 def test_cold_calls_of_all_samplers_alternate_and_warm_ones_follow_each_other(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    machine = Machine()
+    machine = CachedClock()
     monkeypatch.setattr("time.thread_time_ns", lambda: machine.now_ns)
     two = [TimedSampler("a", machine, 1, 5), TimedSampler("b", machine, 2, 3)]
     readings, rng = np.zeros((6, 4)), np.random.default_rng(0)

@@ -15,12 +15,11 @@ from taxeld.proposals.sampler import Sampler
 from taxeld_training.limits import quality
 from taxeld_training.models import variants
 from taxeld_training.models.base import NetworkConfig
-from taxeld_training.models.dataset import Batches, SimulatedTouches, simulate
+from taxeld_training.models.dataset import SimulatedTouches, simulate
 from taxeld_training.models.density import BINS, ContactDensity
 from taxeld_training.models.diffusion import Solver
 from taxeld_training.models.export import export, flops, rounded
 from taxeld_training.models.frames import ContactFrame
-from taxeld_training.models.train import SCALE_BATCH
 from taxeld_training.models.variants import Variant
 from taxeld_training.models.views import Plain, best
 
@@ -93,23 +92,6 @@ def test_a_model_trained_beside_others_is_the_one_that_is_trained_alone(
         alone = variants.fit(variant, ring_model, Noise(), touches)
         for name, weight in alone.state_dict().items():
             assert torch.equal(weight, one.state_dict()[name]), (variant.family, name)
-
-
-def test_models_that_are_trained_side_by_side_draw_their_batches_once(
-    ring_model: ObservationModel, touches: SimulatedTouches, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    drawn: list[int] = []
-    draw = Batches.draw
-
-    def counted(self: Batches, n: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        drawn.append(n)
-        return draw(self, n)
-
-    monkeypatch.setattr(Batches, "draw", counted)
-    few = variants.trained_with(SMALL["density"], 3 / TRAINING.updates, 5_000, 0)
-    more = variants.trained_with(SMALL["ddpm"], 5 / TRAINING.updates, 5_000, 0)
-    variants.fit_beside([few, more], ring_model, Noise(), touches)
-    assert drawn == [SCALE_BATCH] + [TRAINING.batch] * 5
 
 
 def density(model: ObservationModel) -> ContactDensity:

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 import torch
 
-from taxeld.arrays import Floats
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import FLOOR
-from taxeld.model.leak import Leak
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld_training.limits import quality
 from taxeld_training.limits.dense import Dense
@@ -76,22 +74,9 @@ def test_training_meets_nothing_that_presses_beside_a_taxel_may_explain(
 
 def test_training_meets_presses_that_are_read_beside_them(ring_model: ObservationModel) -> None:
     """As on a skin that sags and couples: more than noise, which is never felt on its own."""
-    drawn = batches(ring_model, NOISE)
-    z, _, pose = (batch.numpy() for batch in drawn.draw(3000))
+    z, _, pose = (batch.numpy() for batch in batches(ring_model, NOISE).draw(3000))
     untouched = ring_model.activation(pose.astype(np.float64)) == 0.0
-    share = np.mean((z > 0.0) & untouched)
-    assert 0.005 < share < 0.1
-    drawn._skin._leak = NoLeak(ring_model.layout)
-    z, _, pose = (batch.numpy() for batch in drawn.draw(3000))
-    untouched = ring_model.activation(pose.astype(np.float64)) == 0.0
-    assert np.mean((z > 0.0) & untouched) < 0.1 * share
-
-
-class NoLeak(Leak):
-    """The leak of a skin that neither sags nor couples."""
-
-    def of(self, z: Floats) -> Floats:
-        return np.zeros_like(z)
+    assert 0.005 < np.mean((z > 0.0) & untouched) < 0.1
 
 
 def test_readings_are_as_a_filter_sees_them(ring_model: ObservationModel) -> None:
@@ -106,46 +91,35 @@ def test_readings_are_as_a_filter_sees_them(ring_model: ObservationModel) -> Non
     assert np.mean(~seen.live) == pytest.approx(0.3, abs=0.02)
 
 
-def test_floors_and_residues_count_in_the_exact_posterior(ring_model: ObservationModel) -> None:
-    """Against importance weights by the daemon's own likelihood with them."""
-    rng = np.random.default_rng(0)
-    bank = simulate(ring_model, 4000, rng)
-    posterior = ExactPosterior(bank, SKIN, NOISE)
-    told = []
-    for seen in read(ring_model, NOISE, 5, rng):
-        log_w = np.concatenate([
-            NOISE.log_density(
-                seen.z, bank.activation[:, turn].astype(float), seen.floor, seen.residue
-            ).sum(axis=1)
-            for turn in SKIN.turns
-        ])  # fmt: skip
-        w = np.exp(log_w - log_w.max())
-        ess = w.sum() ** 2 / (w**2).sum()
-        variants = seen, replace(seen, floor=FLOOR), replace(seen, residue=0.0)
-        found = [posterior.sample(one, 1, rng).ess for one in variants]
-        told.append(np.isclose(found, ess, rtol=0.05))
-    assert np.all(told, axis=0).tolist() == [True, False, False]
-
-
-def test_the_exact_posterior_finds_the_true_pose(ring_model: ObservationModel) -> None:
+def test_the_exact_posterior_is_that_of_the_daemons_likelihood(
+    ring_model: ObservationModel,
+) -> None:
     """Against importance weights over the same bank with every turn tried, and no shortcut."""
     rng = np.random.default_rng(0)
     bank = simulate(ring_model, 4000, rng)
     posterior = ExactPosterior(bank, SKIN, NOISE)
-    live = np.ones(len(SKIN), dtype=bool)
-    for h in simulate(ring_model, 5, rng).activation:
-        z = NOISE.draw(h.astype(np.float64), rng)
-        draws = posterior.sample(Observation(np.zeros(3), z, live), 2000, rng)
-        weights, poses = [], []
-        for k, turn in enumerate(SKIN.turns):
-            back = np.array([0.0, 0.0, -2 * np.pi * k / len(SKIN.turns)])
-            weights.append(NOISE.log_likelihood(z, live, bank.activation[:, turn].astype(float)))
-            poses.append(se2.compose(back, bank.pose))
-        log_w = np.concatenate(weights)
+    back = np.zeros((len(SKIN.turns), 3))
+    back[:, 2] = -2.0 * np.pi * np.arange(len(SKIN.turns)) / len(SKIN.turns)
+    poses = np.concatenate([se2.compose(turn, bank.pose) for turn in back])
+    told = []
+    for seen in read(ring_model, NOISE, 5, rng):
+        log_w = np.concatenate(
+            [
+                NOISE.log_density(
+                    seen.z, bank.activation[:, turn].astype(float), seen.floor, seen.residue
+                ).sum(axis=1)
+                for turn in SKIN.turns
+            ]
+        )
         w = np.exp(log_w - log_w.max())
         pick = rng.choice(len(w), 2000, p=w / w.sum())
-        assert energy_distance(draws.pose, np.concatenate(poses)[pick], 0.05) < 0.01
-        assert np.isclose(draws.ess, w.sum() ** 2 / (w**2).sum(), rtol=0.05)
+        ess = w.sum() ** 2 / (w**2).sum()
+        # floors and residues count: without them it is another posterior
+        variants = seen, replace(seen, floor=FLOOR), replace(seen, residue=0.0)
+        found = [posterior.sample(one, 2000, rng) for one in variants]
+        assert energy_distance(found[0].pose, poses[pick], 0.05) < 0.01
+        told.append(np.isclose([draws.ess for draws in found], ess, rtol=0.05))
+    assert np.all(told, axis=0).tolist() == [True, False, False]
 
 
 def test_a_layout_without_symmetry_needs_no_turn(ring_model: ObservationModel) -> None:
@@ -176,39 +150,29 @@ def seen(ring_model: ObservationModel) -> SimulatedReadings:
     return read(ring_model, NOISE, 6, np.random.default_rng(4))
 
 
-def test_contacts_made_around_a_reading_have_the_banks_posterior(
+def test_contacts_made_around_a_reading_have_the_posterior_of_a_bank_that_is_large_enough(
     ring_model: ObservationModel, seen: SimulatedReadings
 ) -> None:
-    rng = np.random.default_rng(0)
-    bank = ExactPosterior(simulate(ring_model, 200_000, rng), ring_model.layout, NOISE)
+    """A hundredth of the contacts is enough to begin with."""
+    rng = np.random.default_rng(1)
+    thin, full = (
+        ExactPosterior(simulate(ring_model, contacts, rng), ring_model.layout, NOISE)
+        for contacts in (2_000, 200_000)
+    )
     dense = Dense(ring_model, NOISE, rng)
+    length_m = ring_model.scene.size
     told = 0
     for one in seen:
-        exact = bank.sample(one, 2 * DRAWS, rng)
-        if exact.ess < 2 * DRAWS:
-            continue
-        told += 1
-        made = dense.sample(one, DRAWS, rng, bank, bank.weighed(one))
-        half, other = exact.pose[:DRAWS], exact.pose[DRAWS:]
-        floor = energy_distance(half, other, ring_model.scene.size)
-        assert energy_distance(made.pose, half, ring_model.scene.size) < floor + 0.01
-    assert told >= 2
-
-
-def test_a_bank_that_is_too_thin_is_enough_to_begin_with(
-    ring_model: ObservationModel, seen: SimulatedReadings
-) -> None:
-    """A hundredth of the contacts leads to the same posterior, by many effective contacts."""
-    rng = np.random.default_rng(1)
-    thin = ExactPosterior(simulate(ring_model, 2_000, rng), ring_model.layout, NOISE)
-    full = ExactPosterior(simulate(ring_model, 200_000, rng), ring_model.layout, NOISE)
-    dense = Dense(ring_model, NOISE, rng)
-    for one in seen:
         made = dense.sample(one, DRAWS, rng, thin, thin.weighed(one))
-        assert made.ess > quality.LIMIT_ESS
-        assert made.ess > thin.sample(one, 1, rng).ess
-        exact = full.sample(one, DRAWS, rng).pose
-        assert energy_distance(made.pose, exact, ring_model.scene.size) < 0.05
+        assert made.ess > max(quality.LIMIT_ESS, thin.sample(one, 1, rng).ess)
+        exact = full.sample(one, 2 * DRAWS, rng)
+        half, other = exact.pose[:DRAWS], exact.pose[DRAWS:]
+        assert energy_distance(made.pose, half, length_m) < 0.05
+        if exact.ess >= 2 * DRAWS:
+            told += 1
+            floor = energy_distance(half, other, length_m)
+            assert energy_distance(made.pose, half, length_m) < floor + 0.01
+    assert told >= 2
 
 
 def test_no_reading_is_left_out_where_the_bank_alone_leaves_out_most(

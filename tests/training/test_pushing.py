@@ -7,7 +7,7 @@ import pytest
 from scipy import optimize
 
 from taxeld.arrays import Floats
-from taxeld.model import contacts, se2
+from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld_training.filters.pushing import (
@@ -16,9 +16,11 @@ from taxeld_training.filters.pushing import (
     TOUCHES,
     Ground,
     PushedTrial,
+    by_ground,
     gave_way,
-    told,
 )
+
+from .rig import gap_m
 
 
 class Calm(np.random.Generator):
@@ -45,12 +47,10 @@ def slide(ground: Ground, contact: Floats, wanted: Floats, inwards: Floats) -> F
 
 def depth(model: ObservationModel, pose: np.ndarray, sensor: np.ndarray) -> float:
     seen = se2.compose(se2.inverse(sensor), pose)[None]
-    return -float(contacts.clearance(model.scene, model.layout.radius_m, seen)[0])
+    return -float(gap_m(model, seen)[0])
 
 
-def test_the_object_gives_way_until_friction_holds_it(
-    ring_model: ObservationModel,
-) -> None:
+def test_the_object_gives_way_until_friction_holds_it(ring_model: ObservationModel) -> None:
     scans = [scan for scan in PushedTrial(ring_model, 0) if scan.touch == TOUCHES]
     depths = [depth(ring_model, scan.truth, scan.sensor) for scan in scans]
     assert max(depths) < DEPTH_M + 3e-4
@@ -121,10 +121,16 @@ def test_who_is_told_the_ground_pushes_every_particle_as_the_world_does(
     after = before - [STEP_M, 0.0, 0.0]
     (pose,), _ = gave_way(ring_model, ground, np.zeros((1, 3)), before, after)
     calm = Calm()
-    poses, pushed = told(ground)(
-        ring_model, PoseMetric(ring_model.scene), np.zeros((3, 3)), np.zeros((3, 4)), before, after,
-        DEPTH_M, calm,
-    )  # fmt: skip
+    poses, pushed = by_ground(ground)(
+        ring_model,
+        PoseMetric(ring_model.scene),
+        np.zeros((3, 3)),
+        np.zeros((3, 4)),
+        before,
+        after,
+        DEPTH_M,
+        calm,
+    )
     assert abs(pose[2]) > 1e-3
     assert np.allclose(poses, pose, atol=[2e-5, 2e-5, 1e-3])
     assert np.allclose(pushed, STEP_M, atol=3e-4)

@@ -26,6 +26,8 @@ from taxeld_training.filters.conditions import (
 )
 from taxeld_training.filters.trials import Trial, TrialScan
 
+from .rig import gap_m
+
 TOUCHES = 6
 LAYOUT = layouts.load(Scenario("box").layout)
 FULL = Scenario("box").full_scale_counts
@@ -77,12 +79,10 @@ def test_a_touch_is_approached_pressed_held_and_released_by_degrees(
 ) -> None:
     """A filter meets rising and falling presses, and silence on the way, as on a robot."""
     for scans in by_touch(moments(ring_model)):
-        gap_m = contacts.clearance(
-            ring_model.scene, ring_model.layout.radius_m, np.array([true_pose(m) for m in scans])
-        )
-        pressed = np.flatnonzero(gap_m < -1e-5)
+        depth_m = -gap_m(ring_model, np.array([true_pose(m) for m in scans]))
+        pressed = np.flatnonzero(depth_m > 1e-5)
         assert (np.diff(pressed) == 1).all()  # one contact
-        deep = -gap_m[pressed]
+        deep = depth_m[pressed]
         held = np.flatnonzero(deep > deep.max() - 1e-5)
         assert len(held) == TrialConditions().scans
         assert (np.diff(deep[: held[0] + 1]) > 0.0).all()
@@ -103,8 +103,7 @@ def test_between_touches_the_skin_is_clear_of_every_object(ring_model: Observati
                 for truth in (moment.truth, moment.twin):
                     if truth is not None:
                         seen = se2.compose(se2.inverse(moment.sensor), truth)
-                        gap_m = contacts.clearance(ring_model.scene, 0.04, seen[None])[0]
-                        assert gap_m > 0.02  # a grid of distances reaches no farther
+                        assert gap_m(ring_model, seen[None])[0] > 0.02  # as far as a grid reaches
 
 
 def test_a_press_nudges_the_object_away_from_the_skin_and_it_stays_there(
@@ -138,18 +137,15 @@ def test_a_seed_replays_a_trial(ring_model: ObservationModel) -> None:
     assert not np.array_equal(other[0].truth, moments(ring_model, **given)[0].truth)
 
 
-def test_a_kidnapping_moves_the_object_once(ring_model: ObservationModel) -> None:
-    found = moments(ring_model, kidnapped_after=4)
-    truths = [next(each).truth for _, each in groupby(found, key=lambda m: m.touch)]
-    moved = [not np.array_equal(a, b) for a, b in pairwise(truths)]
+def test_an_object_is_kidnapped_once_or_moves_along_a_line(ring_model: ObservationModel) -> None:
+    def truths(**given: float) -> Poses:
+        return np.array([scans[0].truth for scans in by_touch(moments(ring_model, **given))])
+
+    found = truths(kidnapped_after=4)
+    moved = [not np.array_equal(a, b) for a, b in pairwise(found)]
     assert moved == [False, False, False, True, False]
-    assert (np.abs(truths[4]) <= [trials.PLACE_M, trials.PLACE_M, np.pi]).all()
-
-
-def test_a_pushed_object_goes_along_a_line(ring_model: ObservationModel) -> None:
-    found = moments(ring_model, pushed_m=0.01, pushed_rad=0.1)
-    truths = np.array([next(each).truth for _, each in groupby(found, key=lambda m: m.touch)])
-    step = np.diff(truths, axis=0)
+    assert (np.abs(found[4]) <= [trials.PLACE_M, trials.PLACE_M, np.pi]).all()
+    step = np.diff(truths(pushed_m=0.01, pushed_rad=0.1), axis=0)
     assert np.allclose(step, step[0])
     assert np.hypot(*step[0, :2]) == pytest.approx(0.01)
     assert abs(step[0, 2]) == pytest.approx(0.1)
@@ -207,7 +203,7 @@ def test_drift_grows_to_its_given_size(ring_model: ObservationModel) -> None:
 def test_deep_touches_saturate(ring_model: ObservationModel) -> None:
     rng = np.random.default_rng(0)
     poses = trials.presses(ring_model, 200, rng, depth=2.0)
-    deep = -contacts.clearance(ring_model.scene, ring_model.layout.radius_m, poses)
+    deep = -gap_m(ring_model, poses)
     assert ring_model.depth_max_m < deep.max() <= 2.0 * ring_model.depth_max_m + 1e-3
     assert ring_model.activation(poses).max() == 1.0
 
@@ -280,13 +276,6 @@ def skin(config: MeshConfig, seed: int = 0) -> SoftSkin:
     return SoftSkin(config, LAYOUT, np.ones(TAXELS), np.random.default_rng(seed))
 
 
-def test_with_nothing_amiss_the_true_activation_is_read() -> None:
-    h = np.random.default_rng(0).uniform(0.0, 1.0, TAXELS)
-    z, felt = skin(STILL).read(h, 0.0)
-    np.testing.assert_allclose(z, h, atol=1e-6)
-    assert (felt == (h > 0.01)).all()
-
-
 def test_the_cover_sags_less_with_distance() -> None:
     pressed = np.where(np.arange(TAXELS) == 24, 0.8, 0.0)
     z, _ = skin(replace(STILL, sag_m=(0.006, 0.006))).read(pressed, 0.0)
@@ -294,7 +283,7 @@ def test_the_cover_sags_less_with_distance() -> None:
     np.testing.assert_allclose(z, 0.8 * np.exp(-apart / 0.006), atol=1e-6)
 
 
-class Pressed:
+class GivenDepths:
     """Depths, given for each step, in place of a solid's."""
 
     def __init__(self, depth_m: Floats) -> None:
@@ -308,9 +297,15 @@ def test_presses_are_read_as_the_harness_reads_them() -> None:
     """Whatever is drawn is given, and sag is off, which is a solid's there: then response, loop,
     residues and cross-talk are the same, press after press, scan by scan."""
     config = replace(
-        TYPICAL, sag_m=LITTLE, onset=(1.5, 1.5), hysteresis=(0.03, 0.03), residue=(0.02, 0.02),
-        residue_slow=(0.05, 0.05), cross_talk=(0.03, 0.03), noise_counts=LITTLE,
-    )  # fmt: skip
+        TYPICAL,
+        sag_m=LITTLE,
+        onset=(1.5, 1.5),
+        hysteresis=(0.03, 0.03),
+        residue=(0.02, 0.02),
+        residue_slow=(0.05, 0.05),
+        cross_talk=(0.03, 0.03),
+        noise_counts=LITTLE,
+    )
     rng = np.random.default_rng(0)
     h = np.repeat(rng.uniform(0.0, 1.0, (40, TAXELS)), 5, axis=0)
     h[np.repeat(rng.random((40, TAXELS)) < 0.8, 5, axis=0)] = 0.0
@@ -318,7 +313,7 @@ def test_presses_are_read_as_the_harness_reads_them() -> None:
     ours, depth_max_m = skin(config), 0.005
     theirs = MeshPhysics(
         config,
-        Pressed(depth_max_m * h),
+        GivenDepths(depth_max_m * h),
         LAYOUT,
         depth_max_m,
         np.full(TAXELS, FULL),

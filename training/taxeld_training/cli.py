@@ -100,7 +100,7 @@ def _scene(args: argparse.Namespace) -> int:
 
 
 def _doubt(args: argparse.Namespace, mesh: "trimesh.Trimesh", skin: "Layout") -> None:
-    """Say what is probably wrong with how the mesh lies and is cut."""
+    """Warn of probable faults in how the mesh lies and is cut."""
     from taxeld_training.objects.doubts import doubts
 
     for line in doubts(mesh, skin, args.height_m):
@@ -134,43 +134,55 @@ def _parser() -> argparse.ArgumentParser:
         "Make what the daemon needs of an object, and run the experiments.",
         "taxeld-train scene bracket.stl --height-m 0.05",
         "taxeld-train build bracket.stl --height-m 0.05 --out bracket",
-    )  # fmt: skip
+    )
     commands = command_line.commands_of(parser)
     one = command(
-        commands, "scene", "Show what the skin meets of an object, before a bundle is built.",
+        commands,
+        "scene",
+        "Show what the skin meets of an object, before a bundle is built.",
         "taxeld-train scene 025_mug",
         "taxeld-train scene bracket.stl --height-m 0.05 --png bracket.png",
         run=_scene,
-    )  # fmt: skip
+    )
     _add_object(one)
     one.add_argument(
         "--png", type=Path, metavar="OUT", help="draw the object, the skin's heights and the slices"
     )
     one = command(
-        commands, "build", "Build the bundle of an object and a skin, which the daemon runs with.",
+        commands,
+        "build",
+        "Build the bundle of an object and a skin, which the daemon runs with.",
         "taxeld-train build 025_mug --out mug",
         "taxeld-train build bracket.stl --skin skin.json --height-m 0.05 --out bracket",
         run=_build,
-    )  # fmt: skip
+    )
     _add_object(one)
     one.add_argument(
         "--out", type=Path, required=True, metavar="BUNDLE", help="directory of the bundle"
     )
     one.add_argument(
-        "--effort", type=float, default=1.0, metavar="SHARE",
+        "--effort",
+        type=float,
+        default=1.0,
+        metavar="SHARE",
         help="share of each model's full training (default %(default)s)",
-    )  # fmt: skip
+    )
     one.add_argument(
-        "--contacts", type=int, default=300_000,
+        "--contacts",
+        type=int,
+        default=300_000,
         help="simulated contacts to train on (default %(default)s)",
-    )  # fmt: skip
+    )
     one.add_argument("--bank", type=int, help="contacts that exact posteriors begin with")
     one.add_argument("--readings", type=int, help="readings that samplers are measured on")
     one.add_argument("--seed", type=int, default=0)
     one = command(
-        commands, "seal", "Write the digests of a bundle's files into it, as they are now.",
-        "taxeld-train seal bracket", run=_seal,
-    )  # fmt: skip
+        commands,
+        "seal",
+        "Write the digests of a bundle's files into it, as they are now.",
+        "taxeld-train seal bracket",
+        run=_seal,
+    )
     one.add_argument("bundle", type=Path, metavar="BUNDLE")
     _add_options(
         command(
@@ -187,17 +199,23 @@ def _parser() -> argparse.ArgumentParser:
 def _add_object(one: argparse.ArgumentParser) -> None:
     """The arguments of `scene` and `build`."""
     one.add_argument(
-        "object", metavar="OBJECT",
+        "object",
+        metavar="OBJECT",
         help="a YCB id (025_mug), or a mesh file in metres whose z axis points up",
-    )  # fmt: skip
+    )
     one.add_argument(
-        "--skin", default=DEFAULT_SKIN, metavar="LAYOUT",
+        "--skin",
+        default=DEFAULT_SKIN,
+        metavar="LAYOUT",
         help="as skin.layout in the configuration (default %(default)s)",
-    )  # fmt: skip
+    )
     one.add_argument(
-        "--height-m", type=float, default=HEIGHT_M, metavar="H",
+        "--height-m",
+        type=float,
+        default=HEIGHT_M,
+        metavar="H",
         help="the sensor frame's origin above the object's lowest point (default %(default)s)",
-    )  # fmt: skip
+    )
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -214,25 +232,37 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("experiment", choices=EXPERIMENTS)
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     add(
-        "--memory", type=Path, default=Path(".experiments"), metavar="DIR",
+        "--memory",
+        type=Path,
+        default=Path(".experiments"),
+        metavar="DIR",
         help="finished jobs; what was interrupted goes on from them (default %(default)s)",
-    )  # fmt: skip
+    )
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     add(
-        "--objects", type=_names, default=(), metavar="A,B",
+        "--objects",
+        type=_names,
+        default=(),
+        metavar="A,B",
         help="default: the paper's ten; of stability, push and cells of proposals, box and mug",
-    )  # fmt: skip
+    )
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
     add("--skin", default="", metavar="LAYOUT", help="this layout in place of them")
     add("--workers", type=int, default=2, help="processes of one thread each")
     add(
-        "--groups", type=_names, default=(), metavar="A,B",
+        "--groups",
+        type=_names,
+        default=(),
+        metavar="A,B",
         help="of samplers (analytic, paper, …), or of filters (table, shipped, …)",
-    )  # fmt: skip
+    )
     add(
-        "--cells", type=_names, default=(), metavar="A,B",
+        "--cells",
+        type=_names,
+        default=(),
+        metavar="A,B",
         help="conditions: factors (noise, skin, 'wrong object', …) or a level of one (moved=5)",
-    )  # fmt: skip
+    )
     add("--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training")
     add("--seeds", type=int, default=0, metavar="N", help="trials a cell of a filter experiment")
     add("--minutes", type=float, default=math.inf, help="begin nothing later; write what is done")

@@ -52,9 +52,14 @@ def legend(figure: Figure, style: Mapping[str, Style], where: str) -> None:
     ]
     lines = math.ceil(len(handles) / (LEGEND * figure.get_figwidth()))
     figure.legend(
-        handles=handles, loc=f"outside {where} center", ncols=-(-len(handles) // lines),
-        fontsize=9, frameon=False, handletextpad=0.3, columnspacing=1.5,
-    )  # fmt: skip
+        handles=handles,
+        loc=f"outside {where} center",
+        ncols=-(-len(handles) // lines),
+        fontsize=9,
+        frameon=False,
+        handletextpad=0.3,
+        columnspacing=1.5,
+    )
 
 
 def plain(axes: Axes, size: float) -> None:

@@ -71,8 +71,15 @@ def frontier(rows: Sequence[Row], columns: int, path: Path) -> None:
     picture.legend(figure, {k: v for k, v in family.items() if v in shown}, "lower")
     for k, name in enumerate(front):  # alternately above and below, as neighbours are close
         up = 1 - 2 * (k % 2)
-        axes.annotate(name, mean[name], (0, 8 * up), textcoords="offset points", fontsize=8,
-                      ha="center", va="bottom" if up > 0 else "top")  # fmt: skip
+        axes.annotate(
+            name,
+            mean[name],
+            (0, 8 * up),
+            textcoords="offset points",
+            fontsize=8,
+            ha="center",
+            va="bottom" if up > 0 else "top",
+        )
     picture.save(figure, path)
 
 
@@ -118,9 +125,14 @@ def _levels(axes: Axes, named: bool) -> None:
         axes.axhline(y, ls=dashes, **LINE)
         if named:
             axes.annotate(
-                text, (1.0, y), (4, 0), xycoords=("axes fraction", "data"),
-                textcoords="offset points", va="center", fontsize=8,
-            )  # fmt: skip
+                text,
+                (1.0, y),
+                (4, 0),
+                xycoords=("axes fraction", "data"),
+                textcoords="offset points",
+                va="center",
+                fontsize=8,
+            )
 
 
 def _times(axes: Axes, eager_ms: float) -> None:
@@ -130,8 +142,16 @@ def _times(axes: Axes, eager_ms: float) -> None:
         axes.axvline(eager_ms, ls=":", **LINE)
         notes.append((eager_ms, f"eager DDPM of 100 steps here: {eager_ms:.0f} ms"))
     for line, (x, text) in enumerate(sorted(notes)):
-        axes.annotate(text, (x, 1.0), (0, 3 + 12 * line), xycoords=("data", "axes fraction"),
-                      textcoords="offset points", ha="right", va="bottom", fontsize=8)  # fmt: skip
+        axes.annotate(
+            text,
+            (x, 1.0),
+            (0, 3 + 12 * line),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="right",
+            va="bottom",
+            fontsize=8,
+        )
 
 
 def _dodged(

@@ -69,9 +69,13 @@ def by_contact(rows: Sequence[Row], path: Path) -> None:
         for label, (colour, dashes, width) in styles.items()
     ]
     figure.legend(
-        handles=handles, loc="outside upper center", ncols=min(len(handles), across + 1),
-        fontsize=8, frameon=False, columnspacing=1.5,
-    )  # fmt: skip
+        handles=handles,
+        loc="outside upper center",
+        ncols=min(len(handles), across + 1),
+        fontsize=8,
+        frameon=False,
+        columnspacing=1.5,
+    )
     picture.save(figure, path, palette=True)
 
 
@@ -147,7 +151,12 @@ def _panel(
             frame = Rectangle((x + 0.03, y + 0.06), 0.94, 0.88, fc="none", ec="black", lw=1.2)
             axes.add_patch(frame)
         axes.text(
-            x + 0.5, y + 0.52, f"{'–' if wrong else f'{100 * good:.0f}'} / {100 * silent:.0f}",
-            ha="center", va="center", fontsize=7, weight="bold" if bad else "normal",
+            x + 0.5,
+            y + 0.52,
+            f"{'–' if wrong else f'{100 * good:.0f}'} / {100 * silent:.0f}",
+            ha="center",
+            va="center",
+            fontsize=7,
+            weight="bold" if bad else "normal",
             color="white" if good < 0.12 or good > 0.88 else "black",
-        )  # fmt: skip
+        )

@@ -1,4 +1,4 @@
 """`taxeld-train evaluate` for filters: simulated trials, and the estimates of a filter in them.
 
-Imports all rooms but `samplers`, and `charts` only where it draws.
+Imports all other rooms, `charts` only where it draws.
 """

@@ -73,7 +73,7 @@ def chosen(methods: Sequence[Method], names: Sequence[str]) -> list[Method]:
 def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Results]:
     """Results of cells, of as many trials of each as given, or as time allows.
 
-    What is learned is trained first. Then every cell gets a first block of trials before any gets a
+    Models are trained first. Then every cell gets a first block of trials before any gets a
     second one; the grid filter, which takes longest, comes last.
     """
     counts = dict(wanted)

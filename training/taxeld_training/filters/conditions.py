@@ -93,7 +93,7 @@ class TrialSkin:
 
 
 class SoftSkin:
-    """A soft skin of the harness between true activations and what is read.
+    """A soft skin of the harness between true activations and readings.
 
     The harness presses a mesh against points of a cover. Here a trial's own activations are pressed
     in, so that thousands of trials are affordable: the cover sags from taxel to taxel. Figures,
@@ -138,8 +138,10 @@ def places(given: TrialConditions, start: Poses, touches: int, rng: np.random.Ge
     """(touches, 3) poses of the object during each touch; it is pushed in between."""
     along, turned = rng.uniform(-np.pi, np.pi), rng.choice([-1.0, 1.0])
     step = [
-        given.pushed_m * np.cos(along), given.pushed_m * np.sin(along), turned * given.pushed_rad
-    ]  # fmt: skip
+        given.pushed_m * np.cos(along),
+        given.pushed_m * np.sin(along),
+        turned * given.pushed_rad,
+    ]
     return np.asarray(start + np.arange(touches)[:, None] * np.array(step))
 
 

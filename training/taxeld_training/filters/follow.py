@@ -16,7 +16,7 @@ from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import SILENT_MM, add_m
 from taxeld_training.filters import gridded, methods, pushing
 from taxeld_training.filters.methods import Method, TouchResult
-from taxeld_training.filters.pushing import PushedTrial, told
+from taxeld_training.filters.pushing import PushedTrial, by_ground
 from taxeld_training.filters.trials import Trial, TrialScan
 
 TOLD = "told"
@@ -59,7 +59,7 @@ def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str
     config = methods.SHIPPED.config(OWN_SEEDS + trial.seed, "push" if is_told else motion)
     estimator = Estimator(model, proposal, config)
     if is_told and isinstance(estimator.rule, Mixture):
-        estimator.rule.push = told(trial.ground)
+        estimator.rule.push = by_ground(trial.ground)
     errors = []
     for moment in trial:
         estimate = estimator.on_scan(moment.activation, moment.sensor)

@@ -1,4 +1,4 @@
-"""Filters by their parts, as the daemon's configuration has them, and what is kept of a touch.
+"""Filters by their parts, as the daemon's configuration has them, and the result of a touch.
 
 What a method does not name is the configuration that ships, its model of a reading's errors above
 all: a trial's own noise is a condition of its world, and no filter knows it.

@@ -51,7 +51,7 @@ def run(options: Options) -> list[Path]:
 
 
 def play(setting: Setting, motion: str, seeds: int) -> Trials:
-    """The results of so many trials."""
+    """The results of the trials of `seeds` seeds."""
     model = trained.model_of(setting)
     proposal = trained.proposal_of(DENSITY, setting, "")
     return [follow.follow_push(PushedTrial(model, seed), motion, proposal) for seed in range(seeds)]

@@ -64,10 +64,12 @@ class Ground:
         return np.asarray(self.load @ self.points)
 
     def slide(self, contact: Floats, wanted: Floats, inwards: Floats) -> Floats:
-        """(N, 3) motions of the object in its own frame, (x, y) of its origin and turn, where the
-        skin touches it at `contact` (N, 2) and moves on by `wanted` (N, 2), of which at least the
-        part along the normal `inwards` (N, 2) must be followed. A contact sticks while the force
-        that this takes is inside the friction cone; else it slips along the cone's edge."""
+        """(N, 3) motions of the object in its own frame, (x, y) of its origin and turn.
+
+        The skin touches it at `contact` (N, 2) and moves on by `wanted` (N, 2). The object must
+        follow at least the part along the normal `inwards` (N, 2). A contact sticks while the force
+        that this takes is inside the friction cone; else it slips along the cone's edge.
+        """
         n = len(contact)
         hold = np.zeros((n, 2, 3))
         hold[:, 0, 0] = hold[:, 1, 1] = 1.0
@@ -148,9 +150,15 @@ class PushedTrial:
 
 
 def gave_way(
-    model: ObservationModel, ground: Ground, poses: Poses, before: Poses, after: Poses,
-    depth_m: float = DEPTH_M, *, limited: bool = False,
-) -> tuple[Poses, Floats]:  # fmt: skip
+    model: ObservationModel,
+    ground: Ground,
+    poses: Poses,
+    before: Poses,
+    after: Poses,
+    depth_m: float = DEPTH_M,
+    *,
+    limited: bool = False,
+) -> tuple[Poses, Floats]:
     """The object's poses (N, 3) once the sensor has moved from one pose (3,) to another and presses
     `depth_m` deep, and how far each was pushed (N,): with `limited` no farther than the sensor
     went, so that a pose that overlaps the skin from the start is not thrown out of it."""
@@ -181,14 +189,20 @@ def gave_way(
     return poses, pushed
 
 
-def told(ground: Ground) -> Push:
+def by_ground(ground: Ground) -> Push:
     """`estimator.push.push` by the world's own ground: the limit of what can be known of a push, as
     no filter knows what the object rests on."""
 
     def push(
-        model: ObservationModel, metric: PoseMetric, poses: Poses, assumed: Floats, before: Poses,
-        after: Poses, depth_m: float, rng: np.random.Generator,
-    ) -> tuple[Poses, Floats]:  # fmt: skip
+        model: ObservationModel,
+        metric: PoseMetric,
+        poses: Poses,
+        assumed: Floats,
+        before: Poses,
+        after: Poses,
+        depth_m: float,
+        rng: np.random.Generator,
+    ) -> tuple[Poses, Floats]:
         del assumed
         poses, pushed = gave_way(model, ground, poses, before, after, depth_m, limited=True)
         noise = TOLD_SPREAD * pushed[:, None] * rng.standard_normal((len(poses), 3))

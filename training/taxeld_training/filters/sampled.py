@@ -52,12 +52,13 @@ def run(options: Options) -> list[Path]:
             raise SetupError(f"--cells: {level.name} changes no reading that samplers would meet")
     todo = {
         (name, level): Job(
-            f"samples-{name}-{level.name}".replace("/", " of "), measure,
+            f"samples-{name}-{level.name}".replace("/", " of "),
+            measure,
             (level.setting(name, options), level, bank, seeds),
         )
         for level in wanted
         for name in options.objects or OBJECTS
-    }  # fmt: skip
+    }
     done = run_jobs(list(todo.values()), options)
     found = [
         {"object": name, "factor": level.factor, "level": level.level} | row
@@ -69,7 +70,7 @@ def run(options: Options) -> list[Path]:
 
 
 def measure(setting: Setting, level: Level, bank: int, trials: int) -> list[dict[str, Any]]:
-    """Rows of all proposals on the touches of so many trials.
+    """Rows of all proposals on the touches of `trials` trials.
 
     Raises:
         SetupError: no bundle of the object is shipped.

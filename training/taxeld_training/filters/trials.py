@@ -140,9 +140,13 @@ class Trial:
 
 
 def presses(
-    model: ObservationModel, count: int, rng: np.random.Generator, depth: float = 1.0,
-    accepts: Accepts | None = None, batch: int = BATCH,
-) -> Poses:  # fmt: skip
+    model: ObservationModel,
+    count: int,
+    rng: np.random.Generator,
+    depth: float = 1.0,
+    accepts: Accepts | None = None,
+    batch: int = BATCH,
+) -> Poses:
     """(count, 3) poses of the object in the sensor frame that press the skin up to `depth` δ_max
     deep and that `accepts` lets pass.
 
@@ -169,11 +173,13 @@ def way_of(
     after = np.concatenate([-depth_m * np.array(RELEASING), RETREAT_M])
     gave = np.concatenate([np.zeros(len(APPROACH_M)), PRESSING])
     return [
-        *(Waypoint(pose, SCAN_S, share) for pose, share in zip(
-            along(model, press, before), gave.tolist(), strict=True)),
+        *(
+            Waypoint(pose, SCAN_S, share)
+            for pose, share in zip(along(model, press, before), gave.tolist(), strict=True)
+        ),
         *(Waypoint(pose, SCAN_S, 1.0) for pose in press + slips[: given.scans]),
         *(Waypoint(pose, SCAN_S, 1.0) for pose in along(model, press, after)),
-    ]  # fmt: skip
+    ]
 
 
 def along(model: ObservationModel, press: Poses, clearance_m: Floats) -> Poses:

@@ -34,7 +34,7 @@ DECIDES = (  # code and bundles that decide the results of jobs
 
 @dataclass(frozen=True)
 class Options:
-    """How an experiment is run; what is empty or 0 is the experiment's own."""
+    """How an experiment is run; an option that is empty or 0 is the experiment's own."""
 
     out: Path
     memory: Path

@@ -139,10 +139,12 @@ def trial_table(rows: Sequence[Row]) -> str:
     shares |= {heading: partial(_pooled, key=key) for heading, key in SHARES.items()}
     after = {f"after {contact}": partial(_success, contact=contact) for contact in contacts}
     both = [*({**row, "object": "all"} for row in last), *last]
-    return "\n\n".join([
-        table(both, {"method": method, "object": _object}, shares),
-        table(rows, {"object": _object, "condition": condition, "method": method}, after),
-    ])  # fmt: skip
+    return "\n\n".join(
+        [
+            table(both, {"method": method, "object": _object}, shares),
+            table(rows, {"object": _object, "condition": condition, "method": method}, after),
+        ]
+    )
 
 
 def distance_table(rows: Sequence[Row]) -> str:

@@ -22,15 +22,19 @@ Tell = Callable[[str, float], None]  # of a stage, and the share of it that is d
 def shown(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
     """→ a function to call with a stage of `stages`, which follow one another, and its share."""
     columns = (
-        TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(),
-        TextColumn("left"), TimeRemainingColumn(),
-    )  # fmt: skip
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
     names = [f"{number}/{len(stages)} {stage}" for number, stage in enumerate(stages, 1)]
     began_s = [time.monotonic()]  # when each stage began [s], of the stages so far
     with Progress(*columns, console=Console(file=stream), disable=not stream.isatty()) as bars:
         tasks = [bars.add_task(name, total=1.0, start=name is names[0]) for name in names]
 
-        def tell(stage: str, share: float) -> None:
+        def advance(stage: str, share: float) -> None:
             at = stages.index(stage)
             bars.update(tasks[at], completed=share)
             if share < 1.0 or len(began_s) > at + 1:
@@ -42,4 +46,4 @@ def shown(stages: Sequence[str], stream: TextIO) -> Iterator[Tell]:
                 took_s = began_s[-1] - began_s[-2]
                 print(f"{names[at]}: {took_s:.0f} s", file=stream, flush=True)
 
-        yield tell
+        yield advance

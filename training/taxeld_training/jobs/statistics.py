@@ -58,7 +58,7 @@ def p_paired(a: ArrayLike, b: ArrayLike) -> float:
 
 def p_share(a: Sequence[bool], b: Sequence[bool]) -> float:
     """Probability that two rules so different on the same trials are obeyed as often (McNemar,
-    exact): only those trials tell that obey one of them."""
+    exact): only trials that obey one of them count."""
     first, second = np.asarray(a, dtype=np.bool_), np.asarray(b, dtype=np.bool_)
     won, lost = int((first & ~second).sum()), int((~first & second).sum())
     return float(stats.binomtest(won, won + lost).pvalue) if won + lost else 1.0

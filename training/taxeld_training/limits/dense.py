@@ -50,9 +50,13 @@ class Dense:
         self._first = np.cumsum(self._count) - self._count
 
     def sample(
-        self, seen: Observation, n: int, rng: np.random.Generator, bank: ExactPosterior,
+        self,
+        seen: Observation,
+        n: int,
+        rng: np.random.Generator,
+        bank: ExactPosterior,
         weighed: Weighed,
-    ) -> Draws:  # fmt: skip
+    ) -> Draws:
         """`n` draws with replacement for a reading, sought from those of a bank, `weighed` by the
         reading."""
         coarse = bank.drawn(weighed, FIRST, rng, FITTED)

@@ -139,8 +139,8 @@ class GridFilter:
         return self._cells
 
     def _chosen(self, tiled: GridScan, newest: int, touched: int) -> Cells:
-        """The belief of the likeliest slack, uphill from the last one, once enough contacts tell.
-        Evidence has one peak over its scale."""
+        """The belief of the likeliest slack, uphill from the last one, once there are enough
+        contacts. Evidence has one peak over its scale."""
         if touched < SLACK_FROM or not (self.slack.robot_m or self.slack.nudge_m):
             return self._belief(self.slack, tiled, newest)
         known: dict[int, Cells] = {}

@@ -90,7 +90,8 @@ class CellLikelihood:
                 self._add_block(cells, near[begin : begin + BLOCK], each, taxel, silent)
 
     def _near(self, cells: Cells, sensor: Floats, taxel: Floats, band_m: float) -> NDArray[np.intp]:
-        """The cells of which some pose may press a taxel, or come within the band of it."""
+        """Indices of the cells in which some pose may press a taxel, or come within the band of
+        it."""
         scene = self._model.scene
         c, s = np.cos(cells.mid[:, 2]), np.sin(cells.mid[:, 2])
         u = (c * sensor[0] + s * sensor[1] + cells.mid[:, 0] - scene.origin[0]) / scene.cell
@@ -120,15 +121,20 @@ class CellLikelihood:
         pairs = pairs._replace(depth=offset.depth)
         best = of_cells(self._best(pairs, z, floor, residue) - unpressed) + offset.best
         cells.log_likelihood_max[block] += each.share * best
-        mean, told = self._mean(pairs, z, floor, residue)
+        mean, known = self._mean(pairs, z, floor, residue)
         gain = of_cells(mean - unpressed) + offset.mean
         cells.log_likelihood[block] += each.share * gain
-        cells.information[block] += each.share * _information(pairs, told, offset, of_cells)
+        cells.information[block] += each.share * _information(pairs, known, offset, of_cells)
 
     def _offset(
-        self, pairs: Pairs, z: Floats, floor: Floats, residue: Floats, each: Evidence,
+        self,
+        pairs: Pairs,
+        z: Floats,
+        floor: Floats,
+        residue: Floats,
+        each: Evidence,
         reach_m: Floats,
-    ) -> Offset:  # fmt: skip
+    ) -> Offset:
         """The scan's own offset, of cells whose poses are at most reach_m (n,) from the middle."""
         none, variance = np.zeros(len(reach_m)), each.variance_m2
         if not variance:
@@ -167,8 +173,8 @@ class CellLikelihood:
     def _mean(
         self, pairs: Pairs, z: Floats, floor: Floats, residue: Floats
     ) -> tuple[Floats, Floats]:
-        """Log density (P,) of readings z (P,) over the cell, and how much each tells of its depth
-        (P,): Fisher's information."""
+        """Log density (P,) of readings z (P,) over the cell, and Fisher's information of each on
+        its depth (P,)."""
         change = pairs.rise - pairs.fall
         middle = pairs.depth + 0.5 * (pairs.fall + pairs.rise).sum(axis=0)
         spread = 0.5 * np.sqrt((change**2).sum(axis=0))
@@ -246,18 +252,19 @@ def _reach_m(edge: Floats, far_m: float) -> Floats:
 
 
 def _information(
-    pairs: Pairs, told: Floats, offset: Offset, of_cells: Callable[[Floats], Floats]
+    pairs: Pairs, known: Floats, offset: Offset, of_cells: Callable[[Floats], Floats]
 ) -> Floats:
-    """(n, 3) Fisher's along each edge, times the variance within the cell, of pairs that tell so
-    much of their depths (P,): less what the scan's offset explains as well (Schur)."""
+    """(n, 3) Fisher information along each edge, times the variance within the cell, of pairs with
+    information (P,) on their depths, less the part that the scan's offset explains as well
+    (Schur)."""
     change, across = pairs.rise - pairs.fall, pairs.across / np.sqrt(12.0)
-    own = np.stack([of_cells(c * c / 12.0 * told) for c in change], axis=1)
+    own = np.stack([of_cells(c * c / 12.0 * known) for c in change], axis=1)
     if np.isinf(offset.precision):
         return own
     gx, gy = pairs.slope
-    xx, xy, yy = (of_cells(g * told) for g in (gx * gx, gx * gy, gy * gy))
+    xx, xy, yy = (of_cells(g * known) for g in (gx * gx, gx * gy, gy * gy))
     xx, yy = xx + offset.precision, yy + offset.precision
-    bx, by = (np.stack([of_cells(a * g * told) for a in across], axis=1) for g in (gx, gy))
+    bx, by = (np.stack([of_cells(a * g * known) for a in across], axis=1) for g in (gx, gy))
     det = (xx * yy - xy * xy)[:, None]
     shared = (yy[:, None] * bx**2 - 2.0 * xy[:, None] * bx * by + xx[:, None] * by**2) / det
     return np.maximum(own - shared, 0.0)

@@ -26,9 +26,9 @@ def summary(
     `add_mm` as in the paper: the median of all samples, and the best and the worst of a reading's,
     averaged. A `_ci` is the interval of the figure before it, over readings.
     """
-    adds = 1e3 * np.array([
-        add(scene, poses, true) for true, poses in zip(truth, samples, strict=True)
-    ])  # fmt: skip
+    adds = 1e3 * np.array(
+        [add(scene, poses, true) for true, poses in zip(truth, samples, strict=True)]
+    )
     inside = coverage(truth, samples, scene.size, rng)
     return {
         "add_mm": {

@@ -102,11 +102,11 @@ def gains(noise: Noise, seen: Observation, at: NDArray[np.intp], h: Reals) -> tu
     residue = np.broadcast_to(seen.residue, len(seen.z))
     unpressed = noise.log_density(seen.z, np.zeros(1), floor, residue)
     silent = np.where(seen.live, unpressed, 0.0)
-    told = np.stack([seen.z, floor, residue, silent, seen.live]).astype(np.float32)
+    by_taxel = np.stack([seen.z, floor, residue, silent, seen.live]).astype(np.float32)
     gain = np.empty(len(at), np.float32)
     for first in range(0, len(at), BLOCK):
         block = slice(first, first + BLOCK)
-        z, low, left, zero, live = told.take(at[block], axis=1)
+        z, low, left, zero, live = by_taxel.take(at[block], axis=1)
         np.multiply(noise.log_density(z, h[block], low, left) - zero, live, out=gain[block])
     return float(silent.sum()), gain
 

@@ -42,9 +42,9 @@ class Reference:
     @property
     def floors(self) -> Floats:
         """(readings,) energy distances of two sets of exact draws."""
-        return np.array([
-            energy_distance(e[SAMPLES:], e[:SAMPLES], self.length_m) for e in self.exact
-        ])  # fmt: skip
+        return np.array(
+            [energy_distance(e[SAMPLES:], e[:SAMPLES], self.length_m) for e in self.exact]
+        )
 
     @property
     def floor(self) -> float:
@@ -59,14 +59,19 @@ class Reference:
 
 
 def reference(
-    model: ObservationModel, noise: Noise, readings: int | Sequence[tuple[Poses, Observation]],
-    rng: np.random.Generator, *, bank: int = BANK, workers: int = 1,
+    model: ObservationModel,
+    noise: Noise,
+    readings: int | Sequence[tuple[Poses, Observation]],
+    rng: np.random.Generator,
+    *,
+    bank: int = BANK,
+    workers: int = 1,
     progress: Callable[[str, float], None] = lambda *_: None,
-) -> Reference:  # fmt: skip
-    """Exact posteriors of so many simulated readings, or of given ones, each with its true pose
+) -> Reference:
+    """Exact posteriors of a number of simulated readings, or of given ones, each with its true pose
     (3,) in the sensor frame. Where the bank is too thin for one, contacts are made around it. Each
     reading has a random generator of its own, so any number of `workers` (processes) makes the
-    same. `progress` is told the stage, and which share of it is done."""
+    same. `progress` is called with the stage and its share that is done."""
     contacts = simulate(model, bank, rng, partial(progress, BANK_STAGE))
     exact = Posterior(model, contacts, noise, rng)
     if isinstance(readings, int):
@@ -132,10 +137,12 @@ def load(path: Path) -> Reference:
 
 def distances(proposal: Proposal, to: Reference, rng: np.random.Generator) -> Floats:
     """(readings,) energy distances of SAMPLES samples to the exact draws."""
-    return np.array([
-        energy_distance(proposal.propose(z, live, SAMPLES, rng), exact[:SAMPLES], to.length_m)
-        for z, live, exact in zip(to.z, to.live, to.exact, strict=True)
-    ])  # fmt: skip
+    return np.array(
+        [
+            energy_distance(proposal.propose(z, live, SAMPLES, rng), exact[:SAMPLES], to.length_m)
+            for z, live, exact in zip(to.z, to.live, to.exact, strict=True)
+        ]
+    )
 
 
 def cost_ms(proposal: Proposal, to: Reference, rng: np.random.Generator) -> float:

@@ -38,11 +38,13 @@ class SimulatedTouches:
 
 
 def simulate(
-    model: ObservationModel, n: int, rng: np.random.Generator,
+    model: ObservationModel,
+    n: int,
+    rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _: None,
-) -> SimulatedTouches:  # fmt: skip
+) -> SimulatedTouches:
     """`n` contacts under the prior of single-step projection, each with a taxel over
-    MIN_ACTIVATION. `progress` is told which share is done.
+    MIN_ACTIVATION. `progress` is called with the share that is done.
 
     Raises:
         SetupError: hardly any contact presses a taxel.
@@ -67,13 +69,13 @@ def simulate(
     )
 
 
-class SimulatedSkin:
+class SkinReader:
     """Reads true activations as a filter sees them.
 
     A taxel that is pressed reads the activation times its gain, and departs from that by the
     filter's noise; one that is not has the skin's own noise, far under its floor. Either reads as
     well what presses beside it leave there, of the size of the `Leak`'s bound. The skin reports 0
-    under its floor, and the filter takes for 0 what is under the bound.
+    under its floor, and the filter takes a reading under the bound for 0.
     """
 
     def __init__(self, leak: Leak, noise: Noise, seed: int, device: torch.device) -> None:
@@ -137,7 +139,7 @@ def read(
 ) -> SimulatedReadings:
     """`n` simulated contacts as a filter sees them: each is felt by a live taxel at least. A share
     `dead` of the taxels is dead in each."""
-    skin = SimulatedSkin(model.leak, noise, int(rng.integers(2**63)), torch.device("cpu"))
+    skin = SkinReader(model.leak, noise, int(rng.integers(2**63)), torch.device("cpu"))
     found, parts = 0, []
     while found < n:
         touches = simulate(model, n, rng)
@@ -155,13 +157,18 @@ class Batches:
     """Batches of noisy readings with the coordinates of their poses, drawn with replacement."""
 
     def __init__(
-        self, touches: SimulatedTouches, coordinates: Tensor, leak: Leak, noise: Noise, seed: int,
+        self,
+        touches: SimulatedTouches,
+        coordinates: Tensor,
+        leak: Leak,
+        noise: Noise,
+        seed: int,
         device: torch.device,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """`coordinates` (n, 3) of the touches' poses."""
         self.activation = torch.from_numpy(touches.activation).to(device)
         self.coordinates = coordinates.to(device)  # (n, 3) coordinates of touches.pose
-        self._skin = SimulatedSkin(leak, noise, seed, device)
+        self._skin = SkinReader(leak, noise, seed, device)
         self._generator = self._skin.generator
 
     def draw(self, n: int) -> tuple[Tensor, Tensor, Tensor]:

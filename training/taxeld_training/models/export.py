@@ -55,10 +55,15 @@ def export(sampler: AnySampler, taxels: int, path: Path, metadata: Mapping[str, 
     with warnings.catch_warnings(), torch.no_grad():
         warnings.simplefilter("ignore")  # torch warns that this exporter is old
         torch.onnx.export(
-            sampler, (z, live, noise), path, dynamo=False, opset_version=OPSET,
-            input_names=["z", "live", "noise"], output_names=["poses"],
+            sampler,
+            (z, live, noise),
+            path,
+            dynamo=False,
+            opset_version=OPSET,
+            input_names=["z", "live", "noise"],
+            output_names=["poses"],
             dynamic_axes={"noise": {1: "samples"}, "poses": {0: "samples"}},
-        )  # fmt: skip
+        )
         noise = noise[:, :TRIED]
         expected = sampler(z, live, noise).numpy()
     model = onnx.load(path)

@@ -44,9 +44,8 @@ def density(width: int = 64, encoder_width: int = 256, encoder_depth: int = 5) -
 
 
 def diffusion(
-    width: int = 128,
-    samplers: tuple[tuple[Solver, int], ...] = ((Solver.DDPM, 100),),
-) -> Variant:  # fmt: skip
+    width: int = 128, samplers: tuple[tuple[Solver, int], ...] = ((Solver.DDPM, 100),)
+) -> Variant:
     """A diffusion in contact coordinates, run by solvers of any number of steps."""
     training = TrainConfig(updates=10_000)
     return Variant("diffusion", NetworkConfig(width, 160), training, samplers=samplers)
@@ -56,10 +55,13 @@ def paper() -> Variant:
     """Marić et al. 2025: 10⁴ contacts, T = 100, symmetry not used. They do not state their width;
     it is 256 here."""
     return Variant(
-        "diffusion", NetworkConfig(256, 256, encoder_depth=1),
-        TrainConfig(contacts=10_000), view="plain", frame="pose",
+        "diffusion",
+        NetworkConfig(256, 256, encoder_depth=1),
+        TrainConfig(contacts=10_000),
+        view="plain",
+        frame="pose",
         samplers=((Solver.DDPM, 100),),
-    )  # fmt: skip
+    )
 
 
 MODELS: dict[str, Variant] = {  # the models that experiments compare

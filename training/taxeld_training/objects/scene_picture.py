@@ -45,9 +45,13 @@ def draw(
 
 
 def _from_the_side(
-    axes: Axes, mesh: trimesh.Trimesh, height_m: float, heights: NDArray[np.float64],
-    cuts: list[BaseGeometry], colour: NDArray[np.float64],
-) -> None:  # fmt: skip
+    axes: Axes,
+    mesh: trimesh.Trimesh,
+    height_m: float,
+    heights: NDArray[np.float64],
+    cuts: list[BaseGeometry],
+    colour: NDArray[np.float64],
+) -> None:
     corners = mesh.triangles[:, :, [0, 2]] * MM
     corners[:, :, 1] -= mesh.bounds[0][2] * MM
     axes.add_collection(PolyCollection(list(corners), facecolors="0.8", edgecolors="none"))

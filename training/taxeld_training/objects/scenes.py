@@ -190,8 +190,8 @@ def grid_error(
     depth_max_m: float,
     points: int = ERROR_POINTS,
 ) -> GridError:
-    """Errors of what is looked up in a scene's grids against the exact distance at random points:
-    what spacing, rounding and lookup make of the outlines.
+    """Errors of the distances that are looked up in a scene's grids, at random points: spacing,
+    rounding and lookup make them.
 
     They are taken where the estimator looks: in the slices within `depth_max_m` and a
     cell of the surface, in the silhouette as near to where the cylinder's axis is at a touch."""

@@ -60,9 +60,14 @@ def make(
     touches = simulate(model, most, rng, partial(progress, CONTACTS))
     trained = _train(given, model, touches, progress)
     to = quality.reference(
-        model, given.noise, given.readings, rng, bank=given.bank, workers=given.workers,
+        model,
+        given.noise,
+        given.readings,
+        rng,
+        bank=given.bank,
+        workers=given.workers,
         progress=progress,
-    )  # fmt: skip
+    )
     samplers: list[dict[str, Any]] = []
     for done, (variant, network) in enumerate(trained, 1):
         samplers += _samplers(variant, network, given, model, folder, to)
@@ -97,8 +102,8 @@ def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str,
     why.
 
     The cheapest that is shown to be within `tolerance` times the nearest one's distance comes
-    first: over the readings that all have met, the excess is below zero by more than chance. What
-    too few readings cannot tell is not taken for as good. The others follow by distance.
+    first: over the readings that all have met, the excess is below zero by more than chance. A
+    proposal that too few readings tell apart does not count as good. The others follow by distance.
     """
     best = min(candidates, key=lambda name: candidates[name]["energy_distance"])
     nearest = candidates[best]
@@ -145,9 +150,13 @@ def _fit(
 
 
 def _samplers(
-    variant: Variant, network: Model, given: Candidates, model: ObservationModel, folder: Path,
+    variant: Variant,
+    network: Model,
+    given: Candidates,
+    model: ObservationModel,
+    folder: Path,
     to: quality.Reference,
-) -> list[dict[str, Any]]:  # fmt: skip
+) -> list[dict[str, Any]]:
     """Export the samplers of a trained model into `folder`, measure and describe each."""
     metadata = variant.describe() | {
         "noise": asdict(given.noise),
@@ -158,15 +167,17 @@ def _samplers(
     for name, sampler in variants.samplers(variant, network).items():
         path = folder / f"{name}.onnx"
         export.export(sampler, len(model.layout), path, metadata)
-        found.append({
-            "name": name,
-            "kind": variant.kind,
-            "file": path.name,
-            "steps": sampler.steps,
-            "width": network.config.width,
-            "flops": export.flops(sampler, quality.SAMPLES),
-            **_measured(Sampler.read(path, model.layout, variant.kind), to, given.seed),
-        })  # fmt: skip
+        found.append(
+            {
+                "name": name,
+                "kind": variant.kind,
+                "file": path.name,
+                "steps": sampler.steps,
+                "width": network.config.width,
+                "flops": export.flops(sampler, quality.SAMPLES),
+                **_measured(Sampler.read(path, model.layout, variant.kind), to, given.seed),
+            }
+        )
     return found
 
 

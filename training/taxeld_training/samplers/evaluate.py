@@ -146,10 +146,13 @@ def _with_cost(row: dict[str, Any], ms: Costs) -> dict[str, Any]:
     own, own_warm = ms[*place, row["proposal"], row["steps"], row["width"]]
     eager, eager_warm = ms[*place, costs.EAGER, *EAGER_SIZE]
     return row | {
-        "ms": own, "ms_eager_ddpm100": eager, "speedup": eager / own,
-        "ms_warm": own_warm, "ms_eager_ddpm100_warm": eager_warm,
+        "ms": own,
+        "ms_eager_ddpm100": eager,
+        "speedup": eager / own,
+        "ms_warm": own_warm,
+        "ms_eager_ddpm100_warm": eager_warm,
         "speedup_warm": eager_warm / own_warm,
-    }  # fmt: skip
+    }
 
 
 def _of_skin(options: Options) -> str:

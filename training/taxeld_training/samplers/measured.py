@@ -118,9 +118,13 @@ def measure(
 
 
 def _row(
-    setting: Setting, tried: Tried, errors: dict[str, Any], distances: Floats,
-    to: quality.Reference, rng: np.random.Generator,
-) -> dict[str, Any]:  # fmt: skip
+    setting: Setting,
+    tried: Tried,
+    errors: dict[str, Any],
+    distances: Floats,
+    to: quality.Reference,
+    rng: np.random.Generator,
+) -> dict[str, Any]:
     return {
         "object": setting.object,
         "columns": setting.columns,

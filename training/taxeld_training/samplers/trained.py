@@ -86,8 +86,8 @@ def proposal_of(name: str, setting: Setting, file: str) -> Proposal:
 
 
 def files(wanted: Iterable[Wanted], options: Options) -> dict[Wanted, str]:
-    """Train what is to be learned and is not yet; → the file of each, "" of one that needs
-    none, and nothing of one that time ran out for."""
+    """Train the proposals that are learned and have no file yet. → The file of each, "" for one
+    that needs none; a proposal that time ran out for is left out."""
     ordered = sorted(set(wanted), key=lambda each: (each[0].name, each[1]))
     todo = {
         (setting, name): training(setting, name, options.memory)
