@@ -43,7 +43,7 @@ GOLDEN = [
         "101#431A000027102711 201#2712271327142715 201#2716271727182719 401#271A271BA9",
     ),
 ]
-# Both checksums over b"123456789"; CRC-16 is catalogued as CRC-16/IBM-3740
+# Both checksums are over b"123456789"; CRC-16 is catalogued as CRC-16/IBM-3740
 CHECKS = {"crc8": "FB", "crc16": "29B1"}
 # data, encoded: the examples of the COBS paper's algorithm, in the order they are usually listed
 COBS = [
@@ -131,7 +131,7 @@ def _answer_cases() -> Case:
         (247, Module(12, 0xFFFFFFFF, 0xFFF, 0xF0, 0x50, 2)),
         (9, Module(0, 0x01020304, 0, 0x88, 0xF0, 1)),
         (9, Module(8, 0xDCF, 0x76D, 0x50)),  # cut; either number of channels may be told,
-        (9, Module(12, 0xDCF, 0x76D, 0x50)),  # it sends 8 of them
+        (9, Module(12, 0xDCF, 0x76D, 0x50)),  # the module sends 8 channels
     ]:
         payload = encode_details(index, module)
         packet = _hex(cyskin.encode(Command.MODULE_DETAILS, payload))

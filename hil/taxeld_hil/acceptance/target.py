@@ -11,7 +11,11 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.slcan_device import ADAPTER_BAUD
 from taxeld.source.sources import Source, open_source
 
-CURE = "; is the adapter plugged in, its driver installed?"
+CURES = {
+    "can": "bring it up: ip link set {channel} up type can bitrate {bitrate}",
+    "slcan": "is it plugged in, and may you use it?",
+    "serial": "is it plugged in, and may you use it?",
+}
 
 
 def source_of(target: str, period_ms: int) -> SourceConfig:
@@ -49,6 +53,10 @@ def opened(target: str, config: SourceConfig, layout: Layout, recorder: Recorder
         return open_source(config, layout, recorder)
     except SetupError as error:
         said = str(error).partition(": ")[2]  # without the key of a configuration: there is none
-        has_cure = target.partition(":")[0] in ("can", "slcan", "serial")
-        cure = "" if has_cure or isinstance(error, BusyError) else CURE
+        cure = CURES.get(
+            target.partition(":")[0], "is the adapter plugged in, its driver installed?"
+        )
+        cure = "; " + cure.format(channel=config.channel, bitrate=config.bitrate)
+        if isinstance(error, BusyError):  # which says what to do
+            cure = ""
         raise SetupError(f"TARGET {target}: {said}{cure}") from None
