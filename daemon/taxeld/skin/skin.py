@@ -226,8 +226,8 @@ class Skin:
         return Reading(np.where(valid, found, 0.0), valid, np.where(t0_valid, t0, 0.0), t0_valid)
 
     def _age(self, hub: int, t: float, taxels: Index | slice) -> None:
-        """A hub has sent a scan of taxels (n,) at time t. Readings of hubs that have been silent too
-        long end."""
+        """A hub has sent a scan of taxels (n,) at time t. Readings of hubs that have been silent
+        too long end."""
         self._t = max(self._t, t)  # hubs end their scans in any order
         self._last_scans[hub] = self._t, taxels
         for other, (last, silent) in list(self._last_scans.items()):
@@ -237,8 +237,8 @@ class Skin:
                 self.counters.hubs_silent += 1
 
     def _judge(self, state: SkinState, wired: Wired, counts: Floats, t0: Floats) -> None:
-        """Use or refuse the stored state of a hub's taxels, by the counts (n,) and temperatures (k,)
-        of its first scan."""
+        """Use or refuse the stored state of a hub's taxels, by the counts (n,) and temperatures
+        (k,) of its first scan."""
         taxels = wired.taxels
         asked = self._pending[taxels]
         answered = asked & (counts > 0)
