@@ -12,7 +12,7 @@ from taxeld.cli import main
 from taxeld.proposals import bundle
 from taxeld_protocol import cyskin
 
-from ..firmware_protocol.test_cyskin import GOLDEN_REQUESTS, GOLDEN_SCAN
+from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
 
 TABLES = {
     "source": {"kind": '"replay"', "path": '"."', "modules": "[[1, 0xFFF]]"},
@@ -48,12 +48,12 @@ def test_decode_of_the_golden_frames_reads_10000_to_10011(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     log = tmp_path / "golden.log"
-    log.write_text("\n".join([*GOLDEN_REQUESTS, *GOLDEN_SCAN]) + "\n", encoding="ascii")
+    log.write_text("\n".join(["5FF#3C00D2", *GOLDEN_SCAN]) + "\n", encoding="ascii")
     assert main(["decode", str(log)]) == 0
     scan, stats = map(json.loads, capsys.readouterr().out.splitlines())
     assert scan == {"t": 0.0, "ihb": 1, "modules": [list(range(10000, 10012))]}
-    assert stats["stats"]["frames"] == 11
-    assert stats["stats"]["packets"] == 8
+    assert stats["stats"]["frames"] == 5
+    assert stats["stats"]["packets"] == 2
     assert stats["stats"]["scans"] == 1
 
 

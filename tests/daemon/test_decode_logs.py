@@ -13,7 +13,7 @@ import pytest
 
 from taxeld.commands.decode import decode
 from taxeld.errors import SetupError
-from taxeld.source import can_log
+from taxeld.source import logs
 from taxeld.source.module_order import ListedModules
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
@@ -58,7 +58,7 @@ def test_candump_text_is_read_as_python_can_reads_it(tmp_path: Path) -> None:
             (m.channel, (m.timestamp, m.arbitration_id, bytes(m.data), m.is_extended_id))
             for m in reader
         ]
-    assert list(can_log.frames(log, can_log.Damage())) == theirs
+    assert list(logs.frames(log, logs.Damage())) == theirs
 
 
 @pytest.mark.parametrize(
@@ -90,8 +90,8 @@ def test_a_frame_that_carries_nothing_for_a_skin_is_counted_as_foreign(
         "(17000",
         "DROPCOUNT: dropped 3 CAN frames on 'can0' socket (total drops 3)",
         f"({'9' * 400}.5) can0 101#43",
-        "x" * 5 * can_log.LINE_MAX,
-        "\0" * can_log.LINE_MAX,
+        "x" * 5 * logs.LINE_MAX,
+        "\0" * logs.LINE_MAX,
         "é\r",
     ],
     ids=range(9),

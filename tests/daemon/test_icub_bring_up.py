@@ -16,7 +16,7 @@ PART = icub_part.of(skin_layout())
 EVERY = {(9, 0), (9, 1), (4, 3)}  # (board, triangle) that the layout has taxels on
 
 
-class Bench:
+class BoardBench:
     """A bring-up and the boards it speaks to, on one clock."""
 
     def __init__(self, boards: Boards, named: Sequence[int] = (), period_ms: int = 50) -> None:
@@ -25,7 +25,7 @@ class Bench:
         self.bring_up = IcubBringUp(self.decoder, PART, named, period_ms)
         self.heard: set[tuple[int, int]] = set()
 
-    def run(self, seconds: float) -> "Bench":
+    def run(self, seconds: float) -> "BoardBench":
         for _ in range(round(seconds / TICK_S)):
             self.bus.now_s += TICK_S
             frames = self.bus.scans()
@@ -48,7 +48,7 @@ class Bench:
 
 @pytest.mark.parametrize("named", [BOARDS, (4, 9)])
 def test_named_boards_send_the_triangles_that_the_layout_has_and_no_other(named) -> None:
-    bench = Bench(Boards(*BOARDS, 5), named).run(3.0)
+    bench = BoardBench(Boards(*BOARDS, 5), named).run(3.0)
     of = dict(zip(named, PART.triangles, strict=True))
     wanted = {(board, k) for board, mask in of.items() for k in range(16) if mask >> k & 1}
     assert bench.heard == wanted
@@ -57,7 +57,7 @@ def test_named_boards_send_the_triangles_that_the_layout_has_and_no_other(named)
 
 
 def test_a_board_is_configured_then_its_triangles_then_started() -> None:
-    bench = Bench(Boards(*BOARDS), BOARDS).run(3.0)
+    bench = BoardBench(Boards(*BOARDS), BOARDS).run(3.0)
     assert bench.told(9) == [
         bytes.fromhex("4D0832F0"),
         bytes.fromhex("50000102010022"),
@@ -68,7 +68,7 @@ def test_a_board_is_configured_then_its_triangles_then_started() -> None:
 
 
 def test_triangles_apart_are_enabled_one_run_after_the_other() -> None:
-    bench = Bench(Boards(9), (9,))
+    bench = BoardBench(Boards(9), (9,))
     part = icub_part.Part("part", (0b1000_0000_0110_0001,), PART.taxels)
     bench.bring_up = IcubBringUp(bench.decoder, part, (9,), 50)
     for _ in range(40):
@@ -77,7 +77,7 @@ def test_triangles_apart_are_enabled_one_run_after_the_other() -> None:
 
 
 def test_a_board_whose_bring_up_takes_long_is_not_said_to_be_silent() -> None:
-    bench = Bench(Boards(9), (9,))
+    bench = BoardBench(Boards(9), (9,))
     part = icub_part.Part("part", (0b0101_0101_0101_0101,), PART.taxels)
     bench.bring_up = IcubBringUp(bench.decoder, part, (9,), 50)
     for _ in range(60):
@@ -88,7 +88,7 @@ def test_a_board_whose_bring_up_takes_long_is_not_said_to_be_silent() -> None:
 @pytest.mark.parametrize("period_ms", [50, 255])
 def test_no_command_reaches_a_board_that_is_busy_with_the_last(period_ms: int) -> None:
     """A board that calibrates waits for two of its periods, and takes what waits last first."""
-    bench = Bench(Boards(*BOARDS), BOARDS, period_ms).run(5.0)
+    bench = BoardBench(Boards(*BOARDS), BOARDS, period_ms).run(5.0)
     for board in BOARDS:
         sent = [(t, c) for t, b, c in bench.bus.sent if b == board and c != icub.ASK]
         for (before_s, command), (after_s, _) in itertools.pairwise(sent):
@@ -98,7 +98,7 @@ def test_no_command_reaches_a_board_that_is_busy_with_the_last(period_ms: int) -
 
 
 def test_boards_are_found_by_asking_and_taken_in_ascending_order() -> None:
-    bench = Bench(Boards(9, 4)).run(4.0)
+    bench = BoardBench(Boards(9, 4)).run(4.0)
     # the layout's first board is the one with the lower address
     assert bench.heard == {(4, 0), (4, 1), (9, 3)}
     assert bench.bring_up.waits_for == ""
@@ -107,14 +107,14 @@ def test_boards_are_found_by_asking_and_taken_in_ascending_order() -> None:
 
 
 def test_boards_of_other_kinds_answer_and_are_not_the_skins() -> None:
-    bench = Bench(Boards(9, 4))
+    bench = BoardBench(Boards(9, 4))
     bench.feed(Frame(0.0, 0x2D0, bytes.fromhex("1C06030100010001")))  # a strain gauge
     bench.run(4.0)
     assert len(bench.heard) == len(EVERY)
 
 
 def test_where_more_boards_answer_than_the_part_has_none_is_touched() -> None:
-    bench = Bench(Boards(9, 4, 12)).run(10.0)
+    bench = BoardBench(Boards(9, 4, 12)).run(10.0)
     assert {c for _, _, c in bench.bus.sent} == {icub.ASK}
     line = bench.bring_up.waits_for
     assert line.startswith("source.boards: boards 4, 9, 12 answer, but cylinder")
@@ -126,7 +126,7 @@ def test_where_more_boards_answer_than_the_part_has_none_is_touched() -> None:
 def test_boards_that_come_up_one_by_one_are_not_taken_for_the_part() -> None:
     """All boards of a bus get their power at once, but not all answer at once."""
     boards = Boards()
-    bench = Bench(boards)
+    bench = BoardBench(boards)
     for number in (4, 9, 12):
         bench.run(0.6)
         boards.replace(number)
@@ -137,7 +137,7 @@ def test_boards_that_come_up_one_by_one_are_not_taken_for_the_part() -> None:
 
 def test_a_board_that_comes_late_is_found() -> None:
     boards = Boards(9)
-    bench = Bench(boards).run(60.0)
+    bench = BoardBench(boards).run(60.0)
     assert bench.bring_up.waits_for.startswith("source.boards: board 9 answers, but ")
     boards.replace(4)
     bench.run(3.0)
@@ -147,7 +147,7 @@ def test_a_board_that_comes_late_is_found() -> None:
 
 def test_a_bus_without_any_board_is_asked_slowly_and_said_to_be_empty() -> None:
     boards = Boards()
-    bench = Bench(boards).run(2.0)
+    bench = BoardBench(boards).run(2.0)
     assert bench.bring_up.waits_for == ""  # boards take seconds to come up
     bench.run(8.0)
     assert bench.bring_up.waits_for.startswith("source.boards: boards 1..14: no skin board answers")
@@ -157,7 +157,7 @@ def test_a_bus_without_any_board_is_asked_slowly_and_said_to_be_empty() -> None:
 
 def test_a_named_board_that_answers_nothing_is_said_and_the_others_send() -> None:
     boards = Boards(9)
-    bench = Bench(boards, BOARDS).run(10.0)
+    bench = BoardBench(boards, BOARDS).run(10.0)
     assert bench.bring_up.waits_for.startswith("source.boards: board 4: no answer; see that")
     assert bench.heard == {(9, 0), (9, 1)}
     assert boards.boards[9].calibrations == 1
@@ -173,7 +173,7 @@ def test_a_named_board_that_answers_nothing_is_said_and_the_others_send() -> Non
 def test_a_board_that_answers_and_sends_nothing_is_said_with_its_firmware() -> None:
     boards = Boards(*BOARDS)
     boards.boards[4].due = lambda _: False  # type: ignore[method-assign]
-    bench = Bench(boards, BOARDS).run(10.0)
+    bench = BoardBench(boards, BOARDS).run(10.0)
     line = bench.bring_up.waits_for
     assert line == "source.boards: nothing comes from board 4 (answers, as MTB4 1.4.2)"
 
@@ -182,7 +182,7 @@ def test_a_named_board_too_old_to_be_asked_is_brought_up_once() -> None:
     boards = Boards(*BOARDS)
     take = boards.boards[4].take
     boards.boards[4].take = lambda f: [] if f.data == icub.ASK else take(f)  # type: ignore[method-assign]
-    assert Bench(boards, BOARDS).run(10.0).heard == EVERY
+    assert BoardBench(boards, BOARDS).run(10.0).heard == EVERY
     assert boards.boards[4].calibrations == 1
 
 
@@ -190,7 +190,7 @@ def test_a_named_board_too_old_to_be_asked_is_brought_up_once() -> None:
 def test_a_board_that_comes_up_amidst_its_bring_up_is_set_up_in_the_end(up_ms: int) -> None:
     """It may get its start alone, and would send all it has, at its own period."""
     boards = Boards(9)
-    bench = Bench(boards, BOARDS, period_ms=20).run(4.0 + up_ms / 1000)
+    bench = BoardBench(boards, BOARDS, period_ms=20).run(4.0 + up_ms / 1000)
     boards.replace(4)
     bench.run(5.0)
     late = boards.boards[4]
@@ -201,7 +201,7 @@ def test_a_board_that_comes_up_amidst_its_bring_up_is_set_up_in_the_end(up_ms: i
 
 def test_a_board_that_lost_its_power_is_brought_up_again_and_the_others_are_left_alone() -> None:
     boards = Boards(*BOARDS)
-    bench = Bench(boards, BOARDS).run(5.0)
+    bench = BoardBench(boards, BOARDS).run(5.0)
     boards.replace(4)
     bench.heard.clear()
     bench.run(4.0)
@@ -213,7 +213,7 @@ def test_a_board_that_lost_its_power_is_brought_up_again_and_the_others_are_left
 def test_boards_that_send_are_left_alone_when_the_adapter_was_opened_anew() -> None:
     """A board that is configured calibrates itself, which would hide a touch."""
     boards = Boards(*BOARDS)
-    bench = Bench(boards, BOARDS, period_ms=255).run(5.0)
+    bench = BoardBench(boards, BOARDS, period_ms=255).run(5.0)
     bench.bring_up.restart()
     bench.run(3.0)
     assert [boards.boards[b].calibrations for b in BOARDS] == [1, 1]
@@ -225,7 +225,7 @@ def test_boards_that_send_are_left_alone_when_the_adapter_was_opened_anew() -> N
 
 
 def test_only_what_was_brought_up_is_stopped() -> None:
-    bench = Bench(Boards(9, 4, 12))
+    bench = BoardBench(Boards(9, 4, 12))
     assert bench.bring_up.stop() == []
-    bench = Bench(Boards(9, 4, 12), BOARDS).run(3.0)
+    bench = BoardBench(Boards(9, 4, 12), BOARDS).run(3.0)
     assert sorted(bench.bring_up.stop()) == [(4, icub.STOP), (9, icub.STOP)]

@@ -153,7 +153,8 @@ def test_a_skin_is_heard_by_it(bus: socket.socket) -> None:
         for command, payload in VirtualIhb(MODULES).sensor_data(counts(k)):
             for frame in cyskin.to_frames(command, payload, ihb=1):
                 bus.send(packed(frame))
-                scans += source.poll(float(k))
+                source.gather()
+        scans += source.poll(float(k))
         time.sleep(0.05)
     assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
     assert all(began <= scan.t <= time.time() for scan in scans)

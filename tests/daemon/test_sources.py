@@ -11,16 +11,19 @@ import pytest
 
 from taxeld.config.tables import SourceConfig
 from taxeld.layout import read as layouts
+from taxeld.source import dialects, session
 from taxeld.source.can_device import CanDevice
 from taxeld.source.device import LostError
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source, open_source
+from taxeld.source.session import Chunk
+from taxeld.source.sources import LiveSource, Source, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import Answer, HubLink, Phase, VirtualIhb
+from tests.daemon.given_device import GivenDevice
 from tests.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
@@ -230,3 +233,47 @@ def test_a_bus_without_a_descriptor_is_polled_and_one_that_fails_is_lost_after_i
     with pytest.raises(LostError):
         device.read()
     device.close()
+
+
+def test_what_was_gathered_is_heard_in_its_order_and_nothing_is_lost_with_the_device(
+    tmp_path: Path,
+) -> None:
+    settings = SourceConfig(kind="can", listen_only=True, modules=LISTED)
+    frames = [
+        frame
+        for k in range(3)
+        for command, payload in VirtualIhb(MODULES).sensor_data(counts(k))
+        for frame in cyskin.to_frames(command, payload, ihb=1, t=1.0 + 0.05 * k)
+    ]
+    cut = len(frames) // 2
+    device = GivenDevice()
+    with Recorder(tmp_path / "session", moves=False) as recorder:
+        source = LiveSource(settings, dialects.live(settings, SKIN), lambda *_: device, recorder)
+        held = []
+        for part in (frames[:5], [], frames[5:cut]):
+            device.frames = part
+            held.append(source.gather())
+        assert held == [5, 5, cut]
+        scans = source.poll(0.1)
+        device.frames = frames[cut:]
+        source.gather()
+        device.is_lost = True
+        assert source.gather() == len(frames) - cut
+        scans += source.poll(0.2)
+        assert source.counters.lost == 0
+        assert source.device is device
+        source.poll(0.3)
+        assert source.counters.lost == 1
+        assert source.device is None
+        source.close()
+    assert [list(scan.counts) for scan in scans] == [counts(k) for k in range(3)]
+    assert session.read(tmp_path / "session").items == frames
+
+
+def test_bytes_of_a_line_that_gathered_are_one_piece_of_the_time_when_it_began() -> None:
+    """As many pieces as a pass has looked at would each be a row of a recording."""
+    chunks = [Chunk(1.0, b"a"), Chunk(1.5, b""), Chunk(2.0, b"bc")]
+    assert session.joined(chunks) == [Chunk(1.0, b"abc")]
+    frames = [Frame(1.0, 1, b""), Frame(2.0, 2, b"")]
+    for items in ([], chunks[:1], frames):
+        assert session.joined(items) == items

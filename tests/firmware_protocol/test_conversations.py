@@ -104,18 +104,6 @@ def test_the_hub_in_c_says_its_part(name: str, c_hub: Path, tmp_path: Path) -> N
 
 
 @each
-@pytest.mark.parametrize("who", ["host", "device"])
-def test_the_hub_in_c_is_refused_where_a_line_of_either_side_is_lacking(
-    name: str, who: str, c_hub: Path, tmp_path: Path
-) -> None:
-    lines = text_of(load(name)).splitlines(keepends=True)
-    for at in [at for at, line in enumerate(lines) if line.startswith(who)]:
-        done = held(c_hub, tmp_path, "".join(lines[:at] + lines[at + 1 :]))
-        assert done.returncode == 1
-        assert "not so" in done.stderr
-
-
-@each
 def test_both_languages_read_what_both_sides_say(name: str, c_side: CSide) -> None:  # noqa: F811
     said = [frame for line in load(name).script for frame in line.frames]
     link = Reassembler()

@@ -111,22 +111,6 @@ def test_damage_costs_only_the_damaged(noise: list[Frame], packet: tuple[int, by
     assert got[-1] == Packet(0.0, packet[2], packet[0], packet[1])
 
 
-@pytest.mark.parametrize("lost", range(4))
-def test_a_lost_fragment_loses_its_packet_alone(lost: int) -> None:
-    link = Reassembler()
-    scan = [golden(line) for line in GOLDEN_SCAN]
-    got = [link.feed(f) for f in scan[:lost] + scan[lost + 1 :] + scan]
-    assert [p for p in got if p] == [Packet(0.0, 1, 0x43, scan_payload())]
-
-
-def test_a_flipped_bit_is_a_checksum_error() -> None:
-    link = Reassembler()
-    body = bytearray(encode(0x43, bytes(10)))
-    body[5] ^= 0x10
-    assert not any(link.feed(f) for f in fragment(bytes(body), 1))
-    assert (link.counters.crc_errors, link.counters.crc) == (1, 2)
-
-
 def test_a_packet_without_end_is_bounded() -> None:
     link = Reassembler()
     link.feed(Frame(0.0, 0x101, bytes(8)))

@@ -70,16 +70,6 @@ def test_cut_modules_are_read_right_at_every_packet_length_whatever_details_tell
 
 
 @READING
-def test_a_module_cut_in_any_way_is_read_right_between_others(details_channels: int | None) -> None:
-    for mask in range(0x1000):
-        hub, decoder = patch([0xFFF, mask, 0x7FF], details_channels), Decoder()
-        told(decoder, hub, Command.DECLARE, Command.MODULE_DETAILS)
-        found = placed(decoder, hub, 1 + mask % 37)
-        assert len(found) == 23 + mask.bit_count()
-        assert all(uid == count for uid, count in found.items()), f"{mask:#x}"
-
-
-@READING
 def test_a_patch_of_sixty_modules_with_one_cut_is_read_right(details_channels: int | None) -> None:
     hub, decoder = patch([0xFFF] * 9 + [CUT] + [0xFFF] * 50, details_channels), Decoder()
     told(decoder, hub, Command.DECLARE, Command.MODULE_DETAILS)

@@ -29,21 +29,6 @@ def test_cobs_round_trips_without_zeros(data: bytes) -> None:
     assert cobs_decode(encoded) == data
 
 
-@pytest.mark.parametrize(
-    ("plain", "stuffed"),
-    [
-        ("", "01"),
-        ("00", "0101"),
-        ("1100", "021101"),
-        ("11220033", "0311220233"),
-        ("01" * 254, "ff" + "01" * 254 + "01"),
-    ],
-)
-def test_cobs_matches_its_definition(plain: str, stuffed: str) -> None:
-    assert cobs_decode(bytes.fromhex(stuffed)) == bytes.fromhex(plain)
-    assert cobs_decode(cobs_encode(bytes.fromhex(plain))) == bytes.fromhex(plain)
-
-
 @given(st.lists(packets, max_size=5), st.lists(st.integers(0, 10**6), max_size=20))
 def test_packets_come_through_pieces_of_any_size(
     sent: list[tuple[int, bytes, int]], cuts: list[int]
@@ -78,14 +63,6 @@ def test_a_line_without_delimiters_is_bounded() -> None:
     for _ in range(100):
         reader.feed(b"\x55" * 1000, 0.0)
         assert reader.pending <= serial_link.MAX_ENCODED
-
-
-@given(st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF), st.binary(max_size=8))
-def test_slcan_lines_round_trip(short: int, long: int, data: bytes) -> None:
-    for frame in (Frame(0.0, short, data), Frame(0.0, long, data, True)):
-        (line,), rest = slcan.split(slcan.encode(frame))
-        assert slcan.parse(line) == frame
-        assert rest == b""
 
 
 @given(st.binary(max_size=40))

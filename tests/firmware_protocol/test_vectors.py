@@ -132,14 +132,6 @@ def test_damaged_lines_deliver_and_count_alike(case: dict[str, Any]) -> None:
     assert reader.pending == case["pending"]
 
 
-@pytest.mark.parametrize("piece", [1, 2, 3, 7])
-@each("serial_in")
-def test_pieces_of_a_line_deliver_what_the_whole_does(case: dict[str, Any], piece: int) -> None:
-    reader, line = SerialReader(), bytes.fromhex(case["line"])
-    pieces = (line[at : at + piece] for at in range(0, len(line), piece))
-    assert delivered([p for part in pieces for p in reader.feed(part, 0.0)]) == case["delivered"]
-
-
 @each("cobs")
 def test_stuffing_is_encoded_alike_and_undone(case: dict[str, Any]) -> None:
     data, encoded = bytes.fromhex(case["data"]), bytes.fromhex(case["encoded"])

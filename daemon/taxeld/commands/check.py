@@ -42,9 +42,9 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
     `is_running` with the configuration, a device or endpoint in use is no fault."""
     found: list[str] = []
 
-    def attempt(step: Callable[[], object]) -> None:
+    def attempt(step: Callable[..., object], *args: object) -> None:
         try:
-            step()
+            step(*args)
         except (BusyError, ServedError) as error:
             if not is_running:
                 found.append(str(error))
@@ -53,18 +53,21 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
 
     def use_layout() -> None:
         skin = layouts.load(config.skin.layout)
-        attempt(lambda: _read_source(config.source, skin))
-        attempt(lambda: _open_bundle(config, skin))
-        attempt(lambda: calibration_file.of(config, skin))
+        attempt(_read_source, config.source, skin)
+        attempt(_open_bundle, config, skin)
+        attempt(calibration_file.of, config, skin)
 
     attempt(use_layout)
-    if config.source.kind != "replay":
-        attempt(lambda: open_device(config.source, lambda *_: []).close())
-    attempt(lambda: _read_keys(config))
-    served = [(endpoint, "publish.endpoints") for endpoint in config.publish.endpoints]
-    for endpoint, key in [*served, (config.control.endpoint, "control.endpoint")]:
-        if endpoint:
-            attempt(lambda at=endpoint, key=key: _serve(at, key))  # type: ignore[misc]
+    # python-can's drivers have no error of their own for a device in use
+    is_silent_on_use = config.source.interface not in ("socketcan", "slcan")
+    is_bus = config.source.kind == "can"
+    if config.source.kind != "replay" and not (is_running and is_bus and is_silent_on_use):
+        attempt(_open_device, config.source)
+    attempt(_read_keys, config)
+    for endpoint in config.publish.endpoints:
+        attempt(_serve, endpoint, "publish.endpoints")
+    if config.control.endpoint:
+        attempt(_serve, config.control.endpoint, "control.endpoint")
     return found
 
 
@@ -96,6 +99,10 @@ def _read_source(source: SourceConfig, skin: Layout) -> None:
 def _open_bundle(config: Config, skin: Layout) -> None:
     loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
     choice.open_all(loaded, config.filter)
+
+
+def _open_device(source: SourceConfig) -> None:
+    open_device(source, lambda *_: []).close()
 
 
 def _read_keys(config: Config) -> None:

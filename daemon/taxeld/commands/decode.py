@@ -8,7 +8,7 @@ from pathlib import Path
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source import can_log, serial_log
+from taxeld.source import logs
 from taxeld.source.module_order import ListedModules, missing
 from taxeld.source.wire import Decoded, Wire
 from taxeld_protocol.cyskin import Command
@@ -18,7 +18,7 @@ from taxeld_protocol.modules import NAMES, Module
 
 KNOWN = (
     "candump -l and -L, files that python-can reads by their ending "
-    f"({' '.join(can_log.PYTHON_CAN)}), and serial.bin are read"
+    f"({' '.join(logs.PYTHON_CAN)}), and serial.bin are read"
 )
 
 log = logging.getLogger(__name__)
@@ -67,13 +67,13 @@ class _Pass:
     """One pass through a log: the frames of one interface, through a decoder."""
 
     def __init__(self, path: Path, decoder: ScanDecoder, interface: str) -> None:
-        self.damage = can_log.Damage()
+        self.damage = logs.Damage()
         self._path = path
         self._decoder = decoder
         self._interface = interface
         self._wire: Wire | None = None
-        if path.suffix.lower() == serial_log.ENDING:
-            framing = serial_log.framing(path)
+        if path.suffix.lower() == logs.SERIAL_ENDING:
+            framing = logs.framing(path)
             self._wire = Wire(SourceConfig(kind="serial", framing=framing), decoder)
 
     def heard(self) -> Iterator[Decoded]:
@@ -87,7 +87,7 @@ class _Pass:
             return
         if self._interface:
             raise SetupError(f"--interface: {self._path} is of a serial line; leave this out")
-        for chunk in serial_log.chunks(self._path, self.damage):
+        for chunk in logs.chunks(self._path, self.damage):
             yield from self._wire.data(chunk.data, chunk.t)
 
     def stats(self) -> dict[str, object]:
@@ -98,7 +98,7 @@ class _Pass:
     def _of_frames(self) -> Iterator[Decoded]:
         feed, drop, wanted = self._decoder.feed, self._decoder.drop_foreign, self._interface
         names: set[str] = set()
-        for name, frame in can_log.frames(self._path, self.damage):
+        for name, frame in logs.frames(self._path, self.damage):
             if name not in names:
                 names.add(name)
                 if not wanted and len(names - {""}) > 1:

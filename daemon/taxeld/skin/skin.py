@@ -216,7 +216,8 @@ class Skin:
         return Reading(np.where(valid, found, 0.0), valid, np.where(t0_valid, t0, 0.0), t0_valid)
 
     def _age(self, hub: int, t: float, taxels: Index | slice) -> None:
-        """A hub has sent a scan at time t. Readings of hubs that have been silent too long end."""
+        """A hub has sent a scan of taxels (n,) at time t. Readings of hubs that have been silent
+        too long end."""
         self._t = max(self._t, t)  # hubs end their scans in any order
         self._last_scans[hub] = self._t, taxels
         for other, (last, silent) in list(self._last_scans.items()):
@@ -225,7 +226,8 @@ class Skin:
                 del self._last_scans[other]
 
     def _judge(self, state: SkinState, wired: Wired, counts: Floats, t0: Floats) -> None:
-        """Use or refuse the stored state of a hub's taxels, by its first scan."""
+        """Use or refuse the stored state of a hub's taxels, by the counts (n,) and temperatures
+        (k,) of its first scan."""
         taxels = wired.taxels
         asked = self._pending[taxels]
         answered = asked & (counts > 0)
@@ -248,7 +250,7 @@ class Skin:
             self._state = None
 
     def _capture(self, taxels: Index, counts: Floats) -> None:
-        """Learn the baselines of taxels that have none yet."""
+        """Learn the baselines of taxels (n,) that have none yet, from their counts (n,)."""
         found = self._idle.on_scan(taxels, counts, self._drift.busy(self._t))
         if len(found):
             self._know(found, self._idle.mean[found], self._idle.noise[found])
@@ -264,6 +266,7 @@ class Skin:
         self._slice.begin(self._t)  # earlier readings may be a touch
 
     def _threshold(self, noise: Floats) -> Floats:
+        """Thresholds of a touch for noise of any shape [counts]."""
         return np.maximum(self.config.threshold_sigmas * noise, self._floor)
 
     def _activation(self) -> Activation:

@@ -45,6 +45,12 @@ class Chunk(NamedTuple):
 Items = list[Frame] | list[Chunk]
 
 
+def joined(items: Items) -> Items:
+    """Bytes that were read one after the other as one chunk with the time of its beginning."""
+    chunks = [item for item in items if isinstance(item, Chunk)]
+    return [Chunk(chunks[0].t, b"".join(c.data for c in chunks))] if len(chunks) > 1 else items
+
+
 @dataclass(frozen=True, slots=True)
 class Session:
     """The whole records of a session, in the order of arrival."""

@@ -23,7 +23,7 @@ from taxeld.source.devices import open_device
 from taxeld.source.dialects import Dialect, ToFrames
 from taxeld.source.outbox import Outbox
 from taxeld.source.recorder import Recorder
-from taxeld.source.session import Session
+from taxeld.source.session import Chunk, Items, Session, joined
 from taxeld.source.wire import Wire
 from taxeld_protocol.decoder import Scan
 
@@ -64,6 +64,8 @@ class Source:
         self.counters = SourceCounters()
 
     def gather(self) -> int:
+        """Read the device and keep the items for the next `poll`; → the number of frames, or of
+        bytes of a line, now kept."""
         return 0
 
     def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:
@@ -119,6 +121,8 @@ class LiveSource(Source):
         self._bring_up = dialect.bring_up
         self._listening = dialect.listening
         self._outbox: Outbox | None = None
+        self._held: Items = []  # items read from the device and not decoded yet
+        self._failed: LostError | None = None  # loss of the device, after the held items
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._lines, self._next_line_s = LOG_BURST, 0.0
         try:
@@ -131,6 +135,14 @@ class LiveSource(Source):
     @property
     def is_busy(self) -> bool:  # type: ignore[override]
         return bool(self._outbox) or (self.device is not None and self.device.fileno() < 0)
+
+    def gather(self) -> int:
+        if self.device is not None and self._failed is None:
+            try:
+                self._held = [*self._held, *self.device.read()]
+            except LostError as error:
+                self._failed = error
+        return sum(len(item.data) if isinstance(item, Chunk) else 1 for item in self._held)
 
     def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:  # noqa: ARG002
         if self.device is None:
@@ -151,7 +163,7 @@ class LiveSource(Source):
             self.device = None
 
     def _take(self, device: Device) -> None:
-        self.device, self._outbox = device, Outbox(device)
+        self.device, self._outbox, self._failed = device, Outbox(device), None
         self._pause_s = REOPEN_S[0]
         self.waits_for = ""
 
@@ -159,11 +171,7 @@ class LiveSource(Source):
         """One turn: hear what has come, and send what is due. Raises LostError."""
         scans: list[Scan] = []
         bring_up = self._bring_up
-        items = device.read()
-        if self._recorder is not None:
-            for item in items:
-                self._recorder.take(item)
-        for packet, ended in self.wire.take(items):
+        for packet, ended in self.wire.take(self._read()):
             scans += ended
             if packet is not None and bring_up is not None:
                 outbox.add(bring_up.on_packet(packet), now_s)
@@ -182,6 +190,18 @@ class LiveSource(Source):
         self._heed(device.waits_for or lacks, now_s)
         self._flush(outbox, now_s)
         return scans
+
+    def _read(self) -> Items:
+        """The items that were gathered, or that wait in the device. Raises LostError."""
+        if not self._held:
+            self.gather()
+        items, self._held = joined(self._held), []
+        if self._failed is not None and not items:
+            raise self._failed
+        if self._recorder is not None:
+            for item in items:
+                self._recorder.take(item)
+        return items
 
     def _follow(self, device: Device, outbox: Outbox, now_s: float) -> None:
         """Count and log the faults noticed by the device."""

@@ -1,7 +1,8 @@
-"""A log of CAN frames as a file: `candump -L` text is read here, other formats by python-can.
+"""A log as a file: CAN frames, or the bytes of a serial line (`serial.bin`) and their times.
 
-This reader takes half of the time of python-can's, and a damaged line costs only itself. A log is
-read from its beginning each time, and is never held in memory.
+`candump -L` text is read here, other formats of CAN logs by python-can. The reader here takes half
+of the time of python-can's, and a damaged line costs only itself. A log is read from its beginning
+each time, and is never held in memory. The times of `serial.bin` stand in `serial.csv` beside it.
 """
 
 import gzip
@@ -13,16 +14,21 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from io import BufferedIOBase
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from taxeld.errors import SetupError, one_line
+from taxeld.source.session import SERIAL_COLUMNS, Chunk
 from taxeld_protocol.frames import Frame, Logged, parse_log_line
+from taxeld_protocol.serial_link import SerialReader
+from taxeld_protocol.slcan import SlcanReader
 
 if TYPE_CHECKING:
     import can
 
 PYTHON_CAN = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")  # endings; any other is candump text
 LINE_MAX = 8192  # bytes; a CAN XL frame, the longest, has 4 150 in candump text
+SERIAL_ENDING = ".bin"
+BLOCK = 1 << 14  # bytes of a serial line: a block and its frames stay in a processor's cache
 STANDARD_MAX, EXTENDED_MAX = 0x7FF, 0x1FFF_FFFF
 SHOWN = 60  # characters of a damaged line
 
@@ -30,6 +36,7 @@ SHOWN = 60  # characters of a damaged line
 _OTHER = re.compile(
     r"(?:\(\d+\.\d+\)\s+\S+\s+)?[0-9A-F]{3,8}#(?:[R#]|[0-9A-F]{2}:)", re.ASCII | re.IGNORECASE
 )
+_ROW = re.compile(r"(\d{1,12}(?:\.\d{1,9})?),(\d{1,15})\s*", re.ASCII)
 
 
 @dataclass(slots=True)
@@ -56,7 +63,41 @@ def frames(path: Path, damage: Damage) -> Iterator[Logged]:
     return _candump(path, damage)
 
 
-def lines(file: BufferedIOBase) -> Iterator[tuple[int, str]]:
+def framing(path: Path) -> str:
+    """The framing of a line, `slcan` or `native`, by the first frame or packet.
+
+    Raises:
+        SetupError: the file is unreadable, or has neither.
+    """
+    slcan, native = SlcanReader(), SerialReader()
+    for _, data in chunks(path, Damage()):
+        if slcan.feed(data, 0.0):
+            return "slcan"
+        if native.feed(data, 0.0):
+            return "native"
+    raise SetupError(f"{path}: has neither an SLCAN frame nor a packet of a hub's serial link")
+
+
+def chunks(path: Path, damage: Damage) -> Iterator[Chunk]:
+    """The bytes as they were read, with their times; time 0 where no file has times.
+
+    Raises:
+        SetupError: the file is unreadable.
+    """
+    t, at = 0.0, 0
+    try:
+        with path.open("rb") as file:
+            for t_next, offset in _rows(path.with_suffix(".csv"), damage):
+                for data in _blocks(file, offset - at):
+                    yield Chunk(t, data)
+                t, at = t_next, offset
+            for data in _blocks(file):
+                yield Chunk(t, data)
+    except OSError as error:
+        raise SetupError(f"{path}: unreadable log ({error.strerror or error})") from None
+
+
+def _lines(file: BufferedIOBase) -> Iterator[tuple[int, str]]:
     """Lines with their numbers from 1 on; only the beginning of a line over LINE_MAX bytes."""
     number = 0
     while line := file.readline(LINE_MAX):
@@ -75,7 +116,7 @@ def _candump(path: Path, damage: Damage) -> Iterator[Logged]:
     number = 0
     try:
         with gzip.open(path) if path.suffix.lower() == ".gz" else path.open("rb") as file:
-            for number, text in lines(file):
+            for number, text in _lines(file):
                 frame = parse_log_line(text)
                 if frame is not None and frame.can_id <= (
                     EXTENDED_MAX if frame.extended else STANDARD_MAX
@@ -123,3 +164,26 @@ def _frame(message: "can.Message") -> Frame | None:
     if not math.isfinite(t) or not 0 <= can_id <= EXTENDED_MAX:
         raise ValueError(f"a frame of id {can_id} at {t} s")
     return Frame(t, can_id, data, bool(message.is_extended_id))
+
+
+def _blocks(file: BinaryIO, size: float = math.inf) -> Iterator[bytes]:
+    """The next `size` bytes of a file, or as many as there are, in blocks."""
+    while size > 0 and (data := file.read(int(min(size, BLOCK)))):
+        size -= len(data)
+        yield data
+
+
+def _rows(path: Path, damage: Damage) -> Iterator[tuple[float, int]]:
+    """Rows of a time and an offset; neither decreases."""
+    if not path.is_file():
+        damage.at(path.name, "it is not there, so that the scans have no time")
+        return
+    last = 0
+    with path.open("rb") as file:
+        for number, text in _lines(file):
+            row = _ROW.fullmatch(text)
+            if row is not None and int(row[2]) >= last:
+                last = int(row[2])
+                yield float(row[1]), last
+            elif text.rstrip() != ",".join(SERIAL_COLUMNS):
+                damage.at(f"{path.name} line {number}", text)
