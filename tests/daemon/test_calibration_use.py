@@ -121,7 +121,7 @@ def _status(calibration: dict[str, object]) -> str:
         "inputs": {"scans_stale": False, "poses_stale": False, "poses_malformed": 0,
                    "poses_rejected": 0, "poses_far": 0, "poses_from_the_future": 0, "poses": 0,
                    "scans_without_pose": 0},
-        "over_budget": {}, "degraded": {}, "realtime": {"fifo": 0, "locked": False},
+        "degraded": {}, "realtime": {"fifo": 0, "locked": False},
         "dead_taxels": [], "lat_us": {}, "calibration": calibration,
     }  # fmt: skip
     pose = {"x": 0.0, "y": 0.0, "theta": 0.0}

@@ -13,9 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from taxeld import native
-from taxeld.estimator.memory import Memory, Slack
+from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Needed
-from taxeld.estimator.prior import Prior
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts

@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.errors import SetupError
-from taxeld.estimator.memory import Memory
-from taxeld.estimator.prior import Prior
+from taxeld.estimator.memory import Memory, Prior
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2

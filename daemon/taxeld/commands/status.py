@@ -44,8 +44,6 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     yield "Rate", f"{rates}, over {up_s:.0f} s"
     own = f"{loop['own_overruns']} of the loop's own work"
     yield "Ticks", f"{loop['ticks']}, {loop['overruns']} overruns, {own}"
-    over = ", ".join(f"{n} {stage}" for stage, n in health["over_budget"].items() if n) or "none"
-    yield "Over budget", over
     yield (
         "Samples",
         ", ".join(f"{n} {step}" for step, n in health["degraded"].items() if n) or "none",

@@ -6,6 +6,7 @@ remembered beside contacts: where the skin met nothing, the object is not.
 """
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, TypeVar
@@ -17,14 +18,16 @@ from taxeld.arrays import Bools, Floats, Grid, Poses
 from taxeld.estimator.compiled import Bounds, Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.particles import Needed
-from taxeld.estimator.prior import Prior
 from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.symmetry import Mode, PoseMetric
 
 Number = TypeVar("Number", np.intp, np.float64)
 
 SPARE_NATS = 0.05  # nats by which a pose may exceed a scan's rounded ceiling
 FAR = 1e30  # standard deviations: no bound
 LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # shares of a reading that may explain it best
+LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
+FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
 
 
 class Kept(IntEnum):
@@ -69,6 +72,34 @@ class Slack:
     def variance(self, age: NDArray[np.intp]) -> Floats:
         """Variance [m²] of scans with `age` (K,) later contacts → (K,)."""
         return np.asarray(self.scale**2 * (self.robot_m**2 + self.nudge_m**2 * age))
+
+
+class Prior:
+    """An earlier belief in few numbers: a density over poses, up to the object's symmetry, as a sum
+    of a Gaussian for each mode."""
+
+    def __init__(
+        self, metric: PoseMetric, poses: Poses, weight: Floats, modes: Sequence[Mode]
+    ) -> None:
+        """From a belief of poses (N, 3) with weights (N,), and its modes."""
+        self._metric = metric
+        self._modes = []
+        for mode in modes:
+            mean, cov = metric.mean(poses[mode.members], weight[mode.members], mode.pose)
+            inverse = np.linalg.inv(cov + np.diag(LEAST_SD**2))
+            height = float(np.log(mode.weight) + 0.5 * np.linalg.slogdet(inverse)[1])
+            self._modes.append((mean, inverse, height))
+        self.ceiling = max(height for *_, height in self._modes)
+
+    def log_density(self, poses: Poses) -> Floats:
+        """Log-density of poses (N, 3) → (N,), up to a constant; about `ceiling` at most."""
+        total = np.full(len(poses), FLOOR)
+        for mean, inverse, height in self._modes:
+            shift = self._metric.centres(poses) - self._metric.centres(mean)
+            off = np.column_stack([shift, self._metric.turn(poses[:, 2], mean[2])])
+            square = np.einsum("ni,ij,nj->n", off, inverse, off)
+            total += np.exp(height - self.ceiling - 0.5 * square)
+        return np.asarray(np.log(total) + self.ceiling)
 
 
 class Memory:

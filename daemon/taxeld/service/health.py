@@ -20,7 +20,6 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
     parts = {
         "uptime_s": now_s - daemon.start_s,
         "loop": daemon.counters,
-        "over_budget": daemon.over_budget,
         "degraded": pipeline.ladder.counters,
         "realtime": daemon.realtime,
         "source": {

@@ -1,8 +1,7 @@
 """The touches of trials as evidence: what the intake makes of each when it is firmest."""
 
 from taxeld.arrays import Poses
-from taxeld.estimator.counters import EstimatorCounters
-from taxeld.estimator.intake import Intake
+from taxeld.estimator.intake import EstimatorCounters, Intake
 from taxeld.model import se2
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld_training.filters.cells import SEEDS_APART, TOUCHES
