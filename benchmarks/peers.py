@@ -25,7 +25,6 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.paper import Paper
-from taxeld.estimator.parts import done
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
@@ -87,7 +86,7 @@ def updated(rule: Paper | Mixture, observation: Observation) -> None:
     """Update a rule by a scan without samples."""
     nothing = np.empty((0, 3))
     if isinstance(rule, Mixture):
-        done(rule._update(observation, nothing, TOUCHES + 1))
+        rule._update(observation, nothing, TOUCHES + 1)
     else:
         rule.update(observation, nothing)
 

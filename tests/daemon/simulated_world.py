@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.errors import SetupError
-from taxeld.service.inputs import Ready
+from taxeld.service.ticker import Ready
 from taxeld.source.device import AwayError, LostError
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.memory import MemoryDevice, MemoryLine
@@ -157,7 +157,7 @@ class SimulatedDevice(MemoryDevice):
 
     @staticmethod
     def fileno() -> int:
-        return 1 << 20  # which nobody waits on but `SimulatedInputs`
+        return 1 << 20  # which nobody waits on but `simulated_wait`
 
     def read(self) -> Any:
         if items := self._line.take():
@@ -167,31 +167,13 @@ class SimulatedDevice(MemoryDevice):
         return items
 
 
-class SimulatedInputs:
-    """`inputs.Inputs` on the fake clock."""
+def simulated_wait(world: World, device: Any, door: Any, until_s: float) -> Ready:
+    """`ticker.wait` on the fake clock."""
 
-    def __init__(self, world: World) -> None:
-        self._world = world
-        self._device: Any = None
-        self._robot: Any = None
+    def ready() -> Ready:
+        has_pose = door is not None and bool(select.select([door], [], [], 0)[0])
+        return Ready(device is not None and world.line.is_readable, has_pose)
 
-    def follow(self, device: Any, robot: Any) -> None:
-        self._device, self._robot = device, robot
-
-    def wait(self, until_s: float) -> Ready:
-        self._world.advance(self._world.now + WORK_S)
-        self._world.advance(until_s, lambda: any(self._ready()))
-        return self._ready()
-
-    def rest(self, until_s: float) -> Ready:
-        device, self._device = self._device, None
-        try:
-            return self.wait(until_s)
-        finally:
-            self._device = device
-
-    def close(self) -> None: ...
-
-    def _ready(self) -> Ready:
-        has_pose = self._robot is not None and bool(select.select([self._robot], [], [], 0)[0])
-        return Ready(self._device is not None and self._world.line.is_readable, has_pose)
+    world.advance(world.now + WORK_S)
+    world.advance(until_s, lambda: any(ready()))
+    return ready()

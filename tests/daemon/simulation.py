@@ -25,7 +25,6 @@ from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.service import health
 from taxeld.service.clock import WallClock
-from taxeld.service.gathering import Gathering
 from taxeld.service.loop import Daemon
 from taxeld.service.notify import Notifier
 from taxeld.service.ticker import Ticker
@@ -43,9 +42,9 @@ from tests.daemon.simulated_world import (
     UNIX_S,
     Drawn,
     SimulatedDevice,
-    SimulatedInputs,
     World,
     draw,
+    simulated_wait,
 )
 
 REST_S = 0.2  # at the end, for what is on its way
@@ -145,9 +144,8 @@ class Run:
             "time.monotonic_ns": lambda: int(world.now * 1e9),
             "time.perf_counter_ns": lambda: int(world.now * 1e9), "time.thread_time_ns": lambda: 0,
             "time.sleep": lambda s: world.advance(world.now + s), "os.fsync": sync,
-            "taxeld.service.loop.Inputs": lambda: SimulatedInputs(world),
+            "taxeld.service.loop.wait": partial(simulated_wait, world),
             "taxeld.service.loop.Ticker": partial(Ticker, clock=lambda: world.now),
-            "taxeld.service.loop.Gathering": lambda: Gathering(lambda: world.now),
             "taxeld.service.doorkeeper.threading": world.threads,
             "taxeld.service.doorkeeper.subprocess": processes,
             "taxeld.stream.pair.open_pair": open_pair, "taxeld.stream.link.Link._give": given,
@@ -163,7 +161,7 @@ class Run:
 
     def _listen_to(self, daemon: Daemon) -> None:
         link, pipeline = daemon.link, daemon.pipeline
-        send, advance = link.send, pipeline.advance
+        send, advance, think = link.send, pipeline.advance, pipeline.think
 
         def sent(topic: bytes, message: Mapping[str, Any], t: float) -> None:
             if topic == messages.ESTIMATE:
@@ -175,14 +173,21 @@ class Run:
                 self._outcomes.append(outcome)
                 yield outcome
 
-        link.send, pipeline.advance = sent, advanced  # type: ignore[method-assign,assignment]
+        def thought() -> Outcome | None:
+            outcome = think()
+            if outcome is not None:
+                self._outcomes.append(outcome)
+            return outcome
+
+        link.send, pipeline.think = sent, thought  # type: ignore[method-assign]
+        pipeline.advance = advanced  # type: ignore[method-assign,assignment]
 
     def _judge_end(self, daemon: Daemon) -> None:
         """All faults are long over."""
         self.unsent = daemon.link.counters.unsent
         self._law(daemon.link.is_ready, "no door at the end")
         self._law(self._sent[-1]["status"] != Status.STALE, "stale at the end")
-        used = [o for o in self._outcomes if o.is_used and not o.is_afterthought]
+        used = [o for o in self._outcomes if o.is_used]
         told = iter(self._sent)
         in_order = all(any(e["t"] == o.estimate.t for e in told) for o in used)
         self._law(in_order, "a scan that was used has no estimate, or not in the order of scans")

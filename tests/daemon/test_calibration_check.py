@@ -12,7 +12,6 @@ from taxeld.estimator.calibration_check import (
     CalibrationDoubt,
     Suspect,
 )
-from taxeld.estimator.parts import done
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.activation import FLOOR
@@ -59,7 +58,7 @@ class Touching:
             self.scan(None)
 
     def scan(self, used: Observation | None) -> None:
-        done(self.check.on_scan(used, self.believed[None], self.contacts))
+        self.check.on_scan(used, self.believed[None], self.contacts)
 
     def touches(self, n: int, **wrong: object) -> Suspect:
         """What is suspected first in n touches."""

@@ -5,8 +5,7 @@ import pytest
 
 from taxeld.estimator import consistency
 from taxeld.estimator import particles as pf
-from taxeld.estimator.memory import Memory
-from taxeld.estimator.prior import Prior
+from taxeld.estimator.memory import Memory, Prior
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
 

@@ -280,33 +280,24 @@ def test_a_belief_that_a_touch_makes_impossible_begins_with_its_samples(
     assert near.mean() > 0.9
 
 
-def test_a_scan_taken_in_parts_leads_where_the_same_at_once_does(
+def test_second_opinions_come_one_at_a_time_when_they_are_asked_for(
     box_model: ObservationModel,
 ) -> None:
-    whole, parted = estimator(box_model), estimator(box_model)
-    most = 0
-    for k in range(6):
-        sensor = press(0.002 * (k % 2) - 0.004)
+    """The result is the same whether each is taken with its scan, or later but before the next."""
+    at_once, later = estimator(box_model), estimator(box_model)
+    changed = 0
+    for k in range(40):
+        sensor = press(0.01 if k % 5 > 2 else 0.002 * (k // 5 % 2) - 0.004)
         activation = feel(box_model, sensor, 0.2 * k)
-        before = parted.estimate
-        parts = 0
-        for _ in parted.parts(activation, sensor):
-            parts += 1
-            assert parted.estimate is before
-        most = max(most, parts)
-        assert messages_of(whole.on_scan(activation, sensor)) == messages_of(parted.estimate)
-    assert most >= 4  # a touch has several
-
-
-def test_a_scan_that_is_put_down_half_way_can_be_forgotten(box_model: ObservationModel) -> None:
-    subject, fresh = estimator(box_model), estimator(box_model)
-    for pauses in range(5):
-        parts = subject.parts(feel(box_model, press(-0.004), 0.0), press(-0.004))
-        for _, _ in zip(range(pauses), parts, strict=False):
-            pass
-        parts.close()
-        subject.reset()
-    assert messages_of(approach(subject, box_model)) == messages_of(approach(fresh, box_model))
+        whole = messages_of(at_once.on_scan(activation, sensor))
+        first = messages_of(later.learn(activation, sensor))
+        had_thought = later.has_thought
+        changed += later.think()
+        assert not later.has_thought
+        assert not later.think()
+        assert messages_of(later.estimate) == whole
+        assert had_thought or first == whole
+    assert changed == at_once.counters.thoughts > 0
 
 
 def messages_of(estimate: Estimate) -> str:

@@ -7,7 +7,6 @@ from taxeld.arrays import Floats
 from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.particles import Belief
-from taxeld.estimator.parts import done
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
 
@@ -15,7 +14,7 @@ SD = np.array([0.001, 0.001, 0.02])
 
 
 def annealed(given: Belief, own: Floats, share: Floats, explain: pf.Explain) -> Belief:
-    return done(injection.anneal(given, own, share, explain, rng()))
+    return injection.anneal(given, own, share, explain, rng())
 
 
 def rng() -> np.random.Generator:

@@ -1,172 +1,125 @@
-"""The ladder of proposals, on a fake clock."""
+"""Samples are saved where touches take longer than they have, one rung of the ladder at a time."""
 
-from collections.abc import Callable
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
+from itertools import chain, count, repeat
 
 import numpy as np
 import pytest
 
 from taxeld.arrays import Bools, Floats, Poses
-from taxeld.proposals.ladder import OVERHEAD, PATIENCE, Cost, Ladder, Rung, Step
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.estimator import Estimator
+from taxeld.layout import read as layouts
+from taxeld.pipeline.warm_up import warm_up
+from taxeld.proposals import bundle, choice
+from taxeld.proposals.bundle import Bundle
+from taxeld.proposals.ladder import PATIENCE, Ladder, Rung, Step
 
-MS = 1_000_000
-S = 40
+SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 RNG = np.random.default_rng(0)
 
 
 @dataclass
-class Clock:
-    ns: int = 0
-
-    def __call__(self) -> int:
-        return self.ns
-
-
-@dataclass
-class Slow:
-    """A proposal that takes a time of its own."""
+class Asked:
+    """A proposal that notes how many samples are wanted."""
 
     name: str
-    clock: Clock
-    ms: Callable[[], float]
     asked: list[int] = field(default_factory=list)
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:  # noqa: ARG002
         self.asked.append(n)
-        self.clock.ns += round(self.ms() * MS)
         return np.zeros((n, 3))
 
 
-@dataclass
-class Bench:
-    """A ladder of four proposals, of 8, 4, 2 (a quarter) and 1 ms, and a clock to set."""
+@pytest.fixture
+def ladder() -> Ladder:
+    return Ladder(
+        [
+            Rung(Step.CHOSEN, Asked("ddpm")),
+            Rung(Step.CHEAPER, Asked("density")),
+            Rung(Step.FEWER, Asked("density"), 0.25),
+            Rung(Step.TABLE, Asked("table")),
+        ]
+    )
 
-    filter_ms: float = 0.0
-    slower: float = 1.0
 
-    def __post_init__(self) -> None:
-        self.clock = Clock()
-        self.ladder = Ladder(
-            [
-                self.rung(Step.CHOSEN, "ddpm", 8.0),
-                self.rung(Step.CHEAPER, "density", 4.0),
-                self.rung(Step.FEWER, "density", 2.0, 0.25),
-                self.rung(Step.TABLE, "table", 1.0),
-                Rung(Step.NONE),
-            ],
-            self.clock,
-        )
-        self.ladder.settle()
+@pytest.fixture(scope="module")
+def box() -> Bundle:
+    return bundle.load("box", SKIN, 0.005)
 
-    def rung(self, step: Step, name: str, ms: float, share: float = 1.0) -> Rung:
-        proposal = Slow(name, self.clock, lambda: self.slower * ms)
-        return Rung(step, proposal, share, Cost(ms * MS))
 
-    def call(self, left_ms: float) -> int:
-        """Propose with so much time left, and use it; → how many samples came."""
-        self.ladder.deadline_ns = self.clock.ns + left_ms * MS
-        made = len(self.ladder.propose(np.zeros(1), np.ones(1, bool), S, RNG))
-        self.clock.ns += round(self.slower * self.filter_ms * MS * bool(made))
-        self.ladder.used()
-        return made
+def served(ladder: Ladder) -> tuple[str, int, Step]:
+    """The proposal of a call for 40 samples, how many it is asked for, and the step in messages."""
+    z, live = np.zeros(5), np.ones(5, dtype=bool)
+    return ladder.name, len(ladder.propose(z, live, 40, RNG)), ladder.rung.step
+
+
+def test_touches_that_repeatedly_do_not_fit_take_it_down_by_one_rung(ladder: Ladder) -> None:
+    found = []
+    for _ in range(4):
+        found.append(served(ladder))
+        stepped = [ladder.took(11.0, 10.0) for _ in range(PATIENCE)]
+        assert stepped == [False] * (PATIENCE - 1) + [found[-1][2] is not Step.TABLE]
+    assert found == [
+        ("ddpm", 40, Step.CHOSEN), ("density", 40, Step.CHEAPER), ("density", 10, Step.FEWER),
+        ("table", 40, Step.TABLE),
+    ]  # fmt: skip
+    assert served(ladder) == found[-1], "the last rung serves whatever it takes"
+    assert asdict(ladder.counters) == {"chosen": 1, "cheaper": 1, "fewer": 1, "table": 2}
+
+
+def test_now_and_then_a_touch_may_take_longer(ladder: Ladder) -> None:
+    for _ in range(10):
+        assert not any(ladder.took(11.0, 10.0) for _ in range(PATIENCE - 1))
+        assert not ladder.took(9.0, 10.0)
+    assert served(ladder)[2] is Step.CHOSEN
+
+
+def test_a_reset_goes_back_to_what_fitted_at_start(ladder: Ladder) -> None:
+    ladder.first = 1
+    ladder.step_down()
+    ladder.step_down()
+    ladder.begin_anew()
+    assert served(ladder)[2] is Step.CHEAPER
 
 
 @pytest.mark.parametrize(
-    ("left_ms", "step", "samples"),
-    [
-        (float("inf"), Step.CHOSEN, S), (10.0, Step.CHOSEN, S), (9.9, Step.CHEAPER, S),
-        (5.0, Step.CHEAPER, S), (4.9, Step.FEWER, S // 4), (2.4, Step.TABLE, S),
-        (1.2, Step.NONE, 0), (-3.0, Step.NONE, 0),
-    ],
-)  # fmt: skip
-def test_the_first_rung_that_the_time_left_carries_is_taken(
-    left_ms: float, step: Step, samples: int
+    ("ms", "step"), [((9,), Step.CHOSEN), ((11,), Step.TABLE), ((11, 11, 9), Step.FEWER)]
+)
+def test_a_rung_on_which_touches_do_not_fit_is_passed_over_at_start(
+    box: Bundle, ladder: Ladder, ms: tuple[int, ...], step: Step
 ) -> None:
-    bench = Bench()
-    assert bench.call(left_ms) == samples
-    assert bench.ladder.step is step
-    assert asdict(bench.ladder.counters)[step.name.lower()] == 1
-    assert sum(asdict(bench.ladder.counters).values()) == 1
+    """`ms`: what each scan takes on each rung, and on the last of them from there on."""
+    ladder.rungs = [Rung(rung.step, box.proposal("manifold"), rung.share) for rung in ladder.rungs]
+
+    def clock() -> Iterator[int]:
+        ns = 0
+        for each in chain(ms, repeat(ms[-1])):
+            for _ in range(5 * 4):  # touches, and scans of each
+                yield ns
+                ns += each
+                yield ns
+
+    warm_up(box.model, ladder, FilterConfig(), clock().__next__, 10.0)
+    assert ladder.rung.step is step
+    assert sum(asdict(ladder.counters).values()) == 0, "calls of the warm-up do not count"
 
 
-def test_with_room_again_the_next_call_is_whole() -> None:
-    bench = Bench()
-    steps = []
-    for left_ms in (20.0, 3.0, 0.0, 20.0):
-        bench.call(left_ms)
-        steps.append(bench.ladder.step)
-    assert steps == [Step.CHOSEN, Step.FEWER, Step.NONE, Step.CHOSEN]
+def test_a_warm_up_leaves_no_trace_in_the_belief(box: Bundle) -> None:
+    found = []
+    for warm in (False, True):
+        ladder = box.untimed(FilterConfig())
+        subject = Estimator(box.model, ladder, FilterConfig())
+        if warm:
+            warm_up(box.model, ladder, FilterConfig(), count().__next__, 1e9)
+        found.append(subject.rule.belief.pose.tobytes())
+    assert found[0] == found[1]
 
 
-def test_what_the_filter_does_with_the_samples_must_fit_as_well() -> None:
-    bench = Bench(filter_ms=4.0 * (OVERHEAD + S) / OVERHEAD)
-    assert bench.call(20.0) == S
-    bench.call(20.0 - 4.0)  # 8 ms of samples and 5.6 of filter, with the margin 17
-    assert bench.ladder.step is Step.CHEAPER
-
-
-def test_a_proposal_over_its_own_budget_is_not_taken_though_there_is_time() -> None:
-    bench = Bench()
-    bench.ladder.budget_ns = 5 * MS
-    bench.call(100.0)
-    assert bench.ladder.step is Step.CHEAPER
-
-
-def test_a_machine_that_slows_down_is_noticed_and_that_it_recovers_as_well() -> None:
-    bench = Bench()
-    assert bench.call(12.0) == S
-    bench.slower = 3.0
-    for _ in range(100):
-        bench.call(12.0)
-    assert bench.ladder.counters.chosen < 10  # a try now and then
-    bench.slower = 1.0
-    for _ in range(100):
-        bench.call(12.0)
-    assert bench.ladder.step is Step.CHOSEN
-
-
-def test_a_machine_that_was_busy_at_start_costs_no_samples_afterwards() -> None:
-    """What others did then is not what the filter's work costs."""
-    bench = Bench(filter_ms=2.0)
-    for bench.slower in (20.0, 1.0, 20.0, 15.0, 20.0):
-        bench.call(float("inf"))
-    bench.ladder.settle()
-    bench.slower = 1.0
-    for _ in range(10):
-        assert bench.call(15.0) == S
-    assert bench.ladder.counters.chosen == 10
-
-
-def test_one_long_pause_by_others_does_not_condemn_a_proposal() -> None:
-    bench = Bench()
-    bench.slower = 1000.0
-    bench.call(20.0)
-    bench.slower = 1.0
-    bench.call(30.0)
-    assert bench.ladder.step is Step.CHOSEN
-
-
-def test_what_takes_now_more_now_less_is_given_more_than_its_mean() -> None:
-    steady, unsteady = Bench(), Bench()
-    for call in range(40):
-        steady.call(100.0)
-        unsteady.slower = 0.5 if call % 2 else 1.5
-        unsteady.call(100.0)
-    for bench in (steady, unsteady):
-        bench.call(12.0)
-    assert steady.ladder.step is Step.CHOSEN
-    assert unsteady.ladder.step is Step.CHEAPER
-
-
-def test_where_nothing_ever_fits_the_fewest_samples_still_come_now_and_then() -> None:
-    bench = Bench()
-    came = [bench.call(0.1) > 0 for _ in range(3 * (PATIENCE + 1))]
-    assert came == 3 * [*PATIENCE * [False], True]
-
-
-def test_a_lone_proposal_without_a_clock_is_always_whole() -> None:
-    chosen = Slow("table", Clock(), lambda: 1.0)
-    ladder = Ladder([Rung(Step.CHOSEN, chosen)], lambda: 0)
-    for _ in range(10):
-        assert len(ladder.propose(np.zeros(1), np.ones(1, bool), S, RNG)) == S
-    assert chosen.asked == 10 * [S]
+def test_below_the_chosen_sampler_are_cheaper_ones_and_fewer_samples(box: Bundle) -> None:
+    opened = choice.open_all(box, FilterConfig(sampler="ddpm-100"))
+    steps = [rung.step for rung in choice.rungs(box, opened, "ddpm-100", 50)]
+    assert steps == sorted(steps)
+    assert steps[0] is Step.CHOSEN
+    assert {Step.CHEAPER, Step.FEWER} < set(steps)

@@ -3,8 +3,7 @@
 import numpy as np
 
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.counters import EstimatorCounters
-from taxeld.estimator.intake import Intake
+from taxeld.estimator.intake import EstimatorCounters, Intake
 from taxeld.layout.layout import Layout
 from taxeld.model.activation import Activation
 from taxeld.model.leak import CROSS_TALK, SAG, Leak

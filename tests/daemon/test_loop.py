@@ -1,7 +1,8 @@
 """The loop on a fake clock, and its sockets on real ones."""
 
+import itertools
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,15 @@ from taxeld.config.file import load, parse
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.model.activation import Activation
-from taxeld.service.loop import Daemon
+from taxeld.pipeline.outcome import Outcome
+from taxeld.proposals.ladder import Step
+from taxeld.service import loop
+from taxeld.service.loop import GATHER_S, GATHERS, Daemon
+from taxeld.service.notify import Notifier
+from taxeld.service.ticker import Ready
 from taxeld.source import session
 from taxeld.stream import messages
+from taxeld_protocol.decoder import Scan
 from tests.daemon.recorded import configuration, write_session
 from tests.daemon.simulated_skin import SimulatedSkin
 
@@ -158,34 +165,174 @@ def test_each_scan_that_is_used_has_its_estimate_however_many_come_at_once(
     assert [e["seq"] for e in used] == [t["seq"] for t in heard.of(messages.TAXELS)][-len(used) :]
 
 
-def test_what_thoughts_have_bettered_is_sent_as_another_estimate_of_the_same_scan(
-    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+class Touches:
+    """Scans of a skin that is touched now and then, taken by a daemon whose clock they set."""
+
+    def __init__(self, daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.daemon = daemon
+        self.heard = Heard(daemon, monkeypatch)
+        self.now = time.monotonic()
+        self.scans: list[Scan] = []  # scans that come with the next pass
+        self._skin = SimulatedSkin(daemon.layout, noise=5.0)
+        self._skin.t = time.time() - 9.0
+        self._made = 0
+        monkeypatch.setattr(time, "time", lambda: self._skin.t)
+        monkeypatch.setattr(daemon.source, "poll", lambda *_: self.scans)
+
+    def next(self) -> Scan:
+        """Another scan."""
+        k = self._made
+        self._skin.press[[33, 34]] = 8_000.0 * (k % 40 > 30)
+        self._skin.press[[55, 56]] = 8_000.0 * (k % 80 > 60)
+        self._made += 1
+        return self._skin.scan()
+
+    def tick(self, scans: list[Scan], ready: Ready) -> list[dict[str, Any]]:
+        """The estimates that a pass sends."""
+        before, self.scans = len(self.heard), scans
+        self.now += 0.002
+        self.daemon.tick(self.now, ready)
+        self.scans = []
+        return [m for topic, m in self.heard[before:] if topic == messages.ESTIMATE]
+
+
+@pytest.fixture
+def touches(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> Touches:
+    return Touches(daemon, monkeypatch)
+
+
+def test_a_pass_without_arrivals_takes_one_second_opinion_and_sends_what_it_bettered(
+    touches: Touches,
 ) -> None:
-    heard, skin = Heard(daemon, monkeypatch), SimulatedSkin(daemon.layout, noise=5.0)
-    skin.t = time.time() - 9.0
-    now = time.monotonic()
-    monkeypatch.setattr(time, "time", lambda: skin.t)
-    sent = list[list[dict[str, Any]]]()  # for each scan
-    for k in range(120):
-        skin.press[[33, 34]] = 8_000.0 * (k % 40 > 30)
-        skin.press[[55, 56]] = 8_000.0 * (k % 80 > 60)
-        scan = skin.scan()
-        before = len(heard)
-        for passed in range(20):
-            scans = [] if passed else [scan]
-            monkeypatch.setattr(daemon.source, "poll", lambda *_, scans=scans, **__: scans)
-            daemon.tick(now + 0.05 * k + 0.002 * passed)
-        told = [m for topic, m in heard[before:] if topic == messages.ESTIMATE]
-        sent.append([e for e in told if e["t"] == scan.t])
-        assert sum(topic == messages.TAXELS for topic, _ in heard[before:]) <= 1
-    thought = [e for e in sent if e and e[0]["injected"] == 0 < e[-1]["injected"]]
-    assert len(thought) == daemon.pipeline.estimator.counters.thoughts > 0
-    for first, *_, last in thought:
-        assert first["lat_us"]["skin"] > 0.0
-        assert last["lat_us"]["skin"] == 0.0
-        assert last["lat_us"]["filter"] > 0.0
+    daemon, counters = touches.daemon, touches.daemon.pipeline.estimator.counters
+    bettered = 0
+    for _ in range(120):
+        scan = touches.next()
+        told = touches.tick([scan], Ready(device=True))
+        told += touches.tick([], Ready(device=True))  # frames of the next scan are there
+        assert counters.thoughts == bettered
+        (first,) = [e for e in told if e["t"] == scan.t]
+        told = [e for _ in range(4) for e in touches.tick([], Ready())]
+        again = [e for e in told if e["injected"] and not first["injected"]]
+        if again:
+            bettered += 1
+            assert {e["t"] for e in again} == {scan.t}
+            assert first["lat_us"]["skin"] > 0.0
+            assert again[0]["lat_us"]["skin"] == 0.0
+            assert again[0]["lat_us"]["filter"] > 0.0
+        assert counters.thoughts == bettered, "one for a scan"
+    assert bettered > 3
     daemon.latencies.percentiles()
     assert daemon.latencies.scans == daemon.pipeline.skin.counters.scans, "each scan counts once"
+
+
+def test_no_second_opinion_is_taken_while_a_scan_waits(touches: Touches) -> None:
+    pipeline = touches.daemon.pipeline
+    while not pipeline.has_thought:
+        touches.tick([touches.next()], Ready(device=True))
+    thoughts = pipeline.estimator.counters.thoughts
+    pipeline._waiting.append((pipeline.estimate.t, touches.next()))
+    pipeline._is_due = lambda *_: False  # type: ignore[method-assign]  # its pose has not come
+    touches.tick([], Ready())
+    assert not pipeline.has_thought
+    assert pipeline.estimator.counters.thoughts == thoughts
+    pipeline._waiting.clear()
+    touches.tick([], Ready())
+    assert pipeline.estimator.counters.thoughts == thoughts + 1
+
+
+def test_all_scans_that_have_come_are_worked_on_to_their_end_before_the_next_wait(
+    touches: Touches, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon, due = touches.daemon, [1, 1, 3, 0, 2, 1]
+    scans = [
+        [touches.next() for _ in range(35)],
+        *([touches.next() for _ in range(k)] for k in due),
+    ]
+    taken = list[float]()
+
+    def wait(*_: object) -> Ready:
+        sent = {e["t"] for e in touches.heard.of(messages.ESTIMATE)}
+        assert sent.issuperset(taken)
+        if not scans:
+            daemon.stop()
+            return Ready()
+        touches.scans = scans.pop(0)
+        taken.extend(scan.t for scan in touches.scans[-3:])
+        return Ready(device=bool(touches.scans))
+
+    monkeypatch.setattr(loop, "wait", wait)
+    monkeypatch.setattr(daemon.source, "gather", lambda: 1)
+    daemon._loop(Notifier({}), lambda: None)
+    assert len(taken) == 3 + sum(due)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "looks"),
+    [([9, 9], 2), ([2, 5, 9, 9], 4), (range(1, 100), GATHERS)],
+    ids=["at once", "one by one", "without end"],
+)
+def test_the_frames_of_a_scan_gather_and_are_taken_by_one_pass(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch, sizes: Iterable[int], looks: int
+) -> None:
+    """`sizes`: of all that has come at each look."""
+    come, found, slept, polled = iter(sizes), list[int](), list[float](), list[int]()
+
+    def gather() -> int:
+        found.append(next(come))
+        return found[-1]
+
+    def wait(*_: object) -> Ready:
+        if found:
+            daemon.stop()
+            return Ready()
+        polled.clear()
+        return Ready(device=True)
+
+    monkeypatch.setattr(loop, "wait", wait)
+    monkeypatch.setattr(time, "sleep", slept.append)
+    monkeypatch.setattr(daemon.source, "gather", gather)
+    monkeypatch.setattr(daemon.source, "poll", lambda *_: polled.append(len(found)) or [])
+    daemon._loop(Notifier({}), lambda: None)
+    assert polled == [looks]
+    assert slept[: looks - 1] == [GATHER_S] * (looks - 1)
+
+
+def test_a_pass_whose_own_work_is_longer_than_a_period_is_counted(
+    daemon: Daemon, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spent_ns = 0
+
+    def advance(*_: object) -> list[Outcome]:
+        nonlocal spent_ns
+        spent_ns += next(work_ns)
+        return []
+
+    work_ns = iter([9_900_000, 10_100_000, 30_000_000, 0])
+    monkeypatch.setattr(daemon.pipeline, "advance", advance)
+    monkeypatch.setattr(time, "thread_time_ns", lambda: spent_ns)
+    counted = []
+    for k in range(4):
+        daemon.tick(daemon.start_s + 0.01 * k)
+        counted.append(daemon.counters.own_overruns)
+    assert counted == [0, 1, 2, 2]
+
+
+def test_where_touches_take_longer_than_they_have_samples_are_saved_and_it_is_said(
+    touches: Touches, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    looks_ns = itertools.count(0, 60_000_000)
+    monkeypatch.setattr(time, "thread_time_ns", looks_ns.__next__)
+    degraded = list[int]()
+    for _ in range(300):
+        degraded += [e["degraded"] for e in touches.tick([touches.next()], Ready(device=True))]
+    assert degraded[0] == Step.CHOSEN
+    assert degraded == sorted(degraded)
+    assert degraded[-1] > Step.CHOSEN
+    assert any("touches take 60 ms, and have 40" in line for line in caplog.messages)
+    touches.daemon.pipeline.reset()
+    (estimate,) = touches.tick([touches.next()], Ready(device=True))
+    assert estimate["degraded"] == Step.CHOSEN
 
 
 def test_every_new_subscriber_gets_the_info_message(daemon: Daemon, tmp_path: Path) -> None:
@@ -308,27 +455,3 @@ def test_a_replay_ends_with_its_last_scan(tmp_path: Path) -> None:
     assert daemon.counters.scans > 30
     assert daemon.pipeline.inputs.scans_waited > 0
     assert daemon.pipeline.skin.counters.scans == daemon.counters.scans
-
-
-def test_a_daemon_ends_in_the_midst_of_a_touch(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What the skin has learned is kept, and the next life feels the touch."""
-    text = settings(tmp_path) + f'[skin]\nstate_dir = "{tmp_path}/state"\n'
-    daemon = Daemon(parse(text))
-    skin = SimulatedSkin(daemon.layout, noise=5.0)
-    skin.t = time.time() - 4.0
-    now = time.monotonic()
-    for k in range(60):
-        skin.press[[33, 34]] = 8_000.0 * (k >= 40)
-        scan = skin.scan()
-        monkeypatch.setattr(daemon.source, "poll", lambda *_, scan=scan, **__: [scan])
-        monkeypatch.setattr(time, "time", lambda: skin.t)
-        daemon.tick(now + 0.05 * k, left_s=0.0)  # so each pass does one part
-        if daemon.pipeline.is_at_work:
-            break
-    assert daemon.pipeline.is_at_work
-    daemon.close()
-    monkeypatch.undo()
-    again = Daemon(parse(text))
-    again.close()

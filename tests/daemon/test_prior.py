@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from taxeld.estimator.prior import FLOOR, Prior
+from taxeld.estimator.memory import FLOOR, Prior
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from taxeld.estimator.stuck import Stuck
+from taxeld.estimator.intake import Stuck
 
 
 def run(readings: list[list[float]], moved_m: float) -> list[list[int]]:

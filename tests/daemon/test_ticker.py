@@ -1,8 +1,14 @@
 """When the loop's passes are due, on a fake clock."""
 
+import contextlib
+import socket
+import time
+
 import pytest
 
-from taxeld.service.ticker import IDLE_S, Ticker
+from taxeld.service.ticker import IDLE_S, Ready, Ticker, wait
+
+SOON_S = 20.0  # a wait that an input ends is over long before
 
 
 class FakeClock:
@@ -57,22 +63,12 @@ def test_a_machine_that_wakes_the_loop_late_is_counted() -> None:
         assert ticker.missed == missed
 
 
-def test_what_is_left_of_a_tick_is_counted_down_below_nothing() -> None:
-    clock = FakeClock()
-    ticker = Ticker(100.0, clock=clock)
-    by_the_clock(ticker, clock)
-    assert ticker.left_s() == pytest.approx(0.01)
-    clock.now += 0.015
-    assert ticker.left_s() == pytest.approx(-0.005)
-
-
-def test_a_pass_that_an_input_has_begun_has_a_whole_tick_of_time() -> None:
+def test_the_next_pass_comes_a_tick_after_one_that_an_input_has_begun() -> None:
     clock = FakeClock()
     ticker = Ticker(100.0, clock=clock)
     ticker.until(busy=True)
     clock.now = 0.0095
     ticker.begin()
-    assert ticker.left_s() == pytest.approx(0.01)
     assert ticker.until(busy=True) == pytest.approx(0.0195)
     assert ticker.missed == 0
 
@@ -121,4 +117,23 @@ def test_slow_ticks_leave_nobody_alone_for_long(rate_hz: float) -> None:
     for busy in (True, False, True, False):
         began = by_the_clock(ticker, clock, busy=busy)
         assert ticker.until(busy=busy) - began <= 2.0 * IDLE_S + 1e-9
-    assert ticker.left_s() > 0.5 / rate_hz
+
+
+class Mute:
+    """A device without a descriptor."""
+
+    @staticmethod
+    def fileno() -> int:
+        return -1
+
+
+def test_who_speaks_ends_the_wait_and_is_named() -> None:
+    with contextlib.ExitStack() as pairs:
+        (device, skin), (door, peer) = (
+            [pairs.enter_context(end) for end in socket.socketpair()] for _ in range(2)
+        )
+        for sent, ready in ((skin, Ready(device=True)), (peer, Ready(device=True, door=True))):
+            sent.send(b"x")
+            assert wait(device, door, time.monotonic() + SOON_S) == ready
+        assert wait(None, door, time.monotonic() + SOON_S) == Ready(door=True)
+        assert wait(Mute(), None, time.monotonic() + 0.001) == Ready()

@@ -39,7 +39,6 @@ endpoint = "{POSES}"
 rate_hz = 10.0
 [budget]
 propose_ms = 1000.0
-degrade = false
 [relay]
 publish = ["{OVER_TCP}"]
 """

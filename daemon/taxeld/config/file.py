@@ -72,7 +72,6 @@ def parse(text: str, name: str = "configuration") -> Config:
     config = toml_tables.parse(Config, text, name)
     faults: list[str] = []
     _check_source(config.source, faults)
-    _check_rate(config, faults)
     _check_endpoints(config, faults)
     if config.source.dialect == "icub":
         _check_icub(config, faults)
@@ -100,18 +99,6 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
         faults.append("source.modules: is of dialect cyskin; icub names its boards")
     if source.kind == "replay" and not source.path:
         faults.append("source.path: is required for kind 'replay'")
-
-
-def _check_rate(config: Config, faults: list[str]) -> None:
-    """Check that a tick has room for the fixed cost of a touch: samples get the rest."""
-    budget = config.budget
-    needed_ms = budget.source_ms + budget.skin_ms + budget.filter_ms + budget.publish_ms
-    if budget.degrade and needed_ms * config.loop.rate_hz > 1000.0:
-        faults.append(
-            f"loop.rate_hz: {config.loop.rate_hz:g} leaves {1000.0 / config.loop.rate_hz:.1f} ms a "
-            f"tick, and budget has {needed_ms:g} for it without samples; use "
-            f"{int(1000.0 / needed_ms)} or less, or smaller budgets"
-        )
 
 
 def _check_endpoints(config: Config, faults: list[str]) -> None:

@@ -152,7 +152,7 @@ class LoopConfig:
     rate_hz: float = key(
         100.0,
         between(1, 1000),
-        "1 / rate_hz is the time for a pass, and at most between two while something is under way",
+        "1 / rate_hz is the longest time between two passes while something is under way",
     )
     priority: int = key(
         20, between(0, 99), "SCHED_FIFO, and memory locked, where permitted; 0: neither"
@@ -165,21 +165,19 @@ class LoopConfig:
 
 @dataclass(frozen=True, slots=True)
 class BudgetConfig:
-    """`[budget]`: time for each stage of a scan. Longer stages are counted, and samples use the
-    rest of the time."""
+    """`[budget]`: time for samples."""
 
-    source_ms: float = key(1.0, between(0.01, 1000), "taking what has arrived")
-    skin_ms: float = key(0.5, between(0.01, 1000), "counts to activations")
     propose_ms: float = key(
         5.0, between(0.01, 1000), "a proposal; auto chooses by it, measured at start"
     )
-    filter_ms: float = key(5.0, between(0.01, 1000), "the belief and its summary")
-    publish_ms: float = key(
-        1.0, between(0.01, 1000), "streams and control; reserved for them in each pass"
-    )
-    degrade: bool = key(
-        True, doc="save samples where the next scan would come too soon; false: let it wait"
-    )
+
+    GONE: ClassVar = {
+        "source_ms": "subscribe to lat_us of /taxeld/health, and judge its stage source",
+        "skin_ms": "subscribe to lat_us of /taxeld/health, and judge its stage skin",
+        "filter_ms": "a touch may take most of the time between two scans (source.period_ms)",
+        "publish_ms": "subscribe to lat_us of /taxeld/health, and judge its stage publish",
+        "degrade": "samples are saved where touches take longer than the time between two scans",
+    }
 
 
 @dataclass(frozen=True, slots=True)

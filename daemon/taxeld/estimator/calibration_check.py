@@ -16,7 +16,7 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index, Poses, Reals
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.rule import Parts, noise_of
+from taxeld.estimator.rule import noise_of
 from taxeld.model import se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.response import deviation
@@ -139,10 +139,10 @@ class CalibrationCheck:
         """Whether fitting goes on with a scan from which nothing was learned."""
         return self._due > 0 and not self._moves
 
-    def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> Parts[None]:
+    def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> None:
         """Take a scan. `used`: the observation that the belief learned from, None where it learned
         nothing; `believed` (N, 3): modes of the belief, the best first; `contacts`: contacts begun
-        so far. The work is done when the returned parts are."""
+        so far."""
         if self._moves:
             return
         if used is not None and used.is_contact:
@@ -150,13 +150,12 @@ class CalibrationCheck:
         elif self._due:
             self._due -= 1
             if self._due >= ITERATIONS:
-                self._right, gained = yield from self._better(self._right, ALONE)
+                self._right, gained = self._better(self._right, ALONE)
             else:
-                self._x, gained = yield from self._better(self._x, TOGETHER)
+                self._x, gained = self._better(self._x, TOGETHER)
             if gained < SETTLED_NATS:
                 self._due = ITERATIONS if self._due >= ITERATIONS else 0
             if not self._due:
-                yield
                 self._judge()
 
     def _take(self, used: Observation, believed: Poses, contacts: int) -> None:
@@ -194,7 +193,7 @@ class CalibrationCheck:
         right = np.flatnonzero((flat[:, :4] == 0.0).all(axis=1))
         self._right = flat[right[cost[right].argmin()]]
 
-    def _better(self, x: Floats, free: Index) -> Parts[tuple[Floats, float]]:
+    def _better(self, x: Floats, free: Index) -> tuple[Floats, float]:
         """One Gauss-Newton step of the parameters `free` on robust residuals, from x (7,); → the
         new x (7,) and the nats gained, or x and 0 where no step is better."""
         residual, jacobian, weight, now = self._linear(x)
@@ -203,7 +202,6 @@ class CalibrationCheck:
         slope = jacobian.T @ (weight * residual) - x[free] * prior
         tried = np.repeat(x[None], len(SHARES), axis=0)
         tried[:, free] += SHARES[:, None] * np.linalg.solve(normal, slope)
-        yield
         cost = self._cost(tried)
         gained = now - float(cost.min())
         return (tried[cost.argmin()], gained) if gained > 0.0 else (x, 0.0)

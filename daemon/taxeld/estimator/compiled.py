@@ -22,7 +22,6 @@ from taxeld.model.observation import (
     ObservationModel,
 )
 
-GIVEN_UP = -1e9  # log-likelihood given to a pose that cannot reach its bound
 FIELDS = 5  # fields of `memory.Kept` that the C code reads
 LANES = 8  # lanes of the C code's vectors
 
@@ -46,24 +45,11 @@ class _Scans(ctypes.Structure):
     ]
 
 
-class _Bounds(ctypes.Structure):
-    _fields_ = [(name, c_void_p) for name in ("order", "share", "left", "least")]
-
-
 class Scans(NamedTuple):
     """Scans in the layout of the C code."""
 
     told: _Scans
     held: tuple[object, ...]  # arrays that the pointers point into, kept alive
-
-
-class Bounds(NamedTuple):
-    """Limits below which the C code gives a pose up."""
-
-    order: Index  # (K,) order in which the scans are looked at, from the end
-    share: Floats  # (K,) weight of each scan
-    left: Floats  # (K,) the most that the scans up to each one in `order` can add together
-    least: Floats  # (N,) the sum that each pose must reach
 
 
 class _Runs(NamedTuple):
@@ -132,21 +118,15 @@ class Compiled:
         )  # fmt: skip
         return Scans(told, (laid, sensor, variance, silent))
 
-    def explain(self, scans: Scans, poses: Poses, bounds: Bounds | None = None) -> Floats:
-        """K scans and poses (N, 3) → (N, K), as memory.py computes them; GIVEN_UP for poses that
-        cannot reach their bound."""
+    def explain(self, scans: Scans, poses: Poses) -> Floats:
+        """K scans and poses (N, 3) → (N, K), as memory.py computes them."""
         poses = np.ascontiguousarray(poses)
         out = np.empty((len(poses), scans.told.scans))
-        asked = None
-        if bounds is not None:
-            asked = ctypes.byref(_Bounds(*(each.ctypes.data for each in bounds)))
         failed = self._explain(
             ctypes.byref(self._model),
             ctypes.byref(scans.told),
-            asked,
             c_void_p(poses.ctypes.data),
             c_int64(len(poses)),
-            c_double(GIVEN_UP),
             c_void_p(out.ctypes.data),
         )
         if failed:

@@ -1,26 +1,33 @@
 """The estimator: activations and sensor poses in, estimates out. No clock, no socket, no file.
 
 It takes the usable part of a scan (`intake`), picks the scans to learn from (`news`), has the
-belief learn from them by the configured rule (`rules`), and judges the result (`confidence`).
+belief learn from them by the configured rule (`rule`), and judges the result (`confidence`).
 docs/estimator.md follows a contact through these.
 """
 
-from collections.abc import Generator
+from collections.abc import Callable
 
 import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
-from taxeld.estimator import confidence
+from taxeld.estimator import confidence, injection
 from taxeld.estimator.calibration_check import CalibrationCheck, CalibrationDoubt
-from taxeld.estimator.counters import EstimatorCounters
-from taxeld.estimator.estimate import Estimate, Status
-from taxeld.estimator.intake import Intake
+from taxeld.estimator.estimate import Estimate, ProposalKind, Status
+from taxeld.estimator.intake import EstimatorCounters, Intake
+from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import News
-from taxeld.estimator.rules import RULES
-from taxeld.estimator.sampling import Proposal, Sampling
+from taxeld.estimator.paper import Paper
+from taxeld.estimator.rule import Rule
+from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.proposal import Proposal
+
+RULES: dict[str, Callable[[ObservationModel, FilterConfig, float, np.random.Generator], Rule]] = {
+    "paper": Paper,
+    "mixture": Mixture,
+}
 
 
 class Estimator:
@@ -49,51 +56,64 @@ class Estimator:
         rng = np.random.default_rng(config.seed)
         self.rule = RULES[config.injection](self.model, config, self.robot_m, rng)
         self.rule.counters = self.counters.rule
-        self._sampling = Sampling(self.model, self.proposal, rng)
+        self._rng = rng
+        self._kind = ProposalKind.NONE  # proposal of the last samples
         self._intake = Intake(self.model, self.counters)
         self._news = News(layout.radius_m)
         self._before: Observation | None = None
+        self._unconsidered: Observation | None = None  # the last scan, if `think` may follow it
         self._check = CalibrationCheck(self.model, config, self.calibration)
         self.estimate = self._estimate(0.0)
 
     def on_scan(self, activation: Activation, sensor: Poses) -> Estimate:
-        """Take a scan's activations at the sensor's pose (3,) in the world; never raises."""
-        for _ in self.parts(activation, sensor):
-            pass
+        """Take a scan's activations at the sensor's pose (3,) in the world, and think about it at
+        once; never raises."""
+        self.learn(activation, sensor)
+        self.think()
         return self.estimate
 
-    def parts(self, activation: Activation, sensor: Poses) -> Generator[None, None, Estimate]:
-        """Take a scan in parts, none of which takes long. `sensor` (3,) is the sensor's pose in the
-        world. Another scan or `reset` may come only after the last part, or after `close` of the
-        generator.
-
-        Until the estimate of this scan exists, `estimate` is that of the scan before. A scan that
-        tells nothing new has its estimate after the first part; the other parts reconsider earlier
-        contacts, and may improve it.
-        """
+    def learn(self, activation: Activation, sensor: Poses) -> Estimate:
+        """Take a scan's activations at the sensor's pose (3,) in the world, and leave it to the
+        caller when to `think` about it; never raises."""
         self.counters.scans += 1
+        self._unconsidered = None
         observation = self._intake.observation(activation, sensor)
         if observation is None:
             self.estimate = self._estimate(max(self.estimate.t, self._intake.t))
             return self.estimate
         self._follow(observation)
-        news, t = self._news, self._intake.t
-        used = news.on_scan(t, observation) if observation.live.any() else None
+        news = self._news
+        used = news.on_scan(self._intake.t, observation) if observation.live.any() else None
         if used is not None:
-            yield from self._check.on_scan(used, self._believed, news.contacts)
+            self._check.on_scan(used, self._believed, news.contacts)
             self.counters.updates += 1
-            injected, log_evidence = yield from self.rule.learn(used, news.contacts, self._draw)
-            self._conclude(observation, injected, log_evidence)
+            self._conclude(observation, *self.rule.learn(used, news.contacts, self._draw))
         else:
             self._conclude(observation)
-            if self._check.is_due:
-                yield
-                yield from self._check.on_scan(None, self._believed, news.contacts)
-            if samples := (yield from self.rule.revisit(self._draw)):
-                self.counters.thoughts += 1
-                self._conclude(observation, samples)
+            if self._check.is_due or self.rule.is_open:
+                self._unconsidered = observation
         self.counters.blind += self.estimate.status is Status.BLIND
         return self.estimate
+
+    @property
+    def has_thought(self) -> bool:
+        """Whether `think` has something to do."""
+        return self._unconsidered is not None
+
+    def think(self) -> bool:
+        """After a scan that told nothing new, take a step of the calibration's check, and a second
+        opinion about earlier contacts; → whether the estimate has changed."""
+        observation = self._unconsidered
+        if observation is None:
+            return False
+        self._unconsidered = None
+        if self._check.is_due:
+            self._check.on_scan(None, self._believed, self._news.contacts)
+        samples = self.rule.revisit(self._draw)
+        if samples:
+            self.counters.thoughts += 1
+            self._conclude(observation, samples)
+        return samples > 0
 
     def figures(self) -> dict[str, float]:
         """Measured exactness of the contacts: the slack that they need."""
@@ -120,9 +140,15 @@ class Estimator:
         self.estimate = self._estimate(self._intake.t, injected, log_evidence, blind=blind)
 
     def _draw(self, observation: Observation, n: int) -> Poses:
-        poses = self._sampling(observation, n)
-        self.counters.injections += len(poses) > 0
-        return poses
+        """At most n poses (≤ n, 3) in the world that explain an observation by itself."""
+        poses = self.proposal.propose(observation.z, observation.live, n, self._rng)
+        poses = poses[np.isfinite(poses).all(axis=1)]
+        if not len(poses):
+            return poses
+        self.counters.injections += 1
+        self._kind = ProposalKind[self.proposal.name.upper()]
+        poses = injection.project(self.model, poses)  # those that miss the object, by one step
+        return se2.compose(observation.sensor, poses)
 
     def _is_blind(self, observation: Observation) -> bool:
         """Whether no taxel is live, or none of the taxels that the best pose presses."""
@@ -151,6 +177,6 @@ class Estimator:
             ess=summary.ess,
             particles=summary.particles,
             injected=injected,
-            proposal=self._sampling.kind,
+            proposal=self._kind,
             log_evidence=log_evidence,
         )

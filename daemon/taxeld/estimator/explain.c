@@ -49,13 +49,6 @@ typedef struct {
     int64_t scans, about;  /* about: whether contacts have an offset */
 } Scans;
 
-typedef struct {
-    const int64_t *order;  /* (scans,) in which they are looked at, the last first */
-    const double *share;  /* (scans,) of each in what is needed */
-    const double *left;  /* (scans,) that they may add at most, up to each of the order */
-    const double *least;  /* (n,) that must be added for a pose to be of any use */
-} Bounds;
-
 typedef struct {  /* room, for one pose and scan but where it says more */
     double *turned;  /* (scans, 2) cosine and sine of the sensor's turn */
     float *u, *v;  /* (runs,) where runs are in their cells */
@@ -232,11 +225,9 @@ INLINE double explained(
 }
 
 /* log p(scan | pose) beyond that of a skin which is not pressed, of poses (n, 3): out (n, scans).
-   With bounds, a pose that cannot come up to them is given up before all scans were looked at.
    0, or -1 where there is no memory left. */
 FASTEST int taxeld_explain(
-    const Model *m, const Scans *s, const Bounds *bounds, const double *poses, int64_t n,
-    double given_up, double *out)
+    const Model *m, const Scans *s, const double *poses, int64_t n, double *out)
 {
     Near near;
     void *room = room_for(m, s, &near);
@@ -257,17 +248,9 @@ FASTEST int taxeld_explain(
                 sine[j] = sin(turn[j]);
         }
         const double *pose = poses + 3 * i;
-        double c = cosine[i % TURNS], sn = sine[i % TURNS], sum = 0.0, *met = out + i * s->scans;
-        int64_t j = s->scans - 1;
-        for (; j >= 0; j--) {
-            int64_t k = bounds ? bounds->order[j] : j;
-            if (bounds && sum + bounds->left[j] < bounds->least[i])
-                break;
-            met[k] = explained(m, s, &near, k, pose, c, sn);
-            sum += bounds ? bounds->share[k] * met[k] : 0.0;
-        }
-        for (int64_t k = 0; j >= 0 && k < s->scans; k++)
-            met[k] = given_up;
+        double c = cosine[i % TURNS], sn = sine[i % TURNS];
+        for (int64_t k = 0; k < s->scans; k++)
+            out[i * s->scans + k] = explained(m, s, &near, k, pose, c, sn);
     }
     free(room);
     return 0;

@@ -11,7 +11,6 @@ import numpy as np
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator import particles as pf
 from taxeld.estimator.particles import Belief, Explain
-from taxeld.estimator.parts import Parts
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
 
@@ -39,7 +38,7 @@ def anneal(
     explain: Explain,
     rng: np.random.Generator,
     scale: float = 1.0,
-) -> Parts[Belief]:
+) -> Belief:
     """Bring equally weighted samples of ∏ p(z_k | q)^own_k to ∏ p(z_k | q)^share_k. The other scans
     are added by degrees, and after each step the samples are drawn anew and moved (an SMC sampler,
     Del Moral et al. 2006). A step is as large as leaves the share KEPT of them effective.
@@ -57,7 +56,6 @@ def anneal(
         pf.normalise(samples)
         samples = pf.resample(samples, n, rng)
         degree += step
-        yield
         pf.rejuvenate(samples, explain, own + degree * rest, rng, scale)
         if step == left:
             break

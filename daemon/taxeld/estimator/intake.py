@@ -1,16 +1,36 @@
 """The usable part of a scan: finite, in order, in range, without stuck taxels or leaked presses."""
 
 import math
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from taxeld.arrays import Poses
-from taxeld.estimator.counters import EstimatorCounters
+from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.news import moved_m
-from taxeld.estimator.stuck import Stuck
+from taxeld.estimator.rule import RuleCounters
 from taxeld.model.activation import Activation
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.se2 import JUMP_M
+
+SAME = 0.01  # share of full scale: a reading changes only by more than this
+WAY_M = 0.1  # m that the skin moves meanwhile: no press lasts unchanged over such a way
+
+
+@dataclass(slots=True)
+class EstimatorCounters:
+    """Counters of scans and their use, since start."""
+
+    scans: int = 0
+    updates: int = 0  # scans that were learned from
+    injections: int = 0
+    thoughts: int = 0  # injections by second opinions while there was nothing to learn
+    bad_input: int = 0  # scans with values that are not finite
+    out_of_range: int = 0  # scans with activations beyond 0..1, which were clipped
+    back_in_time: int = 0  # scans older than the one before, not used
+    jumps: int = 0  # scans whose sensor pose is too far from the last, not used
+    stuck: int = 0  # scans in which a taxel read the same as ever, and was left out
+    blind: int = 0  # scans without a live taxel, or without one where contact is expected
+    rule: RuleCounters = field(default_factory=RuleCounters)
 
 
 class Intake:
@@ -60,3 +80,24 @@ class Intake:
             return False
         counters.out_of_range += least < 0.0 or most > 1.0
         return True
+
+
+class Stuck:
+    """Stuck taxels read the same wherever the skin goes, so they tell nothing of the world: follows
+    how far each taxel was carried while it read the same value above 0."""
+
+    def __init__(self, taxels: int) -> None:
+        self._z = np.zeros(taxels)
+        self._way_m = np.zeros(taxels)
+
+    def released(self) -> None:
+        """Take a scan in which nothing is read."""
+        self._z[:] = self._way_m[:] = 0.0
+
+    def on_scan(self, z: Floats, moved_m: float) -> Bools:
+        """Take activations z (M,) and the skin's motion since the scan before [m]; → (M,) which
+        taxels are stuck. A taxel that reads something else is free at once."""
+        same = (z > 0.0) & (np.abs(z - self._z) <= SAME)
+        self._way_m = np.where(same, self._way_m + moved_m, 0.0)
+        self._z = np.where(same, self._z, z)
+        return np.asarray(self._way_m > WAY_M)

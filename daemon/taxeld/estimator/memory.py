@@ -6,6 +6,7 @@ remembered beside contacts: where the skin met nothing, the object is not.
 """
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, TypeVar
@@ -14,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Grid, Poses
-from taxeld.estimator.compiled import Bounds, Compiled, Scans, compiled
+from taxeld.estimator.compiled import Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
-from taxeld.estimator.particles import Needed
-from taxeld.estimator.prior import Prior
 from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.symmetry import Mode, PoseMetric
 
 Number = TypeVar("Number", np.intp, np.float64)
 
-SPARE_NATS = 0.05  # nats by which a pose may exceed a scan's rounded ceiling
 FAR = 1e30  # standard deviations: no bound
 LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # shares of a reading that may explain it best
+LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
+FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
 
 
 class Kept(IntEnum):
@@ -69,6 +70,34 @@ class Slack:
     def variance(self, age: NDArray[np.intp]) -> Floats:
         """Variance [m²] of scans with `age` (K,) later contacts → (K,)."""
         return np.asarray(self.scale**2 * (self.robot_m**2 + self.nudge_m**2 * age))
+
+
+class Prior:
+    """An earlier belief in few numbers: a density over poses, up to the object's symmetry, as a sum
+    of a Gaussian for each mode."""
+
+    def __init__(
+        self, metric: PoseMetric, poses: Poses, weight: Floats, modes: Sequence[Mode]
+    ) -> None:
+        """From a belief of poses (N, 3) with weights (N,), and its modes."""
+        self._metric = metric
+        self._modes = []
+        for mode in modes:
+            mean, cov = metric.mean(poses[mode.members], weight[mode.members], mode.pose)
+            inverse = np.linalg.inv(cov + np.diag(LEAST_SD**2))
+            height = float(np.log(mode.weight) + 0.5 * np.linalg.slogdet(inverse)[1])
+            self._modes.append((mean, inverse, height))
+        self.ceiling = max(height for *_, height in self._modes)
+
+    def log_density(self, poses: Poses) -> Floats:
+        """Log-density of poses (N, 3) → (N,), up to a constant; about `ceiling` at most."""
+        total = np.full(len(poses), FLOOR)
+        for mean, inverse, height in self._modes:
+            shift = self._metric.centres(poses) - self._metric.centres(mean)
+            off = np.column_stack([shift, self._metric.turn(poses[:, 2], mean[2])])
+            square = np.einsum("ni,ij,nj->n", off, inverse, off)
+            total += np.exp(height - self.ceiling - 0.5 * square)
+        return np.asarray(np.log(total) + self.ceiling)
 
 
 class Memory:
@@ -226,29 +255,24 @@ class Memory:
         """Columns of the scans alone: (…, terms) as from `explain` → (…, K)."""
         return explained[..., self.terms - len(self) :]
 
-    def explain(self, poses: Poses, needed: Needed | None = None) -> Floats:
+    def explain(self, poses: Poses) -> Floats:
         """Log-density of the prior, if there is one, and log p(scan | pose) over the live taxels of
-        each scan: poses (N, 3) → (N, terms), by the rules of `particles.Explain`."""
+        each scan: poses (N, 3) → (N, terms)."""
+        scans = self._explain(poses, 0)
         if self.prior is None:
-            return self._explain(poses, 0, needed)
-        prior = self.prior.log_density(poses)
-        if needed is not None:
-            share = needed.share
-            needed = Needed(share[1:], needed.least - share[0] * prior)
-        return np.hstack([prior[:, None], self._explain(poses, 0, needed)])
+            return scans
+        return np.hstack([self.prior.log_density(poses)[:, None], scans])
 
     def explain_newest(self, poses: Poses) -> Floats:
         """log p(scan | pose) of the newest scan: poses (N, 3) → (N,)."""
         return self._explain(poses, len(self) - 1)[:, 0]
 
-    def _explain(self, poses: Poses, since: int, needed: Needed | None = None) -> Floats:
+    def _explain(self, poses: Poses, since: int) -> Floats:
         """log p(scan | pose) of scans from number `since` on: poses (N, 3) → (N, K − since). Each
         contact has an offset of its own; a silent scan rules out only presses deeper than its
         offset could hide."""
         if self._compiled is not None:
-            scans = self._scans(self._compiled, since)
-            bounds = None if needed is None else self._bounds(needed)
-            met = self._compiled.explain(scans, poses, bounds)
+            met = self._compiled.explain(self._scans(self._compiled, since), poses)
         else:
             variance = self.slack.variance(self.newest - self.number[since:])
             kept, sensor, silent = self._kept[:, since:], self._sensor[since:], self.silent[since:]
@@ -266,15 +290,6 @@ class Memory:
             )
             self._for_c = of, scans
         return self._for_c[1]
-
-    def _bounds(self, needed: Needed) -> Bounds:
-        """Limits for `needed`, less the log-likelihood of an untouched skin, which all poses
-        share."""
-        share = needed.share
-        most = share * (self.ceiling + SPARE_NATS - self._untouched)
-        order = most.argsort()  # read from the end: most refuting scans come first
-        left = most.take(order).cumsum()
-        return Bounds(order, share, left, needed.least - share @ self._untouched)
 
     def _met(
         self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools, poses: Poses

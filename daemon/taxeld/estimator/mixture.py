@@ -10,12 +10,10 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator import consistency, injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence, firm, is_firm
-from taxeld.estimator.counters import RuleCounters
-from taxeld.estimator.memory import Memory, Slack
+from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
-from taxeld.estimator.prior import Prior
 from taxeld.estimator.push import STRIDE, Push, assumed, changed, push
-from taxeld.estimator.rule import PUSHED_M, Draw, Parts, anew, drawn, noise_of
+from taxeld.estimator.rule import PUSHED_M, Draw, RuleCounters, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
 ROOM = 3.0  # half-widths of the table around the last touch: the whole table, and more
@@ -78,16 +76,10 @@ class Mixture:
         self.memory = self.memory.anew(prior)
         belief.remembered = self.memory.explain(pose)
 
-    def learn(
-        self, observation: Observation, contacts: int, draw: Draw
-    ) -> Parts[tuple[int, float]]:
+    def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
         in_doubt = self.confidence.doubt
-        if observation.is_contact:
-            yield
         samples = drawn(draw, observation, self._wanted())
-        if len(samples):
-            yield
-        log_evidence = yield from self._update(observation, samples, contacts)
+        log_evidence = self._update(observation, samples, contacts)
         if log_evidence is None:
             return 0, 0.0
         contact, memory = firm(observation, contacts), self.memory
@@ -97,7 +89,7 @@ class Mixture:
         )  # fmt: skip
         return len(samples), log_evidence
 
-    def _update(self, observation: Observation, samples: Poses, number: int) -> Parts[float | None]:
+    def _update(self, observation: Observation, samples: Poses, number: int) -> float | None:
         """Learn from a scan of contact `number`, or a silent scan after it, and from `samples` (S,
         3) of that scan, without judging the result; → log evidence, None where nothing was
         learned."""
@@ -115,10 +107,10 @@ class Mixture:
         )
         if evidence is None:
             self.counters.impossible += 1
-            yield from self._begin_anew(observation, samples, number)
+            self._begin_anew(observation, samples, number)
             return 0.0
         self.belief.remembered = remembered
-        yield from self._weigh(samples)
+        self._weigh(samples)
         return evidence
 
     def _is_expected(self, newest: Floats) -> bool:
@@ -140,26 +132,28 @@ class Mixture:
         belief.pose = belief.pose + step
         belief.remembered = memory.explain(belief.pose)
 
-    def revisit(self, draw: Draw) -> Parts[int]:
+    @property
+    def is_open(self) -> bool:
+        confidence = self.confidence
+        is_settled = confidence.is_searched and not confidence.doubt
+        few = self._revisits < REVISITS and not is_settled
+        return few and int(np.count_nonzero(self.memory.contact)) > 1
+
+    def revisit(self, draw: Draw) -> int:
         """Take a second opinion: samples of a remembered contact, brought to explain all
         contacts."""
+        if not self.is_open:
+            return 0
         memory, confidence = self.memory, self.confidence
-        enough = confidence.is_searched and not confidence.doubt
-        if self._revisits >= REVISITS or enough:
-            return 0
         contacts = np.flatnonzero(memory.contact)
-        if len(contacts) < 2:
-            return 0
-        yield
         scan = int(self._rng.choice(contacts))
         samples = drawn(draw, memory.scan(scan), self._wanted())
         if not len(samples):  # none were asked for, or there is no time
             return 0
         self._revisits += 1
-        opinion = yield from self._opinion(samples, memory, scan)
+        opinion = self._opinion(samples, memory, scan)
         merged = self._merged(opinion)
-        yield from self._become(merged, moves=1)
-        yield
+        self._become(merged, moves=1)
         excess = consistency.excess(memory, self.belief)
         newest = contacts[-1]
         confidence.doubt = bool(excess[newest] > 0.0) or consistency.is_excessive(
@@ -174,22 +168,21 @@ class Mixture:
         size = config.particles_max if self.confidence.doubted else len(self.belief)
         return round(config.injected * max(size / config.particles, 1.0))
 
-    def _weigh(self, samples: Poses) -> Parts[None]:
+    def _weigh(self, samples: Poses) -> None:
         """Judge the newest scan, already in the weights, and move the particles. `samples` is (S,
         3)."""
         confidence = self.confidence
         confidence.doubt = bool(consistency.excess(self.memory, self.belief)[-1] > 0.0)
         self._keep_to_size()
         if len(samples):
-            yield from self._take(samples)
-            yield
-            yield from self._reconsider(samples)
-            yield from self._fit_slack()
+            self._take(samples)
+            self._reconsider(samples)
+            self._fit_slack()
         elif pf.resampling_is_due(self.belief):
-            yield from self._become(self.belief, moves=1)
+            self._become(self.belief, moves=1)
         self.counters.inconsistent += confidence.doubt
 
-    def _fit_slack(self) -> Parts[None]:
+    def _fit_slack(self) -> None:
         """Fit the slack to the evidence: contacts that agree exactly are believed exactly, others
         get more room. Each contact moves the slack by one step."""
         memory, belief = self.memory, self.belief
@@ -199,7 +192,6 @@ class Mixture:
         if not (now.robot_m or now.nudge_m):
             return
         self._fitted = memory.newest
-        yield
         share = memory.share
         some = slice(None, None, -(-len(belief) // SLACK_PARTICLES))
         pose, support = belief.pose[some], belief.remembered[some] @ share
@@ -215,39 +207,34 @@ class Mixture:
             remembered = memory.explain(belief.pose)
             pf.reweight(belief, (remembered - belief.remembered) @ share)
             belief.remembered = remembered
-            yield from self._become(belief, moves=1)
+            self._become(belief, moves=1)
 
-    def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> Parts[None]:
+    def _begin_anew(self, observation: Observation, samples: Poses, number: int) -> None:
         """Begin with the samples (S, 3) of a contact, or with a uniform belief."""
         self.memory = self.memory.anew()
         self.belief = anew(self._config, self._rng)
         if len(samples):
             self.memory.add(observation, number)
             opinion = pf.equal(samples, self.memory.explain(samples))
-            yield from self._become(opinion, moves=MOVES)
+            self._become(opinion, moves=MOVES)
 
-    def _take(self, samples: Poses) -> Parts[None]:
+    def _take(self, samples: Poses) -> None:
         """Merge the samples' (S, 3) opinion of the whole memory with the belief."""
         self._revisits = 0
         memory = self.memory
-        opinion = yield from self._opinion(samples, memory, len(memory) - 1)
+        opinion = self._opinion(samples, memory, len(memory) - 1)
         if np.count_nonzero(memory.contact) > 1 or memory.prior is not None:
             opinion = self._merged(opinion)
-        yield from self._become(opinion, moves=MOVES)
+        self._become(opinion, moves=MOVES)
 
-    def _opinion(self, samples: Poses, memory: Memory, scan: int) -> Parts[Belief]:
+    def _opinion(self, samples: Poses, memory: Memory, scan: int) -> Belief:
         """Samples (S, 3) of scan number `scan`, brought to explain the whole memory."""
         own = np.zeros(memory.terms)
         memory.of_scans(own)[scan] = 1.0
         samples = samples.copy()
         samples[:, :2] += memory.slack_m(scan) * self._rng.standard_normal((len(samples), 2))
-        yield
         opinion = pf.equal(samples, memory.explain(samples))
-        return (
-            yield from injection.anneal(
-                opinion, own, memory.share, memory.explain, self._rng, self._scale
-            )
-        )
+        return injection.anneal(opinion, own, memory.share, memory.explain, self._rng, self._scale)
 
     def _merged(self, opinion: Belief) -> Belief:
         """The belief merged with a second opinion. Samples know nothing of how the object slides,
@@ -258,13 +245,12 @@ class Mixture:
             opinion.ground = belief.ground.take(apart.argmin(axis=1), axis=0)
         return injection.merge(belief, opinion, self.memory.share, self._scale)
 
-    def _become(self, belief: Belief, moves: int) -> Parts[None]:
+    def _become(self, belief: Belief, moves: int) -> None:
         """Resample to the number of equal particles that this width needs, and separate the
         copies."""
         self.belief = pf.resample(belief, self._size(belief), self._rng)
         share, room = self.memory.share, self._room()
         for _ in range(moves):
-            yield
             pf.rejuvenate(self.belief, self.memory.explain, share, self._rng, self._scale, room)
 
     def _room(self) -> pf.Room:
@@ -286,7 +272,7 @@ class Mixture:
         )
         return min(max(wanted, config.particles), config.particles_max)
 
-    def _reconsider(self, samples: Poses) -> Parts[None]:
+    def _reconsider(self, samples: Poses) -> None:
         """After a contact: drop the past that it has refuted.
 
         One contact that no pose explains may be a fault. Two in a row that some pose explains, if
@@ -310,14 +296,14 @@ class Mixture:
             if not 2 <= last <= min(doubted, len(contacts)):
                 continue
             kept = np.arange(len(self.memory)) >= contacts[-last]
-            if (yield from self._begin_with(kept, samples)):
+            if self._begin_with(kept, samples):
                 return
 
-    def _begin_with(self, kept: Bools, samples: Poses) -> Parts[bool]:
+    def _begin_with(self, kept: Bools, samples: Poses) -> bool:
         """Begin anew from the scans `kept` (K,) if some pose explains all of them and the belief
         explains them far worse; → whether that was done. Everything else is then forgotten."""
         recent = self.memory.only(kept, prior=False)
-        opinion = yield from self._opinion(samples, recent, len(recent) - 1)
+        opinion = self._opinion(samples, recent, len(recent) - 1)
         if consistency.excess(recent, opinion).max() > 0.0:
             return False
         if consistency.is_excessive(recent, opinion):
@@ -330,7 +316,7 @@ class Mixture:
             return False
         self.counters.forgotten += 1
         self.memory = recent
-        yield from self._become(opinion, moves=MOVES)
+        self._become(opinion, moves=MOVES)
         self.confidence.contradicted(recent.newest, 1)
         self.confidence.judged(doubt=False)
         return True

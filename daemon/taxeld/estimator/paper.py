@@ -7,11 +7,9 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator import consistency, injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence, firm
-from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.memory import Memory
-from taxeld.estimator.parts import Parts
 from taxeld.estimator.push import assumed, push
-from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
+from taxeld.estimator.rule import PUSHED_M, Draw, RuleCounters, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
 INJECTED_DECAY = 0.5  # samples of a contact, of those of the contact before
@@ -37,6 +35,10 @@ class Paper:
     def slack(self) -> float:
         return 0.0  # the paper takes poses for exact
 
+    @property
+    def is_open(self) -> bool:
+        return False  # nothing is remembered
+
     def follow(self, before: Observation, after: Observation) -> None:
         belief = self.belief
         if not belief.ground.size:
@@ -48,13 +50,9 @@ class Paper:
         if belief.weight @ pushed >= PUSHED_M:
             self.confidence.moved(belief)
 
-    def learn(
-        self, observation: Observation, contacts: int, draw: Draw
-    ) -> Parts[tuple[int, float]]:
+    def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
         in_doubt = self.confidence.doubt
         samples = drawn(draw, observation, self._wanted(contacts))
-        if len(samples):
-            yield
         log_evidence = self.update(observation, samples)
         contact = firm(observation, contacts)
         self.confidence.learned(self.belief, len(samples), contact, 0, in_doubt=in_doubt)
@@ -82,9 +80,8 @@ class Paper:
             pf.roughen(self.belief, self._rng, self.confidence.metric.scale)
         return evidence
 
-    def revisit(self, draw: Draw) -> Parts[int]:  # noqa: ARG002
+    def revisit(self, draw: Draw) -> int:  # noqa: ARG002
         """Nothing is remembered."""
-        yield from ()
         return 0
 
     def _wanted(self, contacts: int) -> int:

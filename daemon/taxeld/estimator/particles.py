@@ -4,31 +4,18 @@ Particles are a structure of arrays with log-weights; each step is a function of
 a contact enter the belief in `injection`.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import NormalDist
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.model import se2
 
-
-class Needed(NamedTuple):
-    """The least Σ share · explained at which a pose is of any use."""
-
-    share: Floats  # (terms,) weight of each term
-    least: Floats  # (N,) least sum for each pose
-
-
-class Explain(Protocol):
-    """How well poses explain the remembered scans."""
-
-    def __call__(self, poses: Poses, needed: Needed | None = None, /) -> Floats:
-        """Poses (N, 3) → (N, terms) as in `Belief.remembered`. For a pose that cannot reach
-        `needed`, any values that do not reach it either."""
-        ...
-
+Explain = Callable[[Poses], Floats]
+"""How well poses (N, 3) explain the remembered scans: (N, terms) as in `Belief.remembered`."""
 
 RESAMPLE_BELOW = 0.5  # share of N: particles are resampled below this effective sample size
 MOVE = np.array([0.002, 0.002, 0.02])  # m, m, rad: sd of a random step, times 2^u
@@ -164,7 +151,7 @@ def rejuvenate(
     poses = belief.pose + np.where(along, apart, step)
     poses[:, 2] = se2.wrap(poses[:, 2])
     before, least = belief.remembered, np.log(rng.random(n))
-    remembered = explain(poses, Needed(share, before @ share + least))
+    remembered = explain(poses)
     taken = least < (remembered - before) @ share
     if room is not None:
         taken &= room.lets(belief.pose, poses)

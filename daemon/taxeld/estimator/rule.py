@@ -1,6 +1,7 @@
 """The interface of a rule: how a belief learns from scans, and from samples of contacts."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -9,17 +10,22 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence
-from taxeld.estimator.counters import RuleCounters
 from taxeld.estimator.particles import Belief
-from taxeld.estimator.parts import Parts
 from taxeld.model.observation import Noise, Observation
-
-__all__ = ["PUSHED_M", "Draw", "Parts", "Rule", "anew", "drawn", "noise_of"]
 
 Draw = Callable[[Observation, int], Poses]
 """Poses (≤ n, 3) in the world that explain an observation by itself."""
 
 PUSHED_M = 2e-4  # m between two scans: a shorter way is a press that settles
+
+
+@dataclass(slots=True)
+class RuleCounters:
+    """Counters of the way the belief learns, since start."""
+
+    impossible: int = 0  # scans that made every pose impossible: the belief began anew
+    inconsistent: int = 0  # scans that no pose explained
+    forgotten: int = 0  # times that the past was dropped: the object had moved
 
 
 class Rule(Protocol):
@@ -34,20 +40,23 @@ class Rule(Protocol):
         """How far scans are off, as a factor on the configured slack."""
         ...
 
+    @property
+    def is_open(self) -> bool:
+        """Whether `revisit` may find anything."""
+        ...
+
     def follow(self, before: Observation, after: Observation) -> None:
         """Move the belief with an object that is pushed from one scan to the next."""
         ...
 
-    def learn(
-        self, observation: Observation, contacts: int, draw: Draw
-    ) -> Parts[tuple[int, float]]:
+    def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
         """Take a scan of contact number `contacts`, or a silent one after it; → the number of
         samples injected, and the scan's log evidence."""
         ...
 
-    def revisit(self, draw: Draw) -> Parts[int]:
-        """While there is nothing to learn, look for poses that explain all contacts better; → the
-        number of samples used."""
+    def revisit(self, draw: Draw) -> int:
+        """While there is nothing to learn, take a second opinion: look for poses that explain all
+        contacts better; → the number of samples used."""
         ...
 
 

@@ -10,7 +10,8 @@ from taxeld.arrays import Bools, Floats, Poses
 class Proposal(Protocol):
     """A sampler of p(pose | activations)."""
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
         """z (M,), live (M,) → object poses (n, 3) in the sensor frame."""

@@ -22,7 +22,6 @@ class Outcome:
     skin_ns: int = 0
     propose_ns: int = 0
     filter_ns: int = 0
-    is_afterthought: bool = False  # this estimate was reported before, and may have improved since
 
     @property
     def is_used(self) -> bool:
@@ -38,7 +37,6 @@ class InputCounters:
     scans_from_the_future: int = 0  # scans later than now, or without a time, not used
     scans_without_pose: int = 0  # scans without a sensor pose near in time, not used
     scans_waited: int = 0  # scans that waited for a pose at or after their time
-    scans_crowded_out: int = 0  # scans dropped because too many waited, not used
     clock_steps: int = 0  # steps of the Unix clock
 
 

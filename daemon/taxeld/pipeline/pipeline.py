@@ -5,7 +5,6 @@ times, so the same arrivals give the same estimates, byte for byte. Durations ar
 ladder's clock, if it has one.
 """
 
-import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
@@ -14,12 +13,12 @@ from typing import Any
 import numpy as np
 
 from taxeld.config.tables import Config
+from taxeld.estimator.estimator import Estimator
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.freshness import Freshness
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
-from taxeld.pipeline.work import Work, estimator_of
 from taxeld.proposals.ladder import Ladder
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
@@ -28,10 +27,8 @@ from taxeld_protocol.decoder import Scan
 
 FUTURE_S = 0.1  # a scan stamped farther in the future was stamped wrongly
 SCAN_AGE_S = 0.5  # a scan that is older when it arrives is not used
-WAITING_MAX = 64  # scans that may wait; beyond, the oldest are dropped
+WAITING_MAX = 64  # scans that may wait; beyond, the oldest wait no longer
 SILENT_PERIODS = 3.0  # scan periods after which a hub without a scan is silent, and a skin stale
-PART_KEPT = 0.95  # decay of the longest part's time, with each touch
-SCAN_SHARE = 0.8  # share of the time until the next scan that work on one scan may take
 
 
 class Pipeline:
@@ -63,18 +60,13 @@ class Pipeline:
         if config.sensor_pose.endpoint:
             mount = None if calibration is None else calibration.mount
             self.poses = PoseTrack(on_pose, mount, extrapolate_s)
-        self.estimator = estimator_of(model, ladder, config)
+        self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)
         square = config.filter.half_width_m + _reach_m(model)
         self.freshness = Freshness(silent_s, config.filter.centre_m, square)
         self.estimate = self.freshness.judged(self.estimator.estimate)
         self.inputs = InputCounters()
-        self.ends_ns = math.inf  # end of the time for a call, on the ladder's clock [ns]
-        self.degrades = False  # whether to save samples where the next scan would come too soon
-        self.tells_early = False  # whether an estimate is yielded before work that may improve it
+        self.thinks_at_once = True  # whether a scan's second opinion is part of the work on it
         self._waiting: deque[tuple[float, Scan]] = deque()  # scans with their times of arrival
-        self._work: Work | None = None  # unfinished work on a scan
-        self._part_ns = 0.0  # longest part of recent touches [ns]
-        self._is_put_off = False  # whether a scan waits for time alone
         self._stepped_s = 0.0  # total steps of the Unix clock since start [s]
 
     def advance(self, scans: Iterable[Scan], now: float) -> Iterator[Outcome]:
@@ -82,10 +74,9 @@ class Pipeline:
         → outcomes of these scans, and of scans that had been waiting.
 
         A scan waits for a pose at or after its time, which may be on its way, but no longer than
-        `sensor_pose.wait_s`. Where the time for a call (`ends_ns`) is too short for another part of
-        the work on a scan, the work stops there, and other scans wait for the next call.
+        `sensor_pose.wait_s`.
         """
-        by, self._is_put_off = self._stepped_s, False
+        by = self._stepped_s
         for scan in scans:
             age = now - scan.t
             if -FUTURE_S <= age <= SCAN_AGE_S:
@@ -93,35 +84,35 @@ class Pipeline:
                 self.inputs.scans_waited += not self.poses.reaches(scan.t)
             else:
                 yield self._refused(age)
-        while self._work or (self._waiting and self._is_due(*self._waiting[0], now - by)):
-            yield from self._next()
-            if self._work or self._is_late():
-                self._is_put_off = bool(self._waiting)
-                break
-        while len(self._waiting) > WAITING_MAX:
-            self._waiting.popleft()
-            self.inputs.scans_crowded_out += 1
+        while self._waiting and self._is_due(*self._waiting[0], now - by):
+            yield self._take(self._waiting.popleft()[1])
 
     def flush(self) -> Iterator[Outcome]:
         """Outcomes of the scans that still wait, as nothing more will come."""
-        while self._work or self._waiting:
-            yield from self._next()
-
-    @property
-    def is_at_work(self) -> bool:
-        """Whether work on a scan stopped before its estimate was made, or another scan waits for
-        that work."""
-        return self._is_put_off or (self._work is not None and not self._work.is_told)
-
-    @property
-    def is_busy(self) -> bool:
-        """Whether a scan that has come is not finished."""
-        return self._work is not None or bool(self._waiting)
+        while self._waiting:
+            yield self._take(self._waiting.popleft()[1])
 
     @property
     def has_waiting(self) -> bool:
-        """Whether a scan waits for a pose or for time."""
+        """Whether a scan waits for a pose."""
         return bool(self._waiting)
+
+    @property
+    def has_thought(self) -> bool:
+        """Whether `think` has something to do, and no scan waits."""
+        return self.estimator.has_thought and not self._waiting
+
+    def think(self) -> Outcome | None:
+        """Take a second opinion on the belief after the last scan; → its estimate where that has
+        changed, and the time of this work."""
+        clock = self.ladder.clock
+        start, proposed_ns = clock(), self.ladder.spent_ns
+        if not self.estimator.think():
+            return None
+        self.estimate = self.freshness.judged(replace(self.estimator.estimate, t=self.estimate.t))
+        propose_ns = self.ladder.spent_ns - proposed_ns
+        filter_ns = clock() - start - propose_ns
+        return Outcome(self.estimate, propose_ns=propose_ns, filter_ns=filter_ns)
 
     def clock_stepped(self, by: float) -> None:
         """The Unix clock was set forward by `by` seconds.
@@ -179,9 +170,8 @@ class Pipeline:
         self.estimate = self.freshness.judged(self.estimate)
 
     def reset(self) -> None:
-        """Forget all touches, also an unfinished one."""
-        if self._work is not None:
-            self._work.give_up()
+        """Forget all touches; samples are tried again as at start."""
+        self.ladder.begin_anew()
         self.estimator.reset()
         self.estimate = self.freshness.judged(self.estimator.estimate)
 
@@ -189,10 +179,6 @@ class Pipeline:
         waited = now - arrived >= self.config.sensor_pose.wait_s
         has_pose = self.poses.reaches(scan.t + self._stepped_s)
         return waited or has_pose or len(self._waiting) > WAITING_MAX
-
-    def _is_late(self, need_ns: float = 0.0) -> bool:
-        """Whether the time is up, or too short for work of `need_ns`."""
-        return self.ladder.clock() + need_ns >= self.ends_ns
 
     def _refused(self, age: float) -> Outcome:
         if age > 0.0:
@@ -203,19 +189,9 @@ class Pipeline:
         self.estimate = self.freshness.judged(self.estimate)
         return Outcome(self.estimate)
 
-    def _next(self) -> Iterator[Outcome]:
-        """Go on with the scan under way, or with the next one."""
-        if self._work is None:
-            unused = self._begin(self._waiting.popleft()[1])
-            if unused is not None:
-                yield unused
-        if self._work is not None:
-            yield from self._go_on(self._work)
-
-    def _begin(self, scan: Scan) -> Outcome | None:
-        """Take a scan; the sensor's poses up to its time have been added. → its outcome; None where
-        the estimator has work on it."""
-        clock = self.ladder.clock
+    def _take(self, scan: Scan) -> Outcome:
+        """Work on a scan to its end; the sensor's poses up to its time have been added."""
+        clock, by = self.ladder.clock, self._stepped_s
         start = clock()
         activation = self.skin.on_scan(scan)
         skin_ns = clock() - start
@@ -223,41 +199,19 @@ class Pipeline:
         if activation is None:
             self.freshness.starting()
             return self._unused(scan, skin_ns)
-        sensor = self.poses.at(scan.t + self._stepped_s)
+        sensor = self.poses.at(scan.t + by)
         if sensor is None:
             self.inputs.scans_without_pose += 1
             self.freshness.unused()
-            activation = later(activation, self._stepped_s)
-            return replace(self._unused(scan, skin_ns), activation=activation)
+            return replace(self._unused(scan, skin_ns), activation=later(activation, by))
         self.freshness.used()
-        if self.degrades:
-            period_s = self.config.source.period_ms / 1000.0
-            self.ladder.deadline_ns = start + 1e9 * SCAN_SHARE * period_s / self.skin.hubs
-        self._work = Work(self.estimator, self.ladder, activation, sensor, skin_ns)
-        return None
-
-    def _go_on(self, work: Work) -> Iterator[Outcome]:
-        """Do the work as far as time allows; → the scan's outcome, if that was enough."""
-        while not work.go_on():
-            if self.tells_early and work.has_estimate and not work.is_told:
-                yield self._told(work)
-                work.is_told = True
-                return  # improving the estimate can wait
-            if self._is_late(max(work.longest_ns, self._part_ns)):
-                return
-        if work.parts > 1:
-            self._part_ns = max(work.longest_ns, PART_KEPT * self._part_ns)
-        self._work = None
-        yield self._told(work)
-
-    def _told(self, work: Work) -> Outcome:
-        by = self._stepped_s
-        self.estimate = self.freshness.judged(later(work.estimate, by))
-        filter_ns = work.own_ns - work.propose_ns
-        return Outcome(
-            self.estimate, later(work.activation, by), work.sensor, work.skin_ns, work.propose_ns,
-            filter_ns, work.is_told,
-        )  # fmt: skip
+        start, proposed_ns = clock(), self.ladder.spent_ns
+        learn = self.estimator.on_scan if self.thinks_at_once else self.estimator.learn
+        estimate = learn(activation, sensor)
+        propose_ns = self.ladder.spent_ns - proposed_ns
+        filter_ns = clock() - start - propose_ns
+        self.estimate = self.freshness.judged(later(estimate, by))
+        return Outcome(self.estimate, later(activation, by), sensor, skin_ns, propose_ns, filter_ns)
 
     def _unused(self, scan: Scan, skin_ns: int) -> Outcome:
         """The outcome of a scan that did not reach the estimator."""

@@ -1,28 +1,47 @@
-"""Touches of the object before the first real one, to load code and memory."""
+"""Touches of the object before the first real one, to load code and memory, and to find out which
+samples a touch has time for."""
 
 import numpy as np
 
+from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals.ladder import Ladder
+from taxeld.proposals.ladder import ClockNs, Ladder, LadderCounters
 
-TOUCHES = 5
+TOUCHES = 5  # touches on each rung; the first of all are slow, because their code is cold
 
 
-def warm_up(model: ObservationModel, ladder: Ladder, config: FilterConfig) -> None:
-    """Let another estimator take a few touches; then the ladder knows the cost of a touch."""
+def warm_up(
+    model: ObservationModel, ladder: Ladder, config: FilterConfig, cpu: ClockNs, limit_ns: float
+) -> None:
+    """Let another estimator take a few touches. Where most of them take longer than `limit_ns` on
+    the clock `cpu`, the ladder begins a rung lower, and so on."""
     rng = np.random.default_rng(0)
     radius_m, depth_m = model.layout.radius_m, model.depth_max_m
-    poses = contacts.synthesise(model.scene, radius_m, depth_m, 8 * TOUCHES, rng).pose
+    poses = contacts.synthesise(model.scene, radius_m, depth_m, 8 * TOUCHES, rng).pose[:TOUCHES]
     subject = Estimator(model, ladder, config)
+    while np.median(_costs_ns(subject, poses, cpu)) > limit_ns and not ladder.is_lowest:
+        ladder.step_down()
+        ladder.first += 1
+    ladder.counters, ladder.spent_ns = LadderCounters(), 0
+
+
+def _costs_ns(subject: Estimator, poses: Poses, cpu: ClockNs) -> list[int]:
+    """The time of the costliest scan of a touch of the object at each of poses (N, 3) in the sensor
+    frame: N times [ns]."""
+    model, costs = subject.model, list[int]()
     live = np.ones(len(model.layout), dtype=np.bool_)
-    for k, pose in enumerate(poses[:TOUCHES]):
+    subject.reset()
+    for k, pose in enumerate(poses):
         pressed = model.activation(pose[None])[0]
-        silent = 0.0 * pressed
+        silent, spent = 0.0 * pressed, list[int]()
         for after_s, z in ((0.0, pressed), (0.05, pressed), (0.1, silent), (0.5, silent)):
-            subject.on_scan(Activation(k + after_s, z, live), se2.inverse(pose))
-            ladder.used()
-    ladder.settle()
+            start = cpu()
+            subject.learn(Activation(k + after_s, z, live), se2.inverse(pose))
+            spent.append(cpu() - start)
+            subject.think()
+        costs.append(max(spent))
+    return costs

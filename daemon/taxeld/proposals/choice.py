@@ -12,7 +12,7 @@ from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.proposals.analytic import Table
 from taxeld.proposals.bundle import Bundle
-from taxeld.proposals.ladder import ClockNs, Cost, Ladder, Rung, Step
+from taxeld.proposals.ladder import ClockNs, Ladder, Rung, Step
 
 AUTO = "auto"
 TIMED_CALLS = 5  # calls whose median is the cost of a proposal
@@ -28,10 +28,9 @@ def ladder(bundle: Bundle, config: Config, clock: ClockNs) -> Ladder:
     Raises:
         SetupError: one of them cannot be used.
     """
-    samples, budget_ms = config.filter.injected, config.budget.propose_ms
     opened = open_all(bundle, config.filter)
-    chosen = choose(bundle, opened, config.filter, budget_ms)
-    return Ladder(rungs(bundle, opened, chosen, samples), clock, budget_ns=1e6 * budget_ms)
+    chosen = choose(bundle, opened, config.filter, config.budget.propose_ms)
+    return Ladder(rungs(bundle, opened, chosen, config.filter.injected), clock)
 
 
 def open_all(bundle: Bundle, config: FilterConfig) -> Opened:
@@ -64,23 +63,22 @@ def choose(bundle: Bundle, opened: Opened, config: FilterConfig, budget_ms: floa
 
 def rungs(bundle: Bundle, opened: Opened, chosen: str, samples: int) -> list[Rung]:
     """The chosen proposal, cheaper samplers by the bundle's preference, fewer samples of the last
-    of them, the table if it is cheaper still, and no samples."""
+    of them, and the table if it is cheaper still."""
 
-    def rung(step: Step, name: str, share: float = 1.0) -> Rung:
-        ms = cpu_ms(opened[name], bundle.model, max(round(share * samples), 1))
-        return Rung(step, opened[name], share, Cost(1e6 * ms))
+    def ms(name: str, share: float = 1.0) -> float:
+        return cpu_ms(opened[name], bundle.model, max(round(share * samples), 1))
 
-    last = chosen
-    made = [rung(Step.CHOSEN, chosen)]
+    made, last_ms = [Rung(Step.CHOSEN, opened[chosen])], ms(chosen)
     for name in bundle.cheaper(chosen):
-        cheaper = rung(Step.CHEAPER, name)
-        if cheaper.cost.ns < made[-1].cost.ns:
-            made, last = [*made, cheaper], name
-    made += [rung(Step.FEWER, last, share) for share in SHARES]
-    if chosen != Table.name:
-        table = rung(Step.TABLE, Table.name)
-        made += [table] if table.cost.ns < made[-1].cost.ns else []
-    return [*made, Rung(Step.NONE)]
+        if (cheaper_ms := ms(name)) < last_ms:
+            made, last_ms = [*made, Rung(Step.CHEAPER, opened[name])], cheaper_ms
+    cheapest = made[-1].proposal
+    made += [Rung(Step.FEWER, cheapest, share) for share in SHARES]
+    if chosen != Table.name and ms(Table.name) < cpu_ms(
+        cheapest, bundle.model, max(round(SHARES[-1] * samples), 1)
+    ):
+        made.append(Rung(Step.TABLE, opened[Table.name]))
+    return made
 
 
 def cpu_ms(proposal: Proposal, model: ObservationModel, samples: int) -> float:

@@ -1,13 +1,13 @@
 """The loop: it alone owns clocks, sockets and devices.
 
-It sleeps until something arrives, or until its clock says so. A pass takes the arrivals, runs the
-pipeline on them and publishes the results. Where its time is short, the work on a scan pauses after
-one of its parts, and goes on in the next pass.
+It sleeps until something arrives, or until its clock says so. A pass takes the arrivals, works on
+each scan to its end and publishes the results. A pass that finds no arrivals takes one second
+opinion on what was felt, if the estimator has one to offer.
 """
 
 import contextlib
 import hashlib
-import math
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -28,25 +28,26 @@ from taxeld.proposals import bundle, choice
 from taxeld.service import calibration_file, health, realtime, state_file
 from taxeld.service.clock import WallClock
 from taxeld.service.doorkeeper import Doorkeeper, settings_of
-from taxeld.service.gathering import Gathering
-from taxeld.service.inputs import ALL, Inputs, Ready
 from taxeld.service.latency import Latencies
 from taxeld.service.notices import Notices
 from taxeld.service.notify import Notifier
 from taxeld.service.state_file import StateFile
-from taxeld.service.ticker import Ticker
+from taxeld.service.ticker import ALL, Ready, Ticker, wait
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import Source, open_source
 from taxeld.stream import messages
 from taxeld.stream.link import Link
+from taxeld_protocol.decoder import Scan
 
-STAGES = messages.STAGES[:-1]  # stages without their total
 PARTICLES_HZ = 20.0
 HEALTH_S = 1.0
-PUT_OFF_S = 0.1  # longest wait for a pass that has more time
-BREATH_S = 0.0001  # pause between two passes, where the first has left work
+GATHER_S = 0.0005  # silence after a whole scan: its frames follow each other more closely
+GATHERS = 8  # looks at the device for further frames, GATHER_S apart
+TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -94,19 +95,15 @@ class Daemon:
         ladder = choice.ladder(scene, config, time.perf_counter_ns)
         on_pose = recorder.pose if recorder else None
         self.pipeline = Pipeline(config, scene.model, ladder, on_pose, calibration)
-        self.pipeline.degrades, self.pipeline.tells_early = config.budget.degrade, True
+        self.pipeline.thinks_at_once = False
         self.recorder = recorder
         self.latencies = Latencies(messages.STAGES)
         self.clock = WallClock()
         place, pipeline = state_file.directory(config), self.pipeline
         self.kept = StateFile(place, pipeline.skin, pipeline.skin_state)
         self.kept.restore(time.time())
-        self._budget_us = {s: 1e3 * getattr(config.budget, f"{s}_ms") for s in STAGES}
-        self.over_budget = dict.fromkeys(STAGES, 0)
         self.realtime = realtime.RealTime()
-        self._began_ns = 0  # when work on the next estimate began, on `perf_counter_ns`
-        # time of earlier passes on the next estimate, and of sending the last one [µs]
-        self._before_us = self._publish_us = 0.0
+        self._publish_us = 0.0  # time of sending the last estimate [µs]
         self._seq = 0
         self.start_s = time.monotonic()
         self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
@@ -148,7 +145,9 @@ class Daemon:
         notifier = Notifier()
         try:
             realtime.trim()
-            warm_up(self.pipeline.estimator.model, self.pipeline.ladder, self.config.filter)
+            model, ladder = self.pipeline.estimator.model, self.pipeline.ladder
+            limit_ns = self._touch_ns(hubs=1)
+            warm_up(model, ladder, self.config.filter, time.thread_time_ns, limit_ns)
             self.pipeline.freshness.came(time.monotonic())  # as if a scan had come at the start
             with realtime.thread(self.config.loop.priority) as self.realtime:
                 notifier.ready()
@@ -161,80 +160,98 @@ class Daemon:
     def _loop(self, notifier: Notifier, between: Callable[[], None]) -> None:
         ticker = Ticker(self.config.loop.rate_hz, 1.0 / self.config.publish.rate_hz)
         collector = realtime.Collector()
-        with contextlib.closing(Inputs()) as inputs:
-            gathering = Gathering()
-            ready = ALL
-            while not self.stopping:
-                now, scans = ticker.begin(), self.counters.scans
-                self.counters.overruns = ticker.missed
-                self.tick(now, ticker.left_s(), ready)
-                notifier.tick(now, self._status_line)
-                opened = self.source.counters.unopened + self.source.counters.reopened
-                collector.tick(now, opened, pressed=self.pipeline.skin.touched)
-                between()
-                if self.source.fault:
-                    raise SetupError(self.source.fault)
-                if self.source.finished and not self.pipeline.is_busy:
-                    break
-                rest_s = 0.0
-                if ready.device:
-                    rest_s = gathering.looked(self.counters.scans - scans)
-                ready = self._wait(ticker, inputs, gathering, rest_s)
+        ready = ALL
+        while not self.stopping:
+            now = ticker.begin()
+            self.counters.overruns = ticker.missed
+            self.tick(now, ready)
+            notifier.tick(now, self._status_line)
+            opened = self.source.counters.unopened + self.source.counters.reopened
+            collector.tick(now, opened, pressed=self.pipeline.skin.touched)
+            between()
+            if self.source.fault:
+                raise SetupError(self.source.fault)
+            if self.source.finished and not self.pipeline.has_waiting:
+                break
+            ready = self._wait(ticker)
 
-    def _wait(self, ticker: Ticker, inputs: Inputs, gathering: Gathering, rest_s: float) -> Ready:
-        """Wait until the next pass is due, by an arrival or by the clock. The device is left alone
-        for `rest_s`, and while the frames of a scan gather."""
+    def _wait(self, ticker: Ticker) -> Ready:
+        """Wait until the next pass is due, by an arrival or by the clock."""
         pipeline, source = self.pipeline, self.source
         if pipeline.has_waiting:
             self.link.ask_poses(also_next=True)
-        inputs.follow(source.device, self.link.end if pipeline.has_waiting else None)
-        until_s = ticker.until(busy=pipeline.is_busy or source.is_busy)
-        now_s = time.monotonic()
-        if pipeline.is_at_work:  # a moment for others on this processor
-            ready = inputs.wait(min(until_s, now_s + BREATH_S))
-            is_early = ready.device and gathering.heard(source.gather()) > 0.0
-            return ready._replace(device=False) if is_early else ready
-        if rest_s:
-            ready = inputs.rest(min(until_s, now_s + rest_s))
-            if ready.robot:
-                return ready
-        if not gathering.has_begun:
-            ready = inputs.wait(until_s)
-            if not ready.device or ready.robot:
-                return ready
-        self.link.ask_poses(also_next=False)
-        return gathering.gather(inputs, source.gather, until_s)
+        is_busy = pipeline.has_waiting or pipeline.has_thought or source.is_busy
+        until_s = ticker.until(busy=is_busy)
+        ready = wait(source.device, self.link.end if pipeline.has_waiting else None, until_s)
+        if ready.device:
+            self.link.ask_poses(also_next=False)
+            self._gather()
+        return ready
 
-    def tick(self, now_s: float, left_s: float = math.inf, ready: Ready = ALL) -> None:
-        """One pass: inputs, pipeline, outputs. `now_s` is monotonic; the pass has time for
-        `left_s`; `ready` names the inputs that may have arrivals."""
+    def _gather(self) -> None:
+        """Wait until the frames that come are a whole scan: a pass for each of them would cost more
+        than all work on the scan."""
+        held = 0
+        for _ in range(GATHERS):
+            before, held = held, self.source.gather()
+            if held == before:
+                return
+            time.sleep(GATHER_S)
+
+    def tick(self, now_s: float, ready: Ready = ALL) -> None:
+        """One pass: inputs, pipeline, outputs. `now_s` is monotonic; `ready` names the inputs that
+        may have arrivals. Without any there is time for a second opinion."""
         start, cpu = time.perf_counter_ns(), time.thread_time_ns()
-        self._began_ns = start
         self.counters.ticks += 1
-        for_pipeline_s = left_s - self.config.budget.publish_ms / 1000.0
-        self.pipeline.ends_ns = start + 1e9 * for_pipeline_s
         wall_s, stepped = self.clock.read()
         if stepped:
             self.pipeline.clock_stepped(stepped)
             self.source.clock_stepped(stepped)
             self._watch.clock_stepped()
-        scans = self.source.poll(now_s, hear=ready.device)
+        scans = self.source.poll(now_s)
         self.counters.scans += len(scans)
-        self._look_at_door(now_s, asked=ready.robot or bool(scans) or self.pipeline.has_waiting)
-        source_us = (time.perf_counter_ns() - start) / 1000.0
-        self.over_budget["source"] += source_us > self._budget_us["source"]
+        self._look_at_door(now_s, asked=ready.door or bool(scans) or self.pipeline.has_waiting)
+        self._work(scans, start, wall_s, now_s)
+        if not (scans or ready.device) and self.pipeline.has_thought:
+            self._think(now_s)
+        self.kept.keep(now_s)
+        self._publish_due(now_s)
+        own_s = (time.thread_time_ns() - cpu) / 1e9
+        self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
+
+    def _work(self, scans: list[Scan], start_ns: int, wall_s: float, now_s: float) -> None:
+        """Work on each scan to its end, and publish its outcome. `start_ns`: when the pass began,
+        on `perf_counter_ns`."""
+        source_us = (time.perf_counter_ns() - start_ns) / 1000.0
+        cpu = time.thread_time_ns()
         # scans are stamped while polled, so the time must be read after that
         for outcome in self.pipeline.advance(scans, time.time() if scans else wall_s):
             self.pipeline.freshness.came(now_s)
-            self._publish(outcome, source_us, now_s)
+            start_ns = self._publish(outcome, source_us, start_ns, now_s)
             source_us = 0.0  # the time counts for the first scan alone
-        self.kept.keep(now_s)
-        took_s = (time.perf_counter_ns() - start) / 1e9
-        self._publish_due(now_s, is_late=took_s * self.config.loop.rate_hz > 0.5)
-        if self.pipeline.is_at_work:
-            self._before_us += (time.perf_counter_ns() - self._began_ns) / 1000.0
-        own_s = (time.thread_time_ns() - cpu) / 1e9
-        self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
+            before, cpu = cpu, time.thread_time_ns()
+            if outcome.is_used and outcome.estimate.injected:
+                self._judge_touch(cpu - before)
+
+    def _judge_touch(self, took_ns: int) -> None:
+        """Let the ladder know the CPU time of a touch."""
+        ladder, limit_ns = self.pipeline.ladder, self._touch_ns(self.pipeline.skin.hubs)
+        if ladder.took(took_ns, limit_ns):
+            log.warning(
+                "touches take %.0f ms, and have %.0f: samples from now on by %s, %.0f %% of them",
+                took_ns / 1e6, limit_ns / 1e6, ladder.name, 100.0 * ladder.rung.share,
+            )  # fmt: skip
+
+    def _touch_ns(self, hubs: int) -> float:
+        """Time that a touch may take of the time between two scans [ns]."""
+        return 1e6 * TOUCH_SHARE * self.config.source.period_ms / max(hubs, 1)
+
+    def _think(self, now_s: float) -> None:
+        """Take a second opinion, and publish the estimate again where that has improved it."""
+        outcome = self.pipeline.think()
+        if outcome is not None:
+            took_us = _stages_us(outcome)
+            self._send_estimate(self._estimate(now_s), took_us, now_s)
 
     def _look_at_door(self, now_s: float, *, asked: bool) -> None:
         """Take poses, subscriptions and changes; while no scan needs poses, only now and then."""
@@ -251,42 +268,24 @@ class Daemon:
         """Stop the skin and free everything that is open."""
         self._opened.close()
 
-    def _publish(self, outcome: Outcome, source_us: float, now_s: float) -> None:
-        """Publish the outcome of a scan."""
-        if outcome.is_afterthought:
-            self._publish_bettered(outcome, now_s)
-            return
-        lat_us = {
-            "source": source_us,
-            "skin": outcome.skin_ns / 1000.0,
-            "propose": outcome.propose_ns / 1000.0,
-            "filter": outcome.filter_ns / 1000.0,
-            "publish": self._publish_us,  # time of the publication before: this one is not over yet
-        }
-        begin = time.perf_counter_ns()
-        lat_us["total"] = self._before_us + (begin - self._began_ns) / 1000.0 + self._publish_us
+    def _publish(self, outcome: Outcome, source_us: float, start_ns: int, now_s: float) -> int:
+        """Publish the outcome of a scan, on which work began at `start_ns`; → the time now, on
+        `perf_counter_ns` as well."""
+        begin_ns = time.perf_counter_ns()
+        # the publication before this one: this one is not over yet
+        publish_us = self._publish_us
+        total_us = (begin_ns - start_ns) / 1000.0 + publish_us
+        lat_us = _stages_us(outcome) | {
+            "source": source_us, "publish": publish_us, "total": total_us,
+        }  # fmt: skip
         if outcome.is_used or self._is_news(outcome.estimate):
             self._send_estimate(self._estimate(now_s), lat_us, now_s)
         if outcome.activation is not None:
             self._send_activation(outcome.activation, outcome.sensor, now_s)
         self.latencies.add(lat_us)
-        self._began_ns = time.perf_counter_ns()
-        self._before_us, self._publish_us = 0.0, (self._began_ns - begin) / 1000.0
-        for stage in ("skin", "propose", "filter", "publish"):
-            self.over_budget[stage] += lat_us[stage] > self._budget_us[stage]
-
-    def _publish_bettered(self, outcome: Outcome, now_s: float) -> None:
-        """Publish an estimate again that later work has improved. No scan waits for this work."""
-        took_us = {
-            "propose": outcome.propose_ns / 1000.0,
-            "filter": outcome.filter_ns / 1000.0,
-        }
-        if outcome.estimate.injected:
-            lat_us = dict.fromkeys(messages.STAGES, 0.0) | took_us
-            self._send_estimate(self._estimate(now_s), lat_us, now_s)
-        for stage, us in took_us.items():
-            self.over_budget[stage] += us > self._budget_us[stage]
-        self._began_ns, self._before_us = time.perf_counter_ns(), 0.0
+        end_ns = time.perf_counter_ns()
+        self._publish_us = (end_ns - begin_ns) / 1000.0
+        return end_ns
 
     def _is_news(self, estimate: Estimate) -> bool:
         told = self._told
@@ -305,7 +304,7 @@ class Daemon:
             mono_ns=time.monotonic_ns(),
             age_us=(wall_s - estimate.t) * 1e6 if estimate.t else 0.0,
             overruns=self.counters.overruns,
-            degraded=int(self.pipeline.ladder.step),
+            degraded=int(self.pipeline.ladder.rung.step),
             lat_us=lat_us,
         )
         self.link.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
@@ -321,14 +320,13 @@ class Daemon:
             cloud = messages.particles(t, self._seq, belief.pose, belief.weight)
             link.send(messages.PARTICLES, cloud, t)
 
-    def _publish_due(self, now_s: float, *, is_late: bool) -> None:
+    def _publish_due(self, now_s: float) -> None:
         """Publish without a scan: an estimate whose status has changed or whose time has come, and
-        health, in a pass that is not late already."""
+        health."""
         estimate = self._estimate(now_s)
         if self._is_news(estimate) or now_s >= self._next_estimate_s:
             self._send_estimate(estimate, dict.fromkeys(messages.STAGES, 0.0), now_s)
-        due_s = self._next_health_s
-        if now_s >= due_s + PUT_OFF_S or (now_s >= due_s and not is_late):
+        if now_s >= self._next_health_s:
             wall_s = time.time()
             self._next_health_s = now_s + HEALTH_S
             self._health_sent = health.of(self, self._seq, now_s, wall_s)
@@ -372,6 +370,15 @@ class Daemon:
         return self._watch.look(
             t, line.malformed, line.topics, connected=line.connected, refused=line.refused
         )
+
+
+def _stages_us(outcome: Outcome) -> dict[str, float]:
+    """The time of each stage of the work on an outcome, the others 0."""
+    return dict.fromkeys(messages.STAGES, 0.0) | {
+        "skin": outcome.skin_ns / 1000.0,
+        "propose": outcome.propose_ns / 1000.0,
+        "filter": outcome.filter_ns / 1000.0,
+    }
 
 
 def _watch_of(config: Config) -> PoseWatch:

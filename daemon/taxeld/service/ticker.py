@@ -1,10 +1,36 @@
-"""Times of the loop's passes, where nothing wakes it before."""
+"""When the loop's passes begin: at an arrival, or by the clock."""
 
 import math
+import select
 import time
 from collections.abc import Callable
+from typing import NamedTuple, Protocol
 
 IDLE_S = 0.05  # longest time between passes
+
+
+class Readable(Protocol):
+    """An object with a descriptor; a negative one cannot be waited on."""
+
+    def fileno(self) -> int: ...
+
+
+class Ready(NamedTuple):
+    """The inputs that may have arrivals."""
+
+    device: bool = False
+    door: bool = False
+
+
+ALL = Ready(device=True, door=True)
+
+
+def wait(device: Readable | None, door: Readable | None, until_s: float) -> Ready:
+    """Sleep until one of the inputs is ready, at most until the monotonic time `until_s`."""
+    numbers = [-1 if each is None else each.fileno() for each in (device, door)]
+    left_s = max(0.0, until_s - time.monotonic())
+    found = select.select([number for number in numbers if number >= 0], (), (), left_s)[0]
+    return Ready(*(number in found for number in numbers))
 
 
 class Ticker:
@@ -52,7 +78,3 @@ class Ticker:
             self.missed += late
             self._began_s = self._until_s + late * self.period_s
         return now
-
-    def left_s(self) -> float:
-        """Time left of this pass [s]; negative where it is over."""
-        return self._began_s + self.period_s - self._clock()

@@ -83,7 +83,7 @@ def _onwards(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
     def counted(name: str) -> int:
         return value(health, name)
 
-    unused = ("scans_old", "scans_from_the_future", "scans_crowded_out", "scans_waiting")
+    unused = ("scans_old", "scans_from_the_future", "scans_waiting")
     used = counted("skin.scans") + sum(counted(f"inputs.{name}") for name in unused)
     taken = (
         counted("estimator.scans") + counted("skin.learning") + counted("skin.unmapped")

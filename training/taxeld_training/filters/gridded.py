@@ -4,8 +4,7 @@ from collections.abc import Iterator
 from itertools import groupby
 
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
-from taxeld.estimator.counters import EstimatorCounters
-from taxeld.estimator.intake import Intake
+from taxeld.estimator.intake import EstimatorCounters, Intake
 from taxeld.estimator.memory import Slack
 from taxeld.estimator.news import News
 from taxeld.model.observation import ObservationModel

@@ -11,8 +11,7 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
-from taxeld.estimator.counters import EstimatorCounters
-from taxeld.estimator.intake import Intake
+from taxeld.estimator.intake import EstimatorCounters, Intake
 from taxeld.model import se2
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld_hil.jobs import Job
