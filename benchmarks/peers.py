@@ -143,9 +143,11 @@ def measure(scans: PeerScans, n: int) -> list[dict[str, object]]:
     rounds, steps, budget = SIZES[n]
     PeerModel.scans = scans
     smc = SMC(
-        fk=Bootstrap(ssm=PeerModel(), data=[None] * (rounds * steps + 1)), N=n,
-        resampling="systematic", store_history=False,
-    )  # fmt: skip
+        fk=Bootstrap(ssm=PeerModel(), data=[None] * (rounds * steps + 1)),
+        N=n,
+        resampling="systematic",
+        store_history=False,
+    )
     at, rng = [0], np.random.default_rng(2)
     peer = ParticleFilter(
         prior_fn=lambda count: np.random.default_rng(1).standard_normal((count, 3)) * PRIOR_SD,
@@ -169,11 +171,14 @@ def measure(scans: PeerScans, n: int) -> list[dict[str, object]]:
     ms = {name: float(np.median(each[1:])) for name, each in spent.items()}
     return [
         {
-            "filter": name, "particles": n, "ms": value,
-            "budget_ms": budget if name == "taxeld" else None, "ratio": value / ms["taxeld"],
+            "filter": name,
+            "particles": n,
+            "ms": value,
+            "budget_ms": budget if name == "taxeld" else None,
+            "ratio": value / ms["taxeld"],
         }
         for name, value in ms.items()
-    ]  # fmt: skip
+    ]
 
 
 def _ms(items: Sequence[Any], step: Callable[[Any], object]) -> float:

@@ -134,8 +134,9 @@ def saturated() -> list[tuple[str, float, float | None]]:
     with can.Bus(interface="virtual", channel="bench") as bus:
         for at in range(0, len(frames), a_tick):
             for frame in frames[at : at + a_tick]:
-                bus.send(can.Message(arbitration_id=frame.can_id, data=frame.data,
-                                     is_extended_id=False))  # fmt: skip
+                bus.send(
+                    can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
+                )
             start = time.process_time()
             scans += sum(scan.complete for scan in source.poll(at / SATURATED_FRAMES_S))
             spent += time.process_time() - start

@@ -33,10 +33,15 @@ def one(seed: int) -> dict[str, Any]:
     with tempfile.TemporaryDirectory() as place:
         run, broken = simulate(seed, Path(place))
     return {
-        "seed": seed, "broken": broken, "moves": run.world.moves,
-        "faults": [asdict(fault) for fault in run.world.faults], "scans": len(run.estimates),
-        "packets": len(run.taken), "unsent": run.unsent, "compared": run.compared,
-    }  # fmt: skip
+        "seed": seed,
+        "broken": broken,
+        "moves": run.world.moves,
+        "faults": [asdict(fault) for fault in run.world.faults],
+        "scans": len(run.estimates),
+        "packets": len(run.taken),
+        "unsent": run.unsent,
+        "compared": run.compared,
+    }
 
 
 def main() -> int:

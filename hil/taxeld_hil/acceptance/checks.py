@@ -149,8 +149,11 @@ def rate(got: Received) -> CheckResult:
             f"{p50:.1f} / {p95:.1f} / {p99:.1f} ms off (50 / 95 / 99 %), {missed} of {due} missed"
         )
         figures[str(hub)] = {
-            "scans": len(t), "missed": missed, "period_ms": period_ms, "off_ms": off_ms,
-        }  # fmt: skip
+            "scans": len(t),
+            "missed": missed,
+            "period_ms": period_ms,
+            "off_ms": off_ms,
+        }
         slow = period_ms - got.period_ms
         if abs(slow) > RATE_OFF * got.period_ms:
             what = f"a scan every {period_ms:.1f} ms, where {got.period_ms} were asked for"

@@ -94,14 +94,25 @@ class CalibrationFit:
         k, m = presses.counts.shape
         self._model, self._presses, self._noise = model, presses, noise
         self._cuts = np.cumsum([1, 1, 3, 3, 2 * k, m])  # between the kinds of unknowns
-        self._mean = np.concatenate([
-            [np.log(start.full_scale), BEND_MEAN], np.zeros(3), start.object, np.zeros(2 * k + m),
-            np.full(m, ONSET_MEAN),
-        ])  # fmt: skip
-        self._sd = np.concatenate([
-            [FULL_SCALE_SD, BEND_SD], MOUNT_SD, start.object_sd,
-            np.full(2 * k, ROBOT_SD_M), np.full(m, GAIN_SD), np.full(m, ONSET_SD),
-        ])  # fmt: skip
+        self._mean = np.concatenate(
+            [
+                [np.log(start.full_scale), BEND_MEAN],
+                np.zeros(3),
+                start.object,
+                np.zeros(2 * k + m),
+                np.full(m, ONSET_MEAN),
+            ]
+        )
+        self._sd = np.concatenate(
+            [
+                [FULL_SCALE_SD, BEND_SD],
+                MOUNT_SD,
+                start.object_sd,
+                np.full(2 * k, ROBOT_SD_M),
+                np.full(m, GAIN_SD),
+                np.full(m, ONSET_SD),
+            ]
+        )
         self._begin = np.zeros_like(self._mean)  # unknowns are sought in prior sd about the mean
         self._begin[2:5] = start.mount / MOUNT_SD
         self._gains = slice(8 + 2 * k, 8 + 2 * k + m)

@@ -23,9 +23,14 @@ class Listener:
     """One subscription; `judge` and `table` may be replaced at any time."""
 
     def __init__(
-        self, stack: ExitStack, context: "zmq.Context[Any]", endpoint: str, judge: Judge,
-        table: ContactTable, say: Say,
-    ) -> None:  # fmt: skip
+        self,
+        stack: ExitStack,
+        context: "zmq.Context[Any]",
+        endpoint: str,
+        judge: Judge,
+        table: ContactTable,
+        say: Say,
+    ) -> None:
         """`say` prints a line for each contact."""
         self.judge = judge
         self.table = table

@@ -18,12 +18,23 @@ TRANSPORTS = ("slcan", "native", "can")
 
 SKIN_KINDS = ("module_dead", "taxel_stuck", "saturated", "baseline_jump")
 KINDS = (
-    "dropped", "duplicated", "reordered", "corrupted", "late", "flooded",
+    "dropped",
+    "duplicated",
+    "reordered",
+    "corrupted",
+    "late",
+    "flooded",
     *SKIN_KINDS,
-    "reboot", "unplugged", "adapter_closed",
-    "pose_silent", "pose_frozen", "pose_late", "pose_jumping",
-    "subscriber_dead", "daemon_killed",
-)  # fmt: skip
+    "reboot",
+    "unplugged",
+    "adapter_closed",
+    "pose_silent",
+    "pose_frozen",
+    "pose_late",
+    "pose_jumping",
+    "subscriber_dead",
+    "daemon_killed",
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,9 +47,7 @@ def plan(
             if robot.strongest(model, truth, line[2]) > robot.TOUCH:
                 break
         arc = np.linspace(before, angle, 2 + int(abs(angle - before) / robot.ARC_STEP_RAD))
-        way = np.column_stack([
-            *_around(centre, circle, arc).T, np.linspace(yaw, yaw_to, len(arc))
-        ])  # fmt: skip
+        way = np.column_stack([*_around(centre, circle, arc).T, np.linspace(yaw, yaw_to, len(arc))])
         track.go(np.vstack([way, line[:2]]), WAY_S)
         touches.append(track.touch(line[2], is_light=False))
         track.go(np.vstack([line[:1], way[-1:]]), 0.3)

@@ -69,8 +69,14 @@ class CrossTalk:
 class ThermalDrift:
     """Counts that the temperature adds: one slow sine wave, and each taxel's share in it."""
 
-    def __init__(self, taxels: int, counts_per_min: float, period_s: float, cv: float,
-                 rng: np.random.Generator) -> None:  # fmt: skip
+    def __init__(
+        self,
+        taxels: int,
+        counts_per_min: float,
+        period_s: float,
+        cv: float,
+        rng: np.random.Generator,
+    ) -> None:
         self._rate = 2.0 * np.pi / period_s
         self._counts = counts_per_min / 60.0 / self._rate
         self._phase = rng.uniform(-np.pi, np.pi)

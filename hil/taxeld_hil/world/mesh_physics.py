@@ -34,8 +34,15 @@ class MeshPhysics:
     give both as shares of readings.
     """
 
-    def __init__(self, config: MeshConfig, skin: MeshSkin, layout: Layout, depth_max_m: float,
-                 full_scale: Floats, rng: np.random.Generator) -> None:  # fmt: skip
+    def __init__(
+        self,
+        config: MeshConfig,
+        skin: MeshSkin,
+        layout: Layout,
+        depth_max_m: float,
+        full_scale: Floats,
+        rng: np.random.Generator,
+    ) -> None:
         """`full_scale` (M,): counts of each taxel at `depth_max_m`; `rng` draws the drift, and a
         generator that it spawns the rest."""
         taxels, own = len(layout), rng.spawn(1)[0]
@@ -45,8 +52,9 @@ class MeshPhysics:
         self._response = Response(config, taxels, own)
         self._foam = Foam(config, taxels, own)
         self._cross_talk = CrossTalk(layout, config.cross_talk, own)
-        self._drift = ThermalDrift(taxels, config.drift_counts_per_min, config.drift_period_s,
-                                   config.drift_cv, rng)  # fmt: skip
+        self._drift = ThermalDrift(
+            taxels, config.drift_counts_per_min, config.drift_period_s, config.drift_cv, rng
+        )
         self.full_scale = full_scale
         self._depth_max_m = depth_max_m
 

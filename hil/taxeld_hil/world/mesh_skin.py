@@ -41,11 +41,13 @@ class MeshSkin:
         spots = ELECTRODE if taxel_radius_m else ELECTRODE[:1]
         spread = ELECTRODE_RADII * taxel_radius_m * spots
         self._spots = len(spots)
-        on_taxel = np.stack([
-            (angle[:, None] + spread[:, 0] / radius[:, None]).ravel(),
-            (layout.position_m[:, 2, None] + spread[:, 1]).ravel(),
-            np.repeat(radius, len(spots)),
-        ])  # fmt: skip
+        on_taxel = np.stack(
+            [
+                (angle[:, None] + spread[:, 0] / radius[:, None]).ravel(),
+                (layout.position_m[:, 2, None] + spread[:, 1]).ravel(),
+                np.repeat(radius, len(spots)),
+            ]
+        )
         between = _lattice(angle, layout.position_m[:, 2], radius) if sags else np.empty((3, 0))
         phi, z, r = np.concatenate([on_taxel, between], axis=1)
         self._normal = np.stack([np.cos(phi), np.sin(phi)])

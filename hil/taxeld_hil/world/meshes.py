@@ -192,6 +192,7 @@ def _keep(grid: Grid, path: Path) -> None:
     """Write it beside its place first: another process may do the same."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_suffix(f".{os.getpid()}.npz")
-    np.savez_compressed(partial, values=grid.values, origin=grid.origin, centre=grid.centre,
-                        size=grid.size)  # fmt: skip
+    np.savez_compressed(
+        partial, values=grid.values, origin=grid.origin, centre=grid.centre, size=grid.size
+    )
     partial.rename(path)

@@ -91,9 +91,7 @@ def plan(
             if robot.strongest(model, truth, line[2]) > robot.TOUCH:
                 break
         arc = np.linspace(before, angle, 2 + int(abs(angle - before) / robot.ARC_STEP_RAD))
-        way = np.column_stack([
-            _around(centre, circle, arc), np.linspace(yaw, yaw_to, len(arc))
-        ])  # fmt: skip
+        way = np.column_stack([_around(centre, circle, arc), np.linspace(yaw, yaw_to, len(arc))])
         gone = track.now - touches[-1].begin_s if touches else 0.0
         track.go(np.vstack([out, way, line[:2]]), max(rng.uniform(*APART_S) - gone, 0.5))
         out = line[:1]  # the way out is the way in
@@ -118,7 +116,8 @@ def _at_depth(clear: Poses, pressed: Poses, deepest: Deepest, depth_m: float) ->
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (
-            (low, middle) if deepest(clear + middle * (pressed - clear)) > depth_m
+            (low, middle)
+            if deepest(clear + middle * (pressed - clear)) > depth_m
             else (middle, high)
-        )  # fmt: skip
+        )
     return np.asarray(clear + high * (pressed - clear))
