@@ -72,7 +72,7 @@ def test_a_minimal_configuration_has_every_default() -> None:
         ('[loop]\n"a\\nb" = 1', "loop.a?b: unknown key"),
         (
             '[log]\nlevel = "lo\\nud"',
-            "log.level: must be one of debug, info, warning, error, not 'lo?",
+            "log.level: must be one of debug, info, warning, error, not 'lo\\nud'",
         ),
     ],
 )

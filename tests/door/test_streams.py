@@ -86,21 +86,6 @@ def test_no_peer_ends_the_topic_of_another(stand: Stand, end: bytes) -> None:
     stand.received(honest)
 
 
-def test_subscriptions_less_their_ends_are_those_that_are_there(local: Stand) -> None:
-    stays = local.subscriber(b"/taxeld/e")
-    for _ in range(5):
-        stays.setsockopt(zmq.SUBSCRIBE, b"/taxeld/h")
-        with local.subscriber(b"/taxeld/e", b"/taxeld/t") as goes:
-            local.received(goes)
-
-    def adds_up() -> bool:
-        counted = local.link.report.subscribers
-        return (counted.joined, counted.left) == (2 + 5 * 2, 5 * 2)
-
-    local.until(adds_up)
-    assert local.link.report.peers == 1
-
-
 def test_a_message_of_any_size_goes_out_whole(local: Stand) -> None:
     """A hundred thousand particles are 3.6 MB, more than the pair takes as one packet."""
     cloud = {"xytheta": [[0.1, 0.2, 0.3]] * 100_000}

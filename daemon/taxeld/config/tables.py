@@ -16,12 +16,6 @@ from taxeld_protocol.slcan import BITRATES
 LEVELS = ("debug", "info", "warning", "error")  # levels of the log
 
 
-def _bit_rate(value: int) -> str | None:
-    if value in BITRATES:
-        return None
-    return f"{value} is no CAN bit rate; use one of {', '.join(map(str, BITRATES))}"
-
-
 def _boards(boards: tuple[int, ...]) -> str | None:
     if len(set(boards)) == len(boards) and all(b in icub.BOARDS for b in boards):
         return None
@@ -57,12 +51,6 @@ def _module(entry: tuple[int, ...]) -> str | None:
     if hub and not 0 < hub[0] < BROADCAST:
         return f"{hub[0]} is no short id of a hub (1..{BROADCAST - 1})"
     return None
-
-
-def _skin_type(value: int) -> str | None:
-    if value in icub.SKIN_TYPES:
-        return None
-    return f"must be one of {', '.join(map(str, icub.SKIN_TYPES))}, not {value}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,11 +94,13 @@ class SourceConfig:
         (), _boards, "dialect icub: the part's boards, in its layout's order; empty: they are asked"
     )
     skin_type: int = key(
-        icub.SKIN_TYPE, _skin_type, "dialect icub: how boards make up for their temperature"
+        icub.SKIN_TYPE,
+        one_of(*icub.SKIN_TYPES),
+        "dialect icub: how boards make up for their temperature",
     )
     interface: str = key("socketcan", doc="kind can: socketcan, slcan, or any of python-can's")
     channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
-    bitrate: int = key(1_000_000, _bit_rate, "bit/s of the CAN bus")
+    bitrate: int = key(1_000_000, one_of(*BITRATES), "bit/s of the CAN bus")
     framing: str = key(
         "native", one_of("native", "slcan"), "kind serial: packets in COBS, or SLCAN lines"
     )

@@ -50,8 +50,9 @@ def between(low: float, high: float) -> Bound:
     return lambda v: None if low <= v <= high else f"must be {low:g}..{high:g}, not {v:g}"
 
 
-def one_of(*values: str) -> Bound:
-    return lambda v: None if v in values else f"must be one of {', '.join(values)}, not '{v}'"
+def one_of(*values: str | int) -> Bound:
+    named = ", ".join(map(str, values))
+    return lambda v: None if v in values else f"must be one of {named}, not {v!r}"
 
 
 def key(default: Any = MISSING, check: Bound | None = None, doc: str = "") -> Any:

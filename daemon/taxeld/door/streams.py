@@ -76,7 +76,6 @@ class Streams:
         """`connections`: the inodes of all that are there now."""
         for gone in self._asked.keys() - connections:
             prefixes = self._asked.pop(gone)
-            self._counters.left += len(prefixes)
             self._prefixes -= Counter(prefixes)
         for binding in self._bindings:
             self._counters.bound_again += binding.restore(self.socket)
@@ -110,15 +109,9 @@ class Streams:
             if prefix not in asked:
                 asked.add(prefix)
                 self._prefixes[prefix] += 1
-                self._counters.joined += 1
-        elif first == BEGIN:
-            self._counters.foreign += 1
-        elif first != END:
-            self._counters.malformed += 1
-        elif prefix in asked:
+        elif first == END and prefix in asked:
             asked.remove(prefix)
             self._prefixes -= Counter([prefix])
-            self._counters.left += 1
 
 
 def open_publisher(context: zmq.Context[Any], queue: int) -> zmq.Socket[Any]:

@@ -28,7 +28,7 @@ from taxeld_protocol.decoder import Scan
 FUTURE_S = 0.1  # a scan stamped farther in the future was stamped wrongly
 SCAN_AGE_S = 0.5  # a scan that is older when it arrives is not used
 WAITING_MAX = 64  # scans that may wait; beyond, the oldest wait no longer
-SILENT_PERIODS = 3.0  # scan periods after which a hub without a scan is silent, and a skin stale
+SILENT_PERIODS = 3.0  # scan periods without a scan: a hub is silent, all is stale
 
 
 class Pipeline:

@@ -16,14 +16,14 @@ if TYPE_CHECKING:
 def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
     """The message; `seq`: of the last estimate, `now_s` is monotonic, `t` Unix time."""
     pipeline, source, recorder = daemon.pipeline, daemon.source, daemon.recorder
-    report, granted, poses = daemon.link.report, daemon.realtime, daemon.pose_figures(t)
+    report, poses = daemon.link.report, daemon.pose_figures(t)
     written = recorder.counters if recorder else None
     parts = {
         "uptime_s": now_s - daemon.start_s,
         "loop": daemon.counters,
         "degraded": pipeline.ladder.counters,
         "lat_us": {"total": daemon.latencies.percentiles()["total"]},
-        "realtime": {"fifo": granted.fifo, "locked": granted.locked},
+        "realtime": daemon.realtime,
         "source": {
             **source.wire.stats(),
             "lost": source.counters.lost,

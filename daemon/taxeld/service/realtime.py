@@ -24,8 +24,6 @@ class RealTime:
 
     fifo: int = 0  # SCHED_FIFO priority; 0: not permitted, or not asked for
     locked: bool = False  # memory stays in RAM once it has been touched
-    gc_frozen: bool = False
-    switch_us: float = 0.0
 
 
 class Collector:
@@ -71,7 +69,7 @@ def thread(priority: int) -> Iterator[RealTime]:
     fifo = priority if priority and _schedule(_FIFO, priority) else 0
     locked = bool(priority) and _lock()
     try:
-        yield RealTime(fifo, locked, gc_frozen=True, switch_us=SWITCH_S * 1e6)
+        yield RealTime(fifo, locked)
     finally:
         if locked:
             ctypes.CDLL(None).munlockall()

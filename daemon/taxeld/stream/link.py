@@ -41,11 +41,7 @@ Handler = Callable[[], None]
 class SubscriberCounters:
     """Since the door's start."""
 
-    joined: int = 0  # subscriptions to topics of ours
-    left: int = 0  # ends of these
-    foreign: int = 0  # subscriptions to none of our topics
-    malformed: int = 0  # messages that are neither
-    hung_up: int = 0  # peers that sent too many of any
+    hung_up: int = 0  # peers that sent too many subscriptions
     bound_again: int = 0  # times that a socket file had vanished
 
 

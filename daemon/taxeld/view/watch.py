@@ -135,7 +135,7 @@ class Page:
             age,
             _row("latency", "".join(f"{stage:>10s}" for stage in messages.STAGES) + "   [ms]"),
             _row("  now", _in_ms(self._lat_us, messages.STAGES)),
-            _row("  99 %", f"{p99_ms:.1f} in all"),
+            _row("  99 %", f"{p99_ms:{10 * len(messages.STAGES)}.2f}"),
             _row("health", counts + f"{len(health['dead_taxels'])} dead taxels"),
         ]
 

@@ -1,0 +1,144 @@
+"""Faults of honest life on a daemon as a process: no scan is lost, and its recording tells all."""
+
+import contextlib
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+
+from tests.system.touched import Touched, touched
+
+DISK_KB = 60
+LOSSES = 4
+NEAR = 1e-6  # a recording keeps the microseconds of a scan's time, and no less
+
+
+class Heard:
+    """Estimates that a subscriber heard."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._opened = contextlib.ExitStack()
+        context = self._opened.enter_context(zmq.Context())
+        self._socket = self._opened.enter_context(context.socket(zmq.SUB))
+        self._socket.linger = 0
+        self._socket.subscribe(b"/taxeld/estimate")
+        self._socket.connect(endpoint)
+        self.estimates: list[dict[str, Any]] = []
+
+    def listen(self, seconds: float) -> None:
+        until_s = time.monotonic() + seconds
+        while (left_s := until_s - time.monotonic()) > 0.0:
+            if self._socket.poll(1000.0 * left_s):
+                self.estimates.append(msgpack.unpackb(self._socket.recv_multipart()[1]))
+
+    def last_of_scans(self) -> Iterator[dict[str, Any]]:
+        """Of each scan the last estimate, where it is certain that no later one was missed."""
+        for one, following in zip(self.estimates, self.estimates[1:], strict=False):
+            if following["seq"] == one["seq"] + 1 and following["t"] != one["t"]:
+                yield one
+
+    def close(self) -> None:
+        self._opened.close()
+
+
+@contextlib.contextmanager
+def heard(daemon: Touched) -> Iterator[Heard]:
+    with contextlib.closing(Heard(daemon.stream)) as made:
+        yield made
+
+
+def check_replayed(heard: Heard, replayed: list[dict[str, Any]]) -> int:
+    """What was heard is what the recording replays to; → of how many scans."""
+    by_time = {round(1e6 * estimate["t"]): estimate for estimate in replayed}
+    last = [e for e in heard.last_of_scans() if round(1e6 * e["t"]) in by_time]
+    for told in last:
+        again = by_time[round(1e6 * told["t"])]
+        assert told["contacts"] == again["contacts"]
+        for pose in ("map", "mean"):
+            assert told[pose] == pytest.approx(again[pose], abs=NEAR)
+        assert told["ess"] == pytest.approx(again["ess"], rel=NEAR)
+    return len(last)
+
+
+def test_a_door_that_is_killed_each_second_costs_no_scan_and_no_record(tmp_path: Path) -> None:
+    with touched(tmp_path) as daemon, heard(daemon) as subscriber:
+        daemon.until_touched()
+        for _ in range(10):
+            daemon.kill_door()
+            subscriber.listen(1.0)
+        health = daemon.health()
+        sent = daemon.stop()
+        replayed = daemon.replay()
+    assert health["door"]["starts"] > 3
+    assert len(replayed) == sent > 200
+    assert check_replayed(subscriber, replayed) > 20
+    assert "cut" not in daemon.log
+
+
+def test_a_device_that_goes_each_second_is_opened_again(tmp_path: Path) -> None:
+    with touched(tmp_path) as daemon, heard(daemon) as subscriber:
+        daemon.until_touched()
+        door = daemon.door()
+        for _ in range(LOSSES):
+            daemon.tell_skin("unplug")
+            subscriber.listen(0.2)
+            daemon.tell_skin("plug")
+            subscriber.listen(1.0)
+        health = daemon.health()
+        assert daemon.door() == door
+        daemon.stop(whole=False)
+        replayed = daemon.replay()
+    assert health["source"]["lost"] == LOSSES
+    assert health["door"]["starts"] == 1
+    assert check_replayed(subscriber, replayed) > 10
+
+
+@contextlib.contextmanager
+def small_disk(place: Path) -> Iterator[bool]:
+    """Whether `place` is on a disk of its own; only root may have one."""
+    place.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", f"size={DISK_KB}k", "tmpfs", str(place)]
+    can = os.geteuid() == 0 and shutil.which("mount")
+    if not can or subprocess.run(mount, capture_output=True, check=False).returncode:
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        subprocess.run(["umount", "-l", str(place)], check=True)
+
+
+def test_a_disk_that_is_full_ends_the_recording_alone(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk") as is_small:
+        limit = "" if is_small else "ulimit -f 128"  # blocks of 512 or 1024 bytes
+        session = tmp_path / "disk" / "session"
+        with (
+            touched(tmp_path, before=limit, session=session) as daemon,
+            heard(daemon) as subscriber,
+        ):
+            daemon.until_touched()
+            while not (status := daemon.status()) or not status["health"]["recording"]["failed"]:
+                subscriber.listen(0.5)
+            subscriber.listen(1.0)
+            status = daemon.status()
+            replayed = daemon.replay()
+            sent = daemon.stop()
+    assert status is not None
+    assert status["estimate"]["t"] > replayed[-1]["t"] + 0.5
+    assert 20 < len(replayed) < sent
+    assert check_replayed(subscriber, replayed[:-1]) > 0
+
+
+def test_a_daemon_whose_standard_files_are_closed_serves(tmp_path: Path) -> None:
+    """The pair, the device and a recording get their numbers then."""
+    with touched(tmp_path, before="exec 0<&- 1>&- 2>&-") as daemon:
+        daemon.until_touched()
+        daemon.stop(whole=False)
+        assert len(daemon.replay()) > 20
