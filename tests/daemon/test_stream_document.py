@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 import time
-from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,6 @@ import zmq
 
 from taxeld.door.robot import as_pose
 from taxeld.estimator.estimate import ProposalKind, Status
-from taxeld.pipeline.pose_watch import PoseFault
 from taxeld.stream import client, messages
 
 from .conftest import Sockets
@@ -126,16 +124,9 @@ def test_the_commands_answer_what_is_documented(
     assert heard["status"][0]["health"].keys() == heard["/taxeld/health"][0].keys()
 
 
-@pytest.mark.parametrize(
-    ("kind", "topic"),
-    [
-        (Status, "/taxeld/estimate"),
-        (ProposalKind, "/taxeld/estimate"),
-        (PoseFault, "/robot/sensor_pose"),
-    ],
-)
-def test_every_name_of_a_number_is_documented(kind: type[IntEnum], topic: str) -> None:
-    text = " ".join(section(topic).split())
+@pytest.mark.parametrize("kind", [Status, ProposalKind])
+def test_every_name_of_a_number_is_documented(kind: type[Status] | type[ProposalKind]) -> None:
+    text = section("/taxeld/estimate")
     for member in kind:
         assert f"{int(member)} `{member.name.lower()}`" in text
 
