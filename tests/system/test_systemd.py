@@ -111,12 +111,3 @@ def test_the_units_hold_what_the_code_has() -> None:
     bytes_max = int(unit["MemoryMax"][0].removesuffix("G")) << 30
     assert bytes_max > 4 * door.MEMORY_BYTES, "most of it is the loop's"
     assert (unit["OOMPolicy"], unit["KillMode"]) == (["continue"], ["mixed"]), "the door ends alone"
-
-
-def test_the_documentation_names_every_check_of_the_virtual_machine() -> None:
-    guests = sorted((ROOT / "tests" / "vm").glob("guest*.py"))
-    guest = "\n".join(path.read_text(encoding="utf-8") for path in guests)
-    checks = re.findall(r"^@check\ndef (\w+)", guest, re.MULTILINE)
-    text = " ".join((ROOT / "docs" / "service.md").read_text(encoding="utf-8").split())
-    assert len(checks) > 10
-    assert [name for name in checks if name.replace("_", " ") not in text] == []

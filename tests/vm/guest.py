@@ -1,6 +1,6 @@
 """The checks of the service, inside the virtual machine; a line each, and a summary.
 
-Each is named as docs/service.md names it. They run in order, as root, on the unit as installed.
+Situations of docs/service.md and their parts. They run in order, as root, on the unit as installed.
 """
 
 import fcntl
