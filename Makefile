@@ -24,6 +24,7 @@ lint: .venv/.all
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python tests/lines.py
+	$(BIN)/python tests/words.py
 
 # The documentation as a site in .venv/site; a link that leads nowhere ends it
 docs: .venv/.docs

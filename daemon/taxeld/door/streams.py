@@ -16,7 +16,7 @@ from taxeld.stream.link import SubscriberCounters
 from taxeld.stream.sockets import connection_of, hang_up, is_waiting, open_socket
 from taxeld.stream.topics import INFO, TOPICS
 
-BEGIN, END = b"\x01", b"\x00"  # what stands before a prefix of topics
+BEGIN, END = b"\x01", b"\x00"  # the byte before a prefix of topics
 PREFIX_MAX = 1024  # bytes
 EVENTS_MAX = 256  # subscriptions of a peer in COUNTED_S; one that sends more is hung up on
 COUNTED_S = 10.0

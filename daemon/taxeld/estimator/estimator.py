@@ -147,7 +147,7 @@ class Estimator:
             return poses
         self.counters.injections += 1
         self._kind = ProposalKind[self.proposal.name.upper()]
-        poses = injection.project(self.model, poses)  # those that miss the object, by one step
+        poses = injection.project(self.model, poses)  # one step for samples that miss the object
         return se2.compose(observation.sensor, poses)
 
     def _is_blind(self, observation: Observation) -> bool:

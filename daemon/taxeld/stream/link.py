@@ -82,7 +82,7 @@ class Report:
 
 
 @dataclass(slots=True)
-class LinkCounters:
+class PairCounters:
     """Since the loop's start."""
 
     unsent: int = 0  # messages that the door did not take in time
@@ -97,7 +97,7 @@ class Link:
     ) -> None:
         """`info`: the map of `/taxeld/info`; `on_pose` is given each pose (t, x, y, θ) that is
         finite; `handlers` do what clients may change, by command."""
-        self.counters = LinkCounters()
+        self.counters = PairCounters()
         self.report = Report()
         self.is_ready = False
         self.fault = ""  # why the door has ended, if it said so

@@ -49,7 +49,7 @@ def draw(directory: Path, out: Path, *, finding: bool = False) -> None:
         SetupError: the session cannot be used, it has nothing of the kind, or `out` cannot be
             written.
     """
-    picture = Picture(directory)
+    picture = SessionPicture(directory)
     shown = four(list(picture.scans())) if finding else dict(_contacts(picture.scans()))
     if not shown:
         fault = "its object is not found by touch, so its finding is not drawn"
@@ -109,7 +109,7 @@ def _belief(e: Estimate) -> str:
     return f"{e.status.name.lower()}; {likely}"
 
 
-class Picture:
+class SessionPicture:
     """A session that is replayed, and the panels of its picture."""
 
     def __init__(self, directory: Path) -> None:

@@ -1,0 +1,48 @@
+"""Plain words: `make lint` refuses a second class of a name, and comments that hide their subject.
+
+A private class, with an underscore, may share its name with another file's. A comment that begins
+with "what", "that of" or "those" cannot be read alone.
+"""
+
+import ast
+import io
+import re
+import sys
+import tokenize
+from collections import defaultdict
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+SOURCES = ("firmware_protocol", "daemon", "training", "hil", "ros2", "benchmarks", "deploy", "examples")
+RIDDLE = re.compile(r"#:? *(what|that of|those)\b", re.IGNORECASE)
+
+
+def classes(paths: list[Path]) -> list[str]:
+    """A line for each public class whose name another one has."""
+    found = defaultdict(list)
+    for path in paths:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                found[node.name].append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    return [
+        f"{', '.join(places)}: class {name} {len(places)} times"
+        for name, places in sorted(found.items())
+        if len(places) > 1
+    ]
+
+
+def riddles(path: Path) -> list[str]:
+    """A line for each comment that begins with a word without its noun."""
+    text = path.read_text(encoding="utf-8")
+    return [
+        f"{path.relative_to(ROOT)}:{token.start[0]}: {token.string}"
+        for token in tokenize.generate_tokens(io.StringIO(text).readline)
+        if token.type == tokenize.COMMENT and RIDDLE.match(token.string)
+    ]
+
+
+if __name__ == "__main__":
+    files = sorted(path for source in SOURCES for path in (ROOT / source).rglob("*.py"))
+    faults = classes(files) + [line for path in files for line in riddles(path)]
+    print(*faults, sep="\n", end="\n" * bool(faults))
+    sys.exit(bool(faults))
