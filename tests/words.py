@@ -44,5 +44,5 @@ def riddles(path: Path) -> list[str]:
 if __name__ == "__main__":
     files = sorted(path for source in SOURCES for path in (ROOT / source).rglob("*.py"))
     faults = classes(files) + [line for path in files for line in riddles(path)]
-    print(*faults, sep="\n", end="\n" * bool(faults))
+    sys.stdout.writelines(f"{line}\n" for line in faults)
     sys.exit(bool(faults))
