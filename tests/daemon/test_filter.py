@@ -67,7 +67,7 @@ def test_rejuvenation_samples_its_target() -> None:
     made = pf.uniform(2000, (0.0, 0.0), 0.004, rng())
     sd = np.array([0.001, 0.001, 0.02])
 
-    def explain(poses: np.ndarray, _: pf.Needed | None = None) -> np.ndarray:
+    def explain(poses: np.ndarray) -> np.ndarray:
         return np.asarray(-0.5 * ((poses / sd) ** 2).sum(axis=1, keepdims=True))
 
     made.pose[:, 2] *= 0.02

@@ -65,19 +65,17 @@ def rungs(bundle: Bundle, opened: Opened, chosen: str, samples: int) -> list[Run
     """The chosen proposal, cheaper samplers by the bundle's preference, fewer samples of the last
     of them, and the table if it is cheaper still."""
 
-    def ms(name: str, share: float = 1.0) -> float:
-        return cpu_ms(opened[name], bundle.model, max(round(share * samples), 1))
+    def ms(rung: Rung) -> float:
+        return cpu_ms(rung.proposal, bundle.model, max(round(rung.share * samples), 1))
 
-    made, last_ms = [Rung(Step.CHOSEN, opened[chosen])], ms(chosen)
+    made = [Rung(Step.CHOSEN, opened[chosen])]
     for name in bundle.cheaper(chosen):
-        if (cheaper_ms := ms(name)) < last_ms:
-            made, last_ms = [*made, Rung(Step.CHEAPER, opened[name])], cheaper_ms
-    cheapest = made[-1].proposal
-    made += [Rung(Step.FEWER, cheapest, share) for share in SHARES]
-    if chosen != Table.name and ms(Table.name) < cpu_ms(
-        cheapest, bundle.model, max(round(SHARES[-1] * samples), 1)
-    ):
-        made.append(Rung(Step.TABLE, opened[Table.name]))
+        cheaper = Rung(Step.CHEAPER, opened[name])
+        made += [cheaper] if ms(cheaper) < ms(made[-1]) else []
+    made += [Rung(Step.FEWER, made[-1].proposal, share) for share in SHARES]
+    table = Rung(Step.TABLE, opened[Table.name])
+    if chosen != Table.name and ms(table) < ms(made[-1]):
+        made.append(table)
     return made
 
 

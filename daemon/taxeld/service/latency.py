@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 
 from taxeld import __version__
+from taxeld.arrays import Index
 
 BOUND_US = 50_000  # bins of 1 µs; longer durations are counted, and known by their maximum
-BLOCK = 250  # bins, which are counted together as well: a quantile is sought in few numbers
-WIDTH = BOUND_US + BLOCK  # bins of a stage; from BOUND_US on there is one, for longer durations
 QUANTILES = {"p50": 0.5, "p99": 0.99}
 ADDED_MAX = 1000  # scans that wait to be counted
 
@@ -28,9 +27,7 @@ class Latencies:
         self._stages = stages
         self._start = time.time()
         self._added: list[dict[str, float]] = []
-        self._bins = np.zeros(len(stages) * WIDTH, dtype=np.int64)  # counts, stage by stage
-        self._blocks = np.zeros(len(self._bins) // BLOCK, dtype=np.int64)  # their sums
-        self._first = np.arange(len(stages)) * WIDTH  # bin of each stage
+        self._bins = np.zeros((len(stages), BOUND_US + 1), dtype=np.int64)  # the last is for longer
         self._sum_us, self._max_us = np.zeros(len(stages)), np.zeros(len(stages))
 
     def add(self, us: dict[str, float]) -> None:
@@ -42,24 +39,21 @@ class Latencies:
     def percentiles(self) -> dict[str, dict[str, float]]:
         """Since start, rounded up to a microsecond; zeros where nothing was measured."""
         self._count()
-        ends_us = iter(self._ends_us())
-        return {
-            stage: {**{name: min(next(ends_us), longest) for name in QUANTILES}, "max": longest}
-            for stage, longest in zip(self._stages, self._max_us.tolist(), strict=True)
-        }
+        found: dict[str, dict[str, float]] = {}
+        for stage, bins, longest in zip(
+            self._stages, self._bins, self._max_us.tolist(), strict=True
+        ):
+            up_to = bins[: int(min(longest, BOUND_US)) + 1].cumsum()
+            ends = [self._end_us(up_to, share) for share in QUANTILES.values()]
+            within = [min(end, longest) for end in ends]
+            found[stage] = dict(zip(QUANTILES, within, strict=True)) | {"max": longest}
+        return found
 
-    def _ends_us(self) -> list[float]:
-        """Where the bin of each quantile ends, stage by stage: one search finds all, as each stage
-        has a count for each scan."""
-        per_stage = [math.ceil(share * self.scans) for share in QUANTILES.values()]
-        stages = range(len(self._stages))
-        ranks = np.array([self.scans * k + rank for k in stages for rank in per_stage])
-        up_to = self._blocks.cumsum()
-        block = up_to.searchsorted(ranks)
-        inside = self._bins.reshape(-1, BLOCK)[block].cumsum(axis=1)  # (ranks, BLOCK)
-        missing = ranks - up_to[block] + self._blocks[block]
-        bins = block * BLOCK % WIDTH + (inside < missing[:, None]).sum(axis=1)
-        return [us + 1.0 if us < BOUND_US else math.inf for us in bins.tolist()]
+    def _end_us(self, up_to: Index, share: float) -> float:
+        """Where the bin ends in which a share of all scans is reached. `up_to` (bins,): counts of
+        each bin and all before it."""
+        us = int(up_to.searchsorted(math.ceil(share * self.scans)))
+        return us + 1.0 if us < BOUND_US else math.inf
 
     def as_cyclictest(self) -> dict[str, Any]:
         """The form of `cyclictest --json --histogram=50000`: a stage stands in place of a thread.
@@ -68,7 +62,7 @@ class Latencies:
         """
         self._count()
         system, cpus = platform.uname(), os.sched_getaffinity(0)
-        counts = self._bins.reshape(-1, WIDTH)  # (stages, WIDTH)
+        counts = self._bins
         filled = [np.flatnonzero(each) for each in counts]
         return {
             "file_version": 1,
@@ -110,9 +104,8 @@ class Latencies:
         self.scans += len(us)
         self._sum_us += np.add.reduce(us)
         self._max_us = np.maximum(self._max_us, np.maximum.reduce(us))
-        bins = np.minimum(us, BOUND_US).astype(np.int64) + self._first
-        np.add.at(self._bins, bins, 1)
-        np.add.at(self._blocks, bins // BLOCK, 1)
+        bins = np.minimum(us, BOUND_US).astype(np.int64)
+        np.add.at(self._bins, (np.arange(len(self._stages)), bins), 1)
 
 
 def _date(t: float) -> str:

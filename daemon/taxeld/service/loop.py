@@ -42,8 +42,8 @@ from taxeld_protocol.decoder import Scan
 
 PARTICLES_HZ = 20.0
 HEALTH_S = 1.0
-GATHER_S = 0.0005  # silence after a whole scan: its frames follow each other more closely
-GATHERS = 8  # looks at the device for further frames, GATHER_S apart
+GATHER_S = 0.0002  # silence after a whole scan: its frames follow each other more closely
+GATHERS = 20  # looks at the device for further frames, GATHER_S apart
 TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
