@@ -49,7 +49,7 @@ def test_any_number_may_be_injected(count: int) -> None:
 def gaussians(*means: float) -> pf.Explain:
     """Scans that each say x is near a mean, with a sd of 1 mm, and nothing of y and θ but zero."""
 
-    def explain(poses: np.ndarray, _: pf.Needed | None = None) -> np.ndarray:
+    def explain(poses: np.ndarray) -> np.ndarray:
         each = [-0.5 * (((poses - [mean, 0.0, 0.0]) / SD) ** 2).sum(axis=1) for mean in means]
         return np.asarray(np.stack(each, axis=1))
 

@@ -118,7 +118,7 @@ def test_a_warm_up_leaves_no_trace_in_the_belief(box: Bundle) -> None:
 
 
 def test_below_the_chosen_sampler_are_cheaper_ones_and_fewer_samples(box: Bundle) -> None:
-    opened = choice.open_all(box, FilterConfig(sampler="ddpm-100"))
+    opened = choice.open_all(box, FilterConfig(proposal="ddpm-100"))
     steps = [rung.step for rung in choice.rungs(box, opened, "ddpm-100", 50)]
     assert steps == sorted(steps)
     assert steps[0] is Step.CHOSEN
