@@ -144,7 +144,7 @@ def test_a_stream_of_another_version_or_program_is_refused_with_what_is_wrong(
 
 
 VERSION_7 = {messages.INFO: maps()[messages.INFO] | {"v": 7}}
-OTHER = "the stream is of version 7, where this taxeld reads 1; use the taxeld of the daemon\n"
+OTHER = "the stream is of version 7, where this taxeld reads 2; use the taxeld of the daemon\n"
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import SensorPoseConfig
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.poses import EXTRAPOLATE_S
 from taxeld.proposals import bundle
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
@@ -187,7 +188,7 @@ def late_run(seed: int, extrapolate_s: float) -> tuple[float, float, int]:
     assert ran.daemon is not None
     pipeline, take = ran.daemon.pipeline, ran.daemon.pose
     track, at = pipeline.poses, pipeline.poses.at
-    track._extrapolate_s = extrapolate_s  # type: ignore[union-attr]
+    track.extrapolate_s = extrapolate_s  # type: ignore[union-attr]
     told: list[tuple[float, ...]] = []
     placed: list[tuple[float, Poses]] = []
     on_the_way: deque[tuple[float, float, float, float]] = deque()
@@ -218,7 +219,7 @@ def late_run(seed: int, extrapolate_s: float) -> tuple[float, float, int]:
 def test_scans_after_the_last_pose_are_placed_within_what_the_robot_errs(seed: int) -> None:
     usual = SensorPoseConfig()
     waited_mm, exact_mm, waited = late_run(seed, 0.0)
-    placed_mm, off_mm, not_waited = late_run(seed, usual.extrapolate_s)
+    placed_mm, off_mm, not_waited = late_run(seed, EXTRAPOLATE_S)
     assert waited > 100
     assert not_waited < 0.1 * waited
     assert exact_mm < 1e-6

@@ -68,7 +68,7 @@ class Source:
         bytes of a line, now kept."""
         return 0
 
-    def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:
+    def poll(self, now_s: float) -> list[Scan]:
         """Scans that have arrived; `now_s` is monotonic."""
         raise NotImplementedError
 
@@ -144,7 +144,7 @@ class LiveSource(Source):
                 self._failed = error
         return sum(len(item.data) if isinstance(item, Chunk) else 1 for item in self._held)
 
-    def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:  # noqa: ARG002
+    def poll(self, now_s: float) -> list[Scan]:
         if self.device is None:
             self._reopen(now_s)
         if self.device is None or self._outbox is None:
@@ -301,7 +301,7 @@ class ReplaySource(Source):
     def finished(self) -> bool:  # type: ignore[override]
         return self._at >= len(self._items)
 
-    def poll(self, now_s: float, *, hear: bool = True) -> list[Scan]:  # noqa: ARG002
+    def poll(self, now_s: float) -> list[Scan]:
         first_t = self._items[0].t
         if self._shift_s is None:
             self._shift_s = time.time() - first_t
