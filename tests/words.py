@@ -13,7 +13,8 @@ from collections import defaultdict
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-SOURCES = ("firmware_protocol", "daemon", "training", "hil", "ros2", "benchmarks", "deploy", "examples")
+SOURCES = ("firmware_protocol", "daemon", "training", "hil", "ros2")
+OTHERS = ("benchmarks", "deploy", "examples")
 RIDDLE = re.compile(r"#:? *(what|that of|those)\b", re.IGNORECASE)
 
 
@@ -42,7 +43,7 @@ def riddles(path: Path) -> list[str]:
 
 
 if __name__ == "__main__":
-    files = sorted(path for source in SOURCES for path in (ROOT / source).rglob("*.py"))
+    files = sorted(path for source in (*SOURCES, *OTHERS) for path in (ROOT / source).rglob("*.py"))
     faults = classes(files) + [line for path in files for line in riddles(path)]
     sys.stdout.writelines(f"{line}\n" for line in faults)
     sys.exit(bool(faults))
