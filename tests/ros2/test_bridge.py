@@ -139,10 +139,10 @@ def test_without_a_daemon_that_is_said_once_and_told_as_stale_until_one_comes(
 
 def test_a_stream_of_another_version_ends_the_bridge_with_one_line(daemon: Daemon) -> None:
     with bridge("--stream", daemon.endpoint) as process:
-        until(lambda: process.poll() is not None, lambda: daemon.say(v=2))
+        until(lambda: process.poll() is not None, lambda: daemon.say(v=1))
         assert process.returncode == 1
         said = process.stderr.read()
-    assert said.startswith("the stream is of version 2, where this taxeld reads 1; ")
+    assert said.startswith("the stream is of version 1, where this taxeld reads 2; ")
     assert said.count("\n") == 1
 
 
