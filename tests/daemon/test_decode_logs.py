@@ -4,6 +4,7 @@ import gzip
 import json
 import subprocess
 import sys
+import tracemalloc
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -269,6 +270,18 @@ def test_bytes_whose_times_are_damaged_are_decoded_all_the_same(
     assert [scan["modules"] for scan in scans] == [scan["modules"] for scan in whole]
     assert stats["bad_lines"] == bad
     assert part in "".join(caplog.messages)
+
+
+def test_a_line_without_an_end_takes_little_memory(tmp_path: Path) -> None:
+    log = tmp_path / "frames.log"
+    log.write_bytes(b"x" * (20 << 20))
+    tracemalloc.start()
+    try:
+        with pytest.raises(SetupError, match="has no frame"):
+            decoded(log)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
 
 
 MEMORY = """

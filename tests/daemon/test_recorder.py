@@ -299,6 +299,18 @@ def test_a_disk_that_hangs_costs_records_and_never_the_caller(
     assert session.read(tmp_path / "s").items[-1] == frame(3000)
 
 
+def test_what_a_line_brings_is_bounded_by_its_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(monkeypatch)
+    with Recorder(tmp_path / "s", moves=False) as recorder:
+        disk.moves.clear()
+        for number in range(300):
+            recorder.take(Chunk(float(number), bytes(65_536)))
+        assert recorder.counters.dropped > 50
+        disk.moves.set()
+
+
 def test_all_that_is_recorded_is_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: set[str] = set()
     real = os.fsync
@@ -336,6 +348,23 @@ def test_a_daemon_records_while_it_runs_and_outlives_a_full_disk(
     assert f"{out}: {ended}" in warnings(errors)
     assert STARTED in messages(errors)
     assert session.read(out).items
+
+
+def test_what_a_daemon_recorded_replays_as_many_scans_as_it_took(
+    tmp_path: Path, hub: VirtualHub, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "session"
+    process = taxeld("run", "--record", out, configuration(tmp_path, hub))
+    try:
+        serve(hub, lambda: hub.scans >= 30)
+        sent = hub.written
+        serve(hub, lambda: recorded_bytes(out) >= sent)
+    finally:
+        process.terminate()
+        process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 0
+    assert main(["replay", str(out)]) == 0
+    assert len(capsys.readouterr().out.splitlines()) >= 30
 
 
 def test_a_replay_is_not_recorded_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@ read by what its format says."""
 
 import json
 import logging
+import os
 import shutil
 import time
 from collections.abc import Iterator
@@ -199,6 +200,29 @@ def test_a_line_without_end_is_one_line_of_error_and_takes_no_memory(
         file.write(b"0" * 5000)
         file.truncate(1 << 36)  # a file with a hole; more than there is memory
     with pytest.raises(SetupError, match=rf"{name}: damaged \(line \d+ is longer than 4096 bytes"):
+        session.read(tmp_path)
+
+
+def test_a_serial_file_that_is_too_large_for_memory_is_one_line_of_error(tmp_path: Path) -> None:
+    record(tmp_path, "native")
+    with (tmp_path / session.SERIAL).open("ab") as file:
+        file.truncate(1 << 36)  # a file with a hole
+    with pytest.raises(SetupError, match=r"serial.bin: unreadable \(it is larger than 1073741824"):
+        session.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("transport", "name"),
+    [("can", session.FRAMES), ("can", session.POSES), ("can", session.ABOUT),
+     ("native", session.SERIAL), ("native", session.SERIAL_TIMES)],
+)  # fmt: skip
+def test_a_pipe_in_place_of_a_file_of_a_session_keeps_nobody_waiting(
+    tmp_path: Path, transport: str, name: str
+) -> None:
+    record(tmp_path, transport)
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(SetupError, match=f"{name}: unreadable .it is no regular file"):
         session.read(tmp_path)
 
 

@@ -54,6 +54,11 @@ def test_a_hard_press_below_the_invalid_range_is_full_scale(skin: Layout) -> Non
     assert activation.z[BAD] == 1.0
 
 
+def test_a_skin_without_noise_is_not_frozen(skin: Layout) -> None:
+    simulated, subject = begun(skin, noise=0.0)
+    assert simulated.run(subject, FROZEN_S).live.all()
+
+
 def test_a_hub_that_falls_silent_holds_no_touch(skin: Layout) -> None:
     """Its taxels' last readings age: they are dead, not pressed for ever."""
     half = len(skin) // 2
