@@ -24,7 +24,7 @@ from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
 from taxeld_protocol.slcan import BITRATES, SlcanReader, split
 from taxeld_protocol.virtual_ihb import Phase
-from tests.virtual_hub import VirtualHub
+from tests.rig.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())

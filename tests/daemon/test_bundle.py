@@ -19,7 +19,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle, choice, manifest
 from taxeld.proposals.analytic import Projection, Table, check_contacts
-from tests.logged import warnings
+from tests.rig.logged import warnings
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
 from .conftest import DEPTH_MAX_M, scene_of

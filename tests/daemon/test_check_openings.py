@@ -19,7 +19,7 @@ from taxeld.cli import main
 from taxeld.commands import check
 from taxeld.config import endpoints
 from taxeld.stream import client
-from tests.daemon.given_device import GivenDevice
+from tests.rig.given_device import GivenDevice
 
 NAMES = {"publish": "publish.endpoints", "control": "control.endpoint"}
 CAPABILITIES = 0x20080522  # version 3 of the kernel's interface

@@ -20,8 +20,7 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.virtual_ihb import VirtualIhb
-
-from .log_writers import (
+from tests.rig.log_writers import (
     BEFORE_SCANS,
     MODULES,
     START_S,

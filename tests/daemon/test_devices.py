@@ -32,7 +32,7 @@ from taxeld.source.sources import LiveSource, open_source
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
-from tests.virtual_hub import VirtualHub
+from tests.rig.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())

@@ -12,8 +12,8 @@ from taxeld.cli import main
 from taxeld.estimator.estimate import Status
 from taxeld.stream import messages
 from taxeld.view.stage import recorded
+from tests.rig.recorded import configuration, write_session
 
-from .recorded import configuration, write_session
 from .test_stream_document import documented
 
 pytest.importorskip("mcap_ros2")

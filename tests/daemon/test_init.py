@@ -16,7 +16,7 @@ from taxeld.cli import main
 from taxeld.config.file import parse
 from taxeld.config.tables import Config
 from taxeld.proposals import bundle
-from tests.terminals import read_all
+from tests.rig.processes import read_all
 
 FLAGS = ["--source", "slcan:{device}", "--bundle", "box", "--poses", "tcp://127.0.0.1:9874"]
 

@@ -23,9 +23,9 @@ from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import listed, wired
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
-from tests.daemon.given_device import GivenDevice
-from tests.logged import warnings
-from tests.virtual_hub import VirtualHub, told
+from tests.rig.given_device import GivenDevice
+from tests.rig.logged import warnings
+from tests.rig.virtual_hub import VirtualHub, told
 
 SKIN = layouts.load(SkinConfig().layout)
 ORDERED = wired(SKIN.uid.tolist())

@@ -21,7 +21,7 @@ from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.virtual_hub import VirtualHub
+from tests.rig.virtual_hub import VirtualHub
 
 SPEC = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(SPEC)

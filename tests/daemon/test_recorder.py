@@ -25,8 +25,8 @@ from taxeld.source.session import Chunk, Session
 from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame, parse_log_line
 from taxeld_protocol.modules import wired
-from tests.logged import messages, warnings
-from tests.virtual_hub import VirtualHub
+from tests.rig.logged import messages, warnings
+from tests.rig.virtual_hub import VirtualHub
 
 MODULES = wired(layouts.load(SkinConfig().layout).uid.tolist())
 CHANNELS = sum(module.channels for module in MODULES)

@@ -34,7 +34,7 @@ from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.virtual_hub import told
+from tests.rig.virtual_hub import told
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(SPEC)

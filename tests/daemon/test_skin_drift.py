@@ -9,7 +9,7 @@ from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.skin.drift import HOLD_OFF_S
 from taxeld.skin.skin import Skin
-from tests.daemon.simulated_skin import NOISE, SimulatedSkin
+from tests.rig.simulated_skin import NOISE, SimulatedSkin
 
 MINUTE_S = 60.0
 HELD = [3, 4, 19]

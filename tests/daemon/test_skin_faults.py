@@ -9,7 +9,7 @@ from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.skin.skin import Skin
 from taxeld_protocol.decoder import MISSING, Scan
-from tests.daemon.simulated_skin import SimulatedSkin
+from tests.rig.simulated_skin import SimulatedSkin
 
 FROZEN_S = 12.0  # 200 scans, and the slice that they end in
 BAD = 7

@@ -7,7 +7,7 @@ from taxeld.config.tables import SkinConfig
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.skin.skin import Skin
-from tests.daemon.simulated_skin import NOISE, SimulatedSkin
+from tests.rig.simulated_skin import NOISE, SimulatedSkin
 
 MANY = layouts.load("wrap:modules=24,radius_m=0.08,rows=2")  # 480 taxels
 

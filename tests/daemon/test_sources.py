@@ -23,8 +23,8 @@ from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import Answer, HubLink, Phase, VirtualIhb
-from tests.daemon.given_device import GivenDevice
-from tests.virtual_hub import VirtualHub
+from tests.rig.given_device import GivenDevice
+from tests.rig.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())

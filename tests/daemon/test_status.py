@@ -14,8 +14,7 @@ from taxeld.cli import main
 from taxeld.commands.status import lines
 from taxeld.estimator.estimate import Status
 from taxeld.stream import client
-
-from .recorded import configuration, write_session
+from tests.rig.recorded import configuration, write_session
 
 
 @pytest.fixture(scope="module")

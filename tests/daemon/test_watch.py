@@ -25,7 +25,7 @@ from taxeld.stream import messages
 from taxeld.view.streams import Subscriber
 from taxeld.view.watch import Page
 
-from ..terminals import read_all, read_until
+from ..rig.processes import read_all, read_until
 from .conftest import Sockets
 from .test_stream_document import documented
 

@@ -22,7 +22,7 @@ from taxeld.stream import messages
 from taxeld_hil.calibration import calibrate, guided
 from taxeld_hil.calibration.guided import Guided
 from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
-from tests.virtual_hub import VirtualHub
+from tests.rig.virtual_hub import VirtualHub
 
 OBJECT = [f"{value!r}" for value in PLACED.tolist()]
 DEADLINE_S = 120.0

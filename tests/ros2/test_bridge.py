@@ -18,7 +18,7 @@ pytest.importorskip("cyclonedds")
 from taxeld.view import ros
 from taxeld_ros2 import cli
 from taxeld_ros2.dds import LATCHED, RELIABLE, Participant, taken
-from tests import logged as logged_as
+from tests.rig import logged as logged_as
 
 from .loopback import DOMAIN, ENVIRONMENT, PATIENCE_S, Daemon, Robot, bridge, running, until
 

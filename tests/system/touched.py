@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT))
 from taxeld.layout import read as layouts  # noqa: E402
 from taxeld.stream import client  # noqa: E402
 from taxeld_protocol.modules import wired  # noqa: E402
-from tests.virtual_hub import VirtualHub  # noqa: E402
+from tests.rig.virtual_hub import VirtualHub  # noqa: E402
 
 SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 IDLE_SCANS = 30  # the baseline takes 20

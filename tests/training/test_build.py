@@ -25,7 +25,7 @@ from taxeld_training.cli import main
 from taxeld_training.jobs import stages
 from taxeld_training.limits import quality
 from taxeld_training.samplers.candidates import choose
-from tests.terminals import read_all
+from tests.rig.processes import read_all
 
 from . import rig
 

@@ -12,7 +12,7 @@ from taxeld_protocol.frames import format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
 from tests.rig.configurations import configuration as of_daemon
-from tests.virtual_hub import told
+from tests.rig.virtual_hub import told
 
 PERIOD_S = 0.05
 IDLE_SCANS = 25  # the baseline takes 20
