@@ -265,7 +265,7 @@ def test_a_run_opens_all_that_it_may_draw_from(skin_of_box: Layout) -> None:
         for name, keys in {
             "auto": {},
             "ddpm": {"proposal": "ddpm"},
-            "16": {"sampler": "density-16"},
+            "16": {"proposal": "density-16"},
             "table": {"proposal": "table"},
         }.items()
     }

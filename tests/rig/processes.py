@@ -14,6 +14,7 @@ from typing import Any
 from .clocks import PATIENCE_S
 
 TAXELD = [sys.executable, "-m", "taxeld.cli"]
+PIPES: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
 
 
 def taxeld(*arguments: object, **how: Any) -> "subprocess.Popen[str]":
