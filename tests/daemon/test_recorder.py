@@ -25,6 +25,7 @@ from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame, parse_log_line
 from taxeld_protocol.modules import wired
 from tests.rig.clocks import PATIENCE_S, until
+from tests.rig.commands import refused
 from tests.rig.configurations import configuration
 from tests.rig.logged import messages, warnings
 from tests.rig.processes import PIPES, taxeld
@@ -111,16 +112,13 @@ def test_a_full_disk_ends_a_recording_with_one_line_and_status_1(
     assert errors.count("\n") == 1
 
 
-def test_a_device_that_cannot_be_opened_leaves_no_directory_behind(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_device_that_cannot_be_opened_leaves_no_directory_behind(tmp_path: Path) -> None:
     hub = VirtualHub(tmp_path / "skin", MODULES, native=True)
     config = configured(tmp_path, hub)
     hub.unplug()
     out = tmp_path / "a" / "session"
     for _ in range(2):
-        assert main(["record", "--out", str(out), str(config)]) == 2
-        assert "source.channel: cannot open" in capsys.readouterr().err
+        assert "source.channel: cannot open" in refused("record", "--out", out, config)
         assert sorted(tmp_path.iterdir()) == [config]
 
 
@@ -322,11 +320,10 @@ def test_a_daemon_records_while_it_runs_and_outlives_a_full_disk(
     assert session.read(out).items
 
 
-def test_a_replay_is_not_recorded_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_replay_is_not_recorded_again(tmp_path: Path) -> None:
     config = tmp_path / "config.toml"
     config.write_text('[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n', "utf-8")
-    assert main(["run", "--record", str(tmp_path / "s"), str(config)]) == 2
-    assert "is a recording already" in capsys.readouterr().err
+    assert "is a recording already" in refused("run", "--record", tmp_path / "s", config)
     assert not (tmp_path / "s").exists()
 
 
