@@ -2,8 +2,6 @@
 
 import gzip
 import json
-import subprocess
-import sys
 import tracemalloc
 from collections.abc import Callable
 from itertools import islice
@@ -33,6 +31,7 @@ from tests.rig.log_writers import (
     values_of,
     written,
 )
+from tests.rig.processes import python
 
 FRAMES = bus()
 RECORDED = Path(__file__).parent / "session"
@@ -300,10 +299,7 @@ def test_a_log_of_any_length_takes_the_same_memory(tmp_path: Path, declared: boo
     for scans in (1000, 10_000):
         frames = bus(scans)
         candump_log()(frames if declared else frames[BEFORE_SCANS:], log)
-        ran = subprocess.run(
-            [sys.executable, "-c", MEMORY, str(log)], capture_output=True, text=True, check=True
-        )
-        lines, peak = map(int, ran.stdout.split())
+        lines, peak = map(int, python(MEMORY, log).stdout.split())
         assert lines == scans + 1
         peaks.append(peak)
     assert peaks[1] < peaks[0] + 4000

@@ -101,7 +101,7 @@ def test_a_truth_that_was_cut_before_its_first_row_is_no_truth(
 ) -> None:
     shutil.copytree(SESSION, tmp_path / "s")
     (tmp_path / "s" / "truth.csv").write_text("t,x,y,theta\n", encoding="ascii")
-    monkeypatch.setattr(draw.Picture, "scans", lambda _: iter(()))
+    monkeypatch.setattr(draw.SessionPicture, "scans", lambda _: iter(()))
     assert main(["draw", str(tmp_path / "s"), "--out", str(tmp_path / "x.png")]) == 2
     assert "holds no contact to draw" in capsys.readouterr().err
 

