@@ -1,4 +1,4 @@
-"""Whole daemons on a fake clock with drawn faults, seed after seed (tests/daemon/simulation.py).
+"""Whole daemons on a fake clock with drawn faults, seed after seed (tests/rig/simulation.py).
 
     python benchmarks/simulation.py [--seeds 1000] [--first 0] [--workers 2] [--memory DIR]
 
@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 os.environ["PYTHONPATH"] = str(ROOT)  # workers look for the tests there
 
-from tests.daemon.simulation import simulate
+from tests.rig.simulation import simulate
 
 from taxeld_hil import jobs
 from taxeld_hil.experiment import measurement

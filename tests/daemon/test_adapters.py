@@ -1,5 +1,6 @@
 """SLCAN adapters of several kinds on pseudo-terminals, behind the daemon's own source."""
 
+import itertools
 import logging
 import os
 import termios
@@ -24,13 +25,13 @@ from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
 from taxeld_protocol.slcan import BITRATES, SlcanReader, split
 from taxeld_protocol.virtual_ihb import Phase
-from tests.virtual_hub import VirtualHub
+from tests.rig.clocks import PATIENCE_S, until
+from tests.rig.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())
 LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
 COUNTS = list(range(1, 1 + sum(module.channels for module in MODULES)))
-DEADLINE_S = 20.0
 
 kinds = pytest.mark.parametrize("kind", KINDS)
 as_bus_and_as_line = pytest.mark.parametrize("bus", [True, False], ids=["bus", "line"])
@@ -56,15 +57,15 @@ class ServedSkin:
     def until(self, true: Callable[[], bool]) -> float:
         """Serve the hub and poll until something is so; → by the clock, how long it took. Each scan
         must be right."""
-        deadline, began_s = time.monotonic() + DEADLINE_S, self.now_s
-        while not true():
-            assert time.monotonic() < deadline
-            self.hub.serve(self.now_s, lambda _: COUNTS)
-            for scan in self.source.poll(self.now_s):
-                assert list(scan.counts) == COUNTS
-            time.sleep(0.002)
-            self.now_s += 0.01
+        began_s = self.now_s
+        until(true, self._poll)
         return self.now_s - began_s
+
+    def _poll(self) -> None:
+        self.hub.serve(self.now_s, lambda _: COUNTS)
+        for scan in self.source.poll(self.now_s):
+            assert list(scan.counts) == COUNTS
+        self.now_s += 0.01
 
     def scans(self, more: int = 3) -> float:
         """Until so many more have come."""
@@ -75,11 +76,7 @@ class ServedSkin:
     def close(self) -> None:
         """Until all that was written has come to the hub."""
         self.source.close()
-        deadline = time.monotonic() + DEADLINE_S
-        while self.adapter.is_open:
-            assert time.monotonic() < deadline
-            self.hub.answer(self.now_s)
-            time.sleep(0.002)
+        until(lambda: not self.adapter.is_open, lambda: self.hub.answer(self.now_s))
 
 
 @pytest.fixture
@@ -250,11 +247,11 @@ def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
     reached: list[Frame] = []
     with closing(SlcanPort(tmp_path / "adapter", reached.append, kind)) as port:
         device = open_device(configured(str(tmp_path / "adapter"), bus), lambda *_: [LONG])
-        reader, heard, now_s = SlcanReader(), [], 0.0
+        reader, heard, clock = SlcanReader(), [], itertools.count()
         (waiting,) = device.pack(0, b"")
-        deadline = time.monotonic() + DEADLINE_S
-        while not (reached and heard):
-            assert time.monotonic() < deadline
+
+        def pass_on() -> None:
+            now_s = 0.01 * next(clock)
             port.take(0.0)
             device.tend(now_s)
             if not reached:
@@ -263,9 +260,9 @@ def test_a_frame_with_a_long_id_goes_to_the_bus_and_comes_from_it_as_such(
             elif port.is_open:
                 port.send(WireUnit(LONG, None))
             for item in device.read():
-                heard += [item] if isinstance(item, Frame) else reader.feed(item.data, 0.0)
-            now_s += 0.01
-            time.sleep(0.002)
+                heard.extend([item] if isinstance(item, Frame) else reader.feed(item.data, 0.0))
+
+        until(lambda: reached and heard, pass_on)
         assert {frame._replace(t=0.0) for frame in (*reached, *heard)} == {LONG}
         device.close()
 
@@ -275,7 +272,7 @@ def test_a_frame_with_a_long_id_goes_to_python_cans_busses_as_such() -> None:
         config = SourceConfig(kind="can", interface="virtual", channel="long")
         device = open_device(config, lambda *_: [LONG])
         device.put(LONG)
-        message = bus.recv(DEADLINE_S)
+        message = bus.recv(PATIENCE_S)
         assert message is not None
         assert (message.arbitration_id, message.is_extended_id) == (LONG.can_id, True)
         bus.send(can.Message(arbitration_id=LONG.can_id, data=LONG.data, is_extended_id=True))

@@ -4,7 +4,7 @@ import random
 
 import pytest
 
-from ..readers import READERS, TOKENS, changed, used_or_refused
+from tests.rig.readers import READERS, TOKENS, changed, used_or_refused
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -19,9 +19,10 @@ from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle, choice, manifest
 from taxeld.proposals.analytic import Projection, Table, check_contacts
-from tests.logged import warnings
+from tests.rig.commands import refused
+from tests.rig.logged import warnings
+from tests.rig.recorded import golden, write_golden
 
-from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
 from .conftest import DEPTH_MAX_M, scene_of
 
 Change = Callable[[Path], object]
@@ -38,29 +39,16 @@ def skin_of_box() -> Layout:
     return layouts.load(SkinConfig().layout)
 
 
-def configuration(box: Path, name: str | None = None) -> Path:
-    place = box.parent
-    lines = [f"(1.000000) can0 {line}" for line in GOLDEN_SCAN]
-    (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
-    path = place / "config.toml"
-    path.write_text(
-        f'[source]\nkind = "replay"\npath = "{place}"\nmodules = [[1, 0xFFF]]\n'
-        f"[scene]\nbundle = {json.dumps(name or str(box))}\n"
-        '[publish]\nendpoints = []\n[control]\nendpoint = ""\n',
-        encoding="utf-8",
-    )
-    return path
+def configured(box: Path, name: str = "") -> Path:
+    write_golden(box.parent)
+    return golden(box.parent, scene={"bundle": name or box})
 
 
-def fault(config: Path, capsys: pytest.CaptureFixture[str]) -> str:
+def fault(config: Path) -> str:
     """The one line that `check` and `run` both end with."""
-    said = []
-    for command in ("check", "run"):
-        assert main([command, str(config)]) == 2
-        said.append(capsys.readouterr().err)
-    assert said[0] == said[1]
-    assert said[0].count("\n") == 1
-    return said[0]
+    checked, ran = (refused(command, config) for command in ("check", "run"))
+    assert checked == ran
+    return ran
 
 
 def sealed(box: Path) -> None:
@@ -203,18 +191,14 @@ FAR = np.ones((5, 9, 9), dtype=np.float32)  # m, to an object that is nowhere
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
-def test_a_bundle_that_cannot_be_used_is_one_line(
-    box: Path, capsys: pytest.CaptureFixture[str], change: Change, said: str
-) -> None:
+def test_a_bundle_that_cannot_be_used_is_one_line(box: Path, change: Change, said: str) -> None:
     change(box)
-    assert said in fault(configuration(box), capsys)
+    assert said in fault(configured(box))
 
 
 @pytest.mark.parametrize("name", ["no\nsuch", "\0", "n" * 5000])
-def test_a_name_that_cannot_be_a_path_is_no_bundle(
-    box: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
-    assert fault(configuration(box, name), capsys).startswith("scene.bundle: no bundle")
+def test_a_name_that_cannot_be_a_path_is_no_bundle(box: Path, name: str) -> None:
+    assert fault(configured(box, name)).startswith("scene.bundle: no bundle")
 
 
 def test_a_sampler_that_the_configuration_cannot_come_to_is_not_opened(
@@ -222,7 +206,7 @@ def test_a_sampler_that_the_configuration_cannot_come_to_is_not_opened(
 ) -> None:
     cut_short("ddpm-100.onnx", 0.2)(box)
     for command in ("check", "run"):
-        assert main([command, str(configuration(box))]) == 0
+        assert main([command, str(configured(box))]) == 0
     assert warnings(capsys.readouterr().err) == []
 
 

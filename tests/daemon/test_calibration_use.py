@@ -15,8 +15,8 @@ from taxeld.model.response import GRID, Inverse, response
 from taxeld.pipeline.calibrated import calibrated, told
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.skin.skin import Skin
-from tests.daemon.simulated_skin import SimulatedSkin
 from tests.daemon.test_calibration_file import NOW, of
+from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.stream_page import documented
 
 TEXT = '[scene]\nbundle = "box"\n[source]\nkind = "can"\nchannel = "can0"\n'

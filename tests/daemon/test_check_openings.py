@@ -19,7 +19,9 @@ from taxeld.cli import main
 from taxeld.commands import check
 from taxeld.config import endpoints
 from taxeld.stream import client
-from tests.daemon.given_device import GivenDevice
+from tests.rig.commands import printed, refused
+from tests.rig.configurations import QUIET, Table, configuration
+from tests.rig.given_device import GivenDevice
 
 NAMES = {"publish": "publish.endpoints", "control": "control.endpoint"}
 CAPABILITIES = 0x20080522  # version 3 of the kernel's interface
@@ -56,33 +58,20 @@ def line() -> Iterator[Path]:
     os.close(theirs)
 
 
-def configuration(place: Path, device: Path | str, **keys: str) -> Path:
-    tables = {
-        "source": f'kind = "serial"\nchannel = "{device}"',
-        "scene": 'bundle = "box"',
-        "publish": "endpoints = []",
-        "control": 'endpoint = ""',
-    } | keys
-    path = place / "config.toml"
-    text = "".join(f"[{name}]\n{lines}\n" for name, lines in tables.items())
-    path.write_text(text, encoding="utf-8")
-    return path
-
-
-def said(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    assert main(list(arguments)) == 2
-    err = capsys.readouterr().err
-    assert err.count("\n") == 1
-    return err
+def configured(place: Path, device: Path | str = "", **tables: Table) -> Path:
+    """A daemon on a serial line, which serves nobody."""
+    nobody: dict[str, Table] = {"publish": {"endpoints": []}, "control": {"endpoint": ""}}
+    source = {"kind": "serial", "channel": device}
+    return configuration(place, **{"source": source, **nobody, **tables})
 
 
 def test_a_device_of_another_group_is_refused(
-    place: Path, line: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
+    place: Path, line: Path, request: pytest.FixtureRequest
 ) -> None:
-    path = str(configuration(place, line))
+    path = str(configured(place, line))
     line.chmod(0)
     request.getfixturevalue("plain_user")
-    assert "permission denied; is this user in the group" in said(capsys, "check", path)
+    assert "permission denied; is this user in the group" in refused("check", path)
 
 
 @pytest.mark.parametrize(
@@ -93,12 +82,10 @@ def test_a_device_of_another_group_is_refused(
         ("{place}/ttyACM0", "it is not there; is it plugged in?"),
     ],
 )
-def test_a_device_that_cannot_be_opened_is_refused(
-    place: Path, capsys: pytest.CaptureFixture[str], device: str, reason: str
-) -> None:
+def test_a_device_that_cannot_be_opened_is_refused(place: Path, device: str, reason: str) -> None:
     (place / "file").touch()
     device = device.format(place=place)
-    told = said(capsys, "check", str(configuration(place, device)))
+    told = refused("check", str(configured(place, device)))
     assert told == f"source.channel: cannot open {device} ({reason})\n"
 
 
@@ -106,12 +93,12 @@ def test_a_device_that_another_process_has_is_refused_unless_a_daemon_runs(
     place: Path, line: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The locks of two open files of one process keep each other out as those of two do."""
-    path = str(configuration(place, line))
+    path = str(configured(place, line))
     with line.open("rb", buffering=0) as held:
         assert main(["check", path]) == 0, "who only has it open keeps nobody out"
         capsys.readouterr()
         fcntl.flock(held, fcntl.LOCK_EX)
-        told = said(capsys, "check", path)
+        told = refused("check", path)
         assert main(["check", "--running", path]) == 0
     assert f"another process has it open; stop that first, 'fuser {line}' tells which" in told
 
@@ -120,9 +107,9 @@ def test_nothing_is_sent_to_a_device(place: Path, capsys: pytest.CaptureFixture[
     ours, theirs = pty.openpty()
     tty.setraw(theirs)
     os.set_blocking(ours, False)
-    for kind in ('kind = "serial"\n', 'kind = "can"\ninterface = "slcan"\n'):
-        source = f'{kind}channel = "{os.ttyname(theirs)}"'
-        assert main(["check", str(configuration(place, "", source=source))]) == 0
+    for kind in ({"kind": "serial"}, {"kind": "can", "interface": "slcan"}):
+        source = kind | {"channel": os.ttyname(theirs)}
+        assert main(["check", str(configured(place, source=source))]) == 0
         with pytest.raises(BlockingIOError):
             os.read(ours, 1)
     os.close(ours)
@@ -143,14 +130,12 @@ def test_nothing_is_sent_to_a_device(place: Path, capsys: pytest.CaptureFixture[
     ],
 )
 def test_an_endpoint_that_cannot_be_had_is_refused(
-    place: Path, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest, key: str,
-    fault: str, words: str,
-) -> None:  # fmt: skip
+    place: Path, request: pytest.FixtureRequest, key: str, fault: str, words: str
+) -> None:
     at = place / "run" / "s"
     at.parent.mkdir()
-    channel = f'kind = "can"\ninterface = "virtual"\nchannel = "{place.name}"'
-    named = f'endpoint = "ipc://{at}"' if key == "control" else f'endpoints = ["ipc://{at}"]'
-    path = str(configuration(place, "", source=channel, **{key: named}))
+    named = {"endpoint": f"ipc://{at}"} if key == "control" else {"endpoints": [f"ipc://{at}"]}
+    path = str(configured(place, source=QUIET, **{key: named}))
     with socket.socket(socket.AF_UNIX) as other:
         if fault in ("served", "left"):
             other.bind(str(at))
@@ -166,7 +151,7 @@ def test_an_endpoint_that_cannot_be_had_is_refused(
             at.parent.chmod(0o555)
             request.getfixturevalue("plain_user")
         if words:
-            told = said(capsys, "check", path)
+            told = refused("check", path)
             assert told.startswith(f"{NAMES[key]}: ")
             assert words.format(at=at) in told
         else:
@@ -185,7 +170,7 @@ def test_an_interface_that_is_down_is_noted(
     monkeypatch.setattr(check, "open_device", lambda *_: GivenDevice())
     (place / "can0").mkdir()
     (place / "can0" / "flags").write_text(f"{flags:#x}\n", encoding="ascii")
-    path = configuration(place, "", source='kind = "can"\nchannel = "can0"')
+    path = configured(place, source={"kind": "can", "channel": "can0"})
     assert main(["check", str(path)]) == 0
     noted = "note: source.channel: can0 is down; bring it up: ip link set can0 up type can"
     assert (noted in capsys.readouterr().out) == is_down
@@ -248,17 +233,11 @@ class TestStatus:
 
 
 def test_a_robot_that_publishes_though_no_endpoint_is_set_is_noted(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usual = f"ipc://{tmp_path}/poses"
     monkeypatch.setattr(check, "POSES_USUAL", usual)
     monkeypatch.setattr(check, "HEAR_POSES_S", 30.0)
-    text = (
-        '[source]\nkind = "can"\ninterface = "virtual"\nchannel = "x"\n[scene]\nbundle = "box"\n'
-        "[publish]\nendpoints = []\n[control]\nendpoint = ''\n"
-    )
-    config = tmp_path / "config.toml"
-    config.write_text(text, encoding="utf-8")
     done = threading.Event()
 
     def publish() -> None:
@@ -271,13 +250,11 @@ def test_a_robot_that_publishes_though_no_endpoint_is_set_is_noted(
     robot = threading.Thread(target=publish)
     robot.start()
     try:
-        assert main(["check", str(config)]) == 0
-        noted = capsys.readouterr().out.splitlines()[1:]
-        config.write_text(f'{text}[sensor_pose]\nendpoint = "{usual}"\n', encoding="utf-8")
-        assert main(["check", str(config)]) == 0
-        silent = capsys.readouterr().out.splitlines()[1:]
+        noted = printed("check", configured(tmp_path, source=QUIET)).splitlines()[1:]
+        heard = {"endpoint": usual}
+        silent = printed("check", configured(tmp_path, source=QUIET, sensor_pose=heard))
     finally:
         done.set()
         robot.join()
     assert [line.startswith("note: sensor_pose.endpoint: is empty") for line in noted] == [True]
-    assert silent == []
+    assert silent.count("\n") == 1

@@ -11,36 +11,15 @@ import pytest
 from taxeld.cli import main
 from taxeld.proposals import bundle
 from taxeld_protocol import cyskin
+from tests.rig.commands import refused
+from tests.rig.recorded import golden, write_golden
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
-
-TABLES = {
-    "source": {"kind": '"replay"', "path": '"."', "modules": "[[1, 0xFFF]]"},
-    "scene": {"bundle": '"box"'},
-    "publish": {"endpoints": "[]"},
-    "control": {"endpoint": '""'},
-}
-
-
-def configuration(place: Path, table: str = "", key: str = "", value: str = "") -> Path:
-    """A good configuration that replays `place`, with one key changed."""
-    tables = {name: dict(keys) for name, keys in TABLES.items()}
-    tables["source"]["path"] = f'"{place}"'
-    if table:
-        tables.setdefault(table, {})[key] = value
-    text = "".join(
-        f"[{name}]\n" + "".join(f"{k} = {v}\n" for k, v in keys.items())
-        for name, keys in tables.items()
-    )
-    path = place / "config.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 @pytest.fixture
 def place(tmp_path: Path) -> Path:
-    lines = [f"(1.000000) can0 {line}" for line in GOLDEN_SCAN]
-    (tmp_path / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
+    write_golden(tmp_path)
     return tmp_path
 
 
@@ -98,45 +77,40 @@ def test_decode_loses_only_what_is_damaged_and_counts_every_frame(
 
 
 def test_check_passes_what_is_fine(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = configuration(place)
+    path = golden(place)
     assert main(["check", str(path)]) == 0
     assert capsys.readouterr().out == f"{path}: fine\n"
 
 
 FAULTS = [
-    ("source", "chanel", '"x"', "source.chanel: unknown key"),
-    ("loop", "rate_hz", '"fast"', "loop.rate_hz: must be a number"),
-    ("scene", "bundle", '"sphere"', "scene.bundle: no bundle 'sphere'; shipped are box, mug"),
+    ("source", "chanel", "x", "source.chanel: unknown key"),
+    ("loop", "rate_hz", "fast", "loop.rate_hz: must be a number"),
+    ("scene", "bundle", "sphere", "scene.bundle: no bundle 'sphere'; shipped are box, mug"),
     (
         "skin",
         "layout",
-        '"cylinder:rows=5,columns=8,radius_m=0.04,pitch_m=0.015"',
+        "cylinder:rows=5,columns=8,radius_m=0.04,pitch_m=0.015",
         "scene.bundle: box is for the layout cylinder:rows=5,columns=16",
     ),
-    ("skin", "layout", '"ball"', "skin.layout: 'ball' is no known layout"),
-    ("skin", "full_scale_depth_m", "0.004", "skin.full_scale_depth_m: is 0.004, but box"),
-    ("filter", "proposal", '"ddpm-7"', "filter.proposal: box has no 'ddpm-7'; it has auto, "),
-    ("publish", "endpoints", '["tcp://0.0.0.0:1"]', "publish.endpoints: 'tcp://0.0.0.0:1' is of"),
-    ("control", "endpoint", '"tcp://*:1"', "control.endpoint: 'tcp://*:1' is of TCP"),
-    ("relay", "publish", '["tcp://0.0.0.0:1"]', "relay.publish: 'tcp://0.0.0.0:1' is not local"),
-    ("sensor_pose", "endpoint", '"tcp://robot:1"', "sensor_pose.endpoint: 'tcp://robot:1' is not"),
-    ("curve", "directory", '"/nowhere"', "curve.directory: /nowhere/server.key_secret is not"),
-    ("source", "path", '"/nowhere"', "/nowhere/frames.log: unreadable"),
+    ("skin", "layout", "ball", "skin.layout: 'ball' is no known layout"),
+    ("skin", "full_scale_depth_m", 0.004, "skin.full_scale_depth_m: is 0.004, but box"),
+    ("filter", "proposal", "ddpm-7", "filter.proposal: box has no 'ddpm-7'; it has auto, "),
+    ("publish", "endpoints", ["tcp://0.0.0.0:1"], "publish.endpoints: 'tcp://0.0.0.0:1' is of"),
+    ("control", "endpoint", "tcp://*:1", "control.endpoint: 'tcp://*:1' is of TCP"),
+    ("relay", "publish", ["tcp://0.0.0.0:1"], "relay.publish: 'tcp://0.0.0.0:1' is not local"),
+    ("sensor_pose", "endpoint", "tcp://robot:1", "sensor_pose.endpoint: 'tcp://robot:1' is not"),
+    ("curve", "directory", "/nowhere", "curve.directory: /nowhere/server.key_secret is not"),
+    ("source", "path", "/nowhere", "/nowhere/frames.log: unreadable"),
 ]
 
 
 @pytest.mark.parametrize("command", ["check", "run"])
 @pytest.mark.parametrize(("table", "key", "value", "line"), FAULTS)
 def test_a_faulty_configuration_is_one_line_and_status_2(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, table: str, key: str,
-    value: str, line: str,
-) -> None:  # fmt: skip
-    path = configuration(place, table, key, value)
-    assert main([command, str(path)]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.startswith(line)
-    assert err.count("\n") == 1
+    place: Path, command: str, table: str, key: str, value: object, line: str
+) -> None:
+    path = golden(place, **{table: {key: value}})
+    assert refused(command, path).startswith(line)
 
 
 @pytest.mark.parametrize("command", ["check", "run", "replay"])
@@ -149,14 +123,11 @@ def test_a_faulty_configuration_is_one_line_and_status_2(
     ],
 )
 def test_a_damaged_log_is_one_line_and_status_2(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, content: str, fault: str
+    place: Path, command: str, content: str, fault: str
 ) -> None:
-    path = configuration(place)
+    path = golden(place)
     (place / "frames.log").write_text(content, encoding="ascii")
-    assert main([command, str(place if command == "replay" else path)]) == 2
-    err = capsys.readouterr().err
-    assert fault in err
-    assert err.count("\n") == 1
+    assert fault in refused(command, place if command == "replay" else path)
 
 
 @pytest.mark.parametrize("command", ["check", "record"])
@@ -168,34 +139,25 @@ def test_a_damaged_log_is_one_line_and_status_2(
     ],
 )
 def test_a_missing_device_is_one_line_and_status_2_but_for_the_daemon_which_waits(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, interface: str, channel: str,
-    fault: str,
-) -> None:  # fmt: skip
-    path = configuration(place)
+    place: Path, command: str, interface: str, channel: str, fault: str
+) -> None:
+    path = golden(place)
     text = path.read_text(encoding="utf-8").replace('kind = "replay"', 'kind = "can"')
     text = text.replace("path =", f'interface = "{interface}"\nchannel = "{channel}"\npath =')
     path.write_text(text, encoding="utf-8")
     out = ["--out", str(place / "session")] if command == "record" else []
-    assert main([command, *out, str(path)]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(fault)
-    assert err.count("\n") == 1
+    assert refused(command, *out, path).startswith(fault)
 
 
 @pytest.mark.parametrize(
     "damage", ["bundle.json", "scene.npz", "density-64.onnx"], ids=lambda name: name
 )
-def test_a_damaged_bundle_is_one_line_and_status_2(
-    place: Path, capsys: pytest.CaptureFixture[str], damage: str
-) -> None:
+def test_a_damaged_bundle_is_one_line_and_status_2(place: Path, damage: str) -> None:
     copy = place / "bundle"
     shutil.copytree(bundle.find("box"), copy)
     whole = (copy / damage).read_bytes()
     (copy / damage).write_bytes(whole[: len(whole) // 2])
-    assert main(["check", str(configuration(place, "scene", "bundle", f'"{copy}"'))]) == 2
-    err = capsys.readouterr().err
-    assert damage in err
-    assert err.count("\n") == 1
+    assert damage in refused("check", golden(place, scene={"bundle": copy}))
 
 
 @pytest.mark.parametrize(
@@ -203,13 +165,8 @@ def test_a_damaged_bundle_is_one_line_and_status_2(
     [["check", "/nowhere.toml"], ["decode", "/nowhere.log"], ["replay", "/nowhere"],
      ["status", "/nowhere.toml"]],
 )  # fmt: skip
-def test_a_missing_file_is_one_line_and_status_2(
-    capsys: pytest.CaptureFixture[str], arguments: list[str]
-) -> None:
-    assert main(arguments) == 2
-    err = capsys.readouterr().err
-    assert "nowhere" in err
-    assert err.count("\n") == 1
+def test_a_missing_file_is_one_line_and_status_2(arguments: list[str]) -> None:
+    assert "nowhere" in refused(*arguments)
 
 
 def test_arbitrary_bytes_are_no_log_and_no_traceback(tmp_path: Path) -> None:

@@ -7,14 +7,14 @@ from taxeld.layout import read as layouts
 from taxeld.source import dialects
 from taxeld.source.sources import LiveSource
 from taxeld_protocol.frames import Frame
-from tests.conversations import hold_host, load, names
-from tests.daemon.given_device import GivenDevice
+from tests.rig.conversations import hold_host, load, names
+from tests.rig.given_device import GivenDevice
 
 SKIN = layouts.load(SkinConfig().layout)
 
 
 class DaemonSource:
-    """As `tests.conversations.Host`."""
+    """As `tests.rig.conversations.Host`."""
 
     def __init__(self, config: SourceConfig) -> None:
         dialect = dialects.live(config, SKIN)

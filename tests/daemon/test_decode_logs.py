@@ -2,8 +2,7 @@
 
 import gzip
 import json
-import subprocess
-import sys
+import tracemalloc
 from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
@@ -19,8 +18,7 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.virtual_ihb import VirtualIhb
-
-from .log_writers import (
+from tests.rig.log_writers import (
     BEFORE_SCANS,
     MODULES,
     START_S,
@@ -33,6 +31,7 @@ from .log_writers import (
     values_of,
     written,
 )
+from tests.rig.processes import python
 
 FRAMES = bus()
 RECORDED = Path(__file__).parent / "session"
@@ -271,6 +270,18 @@ def test_bytes_whose_times_are_damaged_are_decoded_all_the_same(
     assert part in "".join(caplog.messages)
 
 
+def test_a_line_without_an_end_takes_little_memory(tmp_path: Path) -> None:
+    log = tmp_path / "frames.log"
+    log.write_bytes(b"x" * (20 << 20))
+    tracemalloc.start()
+    try:
+        with pytest.raises(SetupError, match="has no frame"):
+            decoded(log)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 20
+    finally:
+        tracemalloc.stop()
+
+
 MEMORY = """
 import sys
 from pathlib import Path
@@ -288,10 +299,7 @@ def test_a_log_of_any_length_takes_the_same_memory(tmp_path: Path, declared: boo
     for scans in (1000, 10_000):
         frames = bus(scans)
         candump_log()(frames if declared else frames[BEFORE_SCANS:], log)
-        ran = subprocess.run(
-            [sys.executable, "-c", MEMORY, str(log)], capture_output=True, text=True, check=True
-        )
-        lines, peak = map(int, ran.stdout.split())
+        lines, peak = map(int, python(MEMORY, log).stdout.split())
         assert lines == scans + 1
         peaks.append(peak)
     assert peaks[1] < peaks[0] + 4000

@@ -6,8 +6,6 @@ import fcntl
 import logging
 import os
 import select
-import subprocess
-import sys
 import termios
 import time
 import tty
@@ -32,12 +30,13 @@ from taxeld.source.sources import LiveSource, open_source
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
-from tests.virtual_hub import VirtualHub
+from tests.rig.clocks import until
+from tests.rig.processes import python
+from tests.rig.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())
 CHANNELS = sum(module.channels for module in MODULES)
-DEADLINE_S = 20.0
 TICK_S = 0.01
 
 
@@ -101,15 +100,6 @@ def live(config: SourceConfig, recorder: Recorder | None = None) -> LiveSource:
     source = open_source(config, SKIN, recorder, wait=True)
     assert isinstance(source, LiveSource)
     return source
-
-
-def until(source: LiveSource, true: Callable[[], bool], serve: Callable[[], object]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not true():
-        assert time.monotonic() < deadline
-        serve()
-        source.poll(time.monotonic())
-        time.sleep(0.002)
 
 
 @pytest.mark.parametrize(
@@ -237,11 +227,12 @@ def test_a_device_that_is_not_there_yet_is_waited_for_with_one_line(
     (record,) = caplog.records
     assert record.getMessage() == f"{source.waits_for}; waiting for it"
     hub = VirtualHub(tmp_path / "skin", MODULES, native=True)
-    until(
-        source,
-        lambda: source.wire.decoder.counters.scans >= 2,
-        lambda: hub.serve(time.monotonic(), lambda _: [7] * CHANNELS),
-    )
+
+    def poll() -> None:
+        hub.serve(time.monotonic(), lambda _: [7] * CHANNELS)
+        source.poll(time.monotonic())
+
+    until(lambda: source.wire.decoder.counters.scans >= 2, poll)
     assert source.waits_for == ""
     assert sum("is open" in message for message in caplog.messages) == 1
     source.close()
@@ -320,4 +311,4 @@ def test_a_device_that_comes_and_goes_all_day_fills_no_log(
 def test_who_hears_no_bus_of_python_cans_does_not_load_it() -> None:
     """It is a tenth of the time to start and of the memory."""
     code = "import sys, taxeld.service.loop; sys.exit('can' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+    python(code)

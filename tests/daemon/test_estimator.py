@@ -19,7 +19,7 @@ from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Projection
 from taxeld.stream import messages
-from tests.daemon.pressed_box import (
+from tests.rig.pressed_box import (
     TRUTH,
     approach,
     box_side,

@@ -13,7 +13,7 @@ from taxeld.estimator.mixture import REVISITS, Mixture
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import Observation, ObservationModel
-from tests.daemon.pressed_box import (
+from tests.rig.pressed_box import (
     TRUTH,
     Knowing,
     World,

@@ -12,8 +12,8 @@ from taxeld.cli import main
 from taxeld.estimator.estimate import Status
 from taxeld.stream import messages
 from taxeld.view.stage import recorded
+from tests.rig.recorded import configuration, write_session
 
-from .recorded import configuration, write_session
 from .test_stream_document import documented
 
 pytest.importorskip("mcap_ros2")
@@ -23,6 +23,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from taxeld.view import export, ros
+from tests.rig.commands import refused
 
 RELEASES = [*dropwhile(lambda store: store is not Stores.ROS2_HUMBLE, Stores)]
 SESSION = Path(__file__).parent / "session"  # four contacts of a mug
@@ -150,18 +151,13 @@ def test_a_stamp_is_the_measurements_time_and_its_nanoseconds_are_less_than_a_se
     assert stamp["sec"] + stamp["nanosec"] * 1e-9 == pytest.approx(t, abs=1e-6)
 
 
-def test_a_session_without_a_whole_scan_is_one_line_and_leaves_no_file(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_session_without_a_whole_scan_is_one_line_and_leaves_no_file(tmp_path: Path) -> None:
     write_session(tmp_path, touches=0)
     lines = (tmp_path / "frames.log").read_text(encoding="ascii").splitlines(keepends=True)
     (tmp_path / "frames.log").write_text("".join(lines[:5]), encoding="ascii")
     configuration(tmp_path)
     out = tmp_path / "run.mcap"
-    assert main(["export", str(tmp_path), "--mcap", str(out)]) == 2
-    said = capsys.readouterr().err
-    assert said.count("\n") == 1
-    assert "nothing to export" in said
+    assert "nothing to export" in refused("export", tmp_path, "--mcap", out)
     assert not list(tmp_path.glob("run.mcap*"))
 
 
@@ -174,10 +170,7 @@ def test_a_session_without_a_whole_scan_is_one_line_and_leaves_no_file(
     ids=["no session", "no directory"],
 )
 def test_what_is_no_session_and_what_cannot_be_written_is_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], session: object, file: str, text: str
+    tmp_path: Path, session: object, file: str, text: str
 ) -> None:
     arguments = [str(session).format(place=tmp_path), "--mcap", str(tmp_path / file)]
-    assert main(["export", *arguments]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(text.format(place=tmp_path))
-    assert said.count("\n") == 1
+    assert refused("export", *arguments).startswith(text.format(place=tmp_path))

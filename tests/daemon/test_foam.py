@@ -8,7 +8,7 @@ from taxeld.layout import read as layouts
 from taxeld.model.activation import Activation
 from taxeld.skin.foam import KEPT, Residue
 from taxeld.skin.skin import Skin
-from tests.daemon.simulated_skin import PERIOD_S, SimulatedSkin
+from tests.rig.simulated_skin import PERIOD_S, SimulatedSkin
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 FULL = SkinConfig().full_scale_counts

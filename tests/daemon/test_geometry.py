@@ -5,9 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from taxeld.errors import SetupError
 from taxeld.estimator.memory import Memory
-from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.activation import FLOOR
@@ -39,15 +37,6 @@ def test_many_angles_are_wrapped_as_each_alone_is() -> None:
     assert np.isnan(se2.wrap(np.full(2 * se2.MANY, np.nan))).all()
 
 
-def test_a_generated_cylinder_is_numbered_from_below_and_counter_clockwise() -> None:
-    skin = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
-    assert len(skin) == 80
-    assert np.allclose(skin.position_m[0], [0.04, 0.0, -0.03])
-    assert np.allclose(skin.position_m[4], [0.0, 0.04, -0.03])
-    assert np.allclose(skin.position_m[16 * 4, 2], 0.03)
-    assert [int(u) for u in skin.uid[[0, 9, 10, 79]]] == [0x11, 0x1A, 0x21, 0x8A]
-
-
 def test_turning_the_touch_permutes_the_taxels(box_model: ObservationModel, skin: Layout) -> None:
     rng = np.random.default_rng(0)
     poses = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 50, rng).pose
@@ -57,31 +46,6 @@ def test_turning_the_touch_permutes_the_taxels(box_model: ObservationModel, skin
     for k, turn in enumerate(skin.turns):
         back = np.array([0.0, 0.0, -2 * np.pi * k / 16])
         assert np.allclose(box_model.activation(se2.compose(back, poses)), h[:, turn], atol=0.03)
-
-
-def test_the_strongest_taxels_sector_turns_to_angle_zero(skin: Layout) -> None:
-    for i in range(len(skin)):
-        z = np.zeros(len(skin))
-        z[i] = 1.0
-        turned = skin.position_m[z[skin.turns[skin.sector[i]]].argmax()]
-        assert np.isclose(np.arctan2(turned[1], turned[0]), 0.0)
-
-
-@pytest.mark.parametrize(
-    ("spec", "fault"),
-    [
-        ("sphere:radius_m=1", "no known layout"),
-        ("cylinder:rows=2", "lacks columns, pitch_m, radius_m"),
-        ("cylinder:rows=2,columns=x,radius_m=1,pitch_m=1", "'columns=x' is not columns=<int>"),
-        ("cylinder:rows=2,colums=3", "unknown cylinder key 'colums'"),
-        ("cylinder:rows=0,columns=3,radius_m=0.1,pitch_m=0.1", "rows × columns must be"),
-        ("cylinder:rows=1,columns=3,radius_m=nan,pitch_m=0.1", "positive lengths"),
-        ("", "no known layout"),
-    ],
-)
-def test_a_faulty_layout_is_refused_by_name(spec: str, fault: str) -> None:
-    with pytest.raises(SetupError, match=f"skin.layout: .*{fault}"):
-        layouts.load(spec)
 
 
 @given(st.floats(0.0, 6.28), st.floats(0.0, 0.005))

@@ -10,7 +10,7 @@ from taxeld.source.icub_bring_up import IcubBringUp
 from taxeld_protocol import icub
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.icub_decoder import IcubDecoder
-from tests.daemon.virtual_part import BOARDS, TICK_S, TRIANGLES, Boards, skin_layout
+from tests.rig.virtual_part import BOARDS, TICK_S, TRIANGLES, Boards, skin_layout
 
 PART = icub_part.of(skin_layout())
 EVERY = {(9, 0), (9, 1), (4, 3)}  # (board, triangle) that the layout has taxels on

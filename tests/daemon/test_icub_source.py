@@ -25,7 +25,7 @@ from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.icub import CHANNELS
 from taxeld_protocol.modules import ABSENT_UID
 from taxeld_protocol.virtual_icub import VirtualBoard
-from tests.daemon.virtual_part import (
+from tests.rig.virtual_part import (
     BOARDS,
     IDLE,
     SUIS,

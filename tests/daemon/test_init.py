@@ -16,7 +16,8 @@ from taxeld.cli import main
 from taxeld.config.file import parse
 from taxeld.config.tables import Config
 from taxeld.proposals import bundle
-from tests.terminals import read_all
+from tests.rig.commands import refused
+from tests.rig.processes import read_all
 
 FLAGS = ["--source", "slcan:{device}", "--bundle", "box", "--poses", "tcp://127.0.0.1:9874"]
 
@@ -64,14 +65,13 @@ def test_each_key_is_there_with_the_documented_words_and_its_default(
     assert set(tomllib.loads(bare)) == {table.name for table in fields(Config)}
 
 
-def test_a_file_that_is_there_is_not_overwritten(
-    tmp_path: Path, flags: list[str], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, flags: list[str]) -> None:
     path = tmp_path / "skin.toml"
     path.write_text("mine", encoding="utf-8")
-    assert main(["init", str(path), *flags]) == 2
+    assert refused("init", path, *flags).startswith(
+        f"{path}: is there already and is not overwritten"
+    )
     assert path.read_text(encoding="utf-8") == "mine"
-    assert capsys.readouterr().err.startswith(f"{path}: is there already and is not overwritten")
 
 
 @pytest.mark.parametrize(
@@ -86,22 +86,18 @@ def test_a_file_that_is_there_is_not_overwritten(
     ],
 )
 def test_an_answer_that_cannot_be_used_is_one_line_and_nothing_is_written(
-    tmp_path: Path, flags: list[str], capsys: pytest.CaptureFixture[str], change: list[str],
+    tmp_path: Path, flags: list[str], change: list[str],
     line: str,
 ) -> None:  # fmt: skip
     path = tmp_path / "skin.toml"
-    assert main(["init", str(path), *flags, *change]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(line)
-    assert said.count("\n") == 1
+    assert refused("init", path, *flags, *change).startswith(line)
     assert not path.exists()
 
 
-def test_without_a_terminal_what_is_missing_is_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["init", str(tmp_path / "skin.toml"), "--bundle", "box"]) == 2
-    assert capsys.readouterr().err.startswith("--source: is required where nobody can be asked; ")
+def test_without_a_terminal_what_is_missing_is_named(tmp_path: Path) -> None:
+    assert refused("init", tmp_path / "skin.toml", "--bundle", "box").startswith(
+        "--source: is required where nobody can be asked; "
+    )
 
 
 def test_a_bundle_is_named_as_seen_from_the_configuration(

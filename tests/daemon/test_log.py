@@ -21,9 +21,9 @@ from taxeld.service import log
 from taxeld.service.notices import Notices, Ration
 from taxeld.skin.channels import Wiring
 from taxeld_protocol.modules import wired
-from tests.daemon.recorded import configuration, write_session
-from tests.daemon.simulated_skin import SimulatedSkin
-from tests.logged import messages
+from tests.rig.logged import messages
+from tests.rig.recorded import configuration, write_session
+from tests.rig.simulated_skin import SimulatedSkin
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 RECORD = logging.LogRecord("taxeld", logging.WARNING, "", 0, "a line\nand another", None, None)

@@ -24,8 +24,8 @@ from taxeld.service.ticker import Ready
 from taxeld.source import session
 from taxeld.stream import messages
 from taxeld_protocol.decoder import Scan
-from tests.daemon.recorded import configuration, write_session
-from tests.daemon.simulated_skin import SimulatedSkin
+from tests.rig.recorded import configuration, write_session
+from tests.rig.simulated_skin import SimulatedSkin
 
 EVERY_KEY = [
     *("v", "seq", "t", "mono_ns", "valid", "status", "contact", "contacts", "map", "mean", "cov"),

@@ -3,7 +3,6 @@
 import json
 import math
 import subprocess
-import sys
 import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -23,9 +22,12 @@ from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import listed, wired
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
-from tests.daemon.given_device import GivenDevice
-from tests.logged import warnings
-from tests.virtual_hub import VirtualHub, told
+from tests.rig.clocks import PATIENCE_S, until
+from tests.rig.configurations import configuration
+from tests.rig.given_device import GivenDevice
+from tests.rig.logged import warnings
+from tests.rig.processes import PIPES, taxeld
+from tests.rig.virtual_hub import VirtualHub, told
 
 SKIN = layouts.load(SkinConfig().layout)
 ORDERED = wired(SKIN.uid.tolist())
@@ -33,7 +35,6 @@ ORDERED = wired(SKIN.uid.tolist())
 MODULES = listed((module.sui or 0, 0xFFF) for module in reversed(ORDERED))
 LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
 UIDS = [uid for module in MODULES for uid in module.uids]
-DEADLINE_S = 60.0
 MISSING = "DECLARE and MODULE_DETAILS were not heard"
 
 
@@ -56,14 +57,9 @@ def log(place: Path, heard: Sequence[Frame]) -> Path:
     return path
 
 
-def configuration(place: Path, source: str = "") -> Path:
-    path = place / "config.toml"
-    path.write_text(
-        f'[source]\nkind = "replay"\npath = "{place}"\n{source}\n[scene]\nbundle = "box"\n'
-        f'[publish]\nendpoints = []\n[control]\nendpoint = ""\n',
-        encoding="utf-8",
-    )
-    return path
+def replay(place: Path, **source: object) -> str:
+    """The configuration of a daemon that replays what was logged in `place`."""
+    return str(configuration(place, source={"kind": "replay", "path": place, **source}))
 
 
 def is_right(scans: Sequence[Scan]) -> bool:
@@ -131,7 +127,7 @@ def test_a_module_that_told_nothing_of_itself_costs_its_own_taxels_alone(tmp_pat
         None if i == 1 else module.sui for i, module in enumerate(MODULES)
     ]
     log(tmp_path, [*answers, *heard[0]])
-    assert main(["check", str(configuration(tmp_path))]) == 0
+    assert main(["check", replay(tmp_path)]) == 0
 
 
 def test_a_strange_packet_does_not_end_a_listener_that_hears_its_skin() -> None:
@@ -172,8 +168,8 @@ def test_a_recording_that_does_not_tell_its_modules_is_refused_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     log(tmp_path, scan(VirtualIhb(MODULES)))
-    config = configuration(tmp_path)
-    assert main([command, str(tmp_path if command == "replay" else config)]) == 2
+    config = replay(tmp_path)
+    assert main([command, str(tmp_path) if command == "replay" else config]) == 2
     printed, errors = capsys.readouterr()
     assert printed == ""
     (said,) = warnings(errors)
@@ -194,12 +190,12 @@ def test_a_recording_is_read_by_what_it_tells_anywhere_or_by_the_list(told_when:
     assert is_right(scans)
 
 
-@pytest.mark.parametrize("source", ["", f"modules = {json.dumps(LISTED)}"])
+@pytest.mark.parametrize("source", [{}, {"modules": LISTED}], ids=["unlisted", "listed"])
 def test_decode_with_a_configuration_reads_by_its_list_or_refuses(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: dict[str, object]
 ) -> None:
     path = log(tmp_path, scan(VirtualIhb(MODULES)))
-    code = main(["decode", "--config", str(configuration(tmp_path, source)), str(path)])
+    code = main(["decode", "--config", replay(tmp_path, **source), str(path)])
     printed, errors = capsys.readouterr()
     if source:
         assert code == 0
@@ -209,12 +205,12 @@ def test_decode_with_a_configuration_reads_by_its_list_or_refuses(
         assert errors.startswith(f"source.modules: hub 1 of {path} streams")
 
 
-@pytest.mark.parametrize("source", ["", f"modules = {json.dumps(LISTED)}"])
+@pytest.mark.parametrize("source", [{}, {"modules": LISTED}], ids=["unlisted", "listed"])
 def test_check_tells_a_listener_without_a_list_when_it_must_be_started(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], source: dict[str, object]
 ) -> None:
     with VirtualHub(tmp_path / "skin", MODULES) as hub:
-        config = live(tmp_path, hub, f"listen_only = true\n{source}")
+        config = configuration(tmp_path, source=hub.source | {"listen_only": True} | source)
         assert main(["check", str(config)]) == 0
     notes = [line for line in capsys.readouterr().out.splitlines() if line.startswith("note: ")]
     assert [note.startswith("note: source.modules: lists none") for note in notes] == (
@@ -239,39 +235,22 @@ def test_a_list_of_modules_is_written_over_nothing_and_through_no_link(tmp_path:
     assert not victim.exists()
 
 
-def start(*arguments: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "taxeld.cli", *map(str, arguments)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-
-
-def live(place: Path, hub: VirtualHub, more: str = "") -> Path:
-    path = place / "live.toml"
-    path.write_text(
-        f'[source]\nkind = "can"\ninterface = "slcan"\nchannel = "{hub.device}"\n{more}\n'
-        '[scene]\nbundle = "box"\n[publish]\nendpoints = []\n[control]\nendpoint = ""\n',
-        encoding="utf-8",
-    )
-    return path
-
-
-def serve(hub: VirtualHub, process: subprocess.Popen[str], most: float = math.inf) -> None:
+def serve(hub: VirtualHub, process: "subprocess.Popen[str]", most: float = math.inf) -> None:
     """Until the process has ended, or so many bytes have been sent to it."""
-    deadline = time.monotonic() + DEADLINE_S
-    while process.poll() is None and hub.written < most:
-        assert time.monotonic() < deadline
-        hub.serve(time.monotonic(), lambda _: UIDS)
-        time.sleep(0.002)
+    until(
+        lambda: process.poll() is not None or hub.written >= most,
+        lambda: hub.serve(time.monotonic(), lambda _: UIDS),
+    )
 
 
 def test_record_lists_the_modules_and_a_listener_reads_by_that_list(tmp_path: Path) -> None:
     out = tmp_path / "session"
     with VirtualHub(tmp_path / "skin", MODULES) as hub:
-        process = start("record", "--out", out, live(tmp_path, hub))
+        config_file = configuration(tmp_path, source=hub.source)
+        process = taxeld("record", "--out", out, config_file, **PIPES)
         serve(hub, process, 10_000)
         process.terminate()
-        printed, errors = process.communicate(timeout=DEADLINE_S)
+        printed, errors = process.communicate(timeout=PATIENCE_S)
     assert errors == ""
     assert f"{out / module_order.FILE}, for source.modules" in printed
     text = (out / module_order.FILE).read_text(encoding="utf-8")
@@ -286,11 +265,12 @@ def test_a_daemon_that_cannot_know_the_order_ends_and_a_recording_goes_on(
     out = tmp_path / "session"
     with VirtualHub(tmp_path / "skin", MODULES) as hub:
         hub.ihb.phase, hub.ihb.auto_sync = Phase.RUNNING, True
-        config = live(tmp_path, hub, "listen_only = true")
-        process = start(command, *(["--out", out] if command == "record" else []), config)
+        config = configuration(tmp_path, source=hub.source | {"listen_only": True})
+        more = ["--out", out] if command == "record" else []
+        process = taxeld(command, *more, config, **PIPES)
         serve(hub, process, 10_000 if command == "record" else math.inf)
         process.terminate()
-        printed, errors = process.communicate(timeout=DEADLINE_S)
+        printed, errors = process.communicate(timeout=PATIENCE_S)
     if command == "record":
         assert (process.returncode, errors) == (0, "")
         assert "to replay it, list source.modules" in printed

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from taxeld.service.notify import Notifier
-from tests.logged import warnings
 from tests.rig.clocks import Clock
 from tests.rig.configurations import QUIET, configuration
+from tests.rig.logged import warnings
 from tests.rig.processes import taxeld
 
 DEADLINE_S = 60.0

@@ -30,9 +30,9 @@ from taxeld.stream import messages
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.daemon.recorded import configuration, write_session
-from tests.daemon.simulated_skin import SimulatedSkin
-from tests.virtual_hub import told
+from tests.rig.recorded import configuration, write_session
+from tests.rig.simulated_skin import SimulatedSkin
+from tests.rig.virtual_hub import told
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(SPEC)

@@ -1,15 +1,11 @@
 """Devices that go and come back, and recordings of what came."""
 
-import subprocess
-import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from taxeld.cli import main
-from taxeld.config.tables import SkinConfig, SourceConfig
+from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.source import session
@@ -21,29 +17,13 @@ from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.virtual_hub import VirtualHub
+from tests.rig.clocks import until
+from tests.rig.virtual_hub import VirtualHub
 
 SPEC = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(SPEC)
 MODULES = wired(SKIN.uid.tolist())
 CHANNELS = sum(module.channels for module in MODULES)
-DEADLINE_S = 20.0
-
-
-def numbered(number: int) -> list[int]:
-    """Counts that say which scan they are of; the first is 1."""
-    return [number + 1] * CHANNELS
-
-
-def run(source: LiveSource, serve: Callable[[], None], until: Callable[[], bool]) -> list[Scan]:
-    scans: list[Scan] = []
-    deadline = time.monotonic() + DEADLINE_S
-    while not until() and time.monotonic() < deadline:
-        serve()
-        scans += source.poll(time.monotonic())
-        time.sleep(0.002)
-    assert until()
-    return scans
 
 
 @pytest.mark.parametrize("native", [True, False], ids=["native", "SLCAN"])
@@ -53,17 +33,21 @@ def test_a_skin_that_is_unplugged_comes_back(tmp_path: Path, native: bool) -> No
     source = open_source(SourceConfig(kind=kind, interface="slcan", channel=hub.device), SKIN)
     assert isinstance(source, LiveSource)
 
-    def serve() -> None:
-        hub.serve(time.monotonic(), numbered)
+    scans: list[Scan] = []
 
-    run(source, serve, lambda: source.wire.decoder.counters.scans >= 3)
+    def poll() -> None:
+        if Path(hub.device).exists():
+            hub.serve(time.monotonic(), lambda number: [number + 1] * CHANNELS)
+        scans.extend(source.poll(time.monotonic()))
+
+    until(lambda: len(scans) >= 3, poll)
     hub.unplug()
-    run(source, lambda: None, lambda: source.counters.lost == 1)
+    until(lambda: source.counters.lost == 1, poll)
     time.sleep(0.3)
     assert source.poll(time.monotonic()) == []
     hub.plug()
     before = hub.scans
-    scans = run(source, serve, lambda: source.wire.decoder.counters.scans >= 8)
+    until(lambda: source.wire.decoder.counters.scans >= 8, poll)
     assert source.counters.reopened == 1
     assert scans[-1].counts[0] > before
     assert hub.ihb.auto_sync
@@ -113,33 +97,3 @@ def test_a_damaged_serial_recording_is_one_line(tmp_path: Path, times: str, faul
     (tmp_path / session.SERIAL_TIMES).write_text(times, encoding="ascii")
     with pytest.raises(SetupError, match=fault):
         session.read(tmp_path)
-
-
-def test_record_and_replay_a_serial_skin(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """`taxeld record` on a real line, ended by SIGTERM; the session then replays."""
-    modules = wired(layouts.load(SkinConfig().layout).uid.tolist())
-    channels = sum(module.channels for module in modules)
-    hub = VirtualHub(tmp_path / "skin", modules, native=True)
-    config = tmp_path / "config.toml"
-    config.write_text(
-        f'[source]\nkind = "serial"\nchannel = "{hub.device}"\n[scene]\nbundle = "box"\n',
-        encoding="utf-8",
-    )
-    out = tmp_path / "session"
-    command = [sys.executable, "-m", "taxeld.cli", "record", "--out", str(out), str(config)]
-    recorder = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + DEADLINE_S
-    while hub.scans < 8 and time.monotonic() < deadline:
-        hub.serve(time.monotonic(), lambda k: [k + 1] * channels)
-        time.sleep(0.002)
-    time.sleep(0.2)
-    recorder.terminate()
-    printed, errors = recorder.communicate(timeout=DEADLINE_S)
-    assert errors == ""
-    assert "8 scans, 0 sensor poses" in printed
-    assert (out / session.CONFIG).read_text(encoding="utf-8") == config.read_text(encoding="utf-8")
-    assert main(["replay", str(out)]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == 8
-    hub.unplug()

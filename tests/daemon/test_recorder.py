@@ -5,12 +5,11 @@ import logging
 import os
 import resource
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,14 +24,20 @@ from taxeld.source.session import Chunk, Session
 from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame, parse_log_line
 from taxeld_protocol.modules import wired
-from tests.logged import messages, warnings
-from tests.virtual_hub import VirtualHub
+from tests.rig.clocks import PATIENCE_S, until
+from tests.rig.commands import refused
+from tests.rig.configurations import configuration
+from tests.rig.logged import messages, warnings
+from tests.rig.processes import PIPES, taxeld
+from tests.rig.virtual_hub import VirtualHub
 
 MODULES = wired(layouts.load(SkinConfig().layout).uid.tolist())
 CHANNELS = sum(module.channels for module in MODULES)
-DEADLINE_S = 30.0
 STARTED = "hub 1 is in its bootloader, as after power-on; it is started"
 SMALL_DISK = 30_000  # bytes a file may have, in place of a disk that is nearly full
+ON_A_SMALL_DISK: dict[str, Any] = {
+    "preexec_fn": lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (SMALL_DISK, SMALL_DISK))
+}
 
 
 @pytest.fixture(params=[False, True], ids=["slcan", "native"])
@@ -41,39 +46,14 @@ def hub(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[VirtualHub]:
         yield made
 
 
-def configuration(place: Path, hub: VirtualHub) -> Path:
-    """Of a daemon on the hub: frames of a CAN adapter, or bytes of a serial line."""
-    kind = 'kind = "serial"' if hub.native else 'kind = "can"\ninterface = "slcan"'
-    path = place / "config.toml"
-    path.write_text(
-        f'[source]\n{kind}\nchannel = "{hub.device}"\nperiod_ms = 10\n[scene]\nbundle = "box"\n'
-        f'[filter]\nproposal = "manifold"\n'
-        f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
-        f'[control]\nendpoint = "ipc://{place}/control"\n',
-        encoding="utf-8",
+def configured(place: Path, hub: VirtualHub) -> Path:
+    return configuration(
+        place, source=hub.source | {"period_ms": 10}, filter={"proposal": "manifold"}
     )
-    return path
 
 
-def taxeld(*arguments: str | Path, disk: int | None = None) -> subprocess.Popen[str]:
-    """A command, whose files may not grow beyond `disk` bytes."""
-
-    def limit() -> None:
-        if disk is not None:
-            resource.setrlimit(resource.RLIMIT_FSIZE, (disk, disk))
-
-    return subprocess.Popen(
-        [sys.executable, "-m", "taxeld.cli", *map(str, arguments)],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit,  # noqa: PLW1509
-    )  # fmt: skip
-
-
-def serve(hub: VirtualHub, until: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not until():
-        assert time.monotonic() < deadline
-        hub.serve(time.monotonic(), lambda k: [k + 1] * CHANNELS)
-        time.sleep(0.002)
+def serve(hub: VirtualHub, done: Callable[[], bool]) -> None:
+    until(done, lambda: hub.serve(time.monotonic(), lambda k: [k + 1] * CHANNELS))
 
 
 def recorded_bytes(out: Path) -> int:
@@ -92,17 +72,17 @@ def test_a_recorder_that_is_killed_leaves_what_it_heard_but_for_the_last_moment(
     tmp_path: Path, hub: VirtualHub
 ) -> None:
     out = tmp_path / "session"
-    process = taxeld("record", "--out", out, configuration(tmp_path, hub))
+    process = taxeld("record", "--out", out, configured(tmp_path, hub), **PIPES)
     try:
         serve(hub, lambda: hub.scans >= 22)
         sent = hub.written
         serve(hub, lambda: recorded_bytes(out) >= sent)  # what waits is written while more comes
     finally:
         process.kill()
-        process.communicate(timeout=DEADLINE_S)
+        process.communicate(timeout=PATIENCE_S)
     assert process.returncode == -signal.SIGKILL
-    replayed = taxeld("replay", out)
-    printed, errors = replayed.communicate(timeout=DEADLINE_S)
+    replayed = taxeld("replay", out, **PIPES)
+    printed, errors = replayed.communicate(timeout=PATIENCE_S)
     assert replayed.returncode == 0
     assert len(printed.splitlines()) >= 20
     assert errors.startswith(f"{out}: the recording was cut; ")
@@ -113,35 +93,32 @@ def test_a_full_disk_ends_a_recording_with_one_line_and_status_1(
     tmp_path: Path, hub: VirtualHub
 ) -> None:
     out = tmp_path / "session"
-    process = taxeld("record", "--out", out, configuration(tmp_path, hub), disk=SMALL_DISK)
+    process = taxeld("record", "--out", out, configured(tmp_path, hub), **PIPES, **ON_A_SMALL_DISK)
     try:
         serve(hub, lambda: process.poll() is not None)
     finally:
         process.kill()
-        printed, errors = process.communicate(timeout=DEADLINE_S)
+        printed, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 1
     assert (
         errors
         == f"{out}: the recording has ended ({os.strerror(errno.EFBIG)}); it replays up to here\n"
     )
     assert printed.startswith(f"{out}: ")
-    replayed = taxeld("replay", out)
-    printed, errors = replayed.communicate(timeout=DEADLINE_S)
+    replayed = taxeld("replay", out, **PIPES)
+    printed, errors = replayed.communicate(timeout=PATIENCE_S)
     assert replayed.returncode == 0
     assert len(printed.splitlines()) > 10
     assert errors.count("\n") == 1
 
 
-def test_a_device_that_cannot_be_opened_leaves_no_directory_behind(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_device_that_cannot_be_opened_leaves_no_directory_behind(tmp_path: Path) -> None:
     hub = VirtualHub(tmp_path / "skin", MODULES, native=True)
-    config = configuration(tmp_path, hub)
+    config = configured(tmp_path, hub)
     hub.unplug()
     out = tmp_path / "a" / "session"
     for _ in range(2):
-        assert main(["record", "--out", str(out), str(config)]) == 2
-        assert "source.channel: cannot open" in capsys.readouterr().err
+        assert "source.channel: cannot open" in refused("record", "--out", out, config)
         assert sorted(tmp_path.iterdir()) == [config]
 
 
@@ -188,7 +165,7 @@ def test_a_recording_overwrites_nothing_that_is_there_and_says_so_in_one_line(
 ) -> None:
     """The device is missing, too: nothing would be recorded."""
     hub = VirtualHub(tmp_path / "skin", MODULES, native=True)
-    config = configuration(tmp_path, hub)
+    config = configured(tmp_path, hub)
     hub.unplug()
     out, victim = tmp_path / "session", tmp_path / "victim"
     out.mkdir()
@@ -211,7 +188,7 @@ def test_a_link_that_is_made_meanwhile_ends_the_recording_and_is_not_followed(
     with Recorder(place, moves=False) as recorder:
         (place / session.FRAMES).symlink_to(victim)
         recorder.take(frame(0))
-        wait(lambda: recorder.counters.failed)
+        until(lambda: recorder.counters.failed)
     assert not victim.exists()
     assert caplog.messages == [
         f"{place}: the recording has ended (File exists); it replays up to here"
@@ -248,19 +225,12 @@ class File(recorders.FileIO):
         self.disk = disk
 
     def write(self, data: bytes) -> int:  # type: ignore[override]
-        assert self.disk.moves.wait(DEADLINE_S)
+        assert self.disk.moves.wait(PATIENCE_S)
         taken = min(len(data), self.disk.free)
         if not taken:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         self.disk.free -= taken
         return int(super().write(data[:taken]))
-
-
-def wait(until: Callable[[], bool]) -> None:
-    deadline = time.monotonic() + DEADLINE_S
-    while not until():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_a_full_disk_ends_the_recording_and_not_who_records(
@@ -270,11 +240,11 @@ def test_a_full_disk_ends_the_recording_and_not_who_records(
     caplog.set_level(logging.WARNING)
     with Recorder(tmp_path / "s", moves=False) as recorder:
         recorder.take(frame(0))
-        wait(lambda: recorder.counters.frames == 1)
+        until(lambda: recorder.counters.frames == 1)
         disk.free = 70  # one line and a half
         for number in range(1, 6):
             recorder.take(frame(number))
-        wait(lambda: recorder.counters.failed)
+        until(lambda: recorder.counters.failed)
         recorder.take(frame(6))
     assert recorder.counters.dropped == 6
     assert len(caplog.messages) == 1
@@ -293,10 +263,22 @@ def test_a_disk_that_hangs_costs_records_and_never_the_caller(
             recorder.take(frame(number))  # in this thread, which the disk would stop for ever
         dropped = recorder.counters.dropped
         disk.moves.set()
-        wait(lambda: recorder.counters.frames + dropped == 2000)
+        until(lambda: recorder.counters.frames + dropped == 2000)
         recorder.take(frame(3000))
     assert 1000 < dropped < 2000
     assert session.read(tmp_path / "s").items[-1] == frame(3000)
+
+
+def test_what_a_line_brings_is_bounded_by_its_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = Disk(monkeypatch)
+    with Recorder(tmp_path / "s", moves=False) as recorder:
+        disk.moves.clear()
+        for number in range(300):
+            recorder.take(Chunk(float(number), bytes(65_536)))
+        assert recorder.counters.dropped > 50
+        disk.moves.set()
 
 
 def test_all_that_is_recorded_is_synced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -311,7 +293,7 @@ def test_all_that_is_recorded_is_synced(tmp_path: Path, monkeypatch: pytest.Monk
     monkeypatch.setattr(recorders, "SYNC_S", 0.0)
     with Recorder(tmp_path / "s", moves=True) as recorder:
         recorder.take(Chunk(1.0, b"\x00"))
-        wait(lambda: {session.SERIAL, session.SERIAL_TIMES, session.POSES} <= synced)
+        until(lambda: {session.SERIAL, session.SERIAL_TIMES, session.POSES} <= synced)
     assert session.ABOUT in synced
 
 
@@ -319,18 +301,18 @@ def test_a_daemon_records_while_it_runs_and_outlives_a_full_disk(
     tmp_path: Path, hub: VirtualHub
 ) -> None:
     out = tmp_path / "session"
-    config = configuration(tmp_path, hub)
-    process = taxeld("run", "--record", out, config, disk=SMALL_DISK)
+    config = configured(tmp_path, hub)
+    process = taxeld("run", "--record", out, config, **PIPES, **ON_A_SMALL_DISK)
     try:
         serve(hub, lambda: hub.written > 3 * SMALL_DISK)
         sent = hub.scans
         serve(hub, lambda: hub.scans > sent + 50)
-        status = taxeld("status", "--json", config)
+        status = taxeld("status", "--json", config, **PIPES)
         serve(hub, lambda: status.poll() is not None)
-        assert '"failed": true' in status.communicate(timeout=DEADLINE_S)[0]
+        assert '"failed": true' in status.communicate(timeout=PATIENCE_S)[0]
     finally:
         process.terminate()
-        _, errors = process.communicate(timeout=DEADLINE_S)
+        _, errors = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     ended = f"the recording has ended ({os.strerror(errno.EFBIG)}); it replays up to here"
     assert f"{out}: {ended}" in warnings(errors)
@@ -338,9 +320,29 @@ def test_a_daemon_records_while_it_runs_and_outlives_a_full_disk(
     assert session.read(out).items
 
 
-def test_a_replay_is_not_recorded_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_replay_is_not_recorded_again(tmp_path: Path) -> None:
     config = tmp_path / "config.toml"
     config.write_text('[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n', "utf-8")
-    assert main(["run", "--record", str(tmp_path / "s"), str(config)]) == 2
-    assert "is a recording already" in capsys.readouterr().err
+    assert "is a recording already" in refused("run", "--record", tmp_path / "s", config)
     assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize("command", [("run", "--record"), ("record", "--out")], ids=" ".join)
+def test_what_was_recorded_replays_as_many_scans_as_were_taken(
+    tmp_path: Path, hub: VirtualHub, capsys: pytest.CaptureFixture[str], command: tuple[str, str]
+) -> None:
+    out, config = tmp_path / "session", configured(tmp_path, hub)
+    process = taxeld(*command, out, config, **PIPES)
+    try:
+        serve(hub, lambda: hub.scans >= 30)
+        sent = hub.written
+        serve(hub, lambda: recorded_bytes(out) >= sent)
+    finally:
+        process.terminate()
+        printed, _ = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert (out / session.CONFIG).read_text("utf-8") == config.read_text("utf-8")
+    assert main(["replay", str(out)]) == 0
+    scans = len(capsys.readouterr().out.splitlines())
+    assert scans >= 30
+    assert command[0] == "run" or f"{scans} scans, 0 sensor poses" in printed

@@ -20,12 +20,12 @@ from taxeld.service.clock import WallClock
 from taxeld.service.loop import Daemon
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
-from tests.daemon.simulated_skin import SimulatedSkin
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.configurations import Table, config, served
 from tests.rig.processes import door_of
+from tests.rig.simulated_skin import SimulatedSkin
 from tests.rig.sockets import Sockets
-from tests.virtual_hub import VirtualHub
+from tests.rig.virtual_hub import VirtualHub
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 

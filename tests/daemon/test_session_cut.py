@@ -3,6 +3,7 @@ read by what its format says."""
 
 import json
 import logging
+import os
 import shutil
 import time
 from collections.abc import Iterator
@@ -15,7 +16,6 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from taxeld.cli import main
 from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config.file import parse
 from taxeld.config.tables import Config, SensorPoseConfig
@@ -33,7 +33,8 @@ from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.virtual_hub import told
+from tests.rig.commands import refused
+from tests.rig.virtual_hub import told
 
 SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 SKIN = layouts.load(SPEC)
@@ -202,6 +203,29 @@ def test_a_line_without_end_is_one_line_of_error_and_takes_no_memory(
         session.read(tmp_path)
 
 
+def test_a_serial_file_that_is_too_large_for_memory_is_one_line_of_error(tmp_path: Path) -> None:
+    record(tmp_path, "native")
+    with (tmp_path / session.SERIAL).open("ab") as file:
+        file.truncate(1 << 36)  # a file with a hole
+    with pytest.raises(SetupError, match=r"serial.bin: unreadable \(it is larger than 1073741824"):
+        session.read(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("transport", "name"),
+    [("can", session.FRAMES), ("can", session.POSES), ("can", session.ABOUT),
+     ("native", session.SERIAL), ("native", session.SERIAL_TIMES)],
+)  # fmt: skip
+def test_a_pipe_in_place_of_a_file_of_a_session_keeps_nobody_waiting(
+    tmp_path: Path, transport: str, name: str
+) -> None:
+    record(tmp_path, transport)
+    (tmp_path / name).unlink()
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(SetupError, match=f"{name}: unreadable .it is no regular file"):
+        session.read(tmp_path)
+
+
 def test_a_whole_session_says_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO)
     record(tmp_path, "native")
@@ -229,17 +253,13 @@ def test_a_session_without_a_version_is_read_as_the_first(tmp_path: Path) -> Non
     ],
 )
 def test_a_session_of_a_newer_version_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], about: str, fault: str
+    tmp_path: Path, about: str, fault: str
 ) -> None:
     record(tmp_path, "can")
     (tmp_path / session.ABOUT).write_text(about, encoding="ascii")
     config = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
     (tmp_path / session.CONFIG).write_text(config, encoding="utf-8")
-    assert main(["replay", str(tmp_path)]) == 2
-    printed, errors = capsys.readouterr()
-    assert printed == ""
-    assert errors.startswith(f"{tmp_path}/{session.ABOUT}: {fault}")
-    assert errors.count("\n") == 1
+    assert refused("replay", tmp_path).startswith(f"{tmp_path}/{session.ABOUT}: {fault}")
 
 
 def test_recorded_poses_are_used_whatever_the_configuration_says_of_an_endpoint(

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from taxeld.service.signals import Signals
-from tests.logged import warnings
+from tests.rig.logged import warnings
 
 from .test_cli import configuration
 from .test_notify import environ

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.daemon.simulation import as_bytes, simulate
+from tests.rig.simulation import as_bytes, simulate
 
-SEEDS = range(12)
+SEEDS = range(20)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

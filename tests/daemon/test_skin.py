@@ -1,6 +1,7 @@
 """Counts to activations."""
 
 import numpy as np
+import pytest
 
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
@@ -50,6 +51,16 @@ def test_idle_noise_is_no_touch_and_each_taxel_has_its_own_threshold(skin: Layou
     assert lost is not None
     assert felt.z[5] > 0
     assert lost.z[5] == 0
+
+
+@pytest.mark.parametrize("invalid", [-BASE, 0xFFFF - BASE, 43_000 - BASE])
+def test_invalid_counts_are_not_live(skin: Layout, invalid: int) -> None:
+    subject = tared(skin)
+    activation = subject.on_scan(scan(skin, {7: invalid}))
+    assert activation is not None
+    assert not activation.live[7]
+    assert activation.z[7] == 0
+    assert activation.live.sum() == len(skin) - 1
 
 
 def test_a_lost_channel_is_not_live_and_not_remembered(skin: Layout) -> None:

@@ -9,7 +9,7 @@ from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.skin.drift import HOLD_OFF_S
 from taxeld.skin.skin import Skin
-from tests.daemon.simulated_skin import NOISE, SimulatedSkin
+from tests.rig.simulated_skin import NOISE, SimulatedSkin
 
 MINUTE_S = 60.0
 HELD = [3, 4, 19]
@@ -55,6 +55,16 @@ def test_what_lies_beside_a_held_touch_is_not_absorbed_either(skin: Layout) -> N
     before = subject.baseline[4]
     simulated.run(subject, 5 * MINUTE_S)
     assert subject.baseline[4] == before
+
+
+def test_far_from_a_touch_the_baseline_goes_on(skin: Layout) -> None:
+    simulated, subject = begun(skin)
+    simulated.press[0] = 4_000.0
+    simulated.own_drift = ramp(50.0)
+    before = subject.baseline.copy()
+    simulated.run(subject, 5 * MINUTE_S)
+    assert abs(subject.baseline - before)[0] < 1.0
+    assert (subject.baseline - before)[8] > 150.0
 
 
 def test_after_a_release_nothing_is_followed_for_a_while(skin: Layout) -> None:
@@ -121,6 +131,20 @@ def test_a_press_is_no_temperature(skin: Layout) -> None:
         simulated.press[:] = 0.0
         simulated.run(subject, 1.0)
     assert np.abs(subject.baseline - before)[HELD].max() < NOISE
+
+
+def test_where_t0_stands_still_or_explains_nothing_it_moves_nothing(skin: Layout) -> None:
+    """A touch holds its baseline, which T0 alone could move then."""
+    simulated, subject = begun(skin)
+    simulated.own_drift = ramp(30.0)
+    simulated.run(subject, 10 * MINUTE_S)
+    drifted = simulated.own_drift(simulated.t - 100.0)
+    simulated.own_drift = lambda t: min(ramp(30.0)(t), drifted)
+    simulated.warmth = lambda t: 100.0 * np.sin(2 * np.pi * t / 90.0)
+    simulated.run(subject, 10 * MINUTE_S)
+    simulated.press[HELD], before = 4_000.0, subject.baseline[HELD].copy()
+    simulated.run(subject, MINUTE_S / 2)
+    assert np.abs(subject.baseline[HELD] - before).max() < 0.2 * NOISE
 
 
 def test_a_pause_of_the_skin_is_no_slice(skin: Layout) -> None:

@@ -9,7 +9,7 @@ from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.skin.skin import Skin
 from taxeld_protocol.decoder import MISSING, Scan
-from tests.daemon.simulated_skin import SimulatedSkin
+from tests.rig.simulated_skin import SimulatedSkin
 
 FROZEN_S = 12.0  # 200 scans, and the slice that they end in
 BAD = 7
@@ -52,6 +52,11 @@ def test_a_hard_press_below_the_invalid_range_is_full_scale(skin: Layout) -> Non
     activation = simulated.run(subject, FROZEN_S)
     assert activation.live[BAD]
     assert activation.z[BAD] == 1.0
+
+
+def test_a_skin_without_noise_is_not_frozen(skin: Layout) -> None:
+    simulated, subject = begun(skin, noise=0.0)
+    assert simulated.run(subject, FROZEN_S).live.all()
 
 
 def test_a_hub_that_falls_silent_holds_no_touch(skin: Layout) -> None:

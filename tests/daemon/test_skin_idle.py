@@ -7,7 +7,7 @@ from taxeld.config.tables import SkinConfig
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.skin.skin import Skin
-from tests.daemon.simulated_skin import SimulatedSkin
+from tests.rig.simulated_skin import NOISE, SimulatedSkin
 
 MANY = layouts.load("wrap:modules=24,radius_m=0.08,rows=2")  # 480 taxels
 
@@ -93,6 +93,14 @@ def test_a_taxel_that_never_rests_gets_no_baseline(skin: Layout) -> None:
         activation = subject.on_scan(simulated.scan())
     assert activation is not None
     assert np.flatnonzero(~activation.live).tolist() == [7]
+
+
+def test_the_noise_of_each_taxel_is_its_own(skin: Layout) -> None:
+    simulated = SimulatedSkin(skin)
+    simulated.spread = np.where(np.arange(len(skin)) < 10, 3.0, 1.0)
+    subject = Skin(skin, SkinConfig(), baseline_scans=200)
+    simulated.run(subject, 11.0)
+    assert subject.threshold == pytest.approx(6 * NOISE * simulated.spread, rel=0.25)
 
 
 def test_out_of_contact_the_noise_is_known_ever_better_and_touches_do_not_raise_it(

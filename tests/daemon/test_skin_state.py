@@ -22,7 +22,7 @@ from taxeld.service import state_file
 from taxeld.service.state_file import NAME, StateFile
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
-from tests.daemon.simulated_skin import SimulatedSkin
+from tests.rig.simulated_skin import SimulatedSkin
 
 HELD = [3, 4]
 DAY_S = 86_400.0

@@ -3,7 +3,8 @@
 import os
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 
 import can
@@ -23,8 +24,9 @@ from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import Answer, HubLink, Phase, VirtualIhb
-from tests.daemon.given_device import GivenDevice
-from tests.virtual_hub import VirtualHub
+from tests.rig.clocks import until
+from tests.rig.given_device import GivenDevice
+from tests.rig.virtual_hub import VirtualHub
 
 SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 MODULES = wired(SKIN.uid.tolist())
@@ -39,15 +41,20 @@ def hub(tmp_path: Path) -> Iterator[VirtualHub]:
         yield made
 
 
-def scans_until(source: Source, serve, wanted: int) -> list[Scan]:  # type: ignore[no-untyped-def]
-    """Poll and let the hub work until so many scans have come."""
+def scans_until(source: Source, serve: Callable[[int], None], wanted: int) -> list[Scan]:
+    """Poll, and let the hub work, until so many scans have come."""
     scans: list[Scan] = []
-    deadline = time.monotonic() + DEADLINE_S
-    while len(scans) < wanted and time.monotonic() < deadline:
+
+    def poll() -> None:
         serve(len(scans))
-        scans += source.poll(time.monotonic())
-        time.sleep(0.002)
+        scans.extend(source.poll(time.monotonic()))
+
+    until(lambda: len(scans) >= wanted, poll)
     return scans
+
+
+def message(frame: Frame) -> can.Message:
+    return can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
 
 
 def counts(k: int) -> list[int]:
@@ -83,11 +90,10 @@ def test_the_native_serial_link_brings_the_skin_up() -> None:
     hub, requests = VirtualIhb(MODULES, phase=Phase.MODULES), SerialReader()
 
     def serve(k: int) -> None:
-        try:
-            data = os.read(master, 4096)
-        except BlockingIOError:
-            data = b""
-        answers = [a for packet in requests.feed(data, 0.0) for a in hub.answer(packet)]
+        answers: list[Answer] = []
+        with suppress(BlockingIOError):
+            heard = requests.feed(os.read(master, 4096), 0.0)
+            answers = [a for packet in heard for a in hub.answer(packet)]
         if hub.due(time.monotonic()):
             answers += hub.sensor_data(counts(k))
         for command, payload in answers:
@@ -116,21 +122,15 @@ def test_a_cold_hub_on_a_can_bus_is_led_out_of_its_bootloader_by_a_frame_of_29_b
 
         def serve(k: int) -> None:
             answers: list[Answer] = []
-            while message := bus.recv(0.0):
-                heard = Frame(
-                    0.0, message.arbitration_id, bytes(message.data), message.is_extended_id
-                )
+            while m := bus.recv(0.0):
+                heard = Frame(0.0, m.arbitration_id, bytes(m.data), m.is_extended_id)
                 request = link.feed(heard)
                 answers += [] if request is None else hub.answer(request)
             if hub.due(time.monotonic()):
                 answers += hub.sensor_data(counts(k))
             for command, payload in answers:
                 for frame in cyskin.to_frames(command, payload, ihb=hub.short_id):
-                    bus.send(
-                        can.Message(
-                            arbitration_id=frame.can_id, data=frame.data, is_extended_id=False
-                        )
-                    )
+                    bus.send(message(frame))
 
         assert hub.phase == Phase.BOOTLOADER
         scans = scans_until(source, serve, 2)
@@ -151,9 +151,7 @@ def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:
         bus.send(can.Message(arbitration_id=0x101, is_remote_frame=True, is_extended_id=False))
         for command, payload in hub.sensor_data(counts(3)):
             for frame in cyskin.to_frames(command, payload, ihb=1):
-                bus.send(
-                    can.Message(arbitration_id=frame.can_id, data=frame.data, is_extended_id=False)
-                )
+                bus.send(message(frame))
         (scan,) = source.poll(0.0)
     assert list(scan.counts) == counts(3)
     assert source.wire.stats()["unknown"] == 2

@@ -2,11 +2,9 @@
 
 import json
 import re
-import subprocess
-import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,8 +12,11 @@ from taxeld.cli import main
 from taxeld.commands.status import lines
 from taxeld.estimator.estimate import Status
 from taxeld.stream import client
-
-from .recorded import configuration, write_session
+from tests.rig import configurations
+from tests.rig.clocks import until
+from tests.rig.commands import refused
+from tests.rig.processes import taxeld
+from tests.rig.recorded import configuration, write_session
 
 
 @pytest.fixture(scope="module")
@@ -23,15 +24,10 @@ def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """The place of a daemon that replays a long session."""
     place = tmp_path_factory.mktemp("daemon")
     write_session(place, touches=40)
-    command = ["run", str(configuration(place)), "--histogram", str(place / "histogram.json")]
-    with subprocess.Popen([sys.executable, "-m", "taxeld.cli", *command]) as daemon:
+    with taxeld("run", configuration(place), "--histogram", place / "histogram.json") as daemon:
         try:
-            deadline = time.monotonic() + 60.0
-            while (
-                client.ask(f"ipc://{place}/control", "info", timeout_s=0.5) is None
-            ) or _contacts(place) < 1:
-                assert time.monotonic() < deadline, "the daemon does not answer"
-                time.sleep(0.1)
+            until(lambda: client.ask(f"ipc://{place}/control", "info", timeout_s=0.5))
+            until(lambda: _contacts(place))
             yield place
         finally:
             daemon.terminate()
@@ -98,31 +94,24 @@ def test_a_daemon_that_is_not_there_is_one_line_and_status_1(
         (["--endpoint", "tcp://robot:1", "--keys", "/nowhere"], "--keys: /nowhere/client.key_s"),
     ],
 )
-def test_a_wrong_endpoint_is_one_line_and_status_2(
-    capsys: pytest.CaptureFixture[str], arguments: list[str], line: str
-) -> None:
-    assert main(["status", *arguments]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith(line)
-    assert err.count("\n") == 1
+def test_a_wrong_endpoint_is_one_line_and_status_2(arguments: list[str], line: str) -> None:
+    assert refused("status", *arguments).startswith(line)
 
 
 def test_a_device_that_is_waited_for_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    config = tmp_path / "config.toml"
-    config.write_text(
-        f'[source]\nkind = "serial"\nchannel = "{tmp_path}/skin"\n[scene]\nbundle = "box"\n'
-        f'[publish]\nendpoints = []\n[control]\nendpoint = "ipc://{tmp_path}/control"\n',
-        encoding="utf-8",
-    )
-    with subprocess.Popen([sys.executable, "-m", "taxeld.cli", "run", str(config)]) as daemon:
+    source = {"kind": "serial", "channel": f"{tmp_path}/skin"}
+    config = configurations.configuration(tmp_path, source=source)
+
+    def retried() -> dict[str, Any] | None:
+        answer = client.ask(f"ipc://{tmp_path}/control", "status", timeout_s=5.0)
+        tried = answer and answer["health"].get("source", {}).get("unopened", 0)
+        return answer if tried and tried > 1 else None
+
+    with taxeld("run", config) as daemon:
         try:
-            deadline = time.monotonic() + 60.0
-            answer = None
-            while answer is None or answer["health"].get("source", {}).get("unopened", 0) < 2:
-                assert time.monotonic() < deadline
-                answer = client.ask(f"ipc://{tmp_path}/control", "status", timeout_s=5.0)
+            answer = until(retried)
             assert main(["status", str(config)]) == 0
         finally:
             daemon.terminate()

@@ -13,10 +13,10 @@ import zmq
 from taxeld.door.robot import as_pose
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.stream import client, messages
+from tests.rig.recorded import configuration, write_session
 
 from ..rig.stream_page import ROOT, Types, documented, leaves, section
 from .conftest import Sockets
-from .recorded import configuration, write_session
 
 EXAMPLE = ROOT / "examples" / "clients" / "subscribe.py"
 COMMANDS = ("status", "info", "tare", "reset")

@@ -18,7 +18,8 @@ from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream import link, pair
 
 from ..rig.clocks import until
-from ..rig.processes import free_port, python
+from ..rig.configurations import QUIET, configuration
+from ..rig.processes import free_port, python, taxeld
 from .stand import INFO, Stand
 
 
@@ -156,6 +157,36 @@ def test_the_kernel_limits_the_door_and_ends_it_first(tmp_path: Path) -> None:
         assert len(list((place / "task").iterdir())) < 8
 
 
+def test_where_memory_is_short_a_door_that_is_starting_goes_before_the_loop_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    starting = tmp_path / "python"
+    starting.write_text("#!/bin/sh\nexec sleep 60\n", encoding="ascii")
+    starting.chmod(0o755)
+    monkeypatch.setattr(sys, "executable", str(starting))
+    keeper = Doorkeeper(Settings((f"ipc://{tmp_path}/stream",), "", "", "", 1))
+    process = until(lambda: keeper._started).process
+    score = Path(f"/proc/{process.pid}/oom_score_adj").read_text(encoding="ascii")
+    keeper._stops.set()
+    process.kill()
+    keeper.close()
+    assert int(score) == OOM_SCORE
+
+
+GREEDY = """
+from taxeld.door import sandbox
+sandbox.limit()
+try:
+    held = [bytearray(1 << 20) for _ in range(4096)]
+except MemoryError:
+    print("no more", end="")
+"""
+
+
+def test_a_greedy_door_gets_no_more_memory_than_its_limit() -> None:
+    assert python(GREEDY).stdout == "no more"
+
+
 CONFINED = """
 import os, signal, socket, sys
 from pathlib import Path
@@ -192,3 +223,22 @@ def test_a_confined_door_reads_no_file_no_device_and_signals_nobody(tmp_path: Pa
     release = tuple(map(int, os.uname().release.split(".")[:2]))
     assert ports == "True" or release < (6, 7)
     assert signals == "True" or release < (6, 12)
+
+
+def test_the_loops_process_has_no_zeromq_and_no_peer(tmp_path: Path) -> None:
+    robot = {"endpoint": f"tcp://127.0.0.1:{free_port()}"}
+    path = configuration(tmp_path, source=QUIET, sensor_pose=robot)
+    environment = {k: v for k, v in os.environ.items() if k != "NOTIFY_SOCKET"}
+    with taxeld("run", path, stderr=subprocess.PIPE, env=environment) as loop:
+        assert loop.stderr is not None
+        while "ready: " not in loop.stderr.readline():
+            assert loop.poll() is None
+        place = Path(f"/proc/{loop.pid}")
+        mapped = (place / "maps").read_text(encoding="ascii")
+        links = [str(fd.readlink()) for fd in (place / "fd").iterdir()]
+        loop.terminate()
+        loop.communicate()
+    assert "libzmq" not in mapped
+    assert "_zmq" not in mapped
+    assert sum(link.startswith("socket:") for link in links) == 1, links
+    assert loop.returncode == 0

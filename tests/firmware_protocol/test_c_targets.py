@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conversations import load
+from tests.rig.conversations import load
 
 from .c_side import STRICT, C
 from .test_c_side import text_of_vectors

@@ -12,7 +12,7 @@ from taxeld_protocol.cyskin import Packet, Reassembler
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import listed
 from taxeld_protocol.virtual_ihb import HubLink, Phase, VirtualIhb
-from tests.conversations import FOLDER, Conversation, Line, hold_device, load, names
+from tests.rig.conversations import FOLDER, Conversation, Line, hold_device, load, names
 
 from .c_side import C, CSide, compile_c
 from .test_c_side import SANITIZED, c_side  # noqa: F401  (a fixture)

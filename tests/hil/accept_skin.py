@@ -15,7 +15,7 @@ import numpy as np
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, wired
-from tests.virtual_hub import VirtualHub
+from tests.rig.virtual_hub import VirtualHub
 
 LAYOUT = "cylinder:rows=2,columns=20,radius_m=0.06,pitch_m=0.015"  # four modules of ten taxels
 MODULES = tuple(wired([i // 10 + 1 << 4 | i % 10 + 1 for i in range(40)]))

@@ -20,7 +20,7 @@ from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.virtual_hub import told
+from tests.rig.virtual_hub import told
 
 DEMO = scenario.load("demo")
 SKIN = layouts.load(DEMO.layout)

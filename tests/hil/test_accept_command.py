@@ -16,7 +16,7 @@ from taxeld_hil import cli
 from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.modules import Module
 from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
-from tests.virtual_hub import VirtualHub
+from tests.rig.virtual_hub import VirtualHub
 
 from .accept_skin import (
     LAYOUT,

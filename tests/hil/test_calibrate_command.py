@@ -22,7 +22,8 @@ from taxeld.stream import messages
 from taxeld_hil.calibration import calibrate, guided
 from taxeld_hil.calibration.guided import Guided
 from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
-from tests.virtual_hub import VirtualHub
+from tests.rig.commands import refused
+from tests.rig.virtual_hub import VirtualHub
 
 OBJECT = [f"{value!r}" for value in PLACED.tolist()]
 DEADLINE_S = 120.0
@@ -100,12 +101,14 @@ def test_a_session_without_a_robot_or_without_rest_is_refused(
     bare.mkdir()
     for name in ("frames.log", "config.toml"):
         (bare / name).write_bytes((session / name).read_bytes())
-    assert main(["calibrate", str(bare), "--out", str(tmp_path / "c.toml")]) == 2
-    assert "sensor_pose.csv: is missing; a calibration needs" in capsys.readouterr().err
+    assert "sensor_pose.csv: is missing; a calibration needs" in refused(
+        "calibrate", bare, "--out", tmp_path / "c.toml"
+    )
     hasty = tmp_path / "hasty"
     write_session(hasty, replace(skin, sensor=skin.sensor[:2]), idle_s=4.0)
-    assert main(["calibrate", str(hasty), "--out", str(tmp_path / "c.toml")]) == 2
-    assert "and its noise takes 10; touch nothing in the first minute" in capsys.readouterr().err
+    assert "and its noise takes 10; touch nothing in the first minute" in refused(
+        "calibrate", hasty, "--out", tmp_path / "c.toml"
+    )
     few = tmp_path / "few"
     write_session(few, replace(skin, sensor=skin.sensor[:2]), idle_s=12.0)
     assert (

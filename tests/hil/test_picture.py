@@ -20,6 +20,7 @@ from taxeld.estimator.estimate import Estimate, Status
 from taxeld_hil.cli import main
 from taxeld_hil.run import draw
 from taxeld_hil.run.draw import DrawnScan, four
+from tests.rig.commands import refused
 
 SESSION = Path(__file__).parents[1] / "daemon" / "session"  # four contacts of a mug
 
@@ -72,14 +73,11 @@ def test_the_four_moments_are_no_touch_the_first_the_last_doubt_and_the_object_f
 
 
 def test_a_session_whose_object_is_not_found_is_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(draw, "four", lambda _: {})
     out = tmp_path / "x.png"
-    assert main(["draw", str(SESSION), "--moments", "--out", str(out)]) == 2
-    said = capsys.readouterr().err
-    assert "is not found by touch" in said
-    assert said.count("\n") == 1
+    assert "is not found by touch" in refused("draw", SESSION, "--moments", "--out", out, main=main)
     assert not out.exists()
 
 

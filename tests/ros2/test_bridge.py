@@ -18,9 +18,12 @@ pytest.importorskip("cyclonedds")
 from taxeld.view import ros
 from taxeld_ros2 import cli
 from taxeld_ros2.dds import LATCHED, RELIABLE, Participant, taken
-from tests import logged as logged_as
+from tests.rig import logged as logged_as
+from tests.rig.clocks import PATIENCE_S, until
+from tests.rig.commands import refused
+from tests.rig.configurations import configuration
 
-from .loopback import DOMAIN, ENVIRONMENT, PATIENCE_S, Daemon, Robot, bridge, running, until
+from .loopback import DOMAIN, ENVIRONMENT, Daemon, Robot, bridge, running
 
 HANGING = """
 import pathlib, sys, threading
@@ -274,36 +277,22 @@ STREAM = ("--stream", "ipc:///tmp/x")
     ],
 )
 def test_settings_that_cannot_be_bridged_are_one_line_that_names_them(
-    arguments: tuple[str, ...],
-    fault: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    arguments: tuple[str, ...], fault: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CYCLONEDDS_URI", ENVIRONMENT["CYCLONEDDS_URI"])
-    assert cli.main(list(arguments)) == 2
-    said = capsys.readouterr().err
-    assert said.startswith(fault)
-    assert said.count("\n") == 1
+    assert refused(*arguments, main=cli.main).startswith(fault)
 
 
-def test_a_domain_that_dds_does_not_have_is_one_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_domain_that_dds_does_not_have_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "233")
-    assert cli.main(list(STREAM)) == 2
-    assert capsys.readouterr().err == "ROS_DOMAIN_ID: must be 0..232, not '233'\n"
+    assert refused(*STREAM, main=cli.main) == "ROS_DOMAIN_ID: must be 0..232, not '233'\n"
 
 
 @pytest.mark.parametrize(("sensor", "frame"), [("tcp://127.0.0.1:9874", "world"), ("", "sensor")])
 def test_the_daemons_configuration_says_where_it_publishes_and_expects_the_robot(
     tmp_path: Path, sensor: str, frame: str
 ) -> None:
-    path = tmp_path / "can0.toml"
-    path.write_text(
-        '[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n'
-        f'[sensor_pose]\nendpoint = "{sensor}"\n'
-        f'[publish]\nendpoints = ["ipc://{tmp_path}/stream"]\n'
-    )
+    path = configuration(tmp_path, sensor_pose={"endpoint": sensor})
     settings = cli.settings_of(cli._parser().parse_args([str(path)]), cli.load(path))
     assert settings.stream == f"ipc://{tmp_path}/stream"
     assert (settings.sensor_endpoint, settings.frame) == (sensor, frame)

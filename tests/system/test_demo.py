@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from ..rig.commands import printed
 from ..rig.processes import replayed
 
 SCENARIO = 'bundle = "box"\ncontacts = 2\n'
@@ -46,10 +47,7 @@ def test_a_replay_gives_the_same_bytes_twice(ran: tuple[Path, str]) -> None:
 
 def test_decode_accounts_for_every_frame_of_the_session(ran: tuple[Path, str]) -> None:
     log = ran[0] / "frames.log"
-    done = subprocess.run(
-        [sys.executable, "-m", "taxeld.cli", "decode", str(log)], capture_output=True, check=True
-    )
-    *scans, last = map(json.loads, done.stdout.splitlines())
+    *scans, last = map(json.loads, printed("decode", log).splitlines())
     stats = last["stats"]
     assert stats["frames"] == len(log.read_text(encoding="ascii").splitlines())
     assert stats["frames"] == stats["used"] + sum(stats["dropped"].values()) + stats["pending"]

@@ -2,7 +2,6 @@
 
 import argparse
 import shlex
-import subprocess
 import sys
 import tomllib
 from importlib import import_module
@@ -12,7 +11,8 @@ import pytest
 from deploy import manuals
 
 from taxeld import __version__, command_line
-from taxeld import cli as taxeld_cli
+from tests.rig.commands import refused
+from tests.rig.processes import python
 
 ROOT = Path(__file__).parents[2]
 PROGRAMS = {program: import_module(module) for program, module in manuals.PROGRAMS.items()}
@@ -45,17 +45,15 @@ def test_help_and_version_import_nothing_that_is_slow(program: str, option: str)
         f"try: main([{option!r}])\nexcept SystemExit: pass\n"
         "print(*sorted(sys.modules), file=sys.stderr)"
     )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    ran = python(code)
     loaded = {name.split(".")[0] for name in ran.stderr.split()}
     assert loaded & HEAVY == set()
     assert "argparse" in loaded
 
 
-def test_a_command_that_is_gone_says_what_replaced_it(capsys: pytest.CaptureFixture[str]) -> None:
-    assert taxeld_cli.main(["relay", "can0.toml"]) == command_line.USAGE_ERROR
-    said = capsys.readouterr().err
+def test_a_command_that_is_gone_says_what_replaced_it() -> None:
+    said = refused("relay", "can0.toml")
     assert said.startswith("relay: is no command any more; 'taxeld run' serves relay.publish")
-    assert said.count("\n") == 1
 
 
 @pytest.mark.parametrize(("program", "name", "parser"), ALL, ids=NAMES)
@@ -125,14 +123,7 @@ def test_a_missing_extra_is_one_line_that_names_the_command_that_installs_it(
         f"from {PROGRAMS[program].__name__} import main\n"
         f"sys.exit(main({typed!r}))"
     )
-    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    ran = python(code, check=False)
     assert ran.returncode == 2
     assert ran.stderr.count("\n") == 1
     assert ran.stderr.endswith(f"{sys.executable} -m pip install 'taxeld[{extra}]'\n")
-
-
-def test_watch_of_an_endpoint_that_is_none_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert PROGRAMS["taxeld-hil"].main(["watch", "--endpoint", "foo", "--bundle", "box"]) == 2
-    said = capsys.readouterr().err
-    assert said.startswith("--endpoint: 'foo' is no endpoint; use ipc:///path")
-    assert said.count("\n") == 1

@@ -23,7 +23,8 @@ sys.path.insert(0, str(ROOT))
 from taxeld.layout import read as layouts  # noqa: E402
 from taxeld.stream import client  # noqa: E402
 from taxeld_protocol.modules import wired  # noqa: E402
-from tests.virtual_hub import VirtualHub  # noqa: E402
+from tests.rig.processes import door_of, replayed  # noqa: E402
+from tests.rig.virtual_hub import VirtualHub  # noqa: E402
 
 SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 IDLE_SCANS = 30  # the baseline takes 20
@@ -108,12 +109,7 @@ class Touched:
 
     def door(self) -> int:
         """The number of its process; 0: it is not there."""
-        for children in Path(f"/proc/{self.pid}/task").glob("*/children"):
-            with contextlib.suppress(OSError):
-                for number in children.read_text(encoding="ascii").split():
-                    if b"taxeld.door" in Path(f"/proc/{number}/cmdline").read_bytes():
-                        return int(number)
-        return 0
+        return door_of(self.pid)
 
     def kill_door(self) -> bool:
         """Whether there was one."""
@@ -147,9 +143,7 @@ class Touched:
 
     def replay(self) -> list[dict[str, Any]]:
         """An estimate for each scan of the recording."""
-        command = [sys.executable, "-m", "taxeld.cli", "replay", str(self.session)]
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-        return [json.loads(line) for line in done.stdout.splitlines()]
+        return [json.loads(line) for line in replayed(self.session).splitlines()]
 
     def close(self) -> None:
         for process in (self._loop, self._skin):

@@ -19,6 +19,7 @@ from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.objects.setting import Setting, ring
 from taxeld_training.samplers import costs, trained
 from taxeld_training.samplers import evaluate as samplers
+from tests.rig.commands import refused
 
 from .rig import evaluate, rows, written_at
 
@@ -134,13 +135,10 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
     ],
 )
 def test_what_there_is_not_is_refused_in_one_line_that_says_what_there_is(
-    arguments: str, fault: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    arguments: str, fault: str, tmp_path: Path
 ) -> None:
     place = ["--out", str(tmp_path), "--memory", str(tmp_path), "--workers", "1"]
-    assert main(["evaluate", *arguments.split(" "), *place]) == 2
-    error = capsys.readouterr().err
-    assert fault in error
-    assert error.count("\n") == 1
+    assert fault in refused("evaluate", *arguments.split(" "), *place, main=main)
 
 
 def test_samplers_are_measured_on_the_touches_of_trials_under_chosen_conditions(

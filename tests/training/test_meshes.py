@@ -17,6 +17,7 @@ from taxeld_training.cli import main
 from taxeld_training.objects import meshes, scenes
 from taxeld_training.objects.doubts import TURNS, doubts
 from taxeld_training.objects.setting import HEIGHT_M, OBJECTS
+from tests.rig.commands import refused
 
 from .rig import PAPER_RING, THREE_ROWS, can, handle
 
@@ -236,17 +237,11 @@ def test_the_scene_command_prints_a_report(
     assert "grid        " in report
 
 
-def test_the_scene_command_refuses_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_scene_command_refuses_in_one_line(tmp_path: Path) -> None:
     path = tmp_path / "half.stl"
     without(half).export(path)
     for arguments in ([str(path)], ["sofa"], ["025_mug", "--height-m", "3"]):
-        assert main(["scene", *arguments]) == 2
-        out, err = capsys.readouterr()
-        assert out == ""
-        assert err.startswith("taxeld-train: ")
-        assert err.count("\n") == 1
+        assert refused("scene", *arguments, main=main).startswith("taxeld-train: ")
 
 
 @functools.cache

@@ -38,12 +38,12 @@ from taxeld.source import session
 from taxeld.stream import curve, messages
 from taxeld_hil.scenario import scenario
 
-from .daemon.log_writers import bus, candump_log
-from .daemon.simulated_skin import SimulatedSkin
-from .daemon.test_layout_files import document
-from .daemon.test_layout_icub import icub_rows, icub_text
+from ..daemon.test_layout_files import document
+from ..daemon.test_layout_icub import icub_rows, icub_text
+from .log_writers import bus, candump_log
+from .simulated_skin import SimulatedSkin
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 RECORDED = ROOT / "tests" / "daemon" / "session"
 SHIPPED = bundle.find("box")
 NOWHERE = Path("bundle")

@@ -49,6 +49,12 @@ class VirtualHub:
     def __exit__(self, *_: object) -> None:
         self.unplug()
 
+    @property
+    def source(self) -> dict[str, str]:
+        """The table of a configuration of a daemon on this hub."""
+        kind = {"kind": "serial"} if self.native else {"kind": "can", "interface": "slcan"}
+        return kind | {"channel": self.device}
+
     def unplug(self) -> None:
         """Take the device away at once, and its power."""
         self.port.close()

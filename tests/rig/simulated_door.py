@@ -11,7 +11,7 @@ import msgpack
 from taxeld.stream import pair
 from taxeld.stream.link import Report
 from taxeld.stream.pair import Kind
-from tests.daemon.simulated_world import World
+from tests.rig.simulated_world import World
 
 START_S, SLOW_S = 0.15, 0.1  # until it is ready, and between packets that a slow one reads
 

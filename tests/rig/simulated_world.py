@@ -14,7 +14,7 @@ from taxeld.source.device import AwayError, LostError
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.memory import MemoryDevice, MemoryLine
 from taxeld_hil.scenario.scenario import Fault, Scenario
-from tests.daemon.fake_threads import Threads
+from tests.rig.fake_threads import Threads
 
 STEP_S, WORK_S = 0.005, 0.00002  # of the world, and of a pass of the loop at least
 CALM_S, NO_DOOR_S = 3.0, 6.5  # after the last fault, and after one of a door's start

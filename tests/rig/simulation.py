@@ -34,8 +34,8 @@ from taxeld.stream import messages, pair
 from taxeld.stream.link import Link
 from taxeld.stream.pair import Kind
 from taxeld_hil.grade.reconcile import laws
-from tests.daemon.simulated_door import SimulatedDoor
-from tests.daemon.simulated_world import (
+from tests.rig.simulated_door import SimulatedDoor
+from tests.rig.simulated_world import (
     DISK,
     DOOR,
     NO_DOOR,

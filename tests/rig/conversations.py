@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 from taxeld_protocol.frames import Frame, parse_log_line
 
-FOLDER = Path(__file__).parents[1] / "firmware_protocol" / "vectors" / "conversations"
+FOLDER = Path(__file__).parents[2] / "firmware_protocol" / "vectors" / "conversations"
 TICK_S = 0.01
 PATIENCE_S = 30.0  # of a host, on its own clock
 

@@ -11,8 +11,11 @@ from taxeld_protocol import cyskin
 from taxeld_protocol.frames import format_log_line
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
+from tests.rig.configurations import Table
 from tests.rig.configurations import configuration as of_daemon
-from tests.virtual_hub import told
+from tests.rig.virtual_hub import told
+
+from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
 
 PERIOD_S = 0.05
 IDLE_SCANS = 25  # the baseline takes 20
@@ -44,6 +47,24 @@ def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S) -> 
         counts[DEAD] = 0.0
         log(ihb.sensor_data(counts.astype(int).tolist()), t)
     (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def write_golden(place: Path) -> None:
+    """`frames.log` in `place`: the documented scan of one module, which does not tell its name."""
+    lines = [f"(1.000000) can0 {line}" for line in GOLDEN_SCAN]
+    (place / "frames.log").write_text("\n".join(lines) + "\n", encoding="ascii")
+
+
+def golden(place: Path, **tables: Table) -> Path:
+    """The configuration of a daemon that replays `write_golden` and serves nobody; `tables`: more
+    keys."""
+    whole: dict[str, Table] = {
+        "source": {"kind": "replay", "path": place, "modules": [[1, 0xFFF]]},
+        "publish": {"endpoints": []},
+        "control": {"endpoint": ""},
+    }
+    more = {name: {**whole.get(name, {}), **keys} for name, keys in tables.items()}
+    return of_daemon(place, **whole | more)
 
 
 def configuration(place: Path, more: str = "") -> Path:
