@@ -218,9 +218,12 @@ def test_the_file_of_a_very_large_skin_is_small() -> None:
 
 def test_writing_is_seldom_and_waits_for_the_end_of_a_touch(skin: Layout, tmp_path: Path) -> None:
     simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
-    kept = StateFile(tmp_path, subject, subject.state)
     offered: list[float] = []
-    kept._offer = lambda state: offered.append(-1.0 if state is None else state.t)  # type: ignore[method-assign]
+
+    def state() -> None:
+        offered.append(state_of(subject).t)
+
+    kept = StateFile(tmp_path, subject, state)
     for k in range(20 * 700):
         simulated.press[3] = 5_000.0 if 250.0 < 0.05 * k < 320.0 else 0.0
         subject.on_scan(simulated.scan())

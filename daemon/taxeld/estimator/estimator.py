@@ -114,10 +114,6 @@ class Estimator:
             self._conclude(observation, samples)
         return samples > 0
 
-    def figures(self) -> dict[str, float]:
-        """Measured exactness of the contacts: the slack that they need."""
-        return {"slack": self.rule.slack}
-
     @property
     def _believed(self) -> Poses:
         """(N, 3) poses of the modes, the best first."""

@@ -52,10 +52,6 @@ class Mixture:
         self._revisits = 0  # second opinions since the last contact
         self._fitted = 0  # number of the contact after which the slack was fitted
 
-    @property
-    def slack(self) -> float:
-        return self.memory.slack.scale
-
     def follow(self, before: Observation, after: Observation) -> None:
         """Replace the memory by a prior: its scans were taken where the object no longer is."""
         belief, metric = self.belief, self.confidence.metric

@@ -32,10 +32,6 @@ class Paper:
         self.counters = EstimatorCounters()
 
     @property
-    def slack(self) -> float:
-        return 0.0  # the paper takes poses for exact
-
-    @property
     def is_open(self) -> bool:
         return False  # nothing is remembered
 

@@ -39,11 +39,6 @@ class Rule(Protocol):
     counters: EstimatorCounters
 
     @property
-    def slack(self) -> float:
-        """How far scans are off, as a factor on the configured slack."""
-        ...
-
-    @property
     def is_open(self) -> bool:
         """Whether `revisit` may find anything."""
         ...
