@@ -171,30 +171,21 @@ def test_check_refuses_what_run_would_refuse(
     assert main(["check", str(path)]) == 0
 
 
-def test_a_recorded_session_has_the_calibration_beside_its_configuration(
-    skin: Layout, tmp_path: Path
+@pytest.mark.parametrize(
+    ("named", "kept"), [("c.toml", ["c.toml"]), ("../c.toml", [])], ids=["beside", "elsewhere"]
+)
+def test_a_session_keeps_the_calibration_that_lies_beside_its_configuration(
+    skin: Layout, tmp_path: Path, named: str, kept: list[str]
 ) -> None:
-    place = tmp_path / "robot"
+    place, session = tmp_path / "robot", tmp_path / "session"
     place.mkdir()
-    source = written(skin, place / "c.toml", of(skin))
-    config = configured(place, "c.toml")
-    session = tmp_path / "session"
+    source = written(skin, place / named, of(skin))
+    config = configured(place, named)
     calibration = Path(load(config).skin.calibration)
     with Recorder(session, moves=False, config=config, calibration=calibration) as recorder:
         recorder.take(Frame(NOW, 0x100, b"\x00" * 8))
-    assert (session / "c.toml").read_bytes() == source.read_bytes()
-    assert load(session / "config.toml").skin.calibration == str(session / "c.toml")
-
-
-def test_a_calibration_elsewhere_is_not_copied(skin: Layout, tmp_path: Path) -> None:
-    place = tmp_path / "robot"
-    place.mkdir()
-    written(skin, tmp_path / "c.toml", of(skin))
-    config = configured(place, "../c.toml")
-    session = tmp_path / "session"
-    calibration = Path(load(config).skin.calibration)
-    with Recorder(session, moves=False, config=config, calibration=calibration) as recorder:
-        recorder.take(Frame(NOW, 0x100, b"\x00" * 8))
-    assert sorted(p.name for p in session.iterdir()) == [
-        "config.toml", "frames.log", "session.toml",
-    ]  # fmt: skip
+    files = [*kept, "config.toml", "frames.log", "session.toml"]
+    assert sorted(path.name for path in session.iterdir()) == files
+    for name in kept:
+        assert (session / name).read_bytes() == source.read_bytes()
+        assert load(session / "config.toml").skin.calibration == str(session / name)

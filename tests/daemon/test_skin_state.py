@@ -122,18 +122,12 @@ def text_of(skin: Layout, at: float, /, **changes: object) -> bytes:
 
 FAULTS: list[tuple[str, Callable[[Layout, float], bytes], str]] = [
     ("empty", lambda _s, _t: b"", "it is damaged"),
-    ("garbage", lambda _s, _t: bytes(range(256)), "it is damaged"),
     ("torn", lambda s, t: text_of(s, t)[:200], "it is damaged"),
     ("deep", lambda _s, _t: b"[" * 100_000, "it is damaged"),
-    ("a list", lambda _s, _t: b"[1, 2]", "it is damaged"),
     ("version", lambda s, t: text_of(s, t, version=2), "it is of another skin or version"),
     ("skin", lambda s, t: text_of(s, t, digest="0" * 16), "it is of another skin or version"),
     ("time", lambda s, t: text_of(s, t, t=float("nan")), "it is nan h old"),
-    ("far", lambda s, t: text_of(s, t, t=10**400), "it is damaged"),
-    ("digits", lambda _s, _t: b'{"version": 1, "t": ' + b"9" * 5000 + b"}", "it is damaged"),
     ("count", lambda s, t: text_of(s, t, baseline=[10**400] * 32), "it is damaged"),
-    ("nested", lambda _s, _t: b'{"version": ' + b"[" * 400 + b"]" * 400 + b"}", "it is damaged"),
-    ("text", lambda s, t: text_of(s, t, noise=["one"] * 32), "it is damaged"),
     ("short", lambda s, t: text_of(s, t, noise=[1.0] * 31), "it is damaged"),
     ("range", lambda s, t: text_of(s, t, leak=[7.0] * 4), "it is damaged"),
     ("gap", lambda s, t: text_of(s, t, coefficient=[None] * 4), "it is damaged"),
