@@ -24,8 +24,10 @@ _ROOT = logging.getLogger("taxeld")
 class _Marked(logging.Formatter):
     """A mark for the level stands before each line of a record, and another one behind it."""
 
-    def __init__(self, marks: Mapping[str, str], end: str = "", *form: str) -> None:
-        super().__init__(*form)
+    def __init__(
+        self, marks: Mapping[str, str], end: str = "", text: str | None = None, time: str = ""
+    ) -> None:
+        super().__init__(text, time)
         self._marks, self._end = marks, end
 
     def format(self, record: logging.LogRecord) -> str:
