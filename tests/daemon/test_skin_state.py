@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig
-from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.service import state_file
 from taxeld.service.state_file import NAME, StateFile
@@ -200,14 +199,6 @@ def test_what_is_kept_is_what_is_restored(skin: Layout, tmp_path: Path) -> None:
 def test_any_bytes_are_a_state_or_a_reason(text: bytes) -> None:
     with pytest.raises(ValueError, match=r"^it"):
         state_file.parse(text, "0" * 16, 3, 1)
-
-
-def test_the_file_of_a_very_large_skin_is_small() -> None:
-    large = layouts.load("wrap:modules=62,radius_m=0.3,rows=4")
-    simulated, subject = SimulatedSkin(large), Skin(large, SkinConfig())
-    simulated.run(subject, 2.0)
-    assert len(large) == 2480
-    assert len(state_file.dump(state_of(subject))) < 50_000
 
 
 def test_writing_is_seldom_and_waits_for_the_end_of_a_touch(skin: Layout, tmp_path: Path) -> None:
