@@ -19,6 +19,7 @@ from taxeld.skin import state
 from taxeld.skin.calibration import DAY_S, Calibration
 from taxeld.source.recorder import Recorder
 from taxeld_protocol.frames import Frame
+from tests.rig.configurations import QUIET, configuration
 
 NOW = 1_760_000_000.0
 OTHER = "cylinder:rows=5,columns=14,radius_m=0.04,pitch_m=0.015"
@@ -43,14 +44,16 @@ def written(skin: Layout, place: Path, calibration: Calibration) -> Path:
     return place
 
 
-def config_of(path: Path) -> SkinConfig:
-    return SkinConfig(calibration=str(path))
+def loaded(path: Path, skin: Layout, now: float = NOW, *, recorded: bool = False) -> Calibration:
+    config = SkinConfig(calibration=str(path))
+    found = calibration_file.load(config, skin, now, recorded=recorded)
+    assert found is not None
+    return found
 
 
 def test_what_is_written_is_read(skin: Layout, tmp_path: Path) -> None:
     before = of(skin)
-    after = calibration_file.load(config_of(written(skin, tmp_path / "c", before)), skin, NOW)
-    assert after is not None
+    after = loaded(written(skin, tmp_path / "c", before), skin)
     for name in Calibration.__dataclass_fields__:
         expected = getattr(before, name)
         if isinstance(expected, np.ndarray):
@@ -101,7 +104,7 @@ def test_a_damaged_file_is_refused_in_one_line_with_the_cure(
     path = tmp_path / "c.toml"
     path.write_text(damage(calibration_file.dump(of(skin), skin)), encoding="utf-8")
     with pytest.raises(SetupError) as error:
-        calibration_file.load(config_of(path), skin, NOW)
+        loaded(path, skin)
     message = str(error.value)
     assert message.startswith("skin.calibration: c.toml")
     assert what in message
@@ -113,7 +116,7 @@ def test_a_file_that_is_missing_or_no_text_is_refused(skin: Layout, tmp_path: Pa
     (tmp_path / "noise").write_bytes(bytes(range(256)))
     for name, what in (("nothing", "unreadable"), (".", "no regular"), ("noise", "unreadable")):
         with pytest.raises(SetupError, match=r"^skin\.calibration: ") as error:
-            calibration_file.load(config_of(tmp_path / name), skin, NOW)
+            loaded(tmp_path / name, skin)
         assert what in str(error.value)
 
 
@@ -121,31 +124,23 @@ def test_a_calibration_of_another_layout_is_refused_by_name(skin: Layout, tmp_pa
     other = layouts.load(OTHER)
     path = written(other, tmp_path / "c.toml", of(other))
     with pytest.raises(SetupError, match="is of another layout") as error:
-        calibration_file.load(config_of(path), skin, NOW)
+        loaded(path, skin)
     assert state.digest(other) in str(error.value)
     assert skin.name in str(error.value)
 
 
 def test_an_old_calibration_is_refused_with_its_age(skin: Layout, tmp_path: Path) -> None:
     path = written(skin, tmp_path / "c.toml", of(skin))
-    config = config_of(path)
-    assert calibration_file.load(config, skin, NOW + 179 * DAY_S) is not None
+    loaded(path, skin, NOW + 179 * DAY_S)
     with pytest.raises(SetupError, match=r"is 181 days old, more than 180"):
-        calibration_file.load(config, skin, NOW + 181 * DAY_S)
+        loaded(path, skin, NOW + 181 * DAY_S)
     with pytest.raises(SetupError, match="from 3 days ahead; set this machine's clock"):
-        calibration_file.load(config, skin, NOW - 3 * DAY_S)
-    assert calibration_file.load(config, skin, NOW - 3 * DAY_S, recorded=True) is not None
+        loaded(path, skin, NOW - 3 * DAY_S)
+    loaded(path, skin, NOW - 3 * DAY_S, recorded=True)
 
 
 def configured(place: Path, named: str) -> Path:
-    path = place / "config.toml"
-    path.write_text(
-        f'[skin]\ncalibration = "{named}"\n[source]\nkind = "can"\nchannel = "can0"\n'
-        f'interface = "virtual"\n[scene]\nbundle = "box"\n[publish]\n'
-        f'endpoints = ["ipc://{place}/s"]\n[control]\nendpoint = "ipc://{place}/c"\n',
-        encoding="utf-8",
-    )
-    return path
+    return configuration(place, skin={"calibration": named}, source=QUIET)
 
 
 def test_the_path_is_relative_to_the_configuration(skin: Layout, tmp_path: Path) -> None:
@@ -171,30 +166,21 @@ def test_check_refuses_what_run_would_refuse(
     assert main(["check", str(path)]) == 0
 
 
-def test_a_recorded_session_has_the_calibration_beside_its_configuration(
-    skin: Layout, tmp_path: Path
+@pytest.mark.parametrize(
+    ("named", "kept"), [("c.toml", ["c.toml"]), ("../c.toml", [])], ids=["beside", "elsewhere"]
+)
+def test_a_session_keeps_the_calibration_that_lies_beside_its_configuration(
+    skin: Layout, tmp_path: Path, named: str, kept: list[str]
 ) -> None:
-    place = tmp_path / "robot"
+    place, session = tmp_path / "robot", tmp_path / "session"
     place.mkdir()
-    source = written(skin, place / "c.toml", of(skin))
-    config = configured(place, "c.toml")
-    session = tmp_path / "session"
+    source = written(skin, place / named, of(skin))
+    config = configured(place, named)
     calibration = Path(load(config).skin.calibration)
     with Recorder(session, moves=False, config=config, calibration=calibration) as recorder:
         recorder.take(Frame(NOW, 0x100, b"\x00" * 8))
-    assert (session / "c.toml").read_bytes() == source.read_bytes()
-    assert load(session / "config.toml").skin.calibration == str(session / "c.toml")
-
-
-def test_a_calibration_elsewhere_is_not_copied(skin: Layout, tmp_path: Path) -> None:
-    place = tmp_path / "robot"
-    place.mkdir()
-    written(skin, tmp_path / "c.toml", of(skin))
-    config = configured(place, "../c.toml")
-    session = tmp_path / "session"
-    calibration = Path(load(config).skin.calibration)
-    with Recorder(session, moves=False, config=config, calibration=calibration) as recorder:
-        recorder.take(Frame(NOW, 0x100, b"\x00" * 8))
-    assert sorted(p.name for p in session.iterdir()) == [
-        "config.toml", "frames.log", "session.toml",
-    ]  # fmt: skip
+    files = [*kept, "config.toml", "frames.log", "session.toml"]
+    assert sorted(path.name for path in session.iterdir()) == files
+    for name in kept:
+        assert (session / name).read_bytes() == source.read_bytes()
+        assert load(session / "config.toml").skin.calibration == str(session / name)

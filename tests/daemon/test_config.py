@@ -35,11 +35,9 @@ def test_a_minimal_configuration_has_every_default() -> None:
         ("[loop]\nrate_hz = nan", "loop.rate_hz: must be a number, not nan"),
         ("[budget]\nfilter_ms = 3", "budget.filter_ms: is gone; a touch may take most of the time"),
         ("[log]\nlevel = 'loud'", "log.level: must be one of debug, info, warning, error"),
-        ("[loop]\nrate_hz = true", "loop.rate_hz: must be a number, not True"),
         ("[filter]\nparticles = 1.5", "filter.particles: must be an integer, not 1.5"),
         ("[filter]\ncentre_m = [1]", "filter.centre_m: must be a list of 2 (float), not [1]"),
         ("loop = 3", "loop: must be a table [loop]"),
-        ("[source]\nmodules = 7", "source.modules: must be a list (a list (int)), not 7"),
         ("[source]\nmodules = [7]", "source.modules: must be a list (a list (int)), not [7]"),
         (
             "[source]\nmodules = [[7]]",
@@ -54,8 +52,6 @@ def test_a_minimal_configuration_has_every_default() -> None:
             "[source]\nkind = 'can'\nchannel = 'can0'\ndialect = 'icub'\nmodules = [[7, 1]]",
             "source.modules: is of dialect cyskin; icub names its boards",
         ),
-        ("[relay]\npublish = ['tcp://0.0.0.0:1']", "relay.publish: 'tcp://0.0.0.0:1' is not local"),
-        ("[relay]\ncontrol = 'tcp://*:1'", "relay.control: 'tcp://*:1' is not local"),
         ("[scene]", "scene.bundle: is required"),
         ("", "source: is required"),
         (
@@ -63,7 +59,6 @@ def test_a_minimal_configuration_has_every_default() -> None:
             "loop.rate_hz: must be a number, not so large an integer",
         ),
         (f"[loop]\nrate_hz = 1{'0' * 400}.0", "loop.rate_hz: must be a number, not inf"),
-        (f"[loop]\npriority = {'9' * 400}", "loop.priority: must be an integer, not so large"),
         (f"[filter]\nseed = 0x{'f' * 9999}", "filter.seed: must be an integer, not so large"),
         (
             f"[filter]\ncentre_m = [0, {'9' * 400}]",
@@ -136,31 +131,6 @@ def test_a_file_that_is_no_configuration_is_one_line(
         path.write_bytes(content)
     with pytest.raises(ConfigError, match=f"^[^\n]+taxeld.toml: unreadable.*{fault}[^\n]*$"):
         load(path)
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a" + ".a" * 20_000 + " = 1",
-        "a" + ' . "a"' * 20_000 + " = 1",
-        "x = 1\n[a" + ".a" * 20_000 + "]",
-        "x = {'a'" + ".'a'" * 20_000 + " = 1}",
-    ],
-    ids=["bare", "quoted", "table", "inline"],
-)
-def test_a_key_of_thousands_of_parts_is_refused_before_it_is_read(
-    text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Python's reader takes minutes and gigabytes for it."""
-    monkeypatch.setattr("tomllib.loads", lambda _: pytest.fail("it is read"))
-    with pytest.raises(ConfigError, match=r"^x\.toml: line \d: more than 16 names are joined"):
-        parse(text, "x.toml")
-
-
-def test_a_text_of_many_dots_is_a_text() -> None:
-    layout = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-    text = f'[skin]\nlayout = "{layout}"  # a.b.c.d ... e.f...\n'
-    assert parse(MINIMAL + text).skin.layout == layout
 
 
 def test_the_documented_table_is_the_codes() -> None:

@@ -171,20 +171,18 @@ def test_without_live_taxels_it_is_blind(box_model: ObservationModel) -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_values_that_are_not_finite_are_counted(box_model: ObservationModel, bad: float) -> None:
+def test_values_that_are_not_finite_change_nothing(box_model: ObservationModel, bad: float) -> None:
     subject = estimator(box_model)
     z, live = np.zeros(32), np.ones(32, dtype=bool)
     z[3] = bad
     subject.on_scan(Activation(0.0, z, live), np.zeros(3))
     subject.on_scan(Activation(0.0, np.zeros(32), live), np.array([0.0, bad, 0.0]))
-    assert subject.counters.bad_input == 2
     assert np.isfinite(subject.rule.belief.pose).all()
 
 
 def test_by_the_papers_rule_nothing_is_remembered(box_model: ObservationModel) -> None:
     subject = estimator(box_model, injection="paper")
     approach(subject, box_model)
-    assert subject.counters.injections == 1
     assert len(subject.rule.belief) == 100
     assert not hasattr(subject.rule, "memory")
 
@@ -241,28 +239,27 @@ def test_scans_back_in_time_change_nothing(box_model: ObservationModel) -> None:
     subject = estimator(box_model)
     before = approach(subject, box_model)
     after = subject.on_scan(feel(box_model, press(0.01), 0.1), press(0.01))
-    assert subject.counters.back_in_time == 1
     assert np.array_equal(after.map, before.map)
     assert after.t == before.t
 
 
-def test_activations_beyond_their_range_are_clipped_and_counted(
-    box_model: ObservationModel,
-) -> None:
-    subject = estimator(box_model)
-    z = np.zeros(32)
-    z[:2] = 7.0, -1.0
-    for t in (0.0, 0.05):
-        subject.on_scan(Activation(t, z, np.ones(32, dtype=bool)), np.zeros(3))
-    assert subject.counters.out_of_range == 2
-    assert subject.counters.injections == 1
+def test_activations_beyond_their_range_are_clipped(box_model: ObservationModel) -> None:
+    found = []
+    for values in ((7.0, -1.0), (1.0, 0.0)):
+        subject = estimator(box_model)
+        z = np.zeros(32)
+        z[:2] = values
+        for t in (0.0, 0.05):
+            estimate = subject.on_scan(Activation(t, z, np.ones(32, dtype=bool)), np.zeros(3))
+        found.append(messages_of(estimate))
+    assert estimate.contacts == 1
+    assert found[0] == found[1]
 
 
 def test_a_belief_that_becomes_impossible_begins_anew(box_model: ObservationModel) -> None:
     _, subject = settled(box_model)
     subject.rule.belief.log_weight[:] = -np.inf
     subject.on_scan(feel(box_model, press(0.2), 100.0), press(0.2))
-    assert subject.counters.rule.impossible == 1
     assert np.isclose(subject.rule.belief.weight.sum(), 1.0)
 
 
@@ -274,7 +271,6 @@ def test_a_belief_that_a_touch_makes_impossible_begins_with_its_samples(
     world.feel(subject, box_side(box_model, 1.3, -0.02))  # the belief is uniform now
     subject.rule.belief.log_weight[:] = -np.inf
     world.press(subject, 1.3)
-    assert subject.counters.rule.impossible == 2
     assert np.isclose(subject.rule.belief.weight.sum(), 1.0)
     near = subject.rule.confidence.metric.distance(subject.rule.belief.pose, TRUTH) < 0.02
     assert near.mean() > 0.9

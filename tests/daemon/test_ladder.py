@@ -1,7 +1,7 @@
 """Samples are saved where touches take longer than they have, one rung of the ladder at a time."""
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from itertools import chain, count, repeat
 
 import numpy as np
@@ -66,7 +66,6 @@ def test_touches_that_repeatedly_do_not_fit_take_it_down_by_one_rung(ladder: Lad
         ("table", 40, Step.TABLE),
     ]  # fmt: skip
     assert served(ladder) == found[-1], "the last rung serves whatever it takes"
-    assert asdict(ladder.counters) == {"chosen": 1, "cheaper": 1, "fewer": 1, "table": 2}
 
 
 def test_now_and_then_a_touch_may_take_longer(ladder: Ladder) -> None:
@@ -103,7 +102,6 @@ def test_a_rung_on_which_touches_do_not_fit_is_passed_over_at_start(
 
     warm_up(box.model, ladder, FilterConfig(), clock().__next__, 10.0)
     assert ladder.rung.step is step
-    assert sum(asdict(ladder.counters).values()) == 0, "calls of the warm-up do not count"
 
 
 def test_a_warm_up_leaves_no_trace_in_the_belief(box: Bundle) -> None:

@@ -3,7 +3,8 @@
 import numpy as np
 
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.intake import EstimatorCounters, Intake
+from taxeld.estimator.intake import Intake
+from taxeld.estimator.rule import EstimatorCounters
 from taxeld.layout.layout import Layout
 from taxeld.model.activation import Activation
 from taxeld.model.leak import CROSS_TALK, SAG, Leak

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from taxeld.config.file import parse
+from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
@@ -21,6 +21,7 @@ from taxeld.service import log
 from taxeld.service.notices import Notices, Ration
 from taxeld.skin.channels import Wiring
 from taxeld_protocol.modules import wired
+from tests.rig.configurations import config
 from tests.rig.logged import messages
 from tests.rig.recorded import configuration, write_session
 from tests.rig.simulated_skin import SimulatedSkin
@@ -71,8 +72,7 @@ def logged(caplog: pytest.LogCaptureFixture) -> Iterator[Callable[[], list[str]]
 
 @pytest.fixture
 def estimate(disc_model: ObservationModel) -> Estimate:
-    config = parse('[source]\nkind = "can"\nchannel = "x"\n[scene]\nbundle = "box"\n')
-    first = Estimator(disc_model, Projection(disc_model), config.filter).estimate
+    first = Estimator(disc_model, Projection(disc_model), FilterConfig()).estimate
     return replace(first, status=Status.SEARCHING)
 
 
@@ -122,10 +122,9 @@ def test_what_is_wrong_with_poses_is_logged_once_and_so_is_its_end(
 def hub_of(modules: int) -> tuple[Pipeline, SimulatedSkin]:
     """A pipeline for the layout of eight modules, and a skin whose hub has so many of them."""
     whole = layouts.load(SPEC)
-    config = parse('[source]\nkind = "can"\nchannel = "x"\n[scene]\nbundle = "box"\n')
     loaded = bundle.load("box", whole, 0.005)
     skin = SimulatedSkin(whole, noise=5.0)
-    pipeline = Pipeline(config, loaded.model, loaded.untimed(config.filter))
+    pipeline = Pipeline(config(), loaded.model, loaded.untimed(FilterConfig()))
     table = wired(whole.uid.tolist())[:modules]
     counts = sum(module.channels for module in table)
     for _ in range(30):
@@ -173,8 +172,8 @@ def test_a_daemon_says_when_it_is_ready_with_what(
     from taxeld.cli import main  # noqa: PLC0415
 
     write_session(tmp_path, touches=1, period_s=0.02)
-    config = str(configuration(tmp_path))
-    assert main(["run", config]) == 0
+    named = str(configuration(tmp_path))
+    assert main(["run", named]) == 0
     lines = capfd.readouterr().err.splitlines()
     assert "ready: skin cylinder:rows=5" in lines[0]
     assert "80 taxels; object 003_cracker_box; samples by " in lines[0]
@@ -182,7 +181,7 @@ def test_a_daemon_says_when_it_is_ready_with_what(
     assert f"streams at ipc://{tmp_path}/stream; control at ipc://{tmp_path}/control" in lines[0]
     assert any(line.endswith("hub 1 sends: 8 modules, 8 of them in the layout") for line in lines)
     before = logging.getLogger("taxeld").level
-    assert main(["run", "--log-level", "error", config]) == 0
+    assert main(["run", "--log-level", "error", named]) == 0
     assert capfd.readouterr().err == ""
     assert logging.getLogger("taxeld").level == before
 

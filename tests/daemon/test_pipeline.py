@@ -261,7 +261,6 @@ def test_a_clock_that_is_set_costs_nothing_but_the_poses_before(
     found += taken(pipeline, [(t + by, _later(event, by)) for t, event in events if t >= at])
     found += pipeline.flush()
     assert pipeline.inputs.clock_steps == 1
-    assert pipeline.estimator.counters.back_in_time == 0
     assert pipeline.skin.counters.scans == len(found) == 80
     whole = pipeline_of(box, ROBOT)
     same = [*taken(whole, events), *whole.flush()]

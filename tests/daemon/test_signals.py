@@ -8,15 +8,16 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from taxeld.service.signals import Signals
+from tests.rig.clocks import until
+from tests.rig.configurations import QUIET, configuration
 from tests.rig.logged import warnings
 
-from .test_cli import configuration
 from .test_notify import environ
 
 DEADLINE_S = 60.0
@@ -27,8 +28,8 @@ class Running:
 
     def __init__(self, place: Path, *, stderr: int | None = None, redirect: str = "") -> None:
         """`stderr`: in place of a file; `redirect`: as a shell is told to."""
-        self.config = configuration(place, "source", "kind", '"can"')
-        self.write('[log]\nlevel = "info"\n')
+        self._place = place
+        self.config = self.configured(log={"level": "info"})
         self._log = (place / "log").open("w+", encoding="utf-8")
         self.manager = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         self.manager.bind(str(place / "notify"))
@@ -40,6 +41,7 @@ class Running:
             env={**os.environ, **environ(self.manager, WATCHDOG_USEC="200000")},
         )  # fmt: skip
         assert self.manager.recv(4096) == b"READY=1"
+        self.send = self.process.send_signal
 
     def goes_on(self) -> None:
         """Wait until the loop has told ten times that it lives."""
@@ -47,31 +49,21 @@ class Running:
             while b"WATCHDOG=1" not in self.manager.recv(4096):
                 pass
 
-    def write(self, tables: str) -> None:
-        text = self.config.read_text(encoding="utf-8").split("[log]")[0]
-        if "virtual" not in text:
-            text = text.replace("[source]\n", '[source]\ninterface = "virtual"\nchannel = "s"\n')
-        self.config.write_text(text + tables, encoding="utf-8")
+    def configured(self, **tables: dict[str, object]) -> Path:
+        return configuration(self._place, source=QUIET, **tables)
 
     def log(self) -> list[str]:
-        self._log.flush()
-        return warnings(Path(self._log.name).read_text(encoding="utf-8"))
-
-    def wait(self, what: Callable[[list[str]], bool]) -> list[str]:
-        deadline = time.monotonic() + DEADLINE_S
-        while not what(self.log()):
-            assert time.monotonic() < deadline, self.log()
-            assert self.process.poll() is None, self.process.returncode
-            time.sleep(0.01)
-        return self.log()
+        return warnings((self._place / "log").read_text(encoding="utf-8"))
 
     def wait_for(self, text: str) -> str:
         """The line with this text."""
-        lines = self.wait(lambda lines: any(text in line for line in lines))
-        return next(line for line in lines if text in line)
+        line: str = until(lambda: next((line for line in self.log() if text in line), ""))
+        return line
 
-    def send(self, number: int) -> None:
-        self.process.send_signal(number)
+    def ends_by(self, number: int) -> int:
+        """The exit status after a signal."""
+        self.send(number)
+        return self.process.wait(DEADLINE_S)
 
     def close(self) -> None:
         self.process.kill()
@@ -91,27 +83,26 @@ USR = (signal.SIGUSR1, signal.SIGUSR2)
 SURVIVED = (*USR, signal.SIGALRM, signal.SIGHUP, signal.SIGPIPE)
 
 
-def test_no_signal_of_an_operator_ends_a_daemon_but_those_that_should(daemon: Running) -> None:
-    for number in SURVIVED:
+@pytest.mark.parametrize("at_once", [False, True])
+def test_no_signal_of_an_operator_ends_a_daemon_but_those_that_should(
+    daemon: Running, at_once: bool
+) -> None:
+    for number in (signal.SIGSTOP,) * at_once + SURVIVED + (signal.SIGCONT,):
         daemon.send(number)
     daemon.wait_for("health: ")
-    daemon.send(signal.SIGTERM)
-    assert daemon.process.wait(DEADLINE_S) == 0
+    assert daemon.ends_by(signal.SIGTERM) == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGQUIT])
 def test_who_ends_a_daemon_ends_it_in_order(daemon: Running, number: int) -> None:
-    daemon.send(number)
-    assert daemon.process.wait(DEADLINE_S) == 0
+    assert daemon.ends_by(number) == 0
     assert all(line.startswith("status: stale") for line in daemon.log())
 
 
 def test_usr1_says_where_the_daemon_is_and_what_it_knows(daemon: Running) -> None:
     daemon.send(signal.SIGUSR1)
-    lines = daemon.wait(lambda lines: any(line.startswith("health: ") for line in lines))
-    assert any("service/loop.py" in line or "service/ticker.py" in line for line in lines)
-    health = next(line for line in lines if line.startswith("health: "))
-    estimate = next(line for line in lines if line.startswith("estimate: "))
+    estimate, health = daemon.wait_for("estimate: "), daemon.wait_for("health: ")
+    assert any("service/loop.py" in line or "service/ticker.py" in line for line in daemon.log())
     assert json.loads(health.removeprefix("health: "))["loop"]["ticks"] >= 1
     assert "map" in json.loads(estimate.removeprefix("estimate: "))
 
@@ -121,16 +112,7 @@ def test_usr1_ends_no_daemon_however_often_it_comes(daemon: Running) -> None:
         daemon.send(signal.SIGUSR1)
         assert daemon.process.poll() is None
         time.sleep(0.0005)
-    daemon.send(signal.SIGTERM)
-    assert daemon.process.wait(DEADLINE_S) == 0
-
-
-def test_signals_that_come_all_at_once_end_no_daemon(daemon: Running) -> None:
-    daemon.send(signal.SIGSTOP)
-    for number in SURVIVED:
-        daemon.send(number)
-    daemon.send(signal.SIGCONT)
-    daemon.wait_for("health: ")
+    assert daemon.ends_by(signal.SIGTERM) == 0
 
 
 @pytest.fixture
@@ -155,54 +137,49 @@ def full_pipe() -> Iterator[int]:
 def test_standard_error_that_nobody_reads_stops_neither_the_loop_nor_its_end(
     tmp_path: Path, full_pipe: int, number: int, status: int
 ) -> None:
-    daemon = Running(tmp_path, stderr=full_pipe)
-    try:
+    with contextlib.closing(Running(tmp_path, stderr=full_pipe)) as daemon:
         daemon.send(signal.SIGUSR1)
         daemon.goes_on()
-        daemon.send(number)
-        assert daemon.process.wait(DEADLINE_S) == status
-    finally:
-        daemon.close()
+        assert daemon.ends_by(number) == status
 
 
 @pytest.mark.parametrize("redirect", ["2>&-", "<&- >&- 2>&-"], ids=["stderr", "all"])
 def test_a_standard_stream_that_is_closed_leads_nowhere(tmp_path: Path, redirect: str) -> None:
-    daemon = Running(tmp_path, redirect=redirect)
-    try:
+    with contextlib.closing(Running(tmp_path, redirect=redirect)) as daemon:
         daemon.send(signal.SIGUSR1)
         daemon.goes_on()
         open_files = Path(f"/proc/{daemon.process.pid}/fd")
         closed = (0, 1, 2) if "<" in redirect else (2,)
         assert {(open_files / str(number)).readlink().name for number in closed} == {"null"}
-        daemon.send(signal.SIGTERM)
-        assert daemon.process.wait(DEADLINE_S) == 0
-    finally:
-        daemon.close()
+        assert daemon.ends_by(signal.SIGTERM) == 0
 
 
 @pytest.mark.parametrize("number", [signal.SIGXCPU, signal.SIGABRT])
 def test_a_loop_that_does_not_pause_says_where_it_is_and_ends(daemon: Running, number: int) -> None:
-    daemon.send(number)
-    assert daemon.process.wait(DEADLINE_S) == -number
+    assert daemon.ends_by(number) == -number
     assert any("service/ticker.py" in line or "service/loop.py" in line for line in daemon.log())
 
 
-def test_hup_takes_the_log_level_and_names_what_needs_a_restart(daemon: Running) -> None:
-    daemon.write('[log]\nlevel = "debug"\n[filter]\nseed = 7\n')
-    daemon.send(signal.SIGHUP)
-    line = daemon.wait_for("read again")
-    assert line == (
-        f"{daemon.config}: read again, log.level is debug; "
-        "a restart is needed for what changed in filter"
-    )
-
-
-def test_hup_on_a_configuration_with_a_fault_changes_nothing(daemon: Running) -> None:
-    daemon.write('[log]\nlevel = "loud"\n')
+@pytest.mark.parametrize(
+    ("tables", "begin", "end"),
+    [
+        (
+            {"log": {"level": "debug"}, "filter": {"seed": 7}},
+            "config.toml: read again, log.level is debug; ",
+            "a restart is needed for what changed in filter",
+        ),
+        ({"log": {"level": "loud"}}, "log.level: must be one of", "; going on as before"),
+    ],
+    ids=["new", "with a fault"],
+)
+def test_hup_takes_the_log_level_of_a_configuration_without_faults(
+    daemon: Running, tables: dict[str, dict[str, object]], begin: str, end: str
+) -> None:
+    daemon.configured(**tables)
     daemon.send(signal.SIGHUP)
     line = daemon.wait_for("log.level")
-    assert line.startswith("log.level: must be one of")
-    assert line.endswith("; going on as before")
+    assert line.removeprefix(f"{daemon.config.parent}/").startswith(begin)
+    assert line.endswith(end)
 
 
 def test_handlers_are_as_before_once_the_daemon_has_ended() -> None:

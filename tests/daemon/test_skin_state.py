@@ -16,7 +16,6 @@ from hypothesis import strategies as st
 
 from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig
-from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.service import state_file
 from taxeld.service.state_file import NAME, StateFile
@@ -122,18 +121,12 @@ def text_of(skin: Layout, at: float, /, **changes: object) -> bytes:
 
 FAULTS: list[tuple[str, Callable[[Layout, float], bytes], str]] = [
     ("empty", lambda _s, _t: b"", "it is damaged"),
-    ("garbage", lambda _s, _t: bytes(range(256)), "it is damaged"),
     ("torn", lambda s, t: text_of(s, t)[:200], "it is damaged"),
     ("deep", lambda _s, _t: b"[" * 100_000, "it is damaged"),
-    ("a list", lambda _s, _t: b"[1, 2]", "it is damaged"),
     ("version", lambda s, t: text_of(s, t, version=2), "it is of another skin or version"),
     ("skin", lambda s, t: text_of(s, t, digest="0" * 16), "it is of another skin or version"),
     ("time", lambda s, t: text_of(s, t, t=float("nan")), "it is nan h old"),
-    ("far", lambda s, t: text_of(s, t, t=10**400), "it is damaged"),
-    ("digits", lambda _s, _t: b'{"version": 1, "t": ' + b"9" * 5000 + b"}", "it is damaged"),
     ("count", lambda s, t: text_of(s, t, baseline=[10**400] * 32), "it is damaged"),
-    ("nested", lambda _s, _t: b'{"version": ' + b"[" * 400 + b"]" * 400 + b"}", "it is damaged"),
-    ("text", lambda s, t: text_of(s, t, noise=["one"] * 32), "it is damaged"),
     ("short", lambda s, t: text_of(s, t, noise=[1.0] * 31), "it is damaged"),
     ("range", lambda s, t: text_of(s, t, leak=[7.0] * 4), "it is damaged"),
     ("gap", lambda s, t: text_of(s, t, coefficient=[None] * 4), "it is damaged"),
@@ -208,19 +201,14 @@ def test_any_bytes_are_a_state_or_a_reason(text: bytes) -> None:
         state_file.parse(text, "0" * 16, 3, 1)
 
 
-def test_the_file_of_a_very_large_skin_is_small() -> None:
-    large = layouts.load("wrap:modules=62,radius_m=0.3,rows=4")
-    simulated, subject = SimulatedSkin(large), Skin(large, SkinConfig())
-    simulated.run(subject, 2.0)
-    assert len(large) == 2480
-    assert len(state_file.dump(state_of(subject))) < 50_000
-
-
 def test_writing_is_seldom_and_waits_for_the_end_of_a_touch(skin: Layout, tmp_path: Path) -> None:
     simulated, subject = SimulatedSkin(skin), Skin(skin, SkinConfig())
-    kept = StateFile(tmp_path, subject, subject.state)
     offered: list[float] = []
-    kept._offer = lambda state: offered.append(-1.0 if state is None else state.t)  # type: ignore[method-assign]
+
+    def state() -> None:
+        offered.append(state_of(subject).t)
+
+    kept = StateFile(tmp_path, subject, state)
     for k in range(20 * 700):
         simulated.press[3] = 5_000.0 if 250.0 < 0.05 * k < 320.0 else 0.0
         subject.on_scan(simulated.scan())

@@ -31,9 +31,7 @@ ATTACKS = {
     "subscribers shut their reading side": Attack(attacks.SHUT, "{path}/stream"),
     "a message without end": Attack(attacks.HOARD, "{path}/stream", lambda r: r.hoarders >= 3),
     "asking for the description again": Attack(attacks.ASK_AGAIN, "{path}/stream"),
-    "requests without end": Attack(
-        attacks.REQUESTS, "ipc://{path}/control", lambda r: r.control.requests > 300, 2
-    ),
+    "requests without end": Attack(attacks.REQUESTS, "ipc://{path}/control", copies=2),
     "a false robot": Attack(attacks.ENDLESS_POSE, "{port}", lambda r: r.hoarders >= 3),
     "descriptors that linger": Attack(attacks.LINGER, "{path}/stream", copies=3),
     "every place of control": Attack(

@@ -17,7 +17,6 @@ from hypothesis import strategies as st
 
 from taxeld.door.control import Control, for_members, open_router, packed_ok
 from taxeld.stream import client, topics
-from taxeld.stream.link import ControlCounters
 
 from ..rig.clocks import PATIENCE_S
 from ..rig.processes import free_port
@@ -41,7 +40,7 @@ def test_status_and_info_are_the_last_messages(stand: Stand) -> None:
     assert status["waits_for"] == "the device"
 
 
-def test_unknown_requests_are_named_and_counted(stand: Stand) -> None:
+def test_unknown_requests_are_named(stand: Stand) -> None:
     known = "known: status, info, tare, reset"
     assert stand.answer({"cmd": "play"})["error"] == f"unknown cmd 'play'; {known}"
     assert (
@@ -50,8 +49,6 @@ def test_unknown_requests_are_named_and_counted(stand: Stand) -> None:
     assert stand.answer({})["error"].startswith("unknown cmd None")
     assert stand.answer({"cmd": ["tare"]})["error"].startswith("unknown cmd ['tare']")
     assert stand.done == []
-    stand.until(lambda: stand.link.report.control.requests == 4)
-    assert stand.link.report.control.refused == 4
 
 
 def test_changes_are_done_by_the_loop(stand: Stand) -> None:
@@ -81,8 +78,9 @@ def test_messages_of_any_shape_get_an_answer(stand: Stand, parts: list[bytes]) -
 
 def test_a_message_of_very_many_frames_is_not_read_to_its_end(stand: Stand) -> None:
     flooder = stand.socket(zmq.DEALER, stand.control)
+    lost = stand.losses(flooder)
     flooder.send_multipart([b"x"] * 200_000)
-    stand.until(lambda: stand.link.report.control.refused)
+    stand.until(lambda: lost.poll(0))
     assert stand.answer({"cmd": "tare"})["ok"]
 
 
@@ -132,9 +130,7 @@ PLAIN = st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats
 def test_no_request_ends_the_answers(request: object) -> None:
     answers = {"status": packed_ok, "info": packed_ok}
     with zmq.Context() as context, tempfile.TemporaryDirectory() as place:
-        made = Control(
-            lambda: open_router(context), f"ipc://{place}/c", "c", ControlCounters(), lambda _: "no"
-        )
+        made = Control(lambda: open_router(context), f"ipc://{place}/c", "c", lambda _: "no")
         with context.socket(zmq.REQ) as asking:
             asking.setsockopt(zmq.LINGER, 0)
             asking.connect(f"ipc://{place}/c")

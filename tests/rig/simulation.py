@@ -129,9 +129,9 @@ class Run:
             return pairs()
 
         def given(link: Link, kind: Kind, body: bytes) -> None:
-            there, before = link.end is not None, link.counters.unsent
+            there, before = link.end is not None, link.unsent
             give(link, kind, body)
-            if there and link.counters.unsent == before:
+            if there and link.unsent == before:
                 self.taken.append((kind, body))
 
         def posed(*given: Any) -> None:
@@ -184,7 +184,7 @@ class Run:
 
     def _judge_end(self, daemon: Daemon) -> None:
         """All faults are long over."""
-        self.unsent = daemon.link.counters.unsent
+        self.unsent = daemon.link.unsent
         self._law(daemon.link.is_ready, "no door at the end")
         self._law(self._sent[-1]["status"] != Status.STALE, "stale at the end")
         used = [o for o in self._outcomes if o.is_used]

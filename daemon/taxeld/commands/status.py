@@ -6,6 +6,7 @@ from typing import Any
 
 from taxeld.estimator.calibration_check import Suspect
 from taxeld.estimator.estimate import ProposalKind, Status
+from taxeld.proposals.ladder import Step
 from taxeld.skin.channels import mismatch
 from taxeld.stream.messages import name_of
 
@@ -15,6 +16,7 @@ WIDTH = 14
 def lines(answer: dict[str, Any]) -> Iterator[str]:
     """Lines of a subject each, from the answer to `status`; missing parts are left out."""
     rows = [*estimate_rows(answer["estimate"])]
+    rows.append(("Samples", name_of(Step, answer["estimate"]["degraded"])))
     rows.append(("Age", f"{answer['estimate']['age_us'] / 1e3:.1f} ms since the scan"))
     if answer.get("health"):
         rows += _health_rows(answer["health"], answer.get("waits_for"))
@@ -46,10 +48,6 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     yield "Rate", f"{rates}, over {up_s:.0f} s"
     own = f"{loop['own_overruns']} of the loop's own work"
     yield "Ticks", f"{loop['ticks']}, {loop['overruns']} overruns, {own}"
-    yield (
-        "Samples",
-        ", ".join(f"{n} {step}" for step, n in health["degraded"].items() if n) or "none",
-    )
     granted = health["realtime"]
     fifo = f"FIFO {granted['fifo']}" if granted["fifo"] else "not a FIFO thread"
     yield "Real time", f"{fifo}, memory {'locked' if granted['locked'] else 'not locked'}"

@@ -103,19 +103,16 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
 
 def _check_endpoints(config: Config, faults: list[str]) -> None:
     has_keys = bool(config.curve.directory)
-    for name, used, relay_key in (
-        ("publish.endpoints", config.publish.endpoints, "relay.publish"),
-        ("control.endpoint", (config.control.endpoint,), "relay.control"),
-    ):
-        served = (endpoints.served_fault(endpoint, relay_key) for endpoint in filter(None, used))
-        faults += [f"{name}: {fault}" for fault in served if fault]
-    for name, used in (
-        ("sensor_pose.endpoint", (config.sensor_pose.endpoint,)),
-        ("relay.publish", config.relay.publish),
-        ("relay.control", (config.relay.control,)),
-    ):
-        found = (endpoints.fault(endpoint, has_keys) for endpoint in filter(None, used))
-        faults += [f"{name}: {fault}" for fault in found if fault]
+    served = [("publish.endpoints", "relay.publish", each) for each in config.publish.endpoints]
+    served += [("control.endpoint", "relay.control", config.control.endpoint)]
+    found = [
+        (name, endpoints.served_fault(each, over_tcp)) for name, over_tcp, each in served if each
+    ]
+    others = [("sensor_pose.endpoint", config.sensor_pose.endpoint)]
+    others += [("relay.publish", each) for each in config.relay.publish]
+    others += [("relay.control", config.relay.control)]
+    found += [(name, endpoints.fault(each, has_keys)) for name, each in others if each]
+    faults += [f"{name}: {fault}" for name, fault in found if fault]
 
 
 def _for_this_user(config: Config) -> Config:

@@ -162,10 +162,10 @@ class BudgetConfig:
     )
 
     GONE: ClassVar = {
-        "source_ms": "subscribe to lat_us of /taxeld/health, and judge its stage source",
-        "skin_ms": "subscribe to lat_us of /taxeld/health, and judge its stage skin",
+        "source_ms": "subscribe to /taxeld/estimate, and judge lat_us.source",
+        "skin_ms": "subscribe to /taxeld/estimate, and judge lat_us.skin",
         "filter_ms": "a touch may take most of the time between two scans (source.period_ms)",
-        "publish_ms": "subscribe to lat_us of /taxeld/health, and judge its stage publish",
+        "publish_ms": "subscribe to /taxeld/estimate, and judge lat_us.publish",
         "degrade": "samples are saved where touches take longer than the time between two scans",
     }
 

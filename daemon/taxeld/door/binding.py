@@ -60,11 +60,10 @@ class Binding:
             socket.setsockopt(zmq.USE_FD, -1)
         self._was_bound = True
 
-    def restore(self, socket: zmq.Socket[Any]) -> bool:
-        """Make the file again where it has vanished; → whether that was done. Peers that are
-        connected stay so."""
+    def restore(self, socket: zmq.Socket[Any]) -> None:
+        """Make the file again where it has vanished. Peers that are connected stay so."""
         if self._path is None or _identity(self._path) == self._file:
-            return False
+            return
         try:
             if os.path.lexists(self._path):
                 raise FileExistsError(0, "something else stands in its place")
@@ -74,10 +73,9 @@ class Binding:
             if not self._is_lost:  # said once, and tried again
                 log.warning("%s: %s is lost: %s", self._key, self._path, error)
             self._is_lost = True
-            return False
+            return
         self._is_lost = False
         log.warning("%s: %s had vanished and was bound again", self._key, self._path)
-        return True
 
     def close(self) -> None:
         if self._listening is not None and self._path is not None:

@@ -4,6 +4,7 @@
 loop, for those who may.
 """
 
+import contextlib
 import grp
 import itertools
 import os
@@ -17,7 +18,6 @@ import zmq
 
 from taxeld.door.binding import Binding
 from taxeld.stream import sockets
-from taxeld.stream.link import ControlCounters
 from taxeld.stream.sockets import credentials, open_socket, sender, unpack
 
 REQUESTS_AT_ONCE = 64
@@ -48,7 +48,6 @@ class Control:
         opened: Callable[[], zmq.Socket[Any]],
         endpoint: str,
         key: str,
-        counters: ControlCounters,
         may_change: MayChange,
     ) -> None:
         """`opened` makes a socket from `open_router`; `may_change`: why the peer that sent a frame
@@ -57,7 +56,7 @@ class Control:
         Raises:
             SetupError: the endpoint cannot be had, in the name of `key`.
         """
-        self._opened, self._counters, self._may_change = opened, counters, may_change
+        self._opened, self._may_change = opened, may_change
         self._binding = Binding(endpoint, key)
         self.socket = self._open()
         self._pending: dict[int, tuple[float, list[bytes]]] = {}  # since when, and for whom
@@ -71,7 +70,6 @@ class Control:
             except zmq.Again:
                 return False
             if parts is None:
-                self._counters.refused += 1
                 self.socket.close()
                 self.socket = self._open()
                 self._pending.clear()
@@ -85,7 +83,6 @@ class Control:
     def done(self, number: int, why: str) -> None:
         """The loop's answer to the request of that number; `why` it was not done."""
         if number in self._pending:
-            self._counters.failed += bool(why)
             self._send(self._pending.pop(number)[1], packed_error(why) if why else packed_ok())
 
     def look(self, now_s: float) -> None:
@@ -113,35 +110,28 @@ class Control:
         change: Change,
     ) -> Body | None:
         """None where the loop is to answer."""
-        self._counters.requests += 1
         request = unpack(body.bytes)
         command = request.pop("cmd", None)
         if not isinstance(command, str) or command not in (*answers, *CHANGES):
-            self._counters.refused += 1
             known = ", ".join((*answers, *CHANGES))
             return packed_error(f"unknown cmd {command!r:.100}; known: {known}")
         if request:
-            self._counters.refused += 1
             return packed_error(f"unknown key {next(iter(request))!r:.100}; {command} takes none")
         if command in answers:
             return answers[command]()
         refusal = self._may_change(body)
         if refusal:
-            self._counters.refused += 1
             return packed_error(f"{command}: {refusal}")
         number = next(NUMBERS)
         if len(self._pending) >= PENDING_MAX or not change(number, command):
-            self._counters.failed += 1
             return packed_error("the loop is busy; ask again")
         self._pending[number] = now_s, route
         return None
 
     def _send(self, route: list[bytes], answer: Body) -> None:
         """The envelope goes back as it came; a client that fetches no answers loses them."""
-        try:
+        with contextlib.suppress(zmq.ZMQError):
             self.socket.send_multipart([*route, answer], flags=zmq.NOBLOCK)
-        except zmq.ZMQError:
-            self._counters.failed += 1
 
 
 def open_router(context: zmq.Context[Any]) -> zmq.Socket[Any]:

@@ -209,11 +209,10 @@ class Door:
 
     def _send_report(self) -> None:
         report = self._report
-        report.peers = len(self._connections.there)
+        report.hung_up = sum(stream.hung_up for stream in self._streams)
         report.crowded_out = self._connections.crowded_out
         report.hoarders = self._connections.hoarders
         report.keys_refused = 0 if self._admission is None else self._admission.refused
-        report.poses_lost = 0 if self._robot is None else self._robot.lost
         pair.send(self._end, Kind.REPORT, msgpack.packb(asdict(report)))
 
     def _open(
@@ -248,7 +247,7 @@ class Door:
             publisher = open_publisher(context, settings.queue)
             if guard is not None:
                 guard.serve(publisher)
-            made = Streams(publisher, self._report.subscribers)
+            made = Streams(publisher)
             self._publishers[alike] = made
             self._streams.append(made)
         self._publishers[alike].bind(endpoint, key)
@@ -262,8 +261,7 @@ class Door:
     ) -> None:
         if endpoint:
             opens = partial(_open_router, context, self._guard_of(endpoint))
-            counters = self._report.control
-            self._controls.append(Control(opens, endpoint, key, counters, may_change))
+            self._controls.append(Control(opens, endpoint, key, may_change))
 
     def _make_poller(self) -> None:
         self._poller = zmq.Poller()

@@ -42,7 +42,7 @@ WATCHED = (
 EVENT = struct.Struct("=HI")  # an event and its value: pyzmq's own reader brings all of asyncio
 NUMBERS = itertools.count()  # each monitor has a name of its own
 
-OnPoses = Callable[[bytes], bool]
+OnPoses = Callable[[bytes], object]
 
 
 class Robot:
@@ -56,14 +56,13 @@ class Robot:
         keys: RobotKeys | None,
         now_s: float,
     ) -> None:
-        """`on_poses` is given up to `pair.POSES_MAX` well-formed poses, packed as `pair.POSE`, →
-        whether they were taken; `now_s` is monotonic.
+        """`on_poses` is given up to `pair.POSES_MAX` well-formed poses, packed as `pair.POSE`;
+        `now_s` is monotonic.
 
         Raises:
             SetupError: the endpoint is none.
         """
         self.line = RobotLine()
-        self.lost = 0  # poses that were not taken
         self.is_awaited = False  # whether the loop waits for the next pose
         self._context, self._endpoint, self._keys = context, endpoint, keys
         self._on_poses = on_poses
@@ -81,7 +80,6 @@ class Robot:
             for _ in range(POSES_PER_LOOK):
                 parts = sockets.contents(self.socket)
                 if parts is None:
-                    self.line.oversized += 1
                     self._reopen()
                     return True
                 self._take(now_s, parts)
@@ -102,7 +100,6 @@ class Robot:
             self.line.refused = True
         if self._lost_s is not None and now_s > self._lost_s + LOST_S:
             # after an error of the protocol ZeroMQ does not connect again by itself
-            self.line.reconnected += 1
             self._reopen()
             return True
         self._listen(now_s)
@@ -152,8 +149,8 @@ class Robot:
             self._pass_on()
 
     def _pass_on(self) -> None:
-        if self._packed and not self._on_poses(b"".join(self._packed)):
-            self.lost += len(self._packed)
+        if self._packed:
+            self._on_poses(b"".join(self._packed))
         self._packed.clear()
 
     def _note(self, event: int, now_s: float) -> None:

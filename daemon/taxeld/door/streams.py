@@ -12,7 +12,6 @@ from typing import Any
 import zmq
 
 from taxeld.door.binding import Binding
-from taxeld.stream.link import SubscriberCounters
 from taxeld.stream.sockets import connection_of, hang_up, is_waiting, open_socket
 from taxeld.stream.topics import INFO, TOPICS
 
@@ -28,10 +27,10 @@ INFO_S = 0.1  # at least, between two greetings
 class Streams:
     """Endpoints of one kind: all plain, or all with keys, as a socket is either."""
 
-    def __init__(self, socket: zmq.Socket[Any], counters: SubscriberCounters) -> None:
+    def __init__(self, socket: zmq.Socket[Any]) -> None:
         """`socket`: from `open_publisher`."""
         self.socket = socket
-        self._counters = counters
+        self.hung_up = 0  # peers that sent too many subscriptions
         self._prefixes: Counter[bytes] = Counter()  # of our topics, by how many connections
         self._asked: dict[int, set[bytes]] = {}  # by connection, as its inode
         self._events: Counter[int] = Counter()  # messages of each connection of late
@@ -78,7 +77,7 @@ class Streams:
             prefixes = self._asked.pop(gone)
             self._prefixes -= Counter(prefixes)
         for binding in self._bindings:
-            self._counters.bound_again += binding.restore(self.socket)
+            binding.restore(self.socket)
 
     def close(self) -> None:
         self.socket.close()
@@ -96,7 +95,7 @@ class Streams:
         self._events[connection] += 1
         if self._events[connection] > EVENTS_MAX:
             self._events[connection] = 0
-            self._counters.hung_up += hang_up(frame)
+            self.hung_up += hang_up(frame)
             return
         self._hear(self._asked.setdefault(connection, set()), frame.bytes)
 

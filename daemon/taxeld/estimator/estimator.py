@@ -13,12 +13,12 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import confidence, injection
 from taxeld.estimator.calibration_check import CalibrationCheck, CalibrationDoubt
-from taxeld.estimator.estimate import Estimate, ProposalKind, Status
-from taxeld.estimator.intake import EstimatorCounters, Intake
+from taxeld.estimator.estimate import Estimate, ProposalKind
+from taxeld.estimator.intake import Intake
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import News
 from taxeld.estimator.paper import Paper
-from taxeld.estimator.rule import Rule
+from taxeld.estimator.rule import EstimatorCounters, Rule
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import Observation, ObservationModel
@@ -55,7 +55,7 @@ class Estimator:
         config, layout = self.config, self.model.layout
         rng = np.random.default_rng(config.seed)
         self.rule = RULES[config.injection](self.model, config, self.robot_m, rng)
-        self.rule.counters = self.counters.rule
+        self.rule.counters = self.counters
         self._rng = rng
         self._kind = ProposalKind.NONE  # proposal of the last samples
         self._intake = Intake(self.model, self.counters)
@@ -92,7 +92,6 @@ class Estimator:
             self._conclude(observation)
             if self._check.is_due or self.rule.is_open:
                 self._unconsidered = observation
-        self.counters.blind += self.estimate.status is Status.BLIND
         return self.estimate
 
     @property
@@ -114,10 +113,6 @@ class Estimator:
             self.counters.thoughts += 1
             self._conclude(observation, samples)
         return samples > 0
-
-    def figures(self) -> dict[str, float]:
-        """Measured exactness of the contacts: the slack that they need."""
-        return {"slack": self.rule.slack}
 
     @property
     def _believed(self) -> Poses:
@@ -145,7 +140,6 @@ class Estimator:
         poses = poses[np.isfinite(poses).all(axis=1)]
         if not len(poses):
             return poses
-        self.counters.injections += 1
         self._kind = ProposalKind[self.proposal.name.upper()]
         poses = injection.project(self.model, poses)  # one step for samples that miss the object
         return se2.compose(observation.sensor, poses)

@@ -1,13 +1,12 @@
 """The usable part of a scan: finite, in order, in range, without stuck taxels or leaked presses."""
 
 import math
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.news import moved_m
-from taxeld.estimator.rule import RuleCounters
+from taxeld.estimator.rule import EstimatorCounters
 from taxeld.model.activation import Activation
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.se2 import JUMP_M
@@ -16,25 +15,8 @@ SAME = 0.01  # share of full scale: a reading changes only by more than this
 WAY_M = 0.1  # m that the skin moves meanwhile: no press lasts unchanged over such a way
 
 
-@dataclass(slots=True)
-class EstimatorCounters:
-    """Counters of scans and their use, since start."""
-
-    scans: int = 0
-    updates: int = 0  # scans that were learned from
-    injections: int = 0
-    thoughts: int = 0  # injections by second opinions while there was nothing to learn
-    bad_input: int = 0  # scans with values that are not finite
-    out_of_range: int = 0  # scans with activations beyond 0..1, which were clipped
-    back_in_time: int = 0  # scans older than the one before, not used
-    jumps: int = 0  # scans whose sensor pose is too far from the last, not used
-    stuck: int = 0  # scans in which a taxel read the same as ever, and was left out
-    blind: int = 0  # scans without a live taxel, or without one where contact is expected
-    rule: RuleCounters = field(default_factory=RuleCounters)
-
-
 class Intake:
-    """Makes observations of one skin's activations, and counts the faults in them."""
+    """Makes observations of one skin's activations."""
 
     def __init__(self, model: ObservationModel, counters: EstimatorCounters) -> None:
         self.t = -np.inf  # time of the last used scan [s]
@@ -66,19 +48,14 @@ class Intake:
 
     def _is_usable(self, t: float, sensor: Poses, least: float, most: float) -> bool:
         """Whether time, pose (3,) and activations from `least` to `most` can be used."""
-        counters = self._counters
-        if not all(map(math.isfinite, (t, least, most, *sensor.tolist()))):
-            counters.bad_input += 1
-            return False
-        if t < self.t:
-            counters.back_in_time += 1
+        is_finite = all(map(math.isfinite, (t, least, most, *sensor.tolist())))
+        if not is_finite or t < self.t:
             return False
         before = self._sensor
         if before is not None and math.dist(before[:2].tolist(), sensor[:2].tolist()) > JUMP_M:
-            counters.jumps += 1
+            self._counters.jumps += 1
             self._sensor = sensor  # a far pose at which the sensor stays is believed next time
             return False
-        counters.out_of_range += least < 0.0 or most > 1.0
         return True
 
 

@@ -13,7 +13,7 @@ from taxeld.estimator.confidence import Confidence, firm, is_firm
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.push import STRIDE, Push, assumed, changed, push
-from taxeld.estimator.rule import PUSHED_M, Draw, RuleCounters, anew, drawn, noise_of
+from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
 ROOM = 3.0  # half-widths of the table around the last touch: the whole table, and more
@@ -47,14 +47,10 @@ class Mixture:
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene)
         self._scale = self.confidence.metric.scale
-        self.counters = RuleCounters()
+        self.counters = EstimatorCounters()
         self.push: Push = push
         self._revisits = 0  # second opinions since the last contact
         self._fitted = 0  # number of the contact after which the slack was fitted
-
-    @property
-    def slack(self) -> float:
-        return self.memory.slack.scale
 
     def follow(self, before: Observation, after: Observation) -> None:
         """Replace the memory by a prior: its scans were taken where the object no longer is."""
@@ -106,7 +102,6 @@ class Mixture:
             self.belief, remembered @ self.memory.share - self.belief.remembered @ before
         )
         if evidence is None:
-            self.counters.impossible += 1
             self._begin_anew(observation, samples, number)
             return 0.0
         self.belief.remembered = remembered
@@ -180,7 +175,6 @@ class Mixture:
             self._fit_slack()
         elif pf.resampling_is_due(self.belief):
             self._become(self.belief, moves=1)
-        self.counters.inconsistent += confidence.doubt
 
     def _fit_slack(self) -> None:
         """Fit the slack to the evidence: contacts that agree exactly are believed exactly, others

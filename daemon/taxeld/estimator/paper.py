@@ -9,7 +9,7 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.confidence import Confidence, firm
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.push import assumed, push
-from taxeld.estimator.rule import PUSHED_M, Draw, RuleCounters, anew, drawn, noise_of
+from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
 from taxeld.model.observation import Observation, ObservationModel
 
 INJECTED_DECAY = 0.5  # samples of a contact, of those of the contact before
@@ -29,11 +29,7 @@ class Paper:
         self._nothing = Memory(model, noise_of(config))
         self.belief = anew(config, rng)
         self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0, least=0)
-        self.counters = RuleCounters()
-
-    @property
-    def slack(self) -> float:
-        return 0.0  # the paper takes poses for exact
+        self.counters = EstimatorCounters()
 
     @property
     def is_open(self) -> bool:
@@ -67,14 +63,12 @@ class Paper:
         self.belief.remembered = memory.explain(self.belief.pose)
         evidence = pf.reweight(self.belief, self.belief.remembered[:, 0])
         if evidence is None:
-            self.counters.impossible += 1
             self.belief = anew(self._config, self._rng)
             if len(samples):
                 new = pf.equal(samples, np.empty((len(samples), 0)))
                 self.belief = pf.resample(new, len(self.belief), self._rng)
             return 0.0
         self.confidence.doubt = bool(consistency.excess(memory, self.belief)[0] > 0.0)
-        self.counters.inconsistent += self.confidence.doubt
         if pf.resampling_is_due(self.belief):
             self.belief = pf.resample(self.belief, len(self.belief), self._rng)
             pf.roughen(self.belief, self._rng, self.confidence.metric.scale)

@@ -20,11 +20,14 @@ PUSHED_M = 2e-4  # m between two scans: a shorter way is a press that settles
 
 
 @dataclass(slots=True)
-class RuleCounters:
-    """Counters of the way the belief learns, since start."""
+class EstimatorCounters:
+    """Counters of scans and their use, since start."""
 
-    impossible: int = 0  # scans that made every pose impossible: the belief began anew
-    inconsistent: int = 0  # scans that no pose explained
+    scans: int = 0
+    updates: int = 0  # scans that were learned from
+    thoughts: int = 0  # second opinions that changed the belief
+    jumps: int = 0  # scans whose sensor pose is too far from the last, not used
+    stuck: int = 0  # scans in which a taxel read the same as ever, and was left out
     forgotten: int = 0  # times that the past was dropped: the object had moved
 
 
@@ -33,12 +36,7 @@ class Rule(Protocol):
 
     belief: Belief
     confidence: Confidence
-    counters: RuleCounters
-
-    @property
-    def slack(self) -> float:
-        """How far scans are off, as a factor on the configured slack."""
-        ...
+    counters: EstimatorCounters
 
     @property
     def is_open(self) -> bool:

@@ -147,7 +147,7 @@ class Pipeline:
                 "updates": counted.updates,
                 "stuck": counted.stuck,
                 "jumps": counted.jumps,
-                "forgotten": counted.rule.forgotten,
+                "forgotten": counted.forgotten,
             },
             "modules": {
                 "layout": self.skin.modules,

@@ -9,7 +9,7 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals.ladder import ClockNs, Ladder, LadderCounters
+from taxeld.proposals.ladder import ClockNs, Ladder
 
 TOUCHES = 5  # touches on each rung; the first of all are slow, because their code is cold
 
@@ -26,7 +26,7 @@ def warm_up(
     while np.median(_costs_ns(subject, poses, cpu)) > limit_ns and not ladder.is_lowest:
         ladder.step_down()
         ladder.first += 1
-    ladder.counters, ladder.spent_ns = LadderCounters(), 0
+    ladder.spent_ns = 0
 
 
 def _costs_ns(subject: Estimator, poses: Poses, cpu: ClockNs) -> list[int]:

@@ -41,20 +41,6 @@ class Rung:
     share: float = 1.0
 
 
-@dataclass(slots=True)
-class LadderCounters:
-    """Counts of calls since start, by the rung that served them."""
-
-    chosen: int = 0
-    cheaper: int = 0
-    fewer: int = 0
-    table: int = 0
-
-    def count(self, step: Step) -> None:
-        name = step.name.lower()
-        setattr(self, name, getattr(self, name) + 1)
-
-
 class Ladder:
     """A proposal that steps down where touches do not fit into their time."""
 
@@ -63,7 +49,6 @@ class Ladder:
         self.rungs = rungs
         self.clock = clock
         self.spent_ns = 0  # time in proposals, since start
-        self.counters = LadderCounters()
         self.first = 0  # rung at which it begins
         self.begin_anew()
 
@@ -89,7 +74,6 @@ class Ladder:
         """Like `Proposal.propose`, with the share of the samples that the rung has: z (M,), live
         (M,) → (≤ n, 3)."""
         start, rung = self.clock(), self.rung
-        self.counters.count(rung.step)
         poses = rung.proposal.propose(z, live, max(round(rung.share * n), 1), rng)
         self.spent_ns += self.clock() - start
         return poses

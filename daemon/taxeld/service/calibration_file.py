@@ -1,7 +1,9 @@
 """A calibration as a TOML file: written by `taxeld calibrate`, named by `skin.calibration`."""
 
+import json
 import math
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -66,46 +68,40 @@ class CalibrationTable:
     taxel: tuple[TaxelTable, ...] = key()
 
 
+HEAD = """\
+# A taxeld calibration. Name it in the configuration: [skin] calibration = "THIS FILE"
+# sd: one standard deviation; of full scale and gains relative.
+"""
+# keys of the tables whose values a `Calibration` has, under the same names
+OWN = [f.name for f in fields(CalibrationTable) if f.name in Calibration.__dataclass_fields__]
+OWN.remove("mount")
+OF_TAXELS = [f.name for f in fields(TaxelTable) if f.name != "uid"]
+MOUNT = [f.name for f in fields(MountTable)]  # the pose (3,), then its sd (3,)
+
+
 def dump(c: Calibration, layout: Layout) -> str:
     """The file's text."""
     date = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime(c.t))
-    name = c.object.replace("\\", "/").replace('"', "'")
-    columns = ("gain", "gain_sd", "onset", "onset_sd", "noise_counts")
-    rows = zip(layout.uid.tolist(), *(getattr(c, name) for name in columns), c.frozen, strict=True)
-    taxels = "".join(
-        f"  {{uid = {uid}, gain = {gain:.5f}, gain_sd = {gain_sd:.5f}, onset = {onset:.4f}, "
-        f"onset_sd = {onset_sd:.4f}, noise_counts = {noise:.2f}, "
-        f"frozen = {str(bool(frozen)).lower()}}},\n"
-        for uid, gain, gain_sd, onset, onset_sd, noise, frozen in rows
-    )
-    (x, y, yaw), (x_sd, y_sd, yaw_sd) = c.mount, c.mount_sd
-    return f"""\
-# A taxeld calibration. Name it in the configuration: [skin] calibration = "THIS FILE"
-# sd: one standard deviation; of full scale and gains relative.
-version = {VERSION}
-t = {c.t:.3f}
-date = "{date}"
-skin = "{c.digest}"
-object = "{name}"
-presses = {c.presses}
-full_scale_depth_m = {c.full_scale_depth_m:.6g}
-full_scale_counts = {c.full_scale_counts:.1f}
-full_scale_sd = {c.full_scale_sd:.5f}
-bend = {c.bend:.5f}
-bend_sd = {c.bend_sd:.5f}
-noise_sigma = {c.noise_sigma:.5f}
-gain_cv = {c.gain_cv:.4f}
-taxel = [
-{taxels}]
+    about = {"version": VERSION, "skin": c.digest, "date": date}
+    columns = [layout.uid.tolist(), *(getattr(c, name).tolist() for name in OF_TAXELS)]
+    rows = (dict(zip(("uid", *OF_TAXELS), row, strict=True)) for row in zip(*columns, strict=True))
+    mount = dict(zip(MOUNT, np.concatenate([c.mount, c.mount_sd]).tolist(), strict=True))
+    lines = [
+        *_pairs(about | {name: getattr(c, name) for name in OWN}),
+        "taxel = [",
+        *(f"  {{{', '.join(_pairs(row))}}}," for row in rows),
+        "]",
+        "",
+        "[mount]  # of the sensor's frame in the frame of the robot's poses",
+        *_pairs(mount),
+    ]
+    return HEAD + "\n".join(lines) + "\n"
 
-[mount]  # of the sensor's frame in the frame that the robot tells of
-x_m = {x:.6f}
-y_m = {y:.6f}
-yaw_rad = {yaw:.6f}
-x_sd_m = {x_sd:.6f}
-y_sd_m = {y_sd:.6f}
-yaw_sd_rad = {yaw_sd:.6f}
-"""
+
+def _pairs(table: Mapping[str, Any]) -> list[str]:
+    """A line of TOML for each key; numbers of six decimals. JSON's scalars are TOML's as well."""
+    plain = {k: round(v, 6) if isinstance(v, float) else v for k, v in table.items()}
+    return [f"{name} = {json.dumps(value)}" for name, value in plain.items()]
 
 
 def read(path: Path, layout: Layout, full_scale_depth_m: float) -> Calibration:
@@ -151,9 +147,10 @@ def of(config: Config, layout: Layout) -> Calibration | None:
     Raises:
         SetupError: as `load`.
     """
-    if config.source.kind != "replay" or not config.skin.calibration:
-        return load(config.skin, layout, time.time())
-    return load(config.skin, layout, session.begun(Path(config.source.path)), recorded=True)
+    if config.source.kind == "replay" and config.skin.calibration:
+        begun = session.begun(Path(config.source.path))
+        return load(config.skin, layout, begun, recorded=True)
+    return load(config.skin, layout, time.time())
 
 
 def load(
@@ -185,15 +182,8 @@ def load(
 
 def _calibration(table: CalibrationTable) -> Calibration:
     """The table with its taxels in columns."""
-    mount, taxels = table.mount, table.taxel
-    values: dict[str, Any] = {
-        name: np.array([getattr(taxel, name) for taxel in taxels])
-        for name in TaxelTable.__dataclass_fields__
-        if name != "uid"
-    }
-    for each in fields(CalibrationTable):
-        if each.name in Calibration.__dataclass_fields__:
-            values[each.name] = getattr(table, each.name)
-    values["mount"] = np.array([mount.x_m, mount.y_m, mount.yaw_rad])
-    values["mount_sd"] = np.array([mount.x_sd_m, mount.y_sd_m, mount.yaw_sd_rad])
-    return Calibration(digest=table.skin, **values)
+    mount = np.array([getattr(table.mount, name) for name in MOUNT])
+    values: dict[str, Any] = {name: getattr(table, name) for name in OWN}
+    for name in OF_TAXELS:
+        values[name] = np.array([getattr(taxel, name) for taxel in table.taxel])
+    return Calibration(digest=table.skin, mount=mount[:3], mount_sd=mount[3:], **values)

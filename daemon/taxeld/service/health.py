@@ -21,7 +21,6 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
     parts = {
         "uptime_s": now_s - daemon.start_s,
         "loop": daemon.counters,
-        "degraded": pipeline.ladder.counters,
         "lat_us": {"total": daemon.latencies.percentiles()["total"]},
         "realtime": daemon.realtime,
         "source": {
@@ -45,9 +44,8 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
         "door": {
             "starts": daemon.door.starts,
             "confined": report.confined,
-            "peers": report.peers,
-            "unsent": daemon.link.counters.unsent,
-            "disconnected": report.subscribers.hung_up + report.crowded_out + report.hoarders,
+            "unsent": daemon.link.unsent,
+            "disconnected": report.hung_up + report.crowded_out + report.hoarders,
             "keys_refused": report.keys_refused,
         },
         "recording": {

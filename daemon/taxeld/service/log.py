@@ -24,17 +24,16 @@ _ROOT = logging.getLogger("taxeld")
 class _Marked(logging.Formatter):
     """A mark for the level stands before each line of a record, and another one behind it."""
 
-    marks: Mapping[str, str] = JOURNAL
-    end = ""
+    def __init__(
+        self, marks: Mapping[str, str], end: str = "", text: str | None = None, time: str = ""
+    ) -> None:
+        super().__init__(text, time)
+        self._marks, self._end = marks, end
 
     def format(self, record: logging.LogRecord) -> str:
-        mark = self.marks.get(record.levelname, "")
-        end = self.end if mark else ""
+        mark = self._marks.get(record.levelname, "")
+        end = self._end if mark else ""
         return "\n".join(mark + line + end for line in super().format(record).split("\n"))
-
-
-class _Coloured(_Marked):
-    marks, end = COLOUR, "\x1b[0m"
 
 
 class _Hand(logging.Handler):
@@ -72,11 +71,11 @@ def formatter(descriptor: int, environ: Mapping[str, str]) -> logging.Formatter:
     """How lines look to the reader of an open file."""
     found = os.fstat(descriptor)
     if environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}":  # systemd.exec(5)
-        return _Marked()
+        return _Marked(JOURNAL)
     text = "%(asctime)s %(levelname)-7s %(message)s"
     if os.isatty(descriptor):
         dull = environ.get("NO_COLOR") or environ.get("TERM") == "dumb"
-        return (logging.Formatter if dull else _Coloured)(text, "%H:%M:%S")
+        return _Marked({} if dull else COLOUR, "\x1b[0m", text, "%H:%M:%S")
     return logging.Formatter(text, "%Y-%m-%dT%H:%M:%S%z")
 
 

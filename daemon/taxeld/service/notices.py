@@ -46,10 +46,8 @@ class Notices:
     def __init__(self, bundle: Path, proposal: str) -> None:
         self._samples = f"{proposal or 'no samples'} of {bundle}"
         self._status: tuple[Status, bool] | None = None  # the last status, and whether valid
-        self._poses_fault = ""  # the last fault
-        self._modules = ""  # the last line on missing modules
-        self._hubs: dict[int, list[int]] = {}
-        self._looks = 0  # since another module came
+        self._said: dict[str, str] = {}  # the last line on each subject
+        self._looks = 0  # since the modules of a hub have changed
         self._of_status = Ration(burst=10, every_s=5.0)
         self._of_inputs = Ration()
 
@@ -87,22 +85,24 @@ class Notices:
     def inputs(self, poses_fault: str, wiring: Wiring, *, match: bool, now_s: float) -> None:
         """Log what has changed of the robot's poses, and of the modules that the hubs have;
         `match`: whether these suffice."""
-        if poses_fault != self._poses_fault:
-            self._poses_fault = poses_fault
-            self._say("sensor_pose", poses_fault, "poses come as they should", now_s)
+        self._say("sensor_pose", poses_fault, "poses come as they should", now_s)
         for hub, suis in wiring.hubs.items():
-            if self._hubs.get(hub) != suis:
-                self._looks, self._hubs[hub] = 0, suis
-                known = len(set(suis) & set(wiring.suis))
-                line = f"{len(suis)} modules, {known} of them in the layout"
-                self._say(f"hub {hub} sends", "", line, now_s)
+            known = len(set(suis) & set(wiring.suis))
+            self._said.setdefault(f"hub {hub} sends", "nothing yet")
+            line = f"{len(suis)} modules, {known} of them in the layout"
+            if self._say(f"hub {hub} sends", "", line, now_s):
+                self._looks = 0
         self._looks += 1
-        line = mismatch(wiring.lacking, len(wiring.suis), len(wiring.foreign), match)
-        if self._hubs and self._looks > MODULES_LOOKS and line != self._modules:
-            self._modules = line
+        if wiring.hubs and self._looks > MODULES_LOOKS:
+            line = mismatch(wiring.lacking, len(wiring.suis), len(wiring.foreign), match)
             self._say("skin.layout", line, "all its modules are there", now_s)
 
-    def _say(self, subject: str, fault: str, fine: str, now_s: float) -> None:
-        """Warn of a fault; `fine` is logged where there is none."""
+    def _say(self, subject: str, fault: str, fine: str, now_s: float) -> bool:
+        """Warn of a fault, or log `fine` where there is none; → whether that has changed."""
+        line = fault or fine
+        if line == self._said.get(subject, fine):
+            return False
+        self._said[subject] = line
         if self._of_inputs.allows(now_s):
-            log.log(logging.WARNING if fault else logging.INFO, "%s: %s", subject, fault or fine)
+            log.log(logging.WARNING if fault else logging.INFO, "%s: %s", subject, line)
+        return True

@@ -1,10 +1,10 @@
 """Signals: each is noted when it comes, and acted upon between two passes of the loop.
 
 TERM, INT and QUIT end the daemon, HUP reads the configuration anew, USR1 logs what the daemon
-knows, and XCPU (`LimitRTTIME=`) and ABRT (a watchdog) say where the code is and end it.
+knows, and XCPU (`LimitRTTIME=`) and ABRT (a watchdog) say where the loop is and end it.
 
-All handlers are Python's own, which run between two of its steps. `faulthandler` looks at stacks
-that may be half made, and gives all handlers a small stack, which a few signals at once overflow.
+All handlers are Python's own: `faulthandler` gives handlers a small stack, which a few signals at
+once overflow.
 """
 
 import contextlib
@@ -13,8 +13,6 @@ import logging
 import os
 import select
 import signal
-import sys
-import threading
 import traceback
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -36,13 +34,13 @@ class Signals:
     """The signals that the process gets while this is entered; in the main thread."""
 
     def __init__(self) -> None:
-        self._noted: list[int] = []
+        self._noted: set[int] = set()
         self._before: dict[int, Any] = {}
 
     def __enter__(self) -> Self:
         self._handle(self._note, signal.SIGHUP, signal.SIGUSR1)
         self._handle(_end, signal.SIGXCPU, signal.SIGABRT)
-        self._handle(signal.SIG_IGN, signal.SIGUSR2, signal.SIGALRM)  # they would end the daemon
+        self._handle(signal.SIG_IGN, signal.SIGUSR2, signal.SIGALRM)
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -56,17 +54,17 @@ class Signals:
     def serve(self, actions: Mapping[int, Callable[[], None]]) -> None:
         """Act upon the signals that have come since, once each."""
         while self._noted:
-            actions.get(self._noted.pop(0), lambda: None)()
+            actions[self._noted.pop()]()
 
     def _handle(self, handler: Any, *numbers: int) -> None:
         for number in numbers:
             self._before[number] = signal.signal(number, handler)
 
-    def _note(self, number: int, _: FrameType | None) -> None:
-        if number not in self._noted:
-            self._noted.append(number)
-            if number == signal.SIGUSR1:  # at once: it shows where a loop hangs
-                log.warning("%s", _stacks())
+    def _note(self, number: int, frame: FrameType | None) -> None:
+        is_first = number not in self._noted
+        self._noted.add(number)  # before the lines, within which the next one may come
+        if is_first and number == signal.SIGUSR1:
+            log.warning("the loop is at\n%s", "".join(traceback.format_stack(frame)).rstrip())
 
 
 def reload(path: Path, config: Config, level: str | None = None) -> None:
@@ -99,12 +97,3 @@ def _end(number: int, frame: FrameType | None) -> None:
             os.write(service_log.STDERR, text)
     signal.signal(number, signal.SIG_DFL)
     signal.raise_signal(number)
-
-
-def _stacks() -> str:
-    """Where all threads are."""
-    names = {thread.ident: thread.name for thread in threading.enumerate()}
-    return "\n".join(
-        f"thread {names.get(ident, ident)}:\n{''.join(traceback.format_stack(frame)).rstrip()}"
-        for ident, frame in sys._current_frames().items()
-    )

@@ -1,5 +1,5 @@
 """The file that a skin's state is kept in: JSON of less than 50 kB, read at the start, written
-seldom, by its own thread.
+seldom, each time by a thread of its own.
 
 It is written beside, synced and then renamed, so that a power cut leaves the old one or the new
 one, whole. A fault of the disk or the file is warned of once, and costs a fresh capture at most.
@@ -12,7 +12,6 @@ import os
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from queue import SimpleQueue
 from typing import Any
 
 import numpy as np
@@ -100,19 +99,16 @@ class StateFile:
         self._captures = skin.captures
         self._next_s = -1.0
         self._failed = False
-        self._waiting: SimpleQueue[SkinState | None] = SimpleQueue()  # None: no more will come
-        # a disk that hangs must not keep the daemon from ending
-        self._thread = threading.Thread(target=self._run, name="skin state", daemon=True)
+        self._writer: threading.Thread | None = None
 
     def restore(self, now: float) -> None:
         """Give the skin what is stored; `now` is Unix time."""
         if self._path is None:
             return
+        skin = self._skin
         try:
             with opened(self._path, MAX_BYTES) as file:
-                text = file.read(MAX_BYTES)
-            skin = self._skin
-            state = parse(text, skin.digest, len(skin.layout), skin.modules)
+                state = parse(file.read(MAX_BYTES), skin.digest, len(skin.layout), skin.modules)
             if not -FUTURE_S <= now - state.t <= MAX_AGE_S:
                 raise ValueError(f"it is {(now - state.t) / 3600.0:.1f} h old")
         except FileNotFoundError:
@@ -120,50 +116,52 @@ class StateFile:
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             log.warning("%s: not used, %s; the idle baseline is learned again", self._path, reason)
-            return
-        self._skin.restore(state)
+        else:
+            skin.restore(state)
 
     def keep(self, now_s: float) -> None:
-        """Hand the state to the thread when it is time to, unless one waits there already; `now_s`
-        is monotonic. Never blocks."""
-        if self._path is None or not self._waiting.empty():
+        """Have the state written if it is time to, and the disk has taken the last one; `now_s` is
+        monotonic. Never blocks."""
+        if self._path is None or (self._writer is not None and self._writer.is_alive()):
             return
         fresh = self._skin.captures != self._captures
         if fresh or (now_s >= self._next_s and not self._skin.touched):
-            self._offer(self._state())
+            self._start_writing()
             self._captures, self._next_s = self._skin.captures, now_s + EVERY_S
 
     def close(self) -> None:
         """Write the last state, unless the disk does not take it in time."""
-        if self._path is not None:
-            self._offer(self._state())
-        if self._thread.is_alive():
-            self._waiting.put(None)
-            self._thread.join(CLOSE_S)
+        if self._is_free():
+            self._start_writing()
+            self._is_free()
 
-    def _offer(self, state: SkinState | None) -> None:
-        if state is not None:
-            self._waiting.put(state)
-            if self._thread.ident is None:  # it has not been started
-                self._thread.start()
+    def _is_free(self) -> bool:
+        """Whether the disk has taken the last state, or takes it soon."""
+        if self._writer is not None:
+            self._writer.join(CLOSE_S)
+        return self._writer is None or not self._writer.is_alive()
 
-    def _run(self) -> None:
-        while self._path and (state := self._waiting.get()) is not None:
-            try:
-                _write(self._path, dump(state))
-            except OSError as error:
-                if not self._failed:
-                    log.warning("%s: not written (%s)", self._path, error.strerror)
-                self._failed = True
+    def _start_writing(self) -> None:
+        state = self._state()
+        if self._path is not None and state is not None:
+            # a disk that hangs must not keep the daemon from ending
+            self._writer = threading.Thread(
+                target=self._write, args=(self._path, state), name="skin state", daemon=True
+            )
+            self._writer.start()
 
-
-def _write(path: Path, content: bytes) -> None:
-    """In place of a file, or of a link, which is not followed. Raises OSError."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".new")
-    beside.unlink(missing_ok=True)
-    with beside.open("xb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    beside.replace(path)
+    def _write(self, path: Path, state: SkinState) -> None:
+        """In place of a file, or of a link, which is not followed."""
+        beside = path.with_suffix(".new")
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            beside.unlink(missing_ok=True)
+            with beside.open("xb") as file:
+                file.write(dump(state))
+                file.flush()
+                os.fsync(file.fileno())
+            beside.replace(path)
+        except OSError as error:
+            if not self._failed:
+                log.warning("%s: not written (%s)", path, error.strerror)
+            self._failed = True

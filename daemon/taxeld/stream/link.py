@@ -1,6 +1,7 @@
 """The loop's end of the pair: messages go out, and all that comes is checked as if the door were
 hostile."""
 
+import contextlib
 import logging
 import math
 import socket
@@ -38,55 +39,25 @@ Handler = Callable[[], None]
 
 
 @dataclass(slots=True)
-class SubscriberCounters:
-    """Since the door's start."""
-
-    hung_up: int = 0  # peers that sent too many subscriptions
-    bound_again: int = 0  # times that a socket file had vanished
-
-
-@dataclass(slots=True)
-class ControlCounters:
-    """Since the door's start."""
-
-    requests: int = 0
-    refused: int = 0  # malformed, of no known command, or from a user who may not
-    failed: int = 0  # without an answer of the loop
-
-
-@dataclass(slots=True)
 class RobotLine:
     """The connection to the robot."""
 
     connected: bool = False
     refused: bool = False  # the handshake fails
     malformed: int = 0  # messages of the topic that are no pose
-    oversized: int = 0  # messages of too many frames, for which the robot is connected anew
-    reconnected: int = 0  # connections made anew after one that did not come back
     topics: list[str] = field(default_factory=list)  # others that are heard while no pose comes
 
 
 @dataclass(slots=True)
 class Report:
-    """What the door says of itself, once a second."""
+    """The door's account of itself, once a second; counts since its start."""
 
-    subscribers: SubscriberCounters = field(default_factory=SubscriberCounters)
-    control: ControlCounters = field(default_factory=ControlCounters)
     robot: RobotLine = field(default_factory=RobotLine)
     confined: bool = False  # by Landlock
-    peers: int = 0  # connections now
+    hung_up: int = 0  # subscribers that sent too many subscriptions
     crowded_out: int = 0  # connections that had to go, as few descriptors were left
     hoarders: int = 0  # connections that had to go, as what they sent made memory grow
     keys_refused: int = 0  # connections without an authorised key
-    poses_lost: int = 0  # poses that the loop did not take in time
-
-
-@dataclass(slots=True)
-class PairCounters:
-    """Since the loop's start."""
-
-    unsent: int = 0  # messages that the door did not take in time
-    malformed: int = 0  # packets from the door that are none
 
 
 class Link:
@@ -97,7 +68,7 @@ class Link:
     ) -> None:
         """`info`: the map of `/taxeld/info`; `on_pose` is given each pose (t, x, y, θ) that is
         finite; `handlers` do what clients may change, by command."""
-        self.counters = PairCounters()
+        self.unsent = 0  # messages that the door did not take in time, since the loop's start
         self.report = Report()
         self.is_ready = False
         self.fault = ""  # why the door has ended, if it said so
@@ -174,8 +145,9 @@ class Link:
                 return
             self._silent_s = 0.0
             self._allowed -= 1.0
-            if len(packet) > BODY_MAX or not self._take(packet[0], packet[1:]):
-                self.counters.malformed += 1
+            if len(packet) <= BODY_MAX:
+                with contextlib.suppress(*REFUSED):
+                    self._take(packet[0], packet[1:])
             if self._socket is None:
                 return
         most_s = SILENT_S if self.is_ready else START_S
@@ -183,35 +155,28 @@ class Link:
             log.warning("door: %s", "hangs" if self._allowed >= 0.0 else "sends without end")
             self.detach()
 
-    def _take(self, kind: int, body: bytes) -> bool:
-        """Whether the packet is one."""
-        try:
-            match kind:
-                case Kind.POSES:
-                    poses = list(pair.POSE.iter_unpack(body))
-                    if not poses or not all(map(math.isfinite, chain(*poses))):
-                        return False
+    def _take(self, kind: int, body: bytes) -> None:
+        """Raises one of REFUSED where the packet is none that is known."""
+        match kind:
+            case Kind.POSES:
+                poses = list(pair.POSE.iter_unpack(body))
+                if all(map(math.isfinite, chain(*poses))):
                     self._allowed -= len(poses)
                     for pose in poses:
                         self._on_pose(*pose)
-                case Kind.WANTED:
-                    (self._wanted,) = body
-                case Kind.CHANGE:
-                    (number,) = pair.REQUEST.unpack_from(body)
-                    self._change(number, self._handlers[body[pair.REQUEST.size :].decode()])
-                case Kind.REPORT:
-                    self.report = read_report(msgpack.unpackb(body))
-                case Kind.LOG:
-                    log.log(SEVERITIES[body[0]], "door: %s", line_of(body[1:]))
-                case Kind.READY if not body:
-                    self.is_ready = True
-                case Kind.FAULT:
-                    self.fault = line_of(body)
-                case _:
-                    return False
-        except REFUSED:
-            return False
-        return True
+            case Kind.WANTED:
+                (self._wanted,) = body
+            case Kind.CHANGE:
+                (number,) = pair.REQUEST.unpack_from(body)
+                self._change(number, self._handlers[body[pair.REQUEST.size :].decode()])
+            case Kind.REPORT:
+                self.report = read_report(msgpack.unpackb(body))
+            case Kind.LOG:
+                log.log(SEVERITIES[body[0]], "door: %s", line_of(body[1:]))
+            case Kind.READY if not body:
+                self.is_ready = True
+            case Kind.FAULT:
+                self.fault = line_of(body)
 
     def _change(self, number: int, handler: Handler) -> None:
         why = ""
@@ -230,9 +195,9 @@ class Link:
             return
         send = pair.send if len(body) < pair.PACKET_MAX else pair.send_large
         try:
-            self.counters.unsent += not send(self._socket, kind, body)
+            self.unsent += not send(self._socket, kind, body)
         except OSError:  # the door is gone, which the next look finds
-            self.counters.unsent += 1
+            self.unsent += 1
 
 
 def read_report(given: object) -> Report:

@@ -4,9 +4,10 @@ from collections.abc import Iterator
 from itertools import groupby
 
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
-from taxeld.estimator.intake import EstimatorCounters, Intake
+from taxeld.estimator.intake import Intake
 from taxeld.estimator.memory import Slack
 from taxeld.estimator.news import News
+from taxeld.estimator.rule import EstimatorCounters
 from taxeld.model.observation import ObservationModel
 from taxeld_training.filters.methods import NOISE
 from taxeld_training.filters.trials import Trial, TrialScan

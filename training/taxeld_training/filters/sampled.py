@@ -11,7 +11,8 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
-from taxeld.estimator.intake import EstimatorCounters, Intake
+from taxeld.estimator.intake import Intake
+from taxeld.estimator.rule import EstimatorCounters
 from taxeld.model import se2
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld_hil.jobs import Job
