@@ -22,10 +22,10 @@ FIXED = {
     "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
-    'proposal = "table"': "9480e8fe05de4c7b",
-    'proposal = "manifold"\ninjection = "paper"': "43da76a1d4bd4048",
-    'proposal = "table"\nmotion = "push"': "1db7613c8cca25bc",
-    'proposal = "manifold"\nparticles = 300': "42e70804ac1df11a",
+    'proposal = "table"': "2558b2d3bf592163",
+    'proposal = "manifold"\ninjection = "paper"': "998b7bc5e2f5f040",
+    'proposal = "table"\nmotion = "push"': "39984d49ce36d0d0",
+    'proposal = "manifold"\nparticles = 300': "7d88cdaa4398f55d",
 }
 
 
