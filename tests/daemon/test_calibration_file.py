@@ -52,7 +52,7 @@ def loaded(path: Path, skin: Layout, now: float = NOW, *, recorded: bool = False
 
 
 def test_what_is_written_is_read(skin: Layout, tmp_path: Path) -> None:
-    before = of(skin)
+    before = of(skin, object='a "box" \\ ü 🙂')
     after = loaded(written(skin, tmp_path / "c", before), skin)
     for name in Calibration.__dataclass_fields__:
         expected = getattr(before, name)

@@ -102,17 +102,19 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
 
 
 def _check_endpoints(config: Config, faults: list[str]) -> None:
-    has_keys = bool(config.curve.directory)
-    served = [("publish.endpoints", "relay.publish", each) for each in config.publish.endpoints]
-    served += [("control.endpoint", "relay.control", config.control.endpoint)]
-    found = [
-        (name, endpoints.served_fault(each, over_tcp)) for name, over_tcp, each in served if each
-    ]
-    others = [("sensor_pose.endpoint", config.sensor_pose.endpoint)]
-    others += [("relay.publish", each) for each in config.relay.publish]
-    others += [("relay.control", config.relay.control)]
-    found += [(name, endpoints.fault(each, has_keys)) for name, each in others if each]
-    faults += [f"{name}: {fault}" for name, fault in found if fault]
+    for key, relay_key, named in (
+        ("publish.endpoints", "relay.publish", config.publish.endpoints),
+        ("control.endpoint", "relay.control", (config.control.endpoint,)),
+    ):
+        found = (endpoints.served_fault(each, relay_key) for each in named if each)
+        faults += [f"{key}: {fault}" for fault in found if fault]
+    for key, named in (
+        ("sensor_pose.endpoint", (config.sensor_pose.endpoint,)),
+        ("relay.publish", config.relay.publish),
+        ("relay.control", (config.relay.control,)),
+    ):
+        found = (endpoints.fault(each, bool(config.curve.directory)) for each in named if each)
+        faults += [f"{key}: {fault}" for fault in found if fault]
 
 
 def _for_this_user(config: Config) -> Config:

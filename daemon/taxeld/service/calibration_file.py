@@ -101,7 +101,7 @@ def dump(c: Calibration, layout: Layout) -> str:
 def _pairs(table: Mapping[str, Any]) -> list[str]:
     """A line of TOML for each key; numbers of six decimals. JSON's scalars are TOML's as well."""
     plain = {k: round(v, 6) if isinstance(v, float) else v for k, v in table.items()}
-    return [f"{name} = {json.dumps(value)}" for name, value in plain.items()]
+    return [f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value in plain.items()]
 
 
 def read(path: Path, layout: Layout, full_scale_depth_m: float) -> Calibration:
