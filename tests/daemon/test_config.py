@@ -52,6 +52,8 @@ def test_a_minimal_configuration_has_every_default() -> None:
             "[source]\nkind = 'can'\nchannel = 'can0'\ndialect = 'icub'\nmodules = [[7, 1]]",
             "source.modules: is of dialect cyskin; icub names its boards",
         ),
+        ("[relay]\npublish = ['tcp://0.0.0.0:1']", "relay.publish: 'tcp://0.0.0.0:1' is not local"),
+        ("[relay]\ncontrol = 'tcp://*:1'", "relay.control: 'tcp://*:1' is not local"),
         ("[scene]", "scene.bundle: is required"),
         ("", "source: is required"),
         (
@@ -131,6 +133,31 @@ def test_a_file_that_is_no_configuration_is_one_line(
         path.write_bytes(content)
     with pytest.raises(ConfigError, match=f"^[^\n]+taxeld.toml: unreadable.*{fault}[^\n]*$"):
         load(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a" + ".a" * 20_000 + " = 1",
+        "a" + ' . "a"' * 20_000 + " = 1",
+        "x = 1\n[a" + ".a" * 20_000 + "]",
+        "x = {'a'" + ".'a'" * 20_000 + " = 1}",
+    ],
+    ids=["bare", "quoted", "table", "inline"],
+)
+def test_a_key_of_thousands_of_parts_is_refused_before_it_is_read(
+    text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python's reader takes minutes and gigabytes for it."""
+    monkeypatch.setattr("tomllib.loads", lambda _: pytest.fail("it is read"))
+    with pytest.raises(ConfigError, match=r"^x\.toml: line \d: more than 16 names are joined"):
+        parse(text, "x.toml")
+
+
+def test_a_text_of_many_dots_is_a_text() -> None:
+    layout = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+    text = f'[skin]\nlayout = "{layout}"  # a.b.c.d ... e.f...\n'
+    assert parse(MINIMAL + text).skin.layout == layout
 
 
 def test_the_documented_table_is_the_codes() -> None:
