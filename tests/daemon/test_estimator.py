@@ -19,15 +19,7 @@ from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Projection
 from taxeld.stream import messages
-from tests.rig.pressed_box import (
-    TRUTH,
-    approach,
-    box_side,
-    estimator,
-    feel,
-    press,
-    settled,
-)
+from tests.rig.pressed_box import TRUTH, approach, box_side, estimator, feel, press, settled
 
 
 def sharpness(estimate: Estimate) -> tuple[float, float]:

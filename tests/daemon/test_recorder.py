@@ -25,7 +25,7 @@ from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame, parse_log_line
 from taxeld_protocol.modules import wired
 from tests.rig.clocks import PATIENCE_S, until
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
 from tests.rig.logged import messages, warnings
 from tests.rig.processes import PIPES, taxeld
@@ -329,7 +329,7 @@ def test_a_replay_is_not_recorded_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", [("run", "--record"), ("record", "--out")], ids=" ".join)
 def test_what_was_recorded_replays_as_many_scans_as_were_taken(
-    tmp_path: Path, hub: VirtualHub, capsys: pytest.CaptureFixture[str], command: tuple[str, str]
+    tmp_path: Path, hub: VirtualHub, command: tuple[str, str]
 ) -> None:
     out, config = tmp_path / "session", configured(tmp_path, hub)
     process = taxeld(*command, out, config, **PIPES)
@@ -339,10 +339,9 @@ def test_what_was_recorded_replays_as_many_scans_as_were_taken(
         serve(hub, lambda: recorded_bytes(out) >= sent)
     finally:
         process.terminate()
-        printed, _ = process.communicate(timeout=PATIENCE_S)
+        said, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert (out / session.CONFIG).read_text("utf-8") == config.read_text("utf-8")
-    assert main(["replay", str(out)]) == 0
-    scans = len(capsys.readouterr().out.splitlines())
+    scans = len(printed("replay", out).splitlines())
     assert scans >= 30
-    assert command[0] == "run" or f"{scans} scans, 0 sensor poses" in printed
+    assert command[0] == "run" or f"{scans} scans, 0 sensor poses" in said

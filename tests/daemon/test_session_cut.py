@@ -122,9 +122,7 @@ def recorded(
     max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_a_session_that_is_cut_at_any_byte_of_any_file_replays_to_where_it_was_cut(
-    recorded: tuple[str, Path, list[str]],
-    caplog: pytest.LogCaptureFixture,
-    data: st.DataObject,
+    recorded: tuple[str, Path, list[str]], caplog: pytest.LogCaptureFixture, data: st.DataObject
 ) -> None:
     transport, place, whole = recorded
     copy = place.with_name("cut")

@@ -22,7 +22,7 @@ from taxeld.stream import messages
 from taxeld_hil.calibration import calibrate, guided
 from taxeld_hil.calibration.guided import Guided
 from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
 from tests.rig.virtual_hub import VirtualHub
 
 OBJECT = [f"{value!r}" for value in PLACED.tolist()]
@@ -86,8 +86,7 @@ def test_a_session_replays_better_with_its_calibration(
 
     def off_mm(*arguments: str) -> float:
         capsys.readouterr()
-        assert main(["replay", str(session), *arguments]) == 0
-        last = json.loads(capsys.readouterr().out.splitlines()[-1])["map"]
+        last = json.loads(printed("replay", session, *arguments).splitlines()[-1])["map"]
         return 1e3 * float(np.hypot(last["x"] - PLACED[0], last["y"] - PLACED[1]))
 
     assert off_mm("--config", str(config)) < 0.5 * off_mm()
