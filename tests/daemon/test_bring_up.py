@@ -224,13 +224,6 @@ def test_once_scans_come_nothing_more_is_sent() -> None:
     assert len(bus.sent) == sent
 
 
-def test_two_hubs_get_short_ids_of_their_own() -> None:
-    one, two = pair(9, 9)
-    bus = Bus(one, two)
-    bus.run(0.0, 0.1)
-    assert (one.short_id, two.short_id) == (1, 2)
-
-
 @pytest.mark.parametrize("late", [False, True])
 def test_hubs_that_exchange_their_short_ids_keep_their_own_tables(late: bool) -> None:
     """What they declare under their old ids is on its way when they are given the new ones."""

@@ -131,6 +131,7 @@ def test_a_packed_log_is_read_up_to_where_it_is_cut_or_damaged(
     ("name", "content", "part"),
     [
         ("a.log", b"", "a.log: has no frame; candump -l and -L, "),
+        ("a.log", bytes(range(256)) * 40, "a.log: has no frame"),
         ("a.log", b" can0  101   [2]  43 1A\n", "has no frame (line 1: 'can0  101   [2]  43 1A')"),
         ("a.log.gz", b"no gzip", "has no frame (after line 0: "),
         ("a.log.gz", gzip.compress(b"\n" * 1_000_000), "has no frame; candump"),
@@ -146,7 +147,7 @@ def test_a_packed_log_is_read_up_to_where_it_is_cut_or_damaged(
         ("a.b.asc.gz", b"", "python-can's reader of .asc files stops here: "),
         ("serial.bin", b"\n" * 200_000, "neither an SLCAN frame nor a packet"),
     ],
-    ids=range(15),
+    ids=range(16),
 )
 def test_a_log_that_cannot_be_read_is_refused_with_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: bytes, part: str
