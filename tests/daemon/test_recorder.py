@@ -27,7 +27,6 @@ from taxeld_protocol.modules import wired
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
-from tests.rig.logged import messages, warnings
 from tests.rig.processes import PIPES, taxeld
 from tests.rig.virtual_hub import VirtualHub
 
@@ -295,29 +294,6 @@ def test_all_that_is_recorded_is_synced(tmp_path: Path, monkeypatch: pytest.Monk
         recorder.take(Chunk(1.0, b"\x00"))
         until(lambda: {session.SERIAL, session.SERIAL_TIMES, session.POSES} <= synced)
     assert session.ABOUT in synced
-
-
-def test_a_daemon_records_while_it_runs_and_outlives_a_full_disk(
-    tmp_path: Path, hub: VirtualHub
-) -> None:
-    out = tmp_path / "session"
-    config = configured(tmp_path, hub)
-    process = taxeld("run", "--record", out, config, **PIPES, **ON_A_SMALL_DISK)
-    try:
-        serve(hub, lambda: hub.written > 3 * SMALL_DISK)
-        sent = hub.scans
-        serve(hub, lambda: hub.scans > sent + 50)
-        status = taxeld("status", "--json", config, **PIPES)
-        serve(hub, lambda: status.poll() is not None)
-        assert '"failed": true' in status.communicate(timeout=PATIENCE_S)[0]
-    finally:
-        process.terminate()
-        _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0
-    ended = f"the recording has ended ({os.strerror(errno.EFBIG)}); it replays up to here"
-    assert f"{out}: {ended}" in warnings(errors)
-    assert STARTED in messages(errors)
-    assert session.read(out).items
 
 
 def test_a_replay_is_not_recorded_again(tmp_path: Path) -> None:
