@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from taxeld.arrays import Floats, Poses
-from taxeld.config.tables import FilterConfig, SkinConfig
+from taxeld.config.tables import FilterConfig
 from taxeld.estimator.calibration_check import (
     ITERATIONS,
     LEAST_TOUCHES,
@@ -12,14 +12,13 @@ from taxeld.estimator.calibration_check import (
     CalibrationDoubt,
     Suspect,
 )
-from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.activation import FLOOR
 from taxeld.model.observation import Observation
 from taxeld.proposals import bundle
 from tests.hil.rig import PLACED, PressedSkin
+from tests.rig.skins import SKIN
 
-SKIN = layouts.load(SkinConfig().layout)
 MODEL = bundle.load("box", SKIN, 0.005).model
 GAIN_CV, SIGMA = 0.15, 0.03
 

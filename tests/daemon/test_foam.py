@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import SkinConfig
-from taxeld.layout import read as layouts
 from taxeld.model.activation import Activation
 from taxeld.skin.foam import KEPT, Residue
 from taxeld.skin.skin import Skin
 from tests.rig.simulated_skin import PERIOD_S, SimulatedSkin
+from tests.rig.skins import SKIN
 
-SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 FULL = SkinConfig().full_scale_counts
 PRESSED, FIRM, LIGHT = 40, 15_000.0, 500.0
 FAST_S, SLOW_S = 1.0, 25.0

@@ -14,24 +14,20 @@ from typing import Any
 import pytest
 
 from taxeld.cli import main
-from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
 from taxeld.source import recorder as recorders
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk, Session
 from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame, parse_log_line
-from taxeld_protocol.modules import wired
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
 from tests.rig.processes import PIPES, taxeld
+from tests.rig.skins import CHANNELS, MODULES
 from tests.rig.virtual_hub import VirtualHub
 
-MODULES = wired(layouts.load(SkinConfig().layout).uid.tolist())
-CHANNELS = sum(module.channels for module in MODULES)
 STARTED = "hub 1 is in its bootloader, as after power-on; it is started"
 SMALL_DISK = 30_000  # bytes a file may have, in place of a disk that is nearly full
 ON_A_SMALL_DISK: dict[str, Any] = {

@@ -20,7 +20,6 @@ from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config.file import parse
 from taxeld.config.tables import Config, SensorPoseConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
@@ -31,15 +30,11 @@ from taxeld.source.session import Chunk
 from taxeld.stream import messages
 from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.commands import refused
+from tests.rig.skins import CHANNELS, MODULES, SKIN
 from tests.rig.virtual_hub import told
 
-SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-SKIN = layouts.load(SPEC)
-MODULES = wired(SKIN.uid.tolist())
-CHANNELS = sum(module.channels for module in MODULES)
 PERIOD_S = 0.05
 SOURCES = {
     "can": 'kind = "can"\nchannel = "can0"',
