@@ -67,6 +67,13 @@ class BoardsBus:
                 self.send(frame)
         return scans
 
+    def felt(self) -> Skin:
+        """A skin that has been captured at rest."""
+        skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200), baseline_scans=8)
+        for scan in self.run(3.0):
+            skin.on_scan(scan)
+        return skin
+
     def received(self) -> list[Frame]:
         frames: list[Frame] = []
         while (message := self.bus.recv(0.0)) is not None:
@@ -136,9 +143,7 @@ def test_boards_that_are_not_named_are_found_and_what_is_missing_is_said(
 def test_a_touch_is_felt_by_the_taxel_that_the_layout_names() -> None:
     boards = Boards(*BOARDS)
     bus = BoardsBus(settings("touch"), boards)
-    skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200), baseline_scans=8)
-    for scan in bus.run(3.0):
-        skin.on_scan(scan)
+    skin = bus.felt()
     touched = [IDLE] * CHANNELS
     touched[8] = 140
     touched[icub.THERMAL[0]] = 0
@@ -155,9 +160,7 @@ def test_a_taxel_that_fails_does_not_blind_its_triangle() -> None:
     """The board says so of the whole triangle, and marks which it is."""
     boards = Boards(*BOARDS)
     bus = BoardsBus(settings("fails"), boards)
-    skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200), baseline_scans=8)
-    for scan in bus.run(3.0):
-        skin.on_scan(scan)
+    skin = bus.felt()
     boards.errors[9] = {0: icub.NO_ACKNOWLEDGE | 1 << 4 + 2}
     boards.values[9, 0] = [IDLE] * 5 + [140] + [IDLE] * 6
     last = [skin.on_scan(scan) for scan in bus.run(1.0)][-1]

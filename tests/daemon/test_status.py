@@ -71,14 +71,11 @@ def test_reset_and_tare_wait_for_the_answer_and_say_what_happened(running: Path)
 
 @pytest.mark.parametrize("command", ["status", "tare", "reset"])
 def test_a_daemon_that_is_not_there_is_one_line_and_status_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-    command: str,
-) -> None:  # fmt: skip
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
     monkeypatch.setattr(client, "TIMEOUT_S", 0.1)
-    assert main([command, "--endpoint", f"ipc://{tmp_path}/control"]) == 1
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err == f"no daemon answers at ipc://{tmp_path}/control; is 'taxeld run' there?\n"
+    said = refused(command, "--endpoint", f"ipc://{tmp_path}/control", status=1)
+    assert said == f"no daemon answers at ipc://{tmp_path}/control; is 'taxeld run' there?\n"
 
 
 @pytest.mark.parametrize(
