@@ -23,6 +23,7 @@ from taxeld_hil.calibration import calibrate, guided
 from taxeld_hil.calibration.guided import Guided
 from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
 from tests.rig.commands import printed, refused
+from tests.rig.configurations import configuration
 from tests.rig.virtual_hub import VirtualHub
 
 OBJECT = [f"{value!r}" for value in PLACED.tolist()]
@@ -124,14 +125,11 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
     with VirtualHub(tmp_path / "skin", MODULES) as hub, zmq.Context() as context:
         robot = context.socket(zmq.PUB)
         robot.bind(f"ipc://{tmp_path}/poses")
-        config = tmp_path / "config.toml"
-        config.write_text(
-            f'[source]\nkind = "can"\ninterface = "slcan"\nchannel = "{hub.device}"\n'
-            f'period_ms = 20\n[scene]\nbundle = "box"\n'
-            f'[sensor_pose]\nendpoint = "ipc://{tmp_path}/poses"\n'
-            '[filter]\nproposal = "manifold"\nparticles = 40\nparticles_max = 40\ninjected = 10\n',
-            encoding="utf-8",
-        )
+        few = {"proposal": "manifold", "particles": 40, "particles_max": 40, "injected": 10}
+        config = configuration(
+            tmp_path, source=hub.source | {"period_ms": 20}, filter=few,
+            sensor_pose={"endpoint": f"ipc://{tmp_path}/poses"},
+        )  # fmt: skip
         out = tmp_path / "skin.toml"
         place = Guided.place(out)
         asking = Guided(load(config), config, place, 1.5, 16, said.append)
