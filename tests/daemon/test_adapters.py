@@ -15,23 +15,19 @@ import pytest
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
 from taxeld.source.devices import open_device
 from taxeld.source.sources import LiveSource, open_source
 from taxeld_hil.rig.adapters import KINDS, Adapter
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import SlcanPort
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import wired
 from taxeld_protocol.slcan import BITRATES, SlcanReader, split
 from taxeld_protocol.virtual_ihb import Phase
 from tests.rig.clocks import PATIENCE_S, until
+from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
 
-SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
-MODULES = wired(SKIN.uid.tolist())
-LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
-COUNTS = list(range(1, 1 + sum(module.channels for module in MODULES)))
+COUNTS = list(range(1, 1 + CHANNELS))
 
 kinds = pytest.mark.parametrize("kind", KINDS)
 as_bus_and_as_line = pytest.mark.parametrize("bus", [True, False], ids=["bus", "line"])

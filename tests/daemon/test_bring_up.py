@@ -10,6 +10,7 @@ from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command, Packet
 from taxeld_protocol.decoder import Decoder
 from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
+from tests.rig.virtual_hub import StuckHub
 
 UIDS = [i // 10 + 1 << 4 | i % 10 + 1 for i in range(30)]
 
@@ -79,6 +80,12 @@ class Bus:
                     self._ask(*request)
 
 
+def pair(one: int = 1, two: int = 2) -> tuple[VirtualIhb, VirtualIhb]:
+    """Two hubs of one module each, with these short ids."""
+    first = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=one)
+    return first, VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=two)
+
+
 VENDORS_ORDER = [
     LEAVE_BOOTLOADER, Command.DISCOVERY_PING, Command.DISCOVERY_RECV_ID, Command.DECLARE,
     Command.MODULE_DETAILS, Command.SET_AUTO_SYNC, Command.MODULE_PROGRAM_END,
@@ -87,10 +94,15 @@ VENDORS_ORDER = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize(
+    ("phase", "streams"), [*((phase, False) for phase in Phase), (Phase.RUNNING, True)]
+)
 @pytest.mark.parametrize("late", [False, True])
-def test_a_hub_is_found_asked_and_started_in_the_vendors_order(phase: Phase, late: bool) -> None:
+def test_a_hub_is_found_asked_and_started_in_the_vendors_order(
+    phase: Phase, streams: bool, late: bool
+) -> None:
     hub = VirtualIhb(wired(UIDS), phase=phase)
+    hub.auto_sync = streams
     bus = Bus(hub, late=late)
     bus.run(0.0, 2.0)
     assert hub.auto_sync
@@ -98,15 +110,6 @@ def test_a_hub_is_found_asked_and_started_in_the_vendors_order(phase: Phase, lat
     assert bus.decoder.table(1).modules == hub.modules
     assert bus.scans > 80
     assert bus.sent == VENDORS_ORDER
-
-
-def test_a_hub_that_streams_already_is_brought_up_in_the_same_order() -> None:
-    hub = VirtualIhb(wired(UIDS), phase=Phase.RUNNING)
-    hub.auto_sync = True
-    bus = Bus(hub)
-    bus.run(0.0, 2.0)
-    assert bus.sent == VENDORS_ORDER
-    assert bus.scans > 80
 
 
 class SlowHub(VirtualIhb):
@@ -136,12 +139,7 @@ def test_modules_may_take_their_time_to_start() -> None:
 
 
 def test_a_hub_in_its_bootloader_is_told_of_once_and_waited_for_where_it_stays() -> None:
-    class Stuck(VirtualIhb):
-        def answer(self, packet: Packet) -> list[Answer]:
-            starts = packet.command == Command.MODULE_PROGRAM_END
-            return [] if starts else super().answer(packet)
-
-    stuck, good = Stuck(wired(UIDS), uid=7), VirtualIhb(wired(UIDS), uid=8)
+    stuck, good = StuckHub(wired(UIDS), uid=7), VirtualIhb(wired(UIDS), uid=8)
     bus = Bus(stuck)
     bus.run(0.0, 5.0)
     assert bus.news == ["hub 1 is in its bootloader, as after power-on; it is started"]
@@ -172,8 +170,7 @@ def test_a_hub_whose_modules_do_not_answer_does_not_keep_another_from_streaming(
 
 
 def test_a_hub_that_speaks_is_not_stopped_while_another_is_brought_up() -> None:
-    one = VirtualIhb(wired(UIDS[:10]), uid=7)
-    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=2)
+    one, two = pair()
     bus = Bus(one, two)
     bus.run(0.0, 2.0)
     stops = bus.sent.count(Command.SET_AUTO_SYNC)
@@ -193,8 +190,7 @@ def test_a_period_longer_than_the_silence_that_is_asked_at_is_waited_for() -> No
 
 @pytest.mark.parametrize("late", [False, True])
 def test_packets_that_are_lost_are_asked_for_again(late: bool) -> None:
-    one = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=9)
-    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=9)
+    one, two = pair(9, 9)
     bus = Bus(one, two, late=late, lost=0.2)
     bus.run(0.0, 60.0)
     bus.lost, before = 0.0, bus.scans
@@ -228,19 +224,10 @@ def test_once_scans_come_nothing_more_is_sent() -> None:
     assert len(bus.sent) == sent
 
 
-def test_two_hubs_get_short_ids_of_their_own() -> None:
-    one = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=9)
-    two = VirtualIhb(wired(UIDS[10:]), uid=8, short_id=9)
-    bus = Bus(one, two)
-    bus.run(0.0, 0.1)
-    assert (one.short_id, two.short_id) == (1, 2)
-
-
 @pytest.mark.parametrize("late", [False, True])
 def test_hubs_that_exchange_their_short_ids_keep_their_own_tables(late: bool) -> None:
     """What they declare under their old ids is on its way when they are given the new ones."""
-    one = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=2)
-    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=1)
+    one, two = pair(2, 1)
     bus = Bus(one, two, late=late)
     bus.run(0.0, 5.0)
     assert (one.short_id, two.short_id) == (1, 2)
@@ -249,8 +236,7 @@ def test_hubs_that_exchange_their_short_ids_keep_their_own_tables(late: bool) ->
 
 
 def test_a_hub_that_reboots_while_another_speaks_is_started_again() -> None:
-    one = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=1)
-    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=2)
+    one, two = pair()
     bus = Bus(one, two, late=True)
     bus.run(0.0, 3.0)
     two.reboot()
@@ -262,8 +248,7 @@ def test_a_hub_that_reboots_while_another_speaks_is_started_again() -> None:
 
 
 def test_a_hub_that_is_gone_for_good_is_called_now_and_then_and_the_other_is_heard() -> None:
-    one = VirtualIhb(wired(UIDS[:10]), uid=7, short_id=1)
-    two = VirtualIhb(wired(UIDS[10:20]), uid=8, short_id=2)
+    one, two = pair()
     bus = Bus(one, two)
     bus.run(0.0, 3.0)
     bus.hubs.remove(two)

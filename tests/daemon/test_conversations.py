@@ -2,15 +2,13 @@
 
 import pytest
 
-from taxeld.config.tables import SkinConfig, SourceConfig
-from taxeld.layout import read as layouts
+from taxeld.config.tables import SourceConfig
 from taxeld.source import dialects
 from taxeld.source.sources import LiveSource
 from taxeld_protocol.frames import Frame
 from tests.rig.conversations import hold_host, load, names
 from tests.rig.given_device import GivenDevice
-
-SKIN = layouts.load(SkinConfig().layout)
+from tests.rig.skins import SKIN
 
 
 class DaemonSource:

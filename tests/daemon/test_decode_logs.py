@@ -18,6 +18,7 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.rig.commands import refused
 from tests.rig.log_writers import (
     BEFORE_SCANS,
     MODULES,
@@ -27,7 +28,6 @@ from tests.rig.log_writers import (
     candump_log,
     counts,
     decoded,
-    refused,
     values_of,
     written,
 )
@@ -131,6 +131,7 @@ def test_a_packed_log_is_read_up_to_where_it_is_cut_or_damaged(
     ("name", "content", "part"),
     [
         ("a.log", b"", "a.log: has no frame; candump -l and -L, "),
+        ("a.log", bytes(range(256)) * 40, "a.log: has no frame"),
         ("a.log", b" can0  101   [2]  43 1A\n", "has no frame (line 1: 'can0  101   [2]  43 1A')"),
         ("a.log.gz", b"no gzip", "has no frame (after line 0: "),
         ("a.log.gz", gzip.compress(b"\n" * 1_000_000), "has no frame; candump"),
@@ -146,13 +147,13 @@ def test_a_packed_log_is_read_up_to_where_it_is_cut_or_damaged(
         ("a.b.asc.gz", b"", "python-can's reader of .asc files stops here: "),
         ("serial.bin", b"\n" * 200_000, "neither an SLCAN frame nor a packet"),
     ],
-    ids=range(15),
+    ids=range(16),
 )
 def test_a_log_that_cannot_be_read_is_refused_with_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, content: bytes, part: str
+    tmp_path: Path, name: str, content: bytes, part: str
 ) -> None:
     (tmp_path / name).write_bytes(content)
-    assert part in refused(tmp_path / name, capsys)
+    assert part in refused("decode", tmp_path / name)
 
 
 @pytest.mark.parametrize("name", ["a.asc", "a.blf", "a.csv", "a.trc"])
@@ -165,10 +166,8 @@ def test_of_a_cut_log_that_python_can_reads_the_scans_before_the_cut_are_given(
     assert [json.loads(line)["modules"] for line in lines] == counts(100)
 
 
-def test_a_directory_is_no_log_and_the_line_says_what_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert "of a session its frames.log or serial.bin" in refused(tmp_path, capsys)
+def test_a_directory_is_no_log_and_the_line_says_what_is(tmp_path: Path) -> None:
+    assert "of a session its frames.log or serial.bin" in refused("decode", tmp_path)
 
 
 def two_interfaces(log: Path) -> None:
@@ -180,14 +179,12 @@ def two_interfaces(log: Path) -> None:
     log.write_text("\n".join(sorted(lines)) + "\n")
 
 
-def test_of_several_interfaces_one_is_to_be_named(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_of_several_interfaces_one_is_to_be_named(tmp_path: Path) -> None:
     log = tmp_path / "any.log"
     two_interfaces(log)
-    assert "interfaces, can0, can1; name the skin's with --interface" in refused(log, capsys)
+    assert "interfaces, can0, can1; name the skin's with --interface" in refused("decode", log)
     assert "no frame of can2; it has those of can0, can1" in refused(
-        log, capsys, "--interface", "can2"
+        "decode", log, "--interface", "can2"
     )
     scans, stats = decoded(log, "can0")
     assert [scan["modules"] for scan in scans] == counts()
@@ -206,11 +203,9 @@ def test_channels_are_interfaces_by_the_number_that_python_can_gives_them(
 
 
 @pytest.mark.parametrize("name", ["a.csv", "serial.bin"])
-def test_a_log_without_interfaces_takes_no_name(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
-) -> None:
+def test_a_log_without_interfaces_takes_no_name(tmp_path: Path, name: str) -> None:
     log = RECORDED / name if name == "serial.bin" else written(name, tmp_path)
-    assert "leave this out" in refused(log, capsys, "--interface", "can0")
+    assert "leave this out" in refused("decode", log, "--interface", "can0")
 
 
 @pytest.mark.parametrize("framing", ["native", "slcan"])

@@ -20,7 +20,6 @@ from can.interfaces.virtual import VirtualBus
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
 from taxeld.source import outbox as outboxes
 from taxeld.source.lines import SerialLine
 from taxeld.source.outbox import Outbox
@@ -28,15 +27,12 @@ from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk
 from taxeld.source.sources import LiveSource, open_source
 from taxeld_protocol.cyskin import Command
-from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
 from tests.rig.clocks import until
 from tests.rig.processes import python
+from tests.rig.skins import CHANNELS, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
 
-SKIN = layouts.load("cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015")
-MODULES = wired(SKIN.uid.tolist())
-CHANNELS = sum(module.channels for module in MODULES)
 TICK_S = 0.01
 
 

@@ -19,15 +19,7 @@ from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Projection
 from taxeld.stream import messages
-from tests.rig.pressed_box import (
-    TRUTH,
-    approach,
-    box_side,
-    estimator,
-    feel,
-    press,
-    settled,
-)
+from tests.rig.pressed_box import TRUTH, approach, box_side, estimator, feel, press, settled
 
 
 def sharpness(estimate: Estimate) -> tuple[float, float]:
@@ -80,16 +72,6 @@ def test_a_press_is_judged_when_it_stops_deepening(box_model: ObservationModel) 
         estimate = subject.on_scan(feel(box_model, press(gap), 0.05 * k), press(gap))
         judged.append(estimate.injected > 0)
     assert judged == [False] * 5 + [True, False]
-
-
-def test_a_flicker_does_not_begin_a_contact(box_model: ObservationModel) -> None:
-    subject = estimator(box_model)
-    approach(subject, box_model)
-    silent = Activation(0.4, np.zeros(32), np.ones(32, dtype=bool))
-    assert subject.on_scan(silent, press(-0.004)).contact
-    assert subject.on_scan(feel(box_model, press(-0.004), 0.45), press(-0.004)).contacts == 1
-    assert not subject.on_scan(replace(silent, t=1.5), press(0.01)).contact
-    assert subject.on_scan(feel(box_model, press(-0.004), 1.6), press(-0.004)).contacts == 2
 
 
 def test_a_touch_that_may_be_noise_confirms_nothing(box_model: ObservationModel) -> None:

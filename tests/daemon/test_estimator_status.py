@@ -13,15 +13,7 @@ from taxeld.estimator.mixture import REVISITS, Mixture
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import Observation, ObservationModel
-from tests.rig.pressed_box import (
-    TRUTH,
-    Knowing,
-    World,
-    approach,
-    box_side,
-    estimator,
-    settled,
-)
+from tests.rig.pressed_box import TRUTH, Knowing, World, approach, box_side, estimator, settled
 
 SPREAD = 0.6  # of the gains of a rough skin: the model takes 0.17
 

@@ -4,122 +4,96 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import SkinConfig
-from taxeld.layout import read as layouts
 from taxeld.model.activation import Activation
 from taxeld.skin.foam import KEPT, Residue
 from taxeld.skin.skin import Skin
 from tests.rig.simulated_skin import PERIOD_S, SimulatedSkin
+from tests.rig.skins import SKIN
 
-SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
 FULL = SkinConfig().full_scale_counts
 PRESSED, FIRM, LIGHT = 40, 15_000.0, 500.0
 FAST_S, SLOW_S = 1.0, 25.0
 
 
+class Foam(SimulatedSkin):
+    """A skin at rest, and the daemon's view of it."""
+
+    def __init__(self) -> None:
+        super().__init__(SKIN)
+        self.skin = Skin(SKIN, SkinConfig())
+        self.run(self.skin, 2.0)
+
+    def hold(self, counts: float, seconds: float = 1.0) -> Activation:
+        """Press one taxel alone; → the last activation."""
+        self.press[:] = 0.0
+        self.press[PRESSED] = counts
+        return self.run(self.skin, seconds)
+
+    def release(self, kept: float, seconds: float) -> list[Activation]:
+        """Lift off a firm press, of which a share stays, half of it for long."""
+        times = PERIOD_S * np.arange(round(seconds / PERIOD_S))
+        left = kept * FIRM * 0.5 * (np.exp(-times / FAST_S) + np.exp(-times / SLOW_S))
+        return [self.hold(counts, PERIOD_S) for counts in left]
+
+
 @pytest.fixture
-def begun() -> tuple[Skin, SimulatedSkin]:
-    skin, foam = Skin(SKIN, SkinConfig()), SimulatedSkin(SKIN)
-    foam.run(skin, 2.0)
-    return skin, foam
-
-
-def press(foam: SimulatedSkin, counts: float) -> None:
-    foam.press[:] = 0.0
-    foam.press[PRESSED] = counts
-
-
-def scan(skin: Skin, foam: SimulatedSkin) -> Activation:
-    activation = skin.on_scan(foam.scan())
-    assert activation is not None
-    return activation
-
-
-def release(skin: Skin, foam: SimulatedSkin, kept: float, seconds: float) -> list[Activation]:
-    """Lift off a firm press, of which a share stays, half of it for long."""
-    found = []
-    for k in range(round(seconds / PERIOD_S)):
-        t = k * PERIOD_S
-        press(foam, kept * FIRM * 0.5 * (np.exp(-t / FAST_S) + np.exp(-t / SLOW_S)))
-        found.append(scan(skin, foam))
-    return found
+def foam() -> Foam:
+    return Foam()
 
 
 @pytest.mark.parametrize("kept", [0.01, 0.025, 0.09, 0.25])
-def test_what_foam_keeps_of_a_press_is_no_touch(
-    begun: tuple[Skin, SimulatedSkin], kept: float
-) -> None:
-    skin, foam = begun
-    press(foam, FIRM)
-    assert foam.run(skin, 1.0).z[PRESSED] > 0.5
-    assert not any(activation.z.any() for activation in release(skin, foam, kept, 20.0))
+def test_what_foam_keeps_of_a_press_is_no_touch(foam: Foam, kept: float) -> None:
+    assert foam.hold(FIRM).z[PRESSED] > 0.5
+    assert not any(activation.z.any() for activation in foam.release(kept, 20.0))
 
 
 def test_a_light_touch_where_foam_still_recovers_is_felt_at_once(
-    begun: tuple[Skin, SimulatedSkin],
+    foam: Foam,
 ) -> None:
-    skin, foam = begun
-    press(foam, FIRM)
-    foam.run(skin, 1.0)
-    (*_, last) = release(skin, foam, 0.09, 0.5)
+    foam.hold(FIRM)
+    (*_, last) = foam.release(0.09, 0.5)
     assert not last.z.any()
-    foam.press[PRESSED] += LIGHT
-    assert scan(skin, foam).z[PRESSED] > 0.0
+    assert foam.hold(foam.press[PRESSED] + LIGHT, PERIOD_S).z[PRESSED] > 0.0
 
 
 def test_what_a_light_touch_leaves_after_a_firm_one_is_no_touch(
-    begun: tuple[Skin, SimulatedSkin],
+    foam: Foam,
 ) -> None:
-    skin, foam = begun
-    press(foam, FIRM)
-    foam.run(skin, 1.0)
-    press(foam, 0.0)
-    foam.run(skin, 2.0)
-    press(foam, 2000.0)
-    assert foam.run(skin, 1.0).z[PRESSED] > 0.0
-    press(foam, 400.0)  # more than the threshold, and much less than foam may keep of the first
-    for _ in range(100):
-        assert not scan(skin, foam).z.any()
+    foam.hold(FIRM)
+    foam.hold(0.0, 2.0)
+    assert foam.hold(2000.0).z[PRESSED] > 0.0
+    for _ in range(100):  # more than the threshold, and much less than foam may keep of the first
+        assert not foam.hold(400.0, PERIOD_S).z.any()
 
 
-def test_a_held_touch_is_felt_for_as_long_as_it_is_held(begun: tuple[Skin, SimulatedSkin]) -> None:
-    skin, foam = begun
-    press(foam, 1000.0)
+def test_a_held_touch_is_felt_for_as_long_as_it_is_held(foam: Foam) -> None:
     for _ in range(12):
-        assert foam.run(skin, 10.0).z[PRESSED] > 0.02
+        assert foam.hold(1000.0, 10.0).z[PRESSED] > 0.02
 
 
-def test_what_a_reading_may_hide_is_said_beside_it(begun: tuple[Skin, SimulatedSkin]) -> None:
-    skin, foam = begun
-    threshold = skin.threshold / FULL
-    assert scan(skin, foam).floor == pytest.approx(threshold)
-    press(foam, FIRM)
-    foam.run(skin, 1.0)
-    press(foam, 0.1 * FIRM)  # foam, or a touch that is lighter now
-    activation = foam.run(skin, 0.5)
+def test_what_a_reading_may_hide_is_said_beside_it(foam: Foam) -> None:
+    threshold = foam.skin.threshold / FULL
+    assert foam.run(foam.skin, PERIOD_S).floor == pytest.approx(threshold)
+    foam.hold(FIRM)
+    activation = foam.hold(0.1 * FIRM, 0.5)  # foam, or a touch that is lighter now
     assert activation.z[PRESSED] == 0.0
     assert activation.residue[PRESSED] == pytest.approx(0.1 * FIRM / FULL, abs=0.02)
     assert activation.floor[PRESSED] > 0.1 * FIRM / FULL
 
 
 def test_a_touch_that_has_become_light_does_not_become_the_baseline(
-    begun: tuple[Skin, SimulatedSkin],
+    foam: Foam,
 ) -> None:
-    skin, foam = begun
-    press(foam, FIRM)
-    foam.run(skin, 1.0)
-    press(foam, 0.1 * FIRM)
-    before = skin.baseline[PRESSED]
-    foam.run(skin, 60.0)
-    assert skin.baseline[PRESSED] == pytest.approx(before, abs=10.0)
+    foam.hold(FIRM)
+    before = foam.skin.baseline[PRESSED]
+    foam.hold(0.1 * FIRM, 60.0)
+    assert foam.skin.baseline[PRESSED] == pytest.approx(before, abs=10.0)
 
 
-def test_neighbours_of_a_press_feel_what_they_feel(begun: tuple[Skin, SimulatedSkin]) -> None:
-    skin, foam = begun
-    press(foam, FIRM)
-    foam.run(skin, 1.0)
-    press(foam, 0.0)
-    foam.press[PRESSED + 1] = LIGHT
-    assert foam.run(skin, 0.3).z[PRESSED + 1] > 0.0
+def test_neighbours_of_a_press_feel_what_they_feel(foam: Foam) -> None:
+    foam.hold(FIRM)
+    foam.press[PRESSED], foam.press[PRESSED + 1] = 0.0, LIGHT
+    assert foam.run(foam.skin, 0.3).z[PRESSED + 1] > 0.0
 
 
 def test_a_press_is_over_when_it_has_fallen_to_its_share() -> None:

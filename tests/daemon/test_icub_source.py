@@ -25,15 +25,8 @@ from taxeld_protocol.frames import Frame, format_log_line
 from taxeld_protocol.icub import CHANNELS
 from taxeld_protocol.modules import ABSENT_UID
 from taxeld_protocol.virtual_icub import VirtualBoard
-from tests.rig.virtual_part import (
-    BOARDS,
-    IDLE,
-    SUIS,
-    TICK_S,
-    TRIANGLES,
-    Boards,
-    skin_layout,
-)
+from tests.rig.commands import printed
+from tests.rig.virtual_part import BOARDS, IDLE, SUIS, TICK_S, TRIANGLES, Boards, skin_layout
 
 ROOT = Path(__file__).parents[2]
 SHARED = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared"))
@@ -73,6 +66,13 @@ class BoardsBus:
             for frame in self.boards.tell(self.received()) + self.boards.scans():
                 self.send(frame)
         return scans
+
+    def felt(self) -> Skin:
+        """A skin that has been captured at rest."""
+        skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200), baseline_scans=8)
+        for scan in self.run(3.0):
+            skin.on_scan(scan)
+        return skin
 
     def received(self) -> list[Frame]:
         frames: list[Frame] = []
@@ -143,9 +143,7 @@ def test_boards_that_are_not_named_are_found_and_what_is_missing_is_said(
 def test_a_touch_is_felt_by_the_taxel_that_the_layout_names() -> None:
     boards = Boards(*BOARDS)
     bus = BoardsBus(settings("touch"), boards)
-    skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200), baseline_scans=8)
-    for scan in bus.run(3.0):
-        skin.on_scan(scan)
+    skin = bus.felt()
     touched = [IDLE] * CHANNELS
     touched[8] = 140
     touched[icub.THERMAL[0]] = 0
@@ -162,9 +160,7 @@ def test_a_taxel_that_fails_does_not_blind_its_triangle() -> None:
     """The board says so of the whole triangle, and marks which it is."""
     boards = Boards(*BOARDS)
     bus = BoardsBus(settings("fails"), boards)
-    skin = Skin(skin_layout(), SkinConfig(full_scale_counts=200), baseline_scans=8)
-    for scan in bus.run(3.0):
-        skin.on_scan(scan)
+    skin = bus.felt()
     boards.errors[9] = {0: icub.NO_ACKNOWLEDGE | 1 << 4 + 2}
     boards.values[9, 0] = [IDLE] * 5 + [140] + [IDLE] * 6
     last = [skin.on_scan(scan) for scan in bus.run(1.0)][-1]
@@ -215,10 +211,7 @@ def test_a_session_without_named_boards_has_those_that_answered(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("answering", "line"),
     [
-        (
-            (),
-            r"^source\.boards: must name the 2 boards of cylinder.*: .* has no board's answer$",
-        ),
+        ((), r"^source\.boards: must name the 2 boards of cylinder.*: .* has no board's answer$"),
         ((9,), r"^source\.boards: board 9 answers, but cylinder.* of 2; name the part's, in"),
         ((9, 4, 5), r"^source\.boards: boards 4, 5, 9 answer, but cylinder.* of 2; name the"),
     ],
@@ -287,14 +280,11 @@ def test_the_configured_skin_type_reaches_the_boards() -> None:
     assert [board.skin_type for board in boards.boards.values()] == [2, 2]
 
 
-def test_check_says_that_boards_behind_ethernet_are_not_reached(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_check_says_that_boards_behind_ethernet_are_not_reached(tmp_path: Path) -> None:
     file = tmp_path / "icub.toml"
     bus = ', interface = "virtual"'
     file.write_text(MINIMAL.format(kind="can", more=bus, counts=200), encoding="utf-8")
-    assert main(["check", str(file)]) == 0
-    fine, note = capsys.readouterr().out.splitlines()
+    fine, note = printed("check", file).splitlines()
     assert fine == f"{file}: fine"
     assert note.startswith("note: source.channel: the boards must hang on x itself; behind an Eth")
     assert note.endswith("(EMS), as on most iCubs, they cannot be reached over CAN")
@@ -317,17 +307,14 @@ def test_check_and_run_agree_on_who_must_be_named(
     assert capsys.readouterr().err.startswith(line)
 
 
-def test_decode_reads_an_icub_log_and_counts_every_frame(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_decode_reads_an_icub_log_and_counts_every_frame(tmp_path: Path) -> None:
     board = VirtualBoard(9, [0, 1])
     scans = [board.scan([200 + k] * 24, {1: 0x0010} if k else None, t=1.0 + k) for k in range(3)]
     lines = [format_log_line(frame) for frames in scans for frame in frames]
     lines += ["491#40", "491#AA", "18DAF110#0102", "not a frame"]
     log = tmp_path / "icub.log"
     log.write_text("\n".join(lines) + "\n", encoding="ascii")
-    assert main(["decode", str(log), "--dialect", "icub"]) == 0
-    *read, last = map(json.loads, capsys.readouterr().out.splitlines())
+    *read, last = map(json.loads, printed("decode", log, "--dialect", "icub").splitlines())
     assert read[-1] == {"t": 3.0, "ihb": 9, "modules": [[54] * 12, [None] + [54] * 11]}
     stats = last["stats"]
     promised = ("frames", "packets", "crc_errors", "length_errors", "index_errors", "unknown")

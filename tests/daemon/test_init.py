@@ -16,7 +16,7 @@ from taxeld.cli import main
 from taxeld.config.file import parse
 from taxeld.config.tables import Config
 from taxeld.proposals import bundle
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
 from tests.rig.processes import read_all
 
 FLAGS = ["--source", "slcan:{device}", "--bundle", "box", "--poses", "tcp://127.0.0.1:9874"]
@@ -32,15 +32,11 @@ def flags(tmp_path: Path) -> Iterator[list[str]]:
 
 
 def test_what_is_written_from_options_is_fine(
-    tmp_path: Path,
-    flags: list[str],
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path, flags: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     path = tmp_path / "skin.toml"
-    assert main(["init", str(path), *flags]) == 0
-    assert capsys.readouterr().out.endswith(f"; next: taxeld check {path}\n")
+    assert printed("init", path, *flags).endswith(f"; next: taxeld check {path}\n")
     assert main(["check", str(path)]) == 0
     config = parse(path.read_text(encoding="utf-8"))
     assert (config.source.kind, config.source.interface) == ("can", "slcan")

@@ -15,7 +15,7 @@ from taxeld.layout import cylinder_fit
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld_protocol.modules import wired
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
 
 DEFAULT = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 WRAP = "wrap:modules=12,radius_m=0.04,rows=2"
@@ -250,10 +250,9 @@ class TestSummary:
 
 
 class TestCommand:
-    def test_prints_every_fact_and_draws(self, tmp_path: Path, capsys):
+    def test_prints_every_fact_and_draws(self, tmp_path: Path):
         out = tmp_path / "skin.png"
-        assert main(["layout", DEFAULT, "--png", str(out)]) == 0
-        text = capsys.readouterr().out
+        text = printed("layout", DEFAULT, "--png", out)
         for word in ("80 in 8 modules", "0 missing, 0 cut, 0 duplicate", "metres", "40.0 mm",
                      "360.0°", "60.0 mm", "15.00 mm", "order 16", "cc915a300678428f"):  # fmt: skip
             assert word in text

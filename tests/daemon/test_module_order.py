@@ -11,28 +11,27 @@ import pytest
 
 from taxeld.cli import main
 from taxeld.config.file import parse
-from taxeld.config.tables import SkinConfig, SourceConfig
+from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
 from taxeld.source import dialects, module_order
 from taxeld.source.module_order import UNPLACED_S
 from taxeld.source.sources import LiveSource
 from taxeld_protocol import cyskin
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
-from taxeld_protocol.modules import listed, wired
+from taxeld_protocol.modules import listed
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
+from tests.rig import skins
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.configurations import configuration
 from tests.rig.given_device import GivenDevice
 from tests.rig.logged import warnings
 from tests.rig.processes import PIPES, taxeld
+from tests.rig.skins import SKIN
 from tests.rig.virtual_hub import VirtualHub, told
 
-SKIN = layouts.load(SkinConfig().layout)
-ORDERED = wired(SKIN.uid.tolist())
 # a hub's own order, each module with taxels that the layout does not have
-MODULES = listed((module.sui or 0, 0xFFF) for module in reversed(ORDERED))
+MODULES = listed((module.sui or 0, 0xFFF) for module in reversed(skins.MODULES))
 LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
 UIDS = [uid for module in MODULES for uid in module.uids]
 MISSING = "DECLARE and MODULE_DETAILS were not heard"

@@ -7,7 +7,6 @@ import pytest
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk, Session
@@ -15,15 +14,10 @@ from taxeld.source.sources import LiveSource, open_source
 from taxeld_protocol import serial_link
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.clocks import until
+from tests.rig.skins import CHANNELS, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
-
-SPEC = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
-SKIN = layouts.load(SPEC)
-MODULES = wired(SKIN.uid.tolist())
-CHANNELS = sum(module.channels for module in MODULES)
 
 
 @pytest.mark.parametrize("native", [True, False], ids=["native", "SLCAN"])

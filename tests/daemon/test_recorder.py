@@ -14,25 +14,20 @@ from typing import Any
 import pytest
 
 from taxeld.cli import main
-from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
 from taxeld.source import recorder as recorders
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk, Session
 from taxeld_protocol import slcan
 from taxeld_protocol.frames import Frame, parse_log_line
-from taxeld_protocol.modules import wired
 from tests.rig.clocks import PATIENCE_S, until
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
 from tests.rig.configurations import configuration
-from tests.rig.logged import messages, warnings
 from tests.rig.processes import PIPES, taxeld
+from tests.rig.skins import CHANNELS, MODULES
 from tests.rig.virtual_hub import VirtualHub
 
-MODULES = wired(layouts.load(SkinConfig().layout).uid.tolist())
-CHANNELS = sum(module.channels for module in MODULES)
 STARTED = "hub 1 is in its bootloader, as after power-on; it is started"
 SMALL_DISK = 30_000  # bytes a file may have, in place of a disk that is nearly full
 ON_A_SMALL_DISK: dict[str, Any] = {
@@ -297,29 +292,6 @@ def test_all_that_is_recorded_is_synced(tmp_path: Path, monkeypatch: pytest.Monk
     assert session.ABOUT in synced
 
 
-def test_a_daemon_records_while_it_runs_and_outlives_a_full_disk(
-    tmp_path: Path, hub: VirtualHub
-) -> None:
-    out = tmp_path / "session"
-    config = configured(tmp_path, hub)
-    process = taxeld("run", "--record", out, config, **PIPES, **ON_A_SMALL_DISK)
-    try:
-        serve(hub, lambda: hub.written > 3 * SMALL_DISK)
-        sent = hub.scans
-        serve(hub, lambda: hub.scans > sent + 50)
-        status = taxeld("status", "--json", config, **PIPES)
-        serve(hub, lambda: status.poll() is not None)
-        assert '"failed": true' in status.communicate(timeout=PATIENCE_S)[0]
-    finally:
-        process.terminate()
-        _, errors = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0
-    ended = f"the recording has ended ({os.strerror(errno.EFBIG)}); it replays up to here"
-    assert f"{out}: {ended}" in warnings(errors)
-    assert STARTED in messages(errors)
-    assert session.read(out).items
-
-
 def test_a_replay_is_not_recorded_again(tmp_path: Path) -> None:
     config = tmp_path / "config.toml"
     config.write_text('[source]\nkind = "replay"\npath = "."\n[scene]\nbundle = "box"\n', "utf-8")
@@ -329,7 +301,7 @@ def test_a_replay_is_not_recorded_again(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("command", [("run", "--record"), ("record", "--out")], ids=" ".join)
 def test_what_was_recorded_replays_as_many_scans_as_were_taken(
-    tmp_path: Path, hub: VirtualHub, capsys: pytest.CaptureFixture[str], command: tuple[str, str]
+    tmp_path: Path, hub: VirtualHub, command: tuple[str, str]
 ) -> None:
     out, config = tmp_path / "session", configured(tmp_path, hub)
     process = taxeld(*command, out, config, **PIPES)
@@ -339,10 +311,9 @@ def test_what_was_recorded_replays_as_many_scans_as_were_taken(
         serve(hub, lambda: recorded_bytes(out) >= sent)
     finally:
         process.terminate()
-        printed, _ = process.communicate(timeout=PATIENCE_S)
+        said, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert (out / session.CONFIG).read_text("utf-8") == config.read_text("utf-8")
-    assert main(["replay", str(out)]) == 0
-    scans = len(capsys.readouterr().out.splitlines())
+    scans = len(printed("replay", out).splitlines())
     assert scans >= 30
-    assert command[0] == "run" or f"{scans} scans, 0 sensor poses" in printed
+    assert command[0] == "run" or f"{scans} scans, 0 sensor poses" in said

@@ -68,10 +68,7 @@ def subgraph(operator: str) -> onnx.NodeProto:
     """A node of an operator that runs a graph of its own; a Loop does so 2^62 times."""
     value = helper.make_tensor_value_info
     body = helper.make_graph(
-        [
-            helper.make_node("Identity", ["go"], ["on"]),
-            helper.make_node("Identity", ["x"], ["y"]),
-        ],
+        [helper.make_node("Identity", ["go"], ["on"]), helper.make_node("Identity", ["x"], ["y"])],
         "body",
         [
             value("turn", TensorProto.INT64, []),

@@ -17,10 +17,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from taxeld.commands.replay import open_pipeline, outcomes
-from taxeld.config.file import parse
 from taxeld.config.tables import Config, SensorPoseConfig
 from taxeld.errors import SetupError
-from taxeld.layout import read as layouts
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
@@ -31,20 +29,18 @@ from taxeld.source.session import Chunk
 from taxeld.stream import messages
 from taxeld_protocol import cyskin, serial_link, slcan
 from taxeld_protocol.frames import Frame
-from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
+from tests.rig.clocks import until
 from tests.rig.commands import refused
+from tests.rig.configurations import config, configuration
+from tests.rig.skins import CHANNELS, MODULES, SKIN
 from tests.rig.virtual_hub import told
 
-SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-SKIN = layouts.load(SPEC)
-MODULES = wired(SKIN.uid.tolist())
-CHANNELS = sum(module.channels for module in MODULES)
 PERIOD_S = 0.05
 SOURCES = {
-    "can": 'kind = "can"\nchannel = "can0"',
-    "native": 'kind = "serial"\nchannel = "tty"',
-    "slcan": 'kind = "serial"\nchannel = "tty"\nframing = "slcan"',
+    "can": {"kind": "can", "channel": "can0"},
+    "native": {"kind": "serial", "channel": "tty"},
+    "slcan": {"kind": "serial", "channel": "tty", "framing": "slcan"},
 }
 SCANS = 32  # of them 20 make the baseline
 INPUT = {session.FRAMES, session.SERIAL, session.SERIAL_TIMES, session.ABOUT}
@@ -56,11 +52,9 @@ def box() -> Bundle:
 
 
 def config_of(transport: str) -> Config:
-    return parse(
-        f'[source]\n{SOURCES[transport]}\n[scene]\nbundle = "box"\n'
-        '[filter]\nproposal = "manifold"\nparticles = 50\nparticles_max = 50\ninjected = 20\n'
-        '[sensor_pose]\nendpoint = "tcp://127.0.0.1:9"\n'
-    )
+    few = {"proposal": "manifold", "particles": 50, "particles_max": 50, "injected": 20}
+    robot = {"endpoint": "tcp://127.0.0.1:9"}
+    return config(source=SOURCES[transport], filter=few, sensor_pose=robot)
 
 
 def sent(transport: str) -> Iterator[Frame | Chunk]:
@@ -94,8 +88,8 @@ def record(place: Path, transport: str) -> None:
 
 
 def estimates(place: Path, transport: str) -> list[str]:
-    config = config_of(transport)
-    pipeline = Pipeline(config, box().model, box().untimed(config.filter))
+    settings_ = config_of(transport)
+    pipeline = Pipeline(settings_, box().model, box().untimed(settings_.filter))
     return [
         json.dumps(
             messages.estimate(o.estimate, seq=seq, valid=pipeline.freshness.is_valid(o.estimate))
@@ -122,9 +116,7 @@ def recorded(
     max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_a_session_that_is_cut_at_any_byte_of_any_file_replays_to_where_it_was_cut(
-    recorded: tuple[str, Path, list[str]],
-    caplog: pytest.LogCaptureFixture,
-    data: st.DataObject,
+    recorded: tuple[str, Path, list[str]], caplog: pytest.LogCaptureFixture, data: st.DataObject
 ) -> None:
     transport, place, whole = recorded
     copy = place.with_name("cut")
@@ -257,8 +249,7 @@ def test_a_session_of_a_newer_version_is_refused_in_one_line(
 ) -> None:
     record(tmp_path, "can")
     (tmp_path / session.ABOUT).write_text(about, encoding="ascii")
-    config = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
-    (tmp_path / session.CONFIG).write_text(config, encoding="utf-8")
+    configuration(tmp_path, source=SOURCES["can"])
     assert refused("replay", tmp_path).startswith(f"{tmp_path}/{session.ABOUT}: {fault}")
 
 
@@ -288,17 +279,13 @@ def test_where_no_pose_was_recorded_the_sensor_stands_still(tmp_path: Path) -> N
 
 def test_a_daemon_that_replays_uses_the_recorded_poses(tmp_path: Path) -> None:
     record(tmp_path, "can")
-    config = parse(
-        f'[source]\nkind = "replay"\npath = "{tmp_path}"\n[scene]\nbundle = "box"\n'
-        '[filter]\nproposal = "manifold"\n'
-        '[publish]\nendpoints = []\n[control]\nendpoint = ""\n'
+    source, nobody = {"kind": "replay", "path": tmp_path}, {"endpoints": []}
+    daemon = Daemon(
+        config(
+            source=source, filter={"proposal": "manifold"}, publish=nobody, control={"endpoint": ""}
+        )
     )
-    daemon = Daemon(config)
-    until = time.monotonic() + 20.0
-    while not daemon.source.finished and time.monotonic() < until:
-        daemon.tick(time.monotonic())
-        time.sleep(0.005)
+    until(lambda: daemon.source.finished, lambda: daemon.tick(time.monotonic()))
     daemon.close()
-    assert daemon.source.finished
     assert daemon.pipeline.poses.taken > 50
     assert daemon.pipeline.estimator.counters.scans > 5

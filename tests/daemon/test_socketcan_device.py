@@ -22,7 +22,8 @@ from taxeld.source.sources import LiveSource
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.virtual_ihb import VirtualIhb
-from tests.daemon.test_sources import LISTED, MODULES, SKIN, counts
+from tests.daemon.test_sources import counts
+from tests.rig.skins import LISTED, MODULES, SKIN
 
 CONFIG = SourceConfig(kind="can", channel="can0", listen_only=True, modules=LISTED)
 FRAME = struct.Struct("=IB3x8s")

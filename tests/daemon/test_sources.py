@@ -11,7 +11,6 @@ import can
 import pytest
 
 from taxeld.config.tables import SourceConfig
-from taxeld.layout import read as layouts
 from taxeld.source import dialects, session
 from taxeld.source.can_device import CanDevice
 from taxeld.source.device import LostError
@@ -21,17 +20,13 @@ from taxeld.source.sources import LiveSource, Source, open_source
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame, format_log_line
-from taxeld_protocol.modules import wired
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import Answer, HubLink, Phase, VirtualIhb
 from tests.rig.clocks import until
 from tests.rig.given_device import GivenDevice
+from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
 
-SKIN = layouts.load("cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015")
-MODULES = wired(SKIN.uid.tolist())
-LISTED = tuple((module.sui or 0, module.mask) for module in MODULES)
-CHANNELS = sum(module.channels for module in MODULES)
 DEADLINE_S = 20.0
 
 

@@ -14,7 +14,7 @@ from taxeld.estimator.estimate import Status
 from taxeld.stream import client
 from tests.rig import configurations
 from tests.rig.clocks import until
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
 from tests.rig.processes import taxeld
 from tests.rig.recorded import configuration, write_session
 
@@ -57,33 +57,25 @@ def test_status_is_aligned_names_and_values_with_units(
     assert values["Stale inputs"] == "none"
     assert values["Total time"].startswith("median ")
     assert " mm, y " in values["Uncertainty"]
-    assert main(["status", "--endpoint", f"ipc://{running}/control", "--json"]) == 0
-    answer = json.loads(capsys.readouterr().out)
+    answer = json.loads(printed("status", "--endpoint", f"ipc://{running}/control", "--json"))
     assert set(answer) == {"ok", "estimate", "health", "waits_for", "sensor_pose"}
 
 
-def test_reset_and_tare_wait_for_the_answer_and_say_what_happened(
-    running: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_reset_and_tare_wait_for_the_answer_and_say_what_happened(running: Path) -> None:
     config = str(running / "config.toml")
     before = _contacts(running)
-    assert main(["reset", config]) == 0
-    assert capsys.readouterr().out == "all touches are forgotten\n"
+    assert printed("reset", config) == "all touches are forgotten\n"
     assert before > 0
-    assert main(["tare", config]) == 0
-    assert "leave the skin untouched" in capsys.readouterr().out
+    assert "leave the skin untouched" in printed("tare", config)
 
 
 @pytest.mark.parametrize("command", ["status", "tare", "reset"])
 def test_a_daemon_that_is_not_there_is_one_line_and_status_1(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
-    command: str,
-) -> None:  # fmt: skip
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
     monkeypatch.setattr(client, "TIMEOUT_S", 0.1)
-    assert main([command, "--endpoint", f"ipc://{tmp_path}/control"]) == 1
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err == f"no daemon answers at ipc://{tmp_path}/control; is 'taxeld run' there?\n"
+    said = refused(command, "--endpoint", f"ipc://{tmp_path}/control", status=1)
+    assert said == f"no daemon answers at ipc://{tmp_path}/control; is 'taxeld run' there?\n"
 
 
 @pytest.mark.parametrize(

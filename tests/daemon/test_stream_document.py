@@ -70,9 +70,7 @@ def test_each_message_has_the_documented_keys_and_types(
     assert leaves(example) == keys
 
 
-def test_the_commands_answer_what_is_documented(
-    heard: dict[str, list[dict[str, Any]]],
-) -> None:
+def test_the_commands_answer_what_is_documented(heard: dict[str, list[dict[str, Any]]]) -> None:
     part = section("control")
     for name in COMMANDS:
         (answer,) = heard[name]

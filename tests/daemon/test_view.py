@@ -23,6 +23,7 @@ from taxeld.cli import main
 from taxeld.stream import messages
 from taxeld.view.picture import DEAD, QUIET, colours_of, slices_of
 from taxeld.view.stage import recorded
+from tests.rig.commands import refused
 
 from .conftest import Sockets
 from .test_stream_document import documented
@@ -152,18 +153,14 @@ REFUSED = [
 
 @pytest.mark.parametrize(("arguments", "status", "text"), REFUSED, ids=[r[2] for r in REFUSED])
 def test_no_screen_no_daemon_and_wrong_arguments_are_one_line_each(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
-    arguments: list[str], status: int, text: str,
-) -> None:  # fmt: skip
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], status: int, text: str
+) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr("taxeld.view.view.ANSWER_S", 0.1)
     out = tmp_path / "x.rrd"
     typed = [one.format(place=tmp_path, out=out) for one in arguments]
-    assert main(["view", *typed]) == status
-    said = capsys.readouterr().err
-    assert text.format(place=tmp_path) in said
-    assert said.count("\n") == 1
+    assert text.format(place=tmp_path) in refused("view", *typed, status=status)
     assert not out.exists()
 
 

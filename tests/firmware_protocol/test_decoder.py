@@ -6,11 +6,9 @@ from hypothesis import strategies as st
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.decoder import MISSING, Decoder, Scan
-from taxeld_protocol.frames import Frame, parse_log_line
+from taxeld_protocol.frames import Frame
 from taxeld_protocol.modules import Module, ModuleTable, encode_details, wired
 from taxeld_protocol.virtual_ihb import VirtualIhb
-
-from .test_cyskin import GOLDEN_SCAN
 
 MODULES = wired([(i // 10 + 1) << 4 | (i % 10 + 1) for i in range(250)])  # 275 channels, 3 packets
 CHANNELS = sum(m.channels for m in MODULES)
@@ -33,16 +31,6 @@ def scan_frames(counts: list[int], ihb: int = 1, t: float = 0.0) -> list[list[Fr
 
 def declared() -> Decoder:
     return Decoder(lambda _: MODULES)
-
-
-def test_golden_scan_reads_10000_to_10011() -> None:
-    decoder = Decoder(lambda _: [Module(12)])
-    scans = []
-    for line in GOLDEN_SCAN:
-        frame = parse_log_line(line)
-        assert frame is not None
-        scans += decoder.feed(frame)[1]
-    assert [scan.by_module for scan in scans] == [[list(range(10000, 10012))]]
 
 
 def test_the_table_comes_from_declare_and_details() -> None:

@@ -42,9 +42,7 @@ def test_packets_come_through_pieces_of_any_size(
 
 
 @given(st.lists(st.one_of(packets, st.binary(max_size=400)), max_size=8))
-def test_noise_costs_only_what_it_touches(
-    parts: list[tuple[int, bytes, int] | bytes],
-) -> None:
+def test_noise_costs_only_what_it_touches(parts: list[tuple[int, bytes, int] | bytes]) -> None:
     reader, got, wanted = SerialReader(), [], []
     for part in parts:
         if isinstance(part, bytes):

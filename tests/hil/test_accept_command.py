@@ -13,10 +13,8 @@ from typing import Any
 import pytest
 
 from taxeld_hil import cli
-from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.modules import Module
-from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
-from tests.rig.virtual_hub import VirtualHub
+from tests.rig.virtual_hub import StuckHub, VirtualHub
 
 from .accept_skin import (
     LAYOUT,
@@ -206,13 +204,8 @@ def test_the_modules_are_listed_in_the_hubs_order_for_who_listens_later(
 def test_a_hub_that_stays_in_its_bootloader_fails_discovery_and_is_called_by_its_name(
     clock: SleepClock, link: Path, accept: Accept
 ) -> None:
-    class Stuck(VirtualIhb):
-        def answer(self, packet: Packet) -> list[Answer]:
-            starts = packet.command == Command.MODULE_PROGRAM_END
-            return [] if starts else super().answer(packet)
-
     with VirtualHub(link, MODULES) as hub:
-        hub.ihb = Stuck(MODULES)
+        hub.ihb = StuckHub(MODULES)
         ran = accept(VirtualSkin(hub, Counts(MODULES), clock))
     assert (ran.code, ran.failed) == (1, ["discovery"])
     assert "from a hub's bootloader" in ran.findings("discovery")

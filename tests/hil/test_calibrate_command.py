@@ -22,7 +22,8 @@ from taxeld.stream import messages
 from taxeld_hil.calibration import calibrate, guided
 from taxeld_hil.calibration.guided import Guided
 from tests.hil.rig import BASE, MODEL, MODULES, PLACED, SKIN, PressedSkin, write_session
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
+from tests.rig.configurations import configuration
 from tests.rig.virtual_hub import VirtualHub
 
 OBJECT = [f"{value!r}" for value in PLACED.tolist()]
@@ -86,15 +87,14 @@ def test_a_session_replays_better_with_its_calibration(
 
     def off_mm(*arguments: str) -> float:
         capsys.readouterr()
-        assert main(["replay", str(session), *arguments]) == 0
-        last = json.loads(capsys.readouterr().out.splitlines()[-1])["map"]
+        last = json.loads(printed("replay", session, *arguments).splitlines()[-1])["map"]
         return 1e3 * float(np.hypot(last["x"] - PLACED[0], last["y"] - PLACED[1]))
 
     assert off_mm("--config", str(config)) < 0.5 * off_mm()
 
 
 def test_a_session_without_a_robot_or_without_rest_is_refused(
-    recorded: tuple[PressedSkin, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    recorded: tuple[PressedSkin, Path], tmp_path: Path
 ) -> None:
     skin, session = recorded
     bare = tmp_path / "bare"
@@ -109,12 +109,6 @@ def test_a_session_without_a_robot_or_without_rest_is_refused(
     assert "and its noise takes 10; touch nothing in the first minute" in refused(
         "calibrate", hasty, "--out", tmp_path / "c.toml"
     )
-    few = tmp_path / "few"
-    write_session(few, replace(skin, sensor=skin.sensor[:2]), idle_s=12.0)
-    assert (
-        main(["calibrate", str(few), "--out", str(tmp_path / "c.toml"), "--object", *OBJECT]) == 2
-    )
-    assert "2 presses were held still, and it takes 12" in capsys.readouterr().err
     assert not (tmp_path / "c.toml").exists()
 
 
@@ -131,14 +125,11 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
     with VirtualHub(tmp_path / "skin", MODULES) as hub, zmq.Context() as context:
         robot = context.socket(zmq.PUB)
         robot.bind(f"ipc://{tmp_path}/poses")
-        config = tmp_path / "config.toml"
-        config.write_text(
-            f'[source]\nkind = "can"\ninterface = "slcan"\nchannel = "{hub.device}"\n'
-            f'period_ms = 20\n[scene]\nbundle = "box"\n'
-            f'[sensor_pose]\nendpoint = "ipc://{tmp_path}/poses"\n'
-            '[filter]\nproposal = "manifold"\nparticles = 40\nparticles_max = 40\ninjected = 10\n',
-            encoding="utf-8",
-        )
+        few = {"proposal": "manifold", "particles": 40, "particles_max": 40, "injected": 10}
+        config = configuration(
+            tmp_path, source=hub.source | {"period_ms": 20}, filter=few,
+            sensor_pose={"endpoint": f"ipc://{tmp_path}/poses"},
+        )  # fmt: skip
         out = tmp_path / "skin.toml"
         place = Guided.place(out)
         asking = Guided(load(config), config, place, 1.5, 16, said.append)

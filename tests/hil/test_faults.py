@@ -272,11 +272,7 @@ def test_reports_of_soaks_are_shown_side_by_side(
     assert shown["passed"] == "no"
     command = f"{sys.executable} -m taxeld_hil.cli soak --table {tmp_path / 'soak_drill.json'}"
     unread = subprocess.run(
-        f"{command} | true",
-        shell=True,
-        capture_output=True,
-        text=True,
-        check=False,
+        f"{command} | true", shell=True, capture_output=True, text=True, check=False
     )
     assert unread.stderr == "", "nor does a reader that has gone bring a traceback"
 

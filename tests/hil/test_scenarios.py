@@ -9,7 +9,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -18,7 +17,9 @@ import pytest
 from taxeld_hil.grade.grade import Grade
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
+from tests.rig.clocks import until
 
+HARNESS = [sys.executable, "-m", "taxeld_hil.cli"]
 TARGET = os.environ.get("TAXELD_TARGET", "")
 
 ROUGH = """\
@@ -95,7 +96,7 @@ def test_a_run_is_determined_by_its_seed() -> None:
 
 
 def cli(*args: str, limit_s: float = 300.0) -> "subprocess.CompletedProcess[str]":
-    command = [sys.executable, "-m", "taxeld_hil.cli", *args]
+    command = [*HARNESS, *args]
     return subprocess.run(command, capture_output=True, text=True, timeout=limit_s, check=False)
 
 
@@ -107,11 +108,9 @@ def rough(tmp_path_factory: pytest.TempPathFactory) -> Path:
     runs = []
     for transport in ("slcan", "native"):
         out = place / transport
-        command = [
-            sys.executable, "-m", "taxeld_hil.cli", "run", str(place / "rough.toml"),
-            "--transport", transport, "--out", str(out),
-        ]  # fmt: skip
-        runs.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT))
+        command = ["run", str(place / "rough.toml"), "--transport", transport, "--out", str(out)]
+        into = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+        runs.append(subprocess.Popen([*HARNESS, *command], **into))
     for run in runs:
         printed, _ = run.communicate(timeout=300)
         assert run.returncode in (0, 1), printed
@@ -157,15 +156,10 @@ def test_a_run_on_hardware_grades_what_it_can_and_names_what_it_cannot(tmp_path:
     skin_toml = 'bundle = "box"\nphysics = "scene"\ncontacts = 4\nrest_s = 600.0\n'
     (tmp_path / "skin.toml").write_text(skin_toml, encoding="utf-8")
     link, poses = tmp_path / "skin", f"ipc://{tmp_path}/poses"
-    command = [
-        sys.executable, "-m", "taxeld_hil.cli", "emulate", str(tmp_path / "skin.toml"),
-        "--link", str(link), "--poses", poses, "--out", str(tmp_path / "session"),
-    ]  # fmt: skip
-    with subprocess.Popen(command) as skin:
+    command = ["emulate", str(tmp_path / "skin.toml"), "--link", str(link), "--poses", poses]
+    with subprocess.Popen([*HARNESS, *command, "--out", str(tmp_path / "session")]) as skin:
         try:
-            while not link.exists():
-                assert skin.poll() is None
-                time.sleep(0.01)
+            until(link.exists)
             done = cli(
                 "run", str(tmp_path / "s.toml"), "--target", f"slcan:{link}",
                 "--poses", poses, "--out", str(tmp_path / "out"),

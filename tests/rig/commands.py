@@ -16,10 +16,10 @@ def _run(main: Main, arguments: Sequence[object]) -> tuple[int, str, str]:
     return status, out.getvalue(), errors.getvalue()
 
 
-def refused(*arguments: object, main: Main = cli.main) -> str:
-    """The one line of a command that prints nothing else and ends with status 2."""
-    status, printed, said = _run(main, arguments)
-    assert (status, printed, said.count("\n")) == (2, "", 1), said
+def refused(*arguments: object, status: int = 2, main: Main = cli.main) -> str:
+    """The one line of a command that prints nothing else and ends with this status."""
+    ended, printed, said = _run(main, arguments)
+    assert (ended, printed, said.count("\n")) == (status, "", 1), said
     return said
 
 

@@ -7,9 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import can
-import pytest
 
-from taxeld.cli import main
 from taxeld.commands.decode import decode
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import Frame, format_log_line
@@ -108,12 +106,3 @@ def decoded(log: Path, interface: str = "") -> tuple[list[dict[str, Any]], dict[
     """The scans, and the last line's counters."""
     *scans, last = map(json.loads, decode(log, interface=interface))
     return scans, last["stats"]
-
-
-def refused(log: Path, capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
-    """The one line that refuses it."""
-    assert main(["decode", str(log), *arguments]) == 2
-    error = capsys.readouterr().err
-    assert isinstance(error, str)
-    assert error.count("\n") == 1
-    return error

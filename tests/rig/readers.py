@@ -222,11 +222,7 @@ READERS = {
         _in_file("scenario.toml", lambda path: scenario.load(str(path))),
         lambda: [path.read_bytes() for path in scenario.shipped().values()],
     ),
-    "bundle.json": Reader(
-        manifest_used,
-        lambda: [(SHIPPED / "bundle.json").read_bytes()],
-        300,
-    ),
+    "bundle.json": Reader(manifest_used, lambda: [(SHIPPED / "bundle.json").read_bytes()], 300),
     "scene.npz": Reader(
         lambda content: scene_used(scene_file.parse(content, NOWHERE)),
         lambda: [(SHIPPED / "scene.npz").read_bytes()],

@@ -5,14 +5,12 @@ from pathlib import Path
 
 import numpy as np
 
-from taxeld.config.tables import SkinConfig
-from taxeld.layout import read as layouts
 from taxeld_protocol import cyskin
 from taxeld_protocol.frames import format_log_line
-from taxeld_protocol.modules import wired
 from taxeld_protocol.virtual_ihb import Answer, VirtualIhb
 from tests.rig.configurations import Table
 from tests.rig.configurations import configuration as of_daemon
+from tests.rig.skins import CHANNELS, MODULES
 from tests.rig.virtual_hub import told
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
@@ -27,10 +25,8 @@ DEAD = 5  # a channel that never reads anything
 def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S) -> None:
     """`frames.log` in `place`: idle, then `touches` times ten scans of touch and ten of none, after
     what the hub told of its modules."""
-    modules = wired(layouts.load(SkinConfig().layout).uid.tolist())
-    channels = sum(module.channels for module in modules)
     rng = np.random.default_rng(0)
-    ihb = VirtualIhb(modules)
+    ihb = VirtualIhb(MODULES)
     lines: list[str] = []
 
     def log(answers: Iterable[Answer], t: float) -> None:
@@ -41,7 +37,7 @@ def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S) -> 
     log(told(ihb), 1e9)
     for scan in range(IDLE_SCANS + 20 * touches):
         t = 1e9 + scan * period_s
-        counts = IDLE_COUNTS + rng.normal(0.0, NOISE, channels)
+        counts = IDLE_COUNTS + rng.normal(0.0, NOISE, CHANNELS)
         if scan >= IDLE_SCANS and (scan - IDLE_SCANS) % 20 < 10:
             counts[PRESSED] += 8000.0
         counts[DEAD] = 0.0

@@ -22,6 +22,14 @@ def told(hub: VirtualIhb) -> list[Answer]:
     return [a for request in asked for a in hub.answer(Packet(0.0, BROADCAST, *request))]
 
 
+class StuckHub(VirtualIhb):
+    """It does not leave its bootloader."""
+
+    def answer(self, packet: Packet) -> list[Answer]:
+        starts = packet.command == Command.MODULE_PROGRAM_END
+        return [] if starts else super().answer(packet)
+
+
 class VirtualHub:
     """A hub on SLCAN, or on the native link, behind a device name that outlives its terminals."""
 

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from ..rig.commands import printed
 from ..rig.processes import replayed
 
 SCENARIO = 'bundle = "box"\ncontacts = 2\n'
@@ -43,13 +42,3 @@ def test_a_replay_gives_the_same_bytes_twice(ran: tuple[Path, str]) -> None:
     estimates = [json.loads(line) for line in first.splitlines()]
     assert estimates[-1]["contacts"] == 2
     assert [e["seq"] for e in estimates] == list(range(len(estimates)))
-
-
-def test_decode_accounts_for_every_frame_of_the_session(ran: tuple[Path, str]) -> None:
-    log = ran[0] / "frames.log"
-    *scans, last = map(json.loads, printed("decode", log).splitlines())
-    stats = last["stats"]
-    assert stats["frames"] == len(log.read_text(encoding="ascii").splitlines())
-    assert stats["frames"] == stats["used"] + sum(stats["dropped"].values()) + stats["pending"]
-    assert stats["scans"] == len(scans) > 50
-    assert [len(module) for module in scans[0]["modules"]] == [11] * 8

@@ -69,22 +69,9 @@ def gap_m(model: ObservationModel, poses: Poses) -> Poses:
 
 def evaluate(name: str, thing: Path | str, place: Path, *more: str) -> int:
     """The exit code of a quick experiment on an object, with its files under `place`."""
-    return main(
-        [
-            "evaluate",
-            name,
-            "--quick",
-            "--objects",
-            str(thing),
-            "--out",
-            str(place / "out"),
-            "--memory",
-            str(place / "memory"),
-            "--workers",
-            "1",
-            *more,
-        ]
-    )
+    where = ["--out", str(place / "out"), "--memory", str(place / "memory")]
+    quick = ["--quick", "--objects", str(thing), "--workers", "1"]
+    return main(["evaluate", name, *quick, *where, *more])
 
 
 def rows(place: Path, name: str) -> list[dict[str, Any]]:

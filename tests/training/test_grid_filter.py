@@ -15,9 +15,8 @@ from taxeld_training.limits import grid_cells
 from taxeld_training.limits.grid_cells import Cells, tile
 from taxeld_training.limits.grid_filter import DROP_NATS, GridFilter
 from taxeld_training.limits.grid_likelihood import CellLikelihood, Evidence
-from taxeld_training.limits.posterior import ExactPosterior, energy_distance
+from taxeld_training.limits.posterior import energy_distance
 from taxeld_training.models.dataset import MIN_ACTIVATION
-from taxeld_training.models.dataset import SimulatedTouches as Bank
 
 from .rig import RING
 
@@ -141,24 +140,6 @@ def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel
         matter = explained > explained.max() - DROP_NATS
         assert np.quantile((explained - cells.log_likelihood_max)[matter], 0.99) < 1.0
         cells = cells.halved()
-
-
-def test_one_touch_gives_the_exact_posterior(model: ObservationModel) -> None:
-    rng = np.random.default_rng(1)
-    poses = band(model, 40_000, rng)
-    h = model.activation(poses).astype(np.float32)
-    some = h.max(axis=1) > 0.0
-    exact = ExactPosterior(Bank(poses[some], h[some], 0.0), SKIN, NOISE)
-    gaps, floors = [], []
-    for truth in contact_poses(model, 4, rng):
-        z = NOISE.draw(model.activation(truth[None])[0], rng)
-        belief = GridFilter(model, NOISE)
-        seen = Observation(np.zeros(3), z, LIVE)
-        belief.update(seen, touched=True)
-        a, b = (exact.sample(seen, 600, rng).pose for _ in range(2))
-        gaps.append(energy_distance(drawn(belief, 600), a, 0.05))
-        floors.append(energy_distance(a, b, 0.05))
-    assert np.mean(gaps) < 2.0 * np.mean(floors) + 0.002
 
 
 def test_all_scans_count_as_in_a_brute_force_posterior(model: ObservationModel) -> None:

@@ -17,7 +17,7 @@ from taxeld_training.cli import main
 from taxeld_training.objects import meshes, scenes
 from taxeld_training.objects.doubts import TURNS, doubts
 from taxeld_training.objects.setting import HEIGHT_M, OBJECTS
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
 
 from .rig import PAPER_RING, THREE_ROWS, can, handle
 
@@ -219,19 +219,17 @@ def test_a_file_that_is_no_mesh_is_refused_in_one_line(
     assert "\n" not in str(caught.value)
 
 
-def test_the_scene_command_prints_a_report(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_scene_command_prints_a_report(tmp_path: Path) -> None:
     path = tmp_path / "can.stl"
     without(slit).export(path)
-    assert main(["scene", str(path)]) == 0
-    lines = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines()[:4])
+    lines = dict(
+        line.split(maxsplit=1) for line in printed("scene", path, main=main).splitlines()[:4]
+    )
     assert lines["extents"] == "100 × 100 × 100 mm"
     assert lines["slices"].startswith("5, 10 to 70 mm")
     assert lines["symmetry"] == "continuous"
     assert lines["repairs"] == "closed 5 gaps of at most 2.5 mm in the outlines"
-    assert main(["scene", "025_mug", "--height-m", "0.04"]) == 0
-    report = capsys.readouterr().out
+    report = printed("scene", "025_mug", "--height-m", "0.04", main=main)
     assert "symmetry    none" in report
     assert "grid error  rms 0.0" in report
     assert "grid        " in report

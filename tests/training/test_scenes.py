@@ -144,12 +144,6 @@ def test_the_papers_objects_have_their_symmetry_and_exact_grids(name: str, order
     assert error.max < 1.5  # at an edge, under the grid's spacing
 
 
-def test_the_pitchers_handle_breaks_the_symmetry_at_its_height() -> None:
-    skin = layouts.load(PAPER_RING)
-    mesh = meshes.load(meshes.find("019_pitcher_base")[0])
-    assert scenes.build(mesh, skin, 0.15).symmetry == 1
-
-
 def measure(scene: Scene, mesh: trimesh.Trimesh) -> GridError:
     return grid_error(scene, mesh, SKIN, 0.04, 0.005, points=200)
 
