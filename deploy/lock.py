@@ -24,11 +24,28 @@ def wheels(dependencies: list[str], python: str, processor: str) -> list[dict[st
     """What pip would install, as its installation report says."""
     platforms = [f"--platform=manylinux{'_' * ('_' in m)}{m}_{processor}" for m in MANYLINUX]
     done = subprocess.run(
-        [sys.executable, "-m", "pip", "install", "--quiet", "--dry-run", "--ignore-installed",
-         "--target=.", "--report=-", "--only-binary=:all:", f"--python-version={python}",
-         "--implementation=cp", *platforms, "-c", str(ROOT / "constraints.txt"), *dependencies],
-        stdout=subprocess.PIPE, text=True, check=True,
-    )  # fmt: skip
+        [
+            sys.executable,
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--dry-run",
+            "--ignore-installed",
+            "--target=.",
+            "--report=-",
+            "--only-binary=:all:",
+            f"--python-version={python}",
+            "--implementation=cp",
+            *platforms,
+            "-c",
+            str(ROOT / "constraints.txt"),
+            *dependencies,
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
     found: list[dict[str, Any]] = json.loads(done.stdout)["install"]
     return found
 

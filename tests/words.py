@@ -1,7 +1,9 @@
-"""Plain words: `make lint` refuses a second class of a name, and comments that hide their subject.
+"""Plain words: `make lint` refuses a second class of a name, comments that hide their subject, and
+statements kept from the formatter.
 
 A private class, with an underscore, may share its name with another file's. A comment that begins
-with "what", "that of" or "those" cannot be read alone.
+with "what", "that of" or "those" cannot be read alone. Tables of numbers alone may have their own
+form.
 """
 
 import ast
@@ -42,8 +44,26 @@ def riddles(path: Path) -> list[str]:
     ]
 
 
+def unformatted(path: Path) -> list[str]:
+    """A line for each `fmt: skip` of a statement with more words than numbers."""
+    found, counts = [], {tokenize.NUMBER: 0, tokenize.NAME: 0, tokenize.STRING: 0}
+    text = path.read_text(encoding="utf-8")
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type in counts:
+            counts[token.type] += 1
+        elif token.type == tokenize.COMMENT and "fmt: skip" in token.string:
+            if counts[tokenize.NUMBER] < counts[tokenize.NAME] + counts[tokenize.STRING]:
+                found.append(f"{path.relative_to(ROOT)}:{token.start[0]}: fmt: skip of no numbers")
+        elif token.type == tokenize.NEWLINE:
+            counts = dict.fromkeys(counts, 0)
+    return found
+
+
 if __name__ == "__main__":
     files = sorted(path for source in (*SOURCES, *OTHERS) for path in (ROOT / source).rglob("*.py"))
-    faults = classes(files) + [line for path in files for line in riddles(path)]
+    tests = sorted((ROOT / "tests").rglob("*.py"))
+    faults = classes(files)
+    faults += [line for path in files for line in riddles(path)]
+    faults += [line for path in files + tests for line in unformatted(path)]
     sys.stdout.writelines(f"{line}\n" for line in faults)
     sys.exit(bool(faults))

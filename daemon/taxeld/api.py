@@ -30,8 +30,28 @@ from taxeld.skin.skin import Skin
 from taxeld_protocol.decoder import Scan
 
 __all__ = [
-    "Activation", "Bundle", "Config", "ConfigError", "Estimate", "Estimator", "FilterConfig",
-    "Layout", "Mode", "ObservationModel", "Outcome", "PoseMetric", "Proposal", "ProposalKind",
-    "Replay", "Scan", "Scene", "SetupError", "Skin", "SkinConfig", "Status", "load_bundle",
-    "load_config", "load_layout",
-]  # fmt: skip
+    "Activation",
+    "Bundle",
+    "Config",
+    "ConfigError",
+    "Estimate",
+    "Estimator",
+    "FilterConfig",
+    "Layout",
+    "Mode",
+    "ObservationModel",
+    "Outcome",
+    "PoseMetric",
+    "Proposal",
+    "ProposalKind",
+    "Replay",
+    "Scan",
+    "Scene",
+    "SetupError",
+    "Skin",
+    "SkinConfig",
+    "Status",
+    "load_bundle",
+    "load_config",
+    "load_layout",
+]

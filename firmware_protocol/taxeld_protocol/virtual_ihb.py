@@ -43,15 +43,27 @@ class Phase(IntEnum):
     RUNNING = 2
 
 
-OBEYED = frozenset({
-    Command.DISCOVERY_PING, Command.DISCOVERY_RECV_ID, Command.MODULE_PROGRAM_END,
-    Command.IHB_COLD_REBOOT, Command.SET_AUTO_SYNC, Command.SET_AUTO_SYNC_PERIOD, Command.DECLARE,
-    Command.MODULE_DETAILS, Command.MODULE_SET_CUT_SENSORS,
-})  # fmt: skip
+OBEYED = frozenset(
+    {
+        Command.DISCOVERY_PING,
+        Command.DISCOVERY_RECV_ID,
+        Command.MODULE_PROGRAM_END,
+        Command.IHB_COLD_REBOOT,
+        Command.SET_AUTO_SYNC,
+        Command.SET_AUTO_SYNC_PERIOD,
+        Command.DECLARE,
+        Command.MODULE_DETAILS,
+        Command.MODULE_SET_CUT_SENSORS,
+    }
+)
 # Commands of those that need running modules; to be told to be silent needs none.
-LATE = frozenset({
-    Command.SET_AUTO_SYNC, Command.SET_AUTO_SYNC_PERIOD, Command.MODULE_SET_CUT_SENSORS,
-})  # fmt: skip
+LATE = frozenset(
+    {
+        Command.SET_AUTO_SYNC,
+        Command.SET_AUTO_SYNC_PERIOD,
+        Command.MODULE_SET_CUT_SENSORS,
+    }
+)
 
 
 class HubLink(Reassembler):

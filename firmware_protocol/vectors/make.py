@@ -178,7 +178,7 @@ def _frame_cases() -> list[Case]:
         "the longest": (1, longest),
         "one fragment too many": (1, [*longest[:-1], longest[1], longest[-1], ping]),
         "middle fragments without end": (1, [longest[0], *longest[1:2] * 70, ping]),
-    }  # fmt: skip
+    }
     return [_frame_case(name, frames, through) for name, (through, frames) in cases.items()]
 
 
@@ -218,7 +218,7 @@ def _serial_cases() -> list[Case]:
         "one byte longer than the longest": (1, _run(263) + b"\0" + b),
         "noise without end": (0, _run(1000)),
         "noise, then a line": (1, _run(1000) + b"\0" + b),
-    }  # fmt: skip
+    }
     return [_serial_case(name, line, through) for name, (through, line) in cases.items()]
 
 
@@ -246,9 +246,11 @@ def _cobs_cases() -> list[Case]:
 def vectors() -> Case:
     """All of the file."""
     return {
-        "about": ["Test vectors of both sides of the protocol, written by make.py. Hex throughout;"
-                  " frames as id#data; counts decimal. `frames_in` and `serial_in`: what goes in,"
-                  " what is delivered and counted."],
+        "about": [
+            "Test vectors of both sides of the protocol, written by make.py. Hex throughout;"
+            " frames as id#data; counts decimal. `frames_in` and `serial_in`: what goes in,"
+            " what is delivered and counted."
+        ],
         "checks": [CHECKS],
         "golden": [
             {"name": name, "ihb": ihb, "command": command, "payload": payload, "frames": frames}
@@ -263,7 +265,7 @@ def vectors() -> Case:
         # other encoders end a run of 254 without the last 01; a decoder takes both
         "cobs_decode": [{"data": _hex(_run(254)), "encoded": "FF" + _hex(_run(254))}],
         "cobs_bad": ["00", "0100", "02", "0311", "FF" + _hex(_run(253)), "031100", "02110505"],
-    }  # fmt: skip
+    }
 
 
 def render() -> str:

@@ -174,8 +174,10 @@ def _watch(args: argparse.Namespace) -> int:
                     _say(line)
             elif time.monotonic() > silent_s:
                 silent_s = math.inf
-                print(f"nothing comes from {args.endpoint} so far; is a daemon there?",
-                      file=sys.stderr)  # fmt: skip
+                print(
+                    f"nothing comes from {args.endpoint} so far; is a daemon there?",
+                    file=sys.stderr,
+                )
     if not begun:
         return 0
     print("\n".join(table.latencies()))
@@ -211,8 +213,9 @@ def _parser() -> argparse.ArgumentParser:
     parser = command_line.parser(
         "taxeld-hil",
         "The test harness: a simulated or real skin and robot around a daemon, and a grade for it.",
-        "taxeld-hil run demo", "taxeld-hil accept can:can0 --layout skin.json",
-    )  # fmt: skip
+        "taxeld-hil run demo",
+        "taxeld-hil accept can:can0 --layout skin.json",
+    )
     commands = command_line.commands_of(parser)
     _add_run(commands)
     _add_many(commands)
@@ -239,11 +242,14 @@ def _add_world(command: argparse.ArgumentParser) -> None:
 
 def _add_run(commands: Commands) -> None:
     run = command(
-        commands, "run", "Run a scenario with all its processes, and grade the daemon.",
-        "taxeld-hil run demo", "taxeld-hil run everything --clock fake",
+        commands,
+        "run",
+        "Run a scenario with all its processes, and grade the daemon.",
+        "taxeld-hil run demo",
+        "taxeld-hil run everything --clock fake",
         "taxeld-hil run demo --target can:can0 --poses tcp://127.0.0.1:9874 --truth 0.4 0.1 0",
         run=_run,
-    )  # fmt: skip
+    )
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped name (demo) or a TOML file")
     run.add_argument("--seed", type=int, default=0)
     run.add_argument("--out", type=Path, help="directory for the session and its grade")
@@ -252,9 +258,12 @@ def _add_run(commands: Commands) -> None:
     )
     run.add_argument("--poses", default="", help="on hardware: the robot's endpoint")
     run.add_argument(
-        "--truth", type=float, nargs=3, metavar=("X", "Y", "THETA"),
+        "--truth",
+        type=float,
+        nargs=3,
+        metavar=("X", "Y", "THETA"),
         help="on hardware: where the object is in the robot's world [m, m, rad]",
-    )  # fmt: skip
+    )
     run.add_argument(
         "--limit-s",
         type=float,
@@ -270,9 +279,13 @@ def _add_run(commands: Commands) -> None:
 
 def _add_many(commands: Commands) -> None:
     soak = command(
-        commands, "soak", "Run random faults for hours.",
-        "taxeld-hil soak --hours 2", "taxeld-hil soak --real-minutes 10", run=_soak,
-    )  # fmt: skip
+        commands,
+        "soak",
+        "Run random faults for hours.",
+        "taxeld-hil soak --hours 2",
+        "taxeld-hil soak --real-minutes 10",
+        run=_soak,
+    )
     soak.add_argument("scenario", nargs="?", default="demo", metavar="SCENARIO")
     soak.add_argument("--seed", type=int, default=0)
     long = soak.add_mutually_exclusive_group()
@@ -295,19 +308,25 @@ def _add_many(commands: Commands) -> None:
     _add_world(soak)
 
     table = command(
-        commands, "table", "Measure in which counter each fault shows, and how soon, as Markdown.",
-        "taxeld-hil table --seeds 5", run=_table,
-    )  # fmt: skip
+        commands,
+        "table",
+        "Measure in which counter each fault shows, and how soon, as Markdown.",
+        "taxeld-hil table --seeds 5",
+        run=_table,
+    )
     table.add_argument("--seeds", type=int, default=5)
     _add_world(table)
 
 
 def _add_accept(commands: Commands) -> None:
     accept = command(
-        commands, "accept", "Check a real skin before it is used; no object is needed.",
+        commands,
+        "accept",
+        "Check a real skin before it is used; no object is needed.",
         "taxeld-hil accept can:can0 --layout skin.json",
-        "taxeld-hil accept slcan:/dev/ttyACM0 --layout skin.json --press", run=_accept,
-    )  # fmt: skip
+        "taxeld-hil accept slcan:/dev/ttyACM0 --layout skin.json --press",
+        run=_accept,
+    )
     accept.add_argument(
         "target", metavar="TARGET", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, …"
     )
@@ -322,18 +341,22 @@ def _add_accept(commands: Commands) -> None:
     accept.add_argument("--press", action="store_true", help="then ask for a press on each module")
     accept.add_argument("--period-ms", type=int, default=50, help="milliseconds between scans")
     accept.add_argument(
-        "--full-scale-counts", type=float, default=SkinConfig().full_scale_counts,
+        "--full-scale-counts",
+        type=float,
+        default=SkinConfig().full_scale_counts,
         help="as skin.full_scale_counts",
-    )  # fmt: skip
+    )
 
 
 def _add_parts(commands: Commands) -> None:
     """The commands for the harness's parts."""
     emulate = command(
-        commands, "emulate", "Run the virtual skin and robot alone, for a daemon of yours.",
+        commands,
+        "emulate",
+        "Run the virtual skin and robot alone, for a daemon of yours.",
         "taxeld-hil emulate demo --link /tmp/skin --poses tcp://127.0.0.1:9874 --out emulated",
         run=_emulate,
-    )  # fmt: skip
+    )
     emulate.add_argument("scenario", metavar="SCENARIO")
     emulate.add_argument("--seed", type=int, default=0)
     where = emulate.add_mutually_exclusive_group(required=True)
@@ -348,9 +371,12 @@ def _add_parts(commands: Commands) -> None:
     _add_world(emulate)
 
     watch = command(
-        commands, "watch", "Print a line for each contact that a running daemon publishes.",
-        "taxeld-hil watch --endpoint ipc:///run/taxeld/stream --bundle box", run=_watch,
-    )  # fmt: skip
+        commands,
+        "watch",
+        "Print a line for each contact that a running daemon publishes.",
+        "taxeld-hil watch --endpoint ipc:///run/taxeld/stream --bundle box",
+        run=_watch,
+    )
     watch.add_argument("--endpoint", required=True)
     watch.add_argument("--bundle", required=True)
     watch.add_argument("--layout", default=SkinConfig().layout)
@@ -359,14 +385,18 @@ def _add_parts(commands: Commands) -> None:
     )
 
     draw = command(
-        commands, "draw", "Draw the contacts of a recorded session.",
+        commands,
+        "draw",
+        "Draw the contacts of a recorded session.",
         "taxeld-hil draw session --out contacts.png",
-        "taxeld-hil draw session --moments --out found.png", run=_draw,
-    )  # fmt: skip
+        "taxeld-hil draw session --moments --out found.png",
+        run=_draw,
+    )
     draw.add_argument(
-        "--moments", action="store_true",
+        "--moments",
+        action="store_true",
         help="instead: four moments, from no touch to the object found",
-    )  # fmt: skip
+    )
     draw.add_argument("session", type=Path)
     draw.add_argument("--out", type=Path, required=True)
 

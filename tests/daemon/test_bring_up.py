@@ -87,11 +87,20 @@ def pair(one: int = 1, two: int = 2) -> tuple[VirtualIhb, VirtualIhb]:
 
 
 VENDORS_ORDER = [
-    LEAVE_BOOTLOADER, Command.DISCOVERY_PING, Command.DISCOVERY_RECV_ID, Command.DECLARE,
-    Command.MODULE_DETAILS, Command.SET_AUTO_SYNC, Command.MODULE_PROGRAM_END,
-    Command.DISCOVERY_PING, Command.DISCOVERY_RECV_ID, Command.DECLARE, Command.MODULE_DETAILS,
-    Command.SET_AUTO_SYNC_PERIOD, Command.SET_AUTO_SYNC,
-]  # fmt: skip
+    LEAVE_BOOTLOADER,
+    Command.DISCOVERY_PING,
+    Command.DISCOVERY_RECV_ID,
+    Command.DECLARE,
+    Command.MODULE_DETAILS,
+    Command.SET_AUTO_SYNC,
+    Command.MODULE_PROGRAM_END,
+    Command.DISCOVERY_PING,
+    Command.DISCOVERY_RECV_ID,
+    Command.DECLARE,
+    Command.MODULE_DETAILS,
+    Command.SET_AUTO_SYNC_PERIOD,
+    Command.SET_AUTO_SYNC,
+]
 
 
 @pytest.mark.parametrize(

@@ -28,14 +28,26 @@ OTHER = "cylinder:rows=5,columns=14,radius_m=0.04,pitch_m=0.015"
 def of(skin: Layout, **changed: object) -> Calibration:
     rng, taxels = np.random.default_rng(0), len(skin)
     usual = Calibration(
-        t=NOW, digest=state.digest(skin), object="box", presses=20, full_scale_depth_m=0.005,
-        full_scale_counts=18_432.1, full_scale_sd=0.02, bend=0.061, bend_sd=0.03,
-        mount=np.array([0.0012, -0.0007, 0.031]), mount_sd=np.array([1e-4, 1e-4, 2e-3]),
-        noise_sigma=0.045, gain_cv=0.11, gain=np.exp(0.15 * rng.standard_normal(taxels)),
-        gain_sd=rng.uniform(0.01, 0.17, taxels), onset=rng.standard_normal(taxels),
-        onset_sd=rng.uniform(0.1, 0.8, taxels), noise_counts=rng.uniform(5, 90, taxels),
+        t=NOW,
+        digest=state.digest(skin),
+        object="box",
+        presses=20,
+        full_scale_depth_m=0.005,
+        full_scale_counts=18_432.1,
+        full_scale_sd=0.02,
+        bend=0.061,
+        bend_sd=0.03,
+        mount=np.array([0.0012, -0.0007, 0.031]),
+        mount_sd=np.array([1e-4, 1e-4, 2e-3]),
+        noise_sigma=0.045,
+        gain_cv=0.11,
+        gain=np.exp(0.15 * rng.standard_normal(taxels)),
+        gain_sd=rng.uniform(0.01, 0.17, taxels),
+        onset=rng.standard_normal(taxels),
+        onset_sd=rng.uniform(0.1, 0.8, taxels),
+        noise_counts=rng.uniform(5, 90, taxels),
         frozen=np.arange(taxels) == 7,
-    )  # fmt: skip
+    )
     return replace(usual, **changed)  # type: ignore[arg-type]
 
 
@@ -76,7 +88,8 @@ BAD: dict[str, tuple[Callable[[str], str], str]] = {
         "full_scale_counts: must be a number",
     ),
     "an endless gain": (
-        lambda text: text.replace("gain = ", "gain = inf, onset_was = ", 1), "taxel[0]",
+        lambda text: text.replace("gain = ", "gain = inf, onset_was = ", 1),
+        "taxel[0]",
     ),
     "no mount": (lambda text: text[: text.index("[mount]")], "mount: is required"),
     "a taxel too few": (
@@ -84,16 +97,18 @@ BAD: dict[str, tuple[Callable[[str], str], str]] = {
         "is of another layout",
     ),
     "of a newer version": (
-        lambda text: text.replace("version = 1", "version = 2"), "is of version 2, not 1",
+        lambda text: text.replace("version = 1", "version = 2"),
+        "is of version 2, not 1",
     ),
     "of another depth": (
         lambda text: text.replace("full_scale_depth_m = 0.005", "full_scale_depth_m = 0.004"),
         "is for skin.full_scale_depth_m = 0.004, not 0.005",
     ),
     "a list in place of a table": (
-        lambda text: text[: text.index("[mount]")] + "mount = [1, 2]\n", "mount",
+        lambda text: text[: text.index("[mount]")] + "mount = [1, 2]\n",
+        "mount",
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", BAD)

@@ -163,9 +163,12 @@ def test_an_endpoint_that_cannot_be_had_is_refused(
 
 @pytest.mark.parametrize(("flags", "is_down"), [(0x40C0, True), (0x40C1, False)])
 def test_an_interface_that_is_down_is_noted(
-    place: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, flags: int,
+    place: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    flags: int,
     is_down: bool,
-) -> None:  # fmt: skip
+) -> None:
     monkeypatch.setattr(check, "SYS_NET", place)
     monkeypatch.setattr(check, "open_device", lambda *_: GivenDevice())
     (place / "can0").mkdir()

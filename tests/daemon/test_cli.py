@@ -119,9 +119,13 @@ def test_a_damaged_log_is_one_line_and_status_2(
 
 @pytest.mark.parametrize(
     "arguments",
-    [["check", "/nowhere.toml"], ["decode", "/nowhere.log"], ["replay", "/nowhere"],
-     ["status", "/nowhere.toml"]],
-)  # fmt: skip
+    [
+        ["check", "/nowhere.toml"],
+        ["decode", "/nowhere.log"],
+        ["replay", "/nowhere"],
+        ["status", "/nowhere.toml"],
+    ],
+)
 def test_a_missing_file_is_one_line_and_status_2(arguments: list[str]) -> None:
     assert "nowhere" in refused(*arguments)
 
@@ -131,7 +135,10 @@ def test_decode_into_a_closed_pipe_ends_quietly(tmp_path: Path) -> None:
     log.write_text("\n".join(GOLDEN_SCAN * 5000) + "\n", encoding="ascii")
     ran = subprocess.run(
         f"{sys.executable} -m taxeld.cli decode {log} | head -n 1",
-        shell=True, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        shell=True,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert ran.stderr == ""
     assert ran.stdout.startswith('{"t":0.0')

@@ -46,10 +46,16 @@ def test_a_narrow_belief_that_stays_is_converged(confidence: Confidence) -> None
         (lambda c: c.revisited(belief(), 50), Status.CONVERGED),
     ],
     ids=[
-        "contact moved it", "contact widened it", "contact ended a doubt", "search moved it",
-        "object was pushed", "contact is in doubt", "silence left it", "search left it",
+        "contact moved it",
+        "contact widened it",
+        "contact ended a doubt",
+        "search moved it",
+        "object was pushed",
+        "contact is in doubt",
+        "silence left it",
+        "search left it",
     ],
-)  # fmt: skip
+)
 def test_what_takes_a_converged_belief_back(
     confidence: Confidence, change: Change, expected: Status
 ) -> None:

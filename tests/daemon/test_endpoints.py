@@ -32,10 +32,20 @@ BEYOND = [
     "tcp://127.0.0.1:0;10.0.0.5:9872",  # ZeroMQ's form for a source address
 ]
 NONE_AT_ALL = [
-    "tcp://127.0.0.1", "tcp://:9872", "tcp://127.0.0.1:*", "tcp://127.0.0.1:0", "9872", "udp://x:1",
-    "tcp://127.0.0.1:99999", "inproc://a", "ipc://run/taxeld", "ipc://*", "ipc://@abstract",
-    f"ipc:///{'x' * 107}", f"tcp://127.0.0.1:{'9' * 5000}",
-]  # fmt: skip
+    "tcp://127.0.0.1",
+    "tcp://:9872",
+    "tcp://127.0.0.1:*",
+    "tcp://127.0.0.1:0",
+    "9872",
+    "udp://x:1",
+    "tcp://127.0.0.1:99999",
+    "inproc://a",
+    "ipc://run/taxeld",
+    "ipc://*",
+    "ipc://@abstract",
+    f"ipc:///{'x' * 107}",
+    f"tcp://127.0.0.1:{'9' * 5000}",
+]
 
 
 @pytest.mark.parametrize("endpoint", LOCAL)
@@ -61,9 +71,12 @@ def test_what_is_no_endpoint_is_refused_with_keys_as_well(endpoint: str) -> None
 
 @pytest.mark.parametrize(
     "table",
-    ["[relay]\npublish = ['tcp://127.0.0.1:1', '{}']", "[relay]\ncontrol = '{}'",
-     "[sensor_pose]\nendpoint = '{}'"],
-)  # fmt: skip
+    [
+        "[relay]\npublish = ['tcp://127.0.0.1:1', '{}']",
+        "[relay]\ncontrol = '{}'",
+        "[sensor_pose]\nendpoint = '{}'",
+    ],
+)
 def test_each_fault_is_one_line_that_names_its_key(table: str) -> None:
     with pytest.raises(ConfigError) as error:
         parse(MINIMAL + table.format("tcp://0.0.0.0:1"))

@@ -32,9 +32,12 @@ class AnyInput(RuleBasedStateMachine):
     )
     def begin(self, injection: str, motion: str, particles: int, injected: int) -> None:
         config = FilterConfig(
-            injection=injection, motion=motion, particles=particles, particles_max=60,
+            injection=injection,
+            motion=motion,
+            particles=particles,
+            particles_max=60,
             injected=injected,
-        )  # fmt: skip
+        )
         self.subject = Estimator(self.model, Manifold(self.model), config)
         self.t, self.scans = 0.0, 0
         self.live = np.ones(TAXELS, dtype=bool)

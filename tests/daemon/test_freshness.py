@@ -28,8 +28,13 @@ def test_what_became_of_the_last_scan_decides_until_the_next(estimate: Estimate)
         event()
         seen.append(inputs.judged(estimate).status)
     assert [status.name for status in seen] == [
-        "STARTING", "AMBIGUOUS", "STALE", "AMBIGUOUS", "STARTING", "AMBIGUOUS",
-    ]  # fmt: skip
+        "STARTING",
+        "AMBIGUOUS",
+        "STALE",
+        "AMBIGUOUS",
+        "STARTING",
+        "AMBIGUOUS",
+    ]
 
 
 def test_without_a_scan_for_too_long_everything_is_stale(estimate: Estimate) -> None:
@@ -57,9 +62,15 @@ def test_an_estimate_is_valid_with_fresh_inputs_after_a_touch(
 
 @pytest.mark.parametrize(
     ("x", "y", "inside"),
-    [(1.0, 2.0, True), (1.69, 1.31, True), (1.71, 2.0, False), (1.0, 1.29, False),
-     (1e9, 2.0, False), (float("nan"), 2.0, False)],
-)  # fmt: skip
+    [
+        (1.0, 2.0, True),
+        (1.69, 1.31, True),
+        (1.71, 2.0, False),
+        (1.0, 1.29, False),
+        (1e9, 2.0, False),
+        (float("nan"), 2.0, False),
+    ],
+)
 def test_an_estimate_where_the_object_cannot_be_is_not_valid(
     estimate: Estimate, x: float, y: float, inside: bool
 ) -> None:

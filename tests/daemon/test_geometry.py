@@ -100,9 +100,13 @@ def test_silences_of_other_taxels_or_floors_tell_other_things(box_model: Observa
     taxels, everything = len(box_model.layout), Memory(box_model, Noise())
     all_live, half = np.ones(taxels, dtype=bool), np.arange(taxels) % 2 == 0
     for live, floor, residue in (
-        (all_live, 0.02, 0.0), (half, 0.02, 0.0), (half, 0.1, 0.0), (half, 0.1, 0.05),
-        (all_live, np.where(half, 0.1, 0.02), 0.0), (all_live, 0.02, 0.0),
-    ):  # fmt: skip
+        (all_live, 0.02, 0.0),
+        (half, 0.02, 0.0),
+        (half, 0.1, 0.0),
+        (half, 0.1, 0.05),
+        (all_live, np.where(half, 0.1, 0.02), 0.0),
+        (all_live, 0.02, 0.0),
+    ):
         alone = Memory(box_model, Noise())
         for memory in (everything, alone):
             memory.add(Observation(np.zeros(3), np.zeros(taxels), live, floor, residue))

@@ -27,8 +27,9 @@ FILES = sorted(FOLDER.glob("icub_*.json"))
 TICK_S, PATIENCE_S = 0.01, 5.0
 
 Line = dict[str, Any]
-each = pytest.mark.parametrize("talk", [json.loads(file.read_text()) for file in FILES],
-                               ids=[file.stem for file in FILES])  # fmt: skip
+each = pytest.mark.parametrize(
+    "talk", [json.loads(file.read_text()) for file in FILES], ids=[file.stem for file in FILES]
+)
 
 
 def frames_of(line: Line) -> list[Frame]:

@@ -82,9 +82,8 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, flags: list[str
     ],
 )
 def test_an_answer_that_cannot_be_used_is_one_line_and_nothing_is_written(
-    tmp_path: Path, flags: list[str], change: list[str],
-    line: str,
-) -> None:  # fmt: skip
+    tmp_path: Path, flags: list[str], change: list[str], line: str
+) -> None:
     path = tmp_path / "skin.toml"
     assert refused("init", path, *flags, *change).startswith(line)
     assert not path.exists()

@@ -62,9 +62,11 @@ def test_touches_that_repeatedly_do_not_fit_take_it_down_by_one_rung(ladder: Lad
         stepped = [ladder.took(11.0, 10.0) for _ in range(PATIENCE)]
         assert stepped == [False] * (PATIENCE - 1) + [found[-1][2] is not Step.TABLE]
     assert found == [
-        ("ddpm", 40, Step.CHOSEN), ("density", 40, Step.CHEAPER), ("density", 10, Step.FEWER),
+        ("ddpm", 40, Step.CHOSEN),
+        ("density", 40, Step.CHEAPER),
+        ("density", 10, Step.FEWER),
         ("table", 40, Step.TABLE),
-    ]  # fmt: skip
+    ]
     assert served(ladder) == found[-1], "the last rung serves whatever it takes"
 
 

@@ -85,6 +85,4 @@ def test_the_file_is_what_readers_of_cyclictest_expect() -> None:
     assert source["cycles"] - sum(source["histogram"].values()) == 1
     assert (source["min"], source["max"]) == (1, 2 * BOUND_US)
     assert source["avg"] == pytest.approx(25001.675, abs=0.01)
-    assert set(source) == {
-        "name", "histogram", "cycles", "min", "max", "avg", "cpu", "node"
-    }  # fmt: skip
+    assert set(source) == {"name", "histogram", "cycles", "min", "max", "avg", "cpu", "node"}

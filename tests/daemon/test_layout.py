@@ -45,8 +45,9 @@ class TestCylinder:
             angle = 2 * math.pi * column / 16
             assert z == pytest.approx((row - 2) * 0.015)
             assert (x, y) == pytest.approx((0.04 * math.cos(angle), 0.04 * math.sin(angle)))
-        np.testing.assert_allclose(skin.normal * [0.04, 0.04, 1] + skin.position_m * [0, 0, 1],
-                                   skin.position_m, atol=1e-15)  # fmt: skip
+        np.testing.assert_allclose(
+            skin.normal * [0.04, 0.04, 1] + skin.position_m * [0, 0, 1], skin.position_m, atol=1e-15
+        )
 
     def test_uid_is_module_and_name_ten_taxels_a_module(self):
         skin = layouts.load("cylinder:rows=1,columns=23,radius_m=0.04,pitch_m=0.015")
@@ -188,8 +189,9 @@ class TestFit:
         found = cylinder_fit.fit(position, normal)
         np.testing.assert_allclose(found.frame[0, :3], [1.0, 0.0, 0.0], atol=1e-9)
         cycled = cylinder_fit.fit(np.roll(position, 1, axis=1), np.roll(normal, 1, axis=1))
-        np.testing.assert_allclose(cycled.frame[:3, :3] @ np.eye(3)[:, [1, 2, 0]], np.eye(3),
-                                   atol=1e-9)  # fmt: skip
+        np.testing.assert_allclose(
+            cycled.frame[:3, :3] @ np.eye(3)[:, [1, 2, 0]], np.eye(3), atol=1e-9
+        )
 
     def test_half_a_circle_with_noise_does_not_shrink(self):
         position, normal = arc(180.0)
@@ -253,8 +255,17 @@ class TestCommand:
     def test_prints_every_fact_and_draws(self, tmp_path: Path):
         out = tmp_path / "skin.png"
         text = printed("layout", DEFAULT, "--png", out)
-        for word in ("80 in 8 modules", "0 missing, 0 cut, 0 duplicate", "metres", "40.0 mm",
-                     "360.0°", "60.0 mm", "15.00 mm", "order 16", "cc915a300678428f"):  # fmt: skip
+        for word in (
+            "80 in 8 modules",
+            "0 missing, 0 cut, 0 duplicate",
+            "metres",
+            "40.0 mm",
+            "360.0°",
+            "60.0 mm",
+            "15.00 mm",
+            "order 16",
+            "cc915a300678428f",
+        ):
             assert word in text
         assert out.read_bytes().startswith(b"\x89PNG")
 

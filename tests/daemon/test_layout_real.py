@@ -111,6 +111,8 @@ class TestIcubPositions:
     @pytest.mark.parametrize("side", ["left", "right"])
     def test_both_readings_of_a_forearm_agree_on_its_cylinder(self, side):
         """One has normals of its own, the other's follow from its positions."""
-        true, found = (layouts.load(str(POSITIONS / f"{side}_forearm_{kind}.txt"))
-                       for kind in ("mesh", "nomesh"))  # fmt: skip
+        true, found = (
+            layouts.load(str(POSITIONS / f"{side}_forearm_{kind}.txt"))
+            for kind in ("mesh", "nomesh")
+        )
         assert found.frame[2, :3] @ true.frame[2, :3] > math.cos(math.radians(5.0))

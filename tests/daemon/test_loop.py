@@ -353,10 +353,27 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
     with zmq.Context() as context, subscribe(context, tmp_path, messages.HEALTH) as socket:
         health = msgpack.unpackb(receive(daemon, socket)[1])
     assert set(health) == {
-        "v", "seq", "t", "uptime_s", "loop", "lat_us", "realtime", "source", "skin",
-        "estimator", "inputs", "calibration", "door", "recording", "modules", "missing_modules",
-        "dead_taxels", "stuck_taxels", "saturated_taxels", "untared_taxels",
-    }  # fmt: skip
+        "v",
+        "seq",
+        "t",
+        "uptime_s",
+        "loop",
+        "lat_us",
+        "realtime",
+        "source",
+        "skin",
+        "estimator",
+        "inputs",
+        "calibration",
+        "door",
+        "recording",
+        "modules",
+        "missing_modules",
+        "dead_taxels",
+        "stuck_taxels",
+        "saturated_taxels",
+        "untared_taxels",
+    }
     assert health["source"]["frames"] == 0
 
 

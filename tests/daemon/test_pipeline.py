@@ -76,9 +76,14 @@ def begun(
 
 @pytest.mark.parametrize(
     ("late_s", "counter"),
-    [(0.51, "scans_old"), (HOUR_S, "scans_old"), (-0.11, "scans_from_the_future"),
-     (-HOUR_S, "scans_from_the_future"), (np.nan, "scans_from_the_future")],
-)  # fmt: skip
+    [
+        (0.51, "scans_old"),
+        (HOUR_S, "scans_old"),
+        (-0.11, "scans_from_the_future"),
+        (-HOUR_S, "scans_from_the_future"),
+        (np.nan, "scans_from_the_future"),
+    ],
+)
 def test_a_scan_of_another_time_makes_the_estimate_stale_until_the_next(
     box: Bundle, late_s: float, counter: str
 ) -> None:

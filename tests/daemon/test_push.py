@@ -34,9 +34,15 @@ def pushed(
 def on(model: ObservationModel, ground: list[float], before: Poses, after: Poses) -> Poses:
     """(3,) where the box at the origin goes on one ground, on average."""
     poses, _ = push(
-        model, PoseMetric(model.scene), np.zeros((N, 3)), np.tile(ground, (N, 1)), before, after,
-        DEPTH_M, np.random.default_rng(0),
-    )  # fmt: skip
+        model,
+        PoseMetric(model.scene),
+        np.zeros((N, 3)),
+        np.tile(ground, (N, 1)),
+        before,
+        after,
+        DEPTH_M,
+        np.random.default_rng(0),
+    )
     return np.asarray(poses.mean(axis=0))
 
 

@@ -205,9 +205,14 @@ def test_a_serial_file_that_is_too_large_for_memory_is_one_line_of_error(tmp_pat
 
 @pytest.mark.parametrize(
     ("transport", "name"),
-    [("can", session.FRAMES), ("can", session.POSES), ("can", session.ABOUT),
-     ("native", session.SERIAL), ("native", session.SERIAL_TIMES)],
-)  # fmt: skip
+    [
+        ("can", session.FRAMES),
+        ("can", session.POSES),
+        ("can", session.ABOUT),
+        ("native", session.SERIAL),
+        ("native", session.SERIAL_TIMES),
+    ],
+)
 def test_a_pipe_in_place_of_a_file_of_a_session_keeps_nobody_waiting(
     tmp_path: Path, transport: str, name: str
 ) -> None:

@@ -35,11 +35,16 @@ class Running:
         self.manager.bind(str(place / "notify"))
         self.manager.settimeout(DEADLINE_S)
         self.process = subprocess.Popen(
-            ["sh", "-c", f'exec "$0" -m taxeld.cli run "$1" {redirect}', sys.executable,
-             str(self.config)],
+            [
+                "sh",
+                "-c",
+                f'exec "$0" -m taxeld.cli run "$1" {redirect}',
+                sys.executable,
+                str(self.config),
+            ],
             stderr=self._log if stderr is None else stderr,
             env={**os.environ, **environ(self.manager, WATCHDOG_USEC="200000")},
-        )  # fmt: skip
+        )
         assert self.manager.recv(4096) == b"READY=1"
         self.send = self.process.send_signal
 

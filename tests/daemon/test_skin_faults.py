@@ -95,12 +95,24 @@ def counts_of(kind: str, simulated: SimulatedSkin, taxel: int) -> tuple[int, ...
 
 happenings = st.tuples(
     st.sampled_from(
-        ["idle", "press", "release", "lost", "any", "all zero", "all full", "t0", "other table",
-         "pause", "tare", "restart"]
+        [
+            "idle",
+            "press",
+            "release",
+            "lost",
+            "any",
+            "all zero",
+            "all full",
+            "t0",
+            "other table",
+            "pause",
+            "tare",
+            "restart",
+        ]
     ),
     st.integers(0, 31),
     st.integers(1, 60),
-)  # fmt: skip
+)
 
 
 @given(st.lists(happenings, max_size=25))

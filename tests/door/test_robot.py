@@ -113,13 +113,16 @@ def test_another_service_on_the_port_for_a_moment_does_not_end_the_poses(tmp_pat
 @pytest.mark.parametrize(
     "body",
     [
-        b"", b"\xc0", msgpack.packb([1.0] * 4), msgpack.packb({"t": 1.0, "x": 0.0, "y": 0.0}),
+        b"",
+        b"\xc0",
+        msgpack.packb([1.0] * 4),
+        msgpack.packb({"t": 1.0, "x": 0.0, "y": 0.0}),
         msgpack.packb({"t": "1", "x": 0.0, "y": 0.0, "theta": 0.0}),
         msgpack.packb({"t": 1.0, "x": float("nan"), "y": 0.0, "theta": 0.0}),
         msgpack.packb({"t": [], "x": 0.0, "y": 0.0, "theta": 0.0}),
     ],
     ids=["empty", "nil", "list", "lacks", "text", "nan", "nested"],
-)  # fmt: skip
+)
 def test_a_message_that_is_no_pose_is_none(body: bytes) -> None:
     assert as_pose([b"/robot/sensor_pose", body, b"1.0"]) is None
     assert as_pose(pose(1.0)[:2]) is None

@@ -37,8 +37,14 @@ def test_arbitrary_bytes_are_a_map_or_an_empty_one(body: bytes) -> None:
 
 @pytest.mark.parametrize(
     "body",
-    [b"\x91" * 4000, b"\x81\xa1x" * 1000, b"\xdf\xff\xff\xff\xff", b"\xc7\x0c\xff" + b"\xff" * 12,
-     msgpack.packb({"a": 1}) + b"\x00", msgpack.packb({1: 2})],
-)  # fmt: skip
+    [
+        b"\x91" * 4000,
+        b"\x81\xa1x" * 1000,
+        b"\xdf\xff\xff\xff\xff",
+        b"\xc7\x0c\xff" + b"\xff" * 12,
+        msgpack.packb({"a": 1}) + b"\x00",
+        msgpack.packb({1: 2}),
+    ],
+)
 def test_bombs_are_an_empty_map(body: bytes) -> None:
     assert unpack(body) == {}

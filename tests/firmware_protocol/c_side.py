@@ -44,16 +44,24 @@ class CFrame(ctypes.Structure):
 
 class CModule(ctypes.Structure):
     _fields_ = [
-        ("sui", u32), ("mask", u16), ("channels", u8), ("grouping", u8), ("cdc_control", u8),
+        ("sui", u32),
+        ("mask", u16),
+        ("channels", u8),
+        ("grouping", u8),
+        ("cdc_control", u8),
         ("cdc_speed", u8),
-    ]  # fmt: skip
+    ]
 
 
 class CScan(ctypes.Structure):
     _fields_ = [
-        ("channels", pointer), ("modules", size_t), ("module", size_t), ("channel", size_t),
-        ("counts", pointer), ("left", size_t),
-    ]  # fmt: skip
+        ("channels", pointer),
+        ("modules", size_t),
+        ("module", size_t),
+        ("channel", size_t),
+        ("counts", pointer),
+        ("left", size_t),
+    ]
 
 
 class CFragmenter(ctypes.Structure):
@@ -66,9 +74,12 @@ class CLinkCounters(ctypes.Structure):
 
 class CReassembler(ctypes.Structure):
     _fields_ = [
-        ("data", u8 * 264), ("len", size_t), ("pending", u32), ("short_id", u8),
+        ("data", u8 * 264),
+        ("len", size_t),
+        ("pending", u32),
+        ("short_id", u8),
         ("counters", CLinkCounters),
-    ]  # fmt: skip
+    ]
 
 
 class CSerialCounters(ctypes.Structure):
@@ -77,15 +88,24 @@ class CSerialCounters(ctypes.Structure):
 
 class CReceiver(ctypes.Structure):
     _fields_ = [
-        ("line", u8 * 262), ("len", size_t), ("overrun", ctypes.c_bool),
+        ("line", u8 * 262),
+        ("len", size_t),
+        ("overrun", ctypes.c_bool),
         ("counters", CSerialCounters),
-    ]  # fmt: skip
+    ]
 
 
 MIRRORS = [
-    CPacket, CFrame, CModule, CScan, CFragmenter, CLinkCounters, CReassembler, CSerialCounters,
+    CPacket,
+    CFrame,
+    CModule,
+    CScan,
+    CFragmenter,
+    CLinkCounters,
+    CReassembler,
+    CSerialCounters,
     CReceiver,
-]  # fmt: skip
+]
 
 
 def compile_c(*args: str | Path) -> None:
@@ -177,9 +197,13 @@ class CSide:
         state, table = CScan(), bytes(channels)
         values = (u16 * max(len(counts), 1))(*counts)
         status: int = self.c.taxeld_scan_init(
-            ctypes.byref(state), table, size_t(len(table)), *map(size_t, start), values,
+            ctypes.byref(state),
+            table,
+            size_t(len(table)),
+            *map(size_t, start),
+            values,
             size_t(len(counts)),
-        )  # fmt: skip
+        )
         packets: list[bytes] = []
 
         def step() -> bytes | int:

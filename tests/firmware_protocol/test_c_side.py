@@ -244,9 +244,11 @@ line_parts = st.one_of(
     st.builds(lambda n: b"\1" * n, st.integers(255, 600)),
     st.builds(
         lambda command, payload, ihb: serial_link.encode(command, payload, ihb=ihb),
-        st.integers(0, 255), payloads, st.integers(0, 255),
+        st.integers(0, 255),
+        payloads,
+        st.integers(0, 255),
     ),
-)  # fmt: skip
+)
 
 
 @given(st.lists(line_parts, max_size=6), st.lists(st.integers(1, 300), min_size=1, max_size=5))
@@ -323,9 +325,12 @@ def test_vectors_and_damage_pass_the_sanitizers(tmp_path: Path) -> None:
     compile_c(*SANITIZED, C / "vectors_main.c", "-o", program)
     done = subprocess.run(
         [program, vectors, str(ROUNDS_OF_DAMAGE)],
-        capture_output=True, text=True, check=False, timeout=SECONDS,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=SECONDS,
         # nothing is allocated but by the program itself, and leaks cannot be looked for in a tracer
         env={**os.environ, "ASAN_OPTIONS": "detect_leaks=0"},
-    )  # fmt: skip
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout == f"{text.count(chr(10))} vectors\n"

@@ -49,16 +49,19 @@ def without(frames: list[Frame], at: int) -> list[Frame]:
         lambda frames: without(frames, FIRST_PACKET - 1),
         lambda frames: without(frames, FIRST_PACKET),
         lambda frames: [*frames[:6], *frames[5:]],
-        lambda frames: [
-            *frames[:3], frames[4]._replace(data=bytes(8)), frames[3], *frames[5:]
-        ],
+        lambda frames: [*frames[:3], frames[4]._replace(data=bytes(8)), frames[3], *frames[5:]],
         lambda frames: [*frames[:2], frames[2]._replace(data=b"\x55" * 8), *frames[3:]],
     ],
     ids=[
-        "first lost", "middle lost", "last lost", "first of the second lost", "one twice",
-        "two out of order", "bits flipped",
+        "first lost",
+        "middle lost",
+        "last lost",
+        "first of the second lost",
+        "one twice",
+        "two out of order",
+        "bits flipped",
     ],
-)  # fmt: skip
+)
 def test_a_damaged_fragment_costs_its_packet_and_shifts_nothing(
     damage: Callable[[list[Frame]], list[Frame]],
 ) -> None:

@@ -382,8 +382,12 @@ class TestVirtualBoard:
 
     def test_it_obeys_no_one_elses_commands(self) -> None:
         board = VirtualBoard(7)
-        for other in (*icub.to_frames(6, icub.START), Frame(0.0, 0x207, icub.START, True),
-                      Frame(0.0, 0x207, b""), Frame(0.0, 0x207, b"\x99\x00")):  # fmt: skip
+        for other in (
+            *icub.to_frames(6, icub.START),
+            Frame(0.0, 0x207, icub.START, True),
+            Frame(0.0, 0x207, b""),
+            Frame(0.0, 0x207, b"\x99\x00"),
+        ):
             assert board.take(other) == []
         assert not board.running
         with pytest.raises(ValueError, match="3 values for 192 channels"):

@@ -121,8 +121,11 @@ def test_the_pieces_a_line_comes_in_do_not_matter(noise: list[bytes], cuts: list
 
 FRAMES = st.builds(
     lambda short, long, extended, data: Frame(1.5, long if extended else short, data, extended),
-    st.integers(0, 0x7FF), st.integers(0, 0x1FFFFFFF), st.booleans(), st.binary(max_size=8),
-)  # fmt: skip
+    st.integers(0, 0x7FF),
+    st.integers(0, 0x1FFFFFFF),
+    st.booleans(),
+    st.binary(max_size=8),
+)
 STAMPS = st.one_of(
     st.just(b""),
     st.integers(0, 0xFFFF).map(lambda ms: b"%04X" % ms),

@@ -43,8 +43,9 @@ def test_a_hub_that_was_just_powered_is_in_its_bootloader_and_streams_nothing() 
     ihb = VirtualIhb(wired(UIDS))
     assert ask(ihb, Command.DECLARE) == [(0x3C, b"\x02")]
     assert ask(ihb, Command.MODULE_DETAILS, b"\xff") == [
-        (0x3D, bytes.fromhex("0000000001")), (0x3D, bytes.fromhex("0100000002")),
-    ]  # fmt: skip
+        (0x3D, bytes.fromhex("0000000001")),
+        (0x3D, bytes.fromhex("0100000002")),
+    ]
     refused = (0x13, bytes((Command.SET_AUTO_SYNC, ErrorCode.PHASE)))
     assert ask(ihb, Command.SET_AUTO_SYNC, b"\x01") == [refused]
     assert not any(ihb.due(t) for t in (0.0, 1.0, 2.0))
@@ -145,9 +146,14 @@ def test_a_cut_is_told_by_declare_and_details(cut: int, mask: int, sent: int) ->
     assert ask(ihb, Command.MODULE_SET_CUT_SENSORS, request) == []
     (answer,) = ask(ihb, Command.MODULE_DETAILS, b"\x01")
     assert commands.parse_answer(*answer) == {
-        "module": 1, "sui": 2, "channels": 12, "grouping": 0, "mask": mask, "cdc_control": 0,
+        "module": 1,
+        "sui": 2,
+        "channels": 12,
+        "grouping": 0,
+        "mask": mask,
+        "cdc_control": 0,
         "cdc_speed": 0,
-    }  # fmt: skip
+    }
     assert ask(ihb, Command.DECLARE) == [(0x3C, bytes((2, 0, 3, sent)))]
 
 

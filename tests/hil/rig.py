@@ -50,10 +50,15 @@ class PressedSkin:
         plan = calibration_touches.plan(model, PLACED, seed, presses, idle_s=1.0)
         held = [plan.path.at(float(np.mean(touch.held_s))) for touch in plan.touches]
         return cls(
-            model, np.array(held), rng.uniform(-1.0, 1.0, 3) * [0.004, 0.004, 0.07],
-            float(rng.uniform(12_000.0, 30_000.0)), np.exp(0.15 * rng.standard_normal(taxels)),
-            0.1 + 0.5 * rng.standard_normal(taxels), float(rng.uniform(-0.05, 0.15)), 20.0,
-        )  # fmt: skip
+            model,
+            np.array(held),
+            rng.uniform(-1.0, 1.0, 3) * [0.004, 0.004, 0.07],
+            float(rng.uniform(12_000.0, 30_000.0)),
+            np.exp(0.15 * rng.standard_normal(taxels)),
+            0.1 + 0.5 * rng.standard_normal(taxels),
+            float(rng.uniform(-0.05, 0.15)),
+            20.0,
+        )
 
     @property
     def told(self) -> Poses:
@@ -72,9 +77,13 @@ class PressedSkin:
 
 
 def write_session(
-    directory: Path, skin: PressedSkin, idle_s: float = 12.0, held_s: float = 0.4,
-    frozen: tuple[int, ...] = (), config: str = "",
-) -> None:  # fmt: skip
+    directory: Path,
+    skin: PressedSkin,
+    idle_s: float = 12.0,
+    held_s: float = 0.4,
+    frozen: tuple[int, ...] = (),
+    config: str = "",
+) -> None:
     """A CAN session of that skin: idle, then each press held, and away between."""
     layout: Layout = skin.model.layout
     modules = wired(layout.uid.tolist())
@@ -107,8 +116,10 @@ def write_session(
     directory.mkdir(parents=True)
     log = "".join(format_log_line(frame) + "\n" for frame in frames)
     (directory / "frames.log").write_text(log, encoding="ascii")
-    rows = "".join(f"{at:.6f},{x!r},{y!r},{yaw!r}\n" for at, (x, y, yaw) in
-                   ((at, pose.tolist()) for at, pose in poses))  # fmt: skip
+    rows = "".join(
+        f"{at:.6f},{x!r},{y!r},{yaw!r}\n"
+        for at, (x, y, yaw) in ((at, pose.tolist()) for at, pose in poses)
+    )
     (directory / "sensor_pose.csv").write_text("t,x,y,theta\n" + rows, encoding="ascii")
     (directory / "config.toml").write_text(
         config

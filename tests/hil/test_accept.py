@@ -136,8 +136,11 @@ FAULTS: list[tuple[str, str, Callable[[], Received]]] = [
     ("discovery", "no module with a channel", no_scans({1: (Module(0),)})),
     ("discovery modules", "positions 1", no_scans({1: (A, Module(11), C, D)}, packets=4)),
     ("discovery", "sent no scan", no_scans({1: MODULES}, packets=9)),
-    ("discovery", "hub 2 answers, but sent no scan",
-     lambda: received(tables={1: (A, B, C), 2: (D,)})),
+    (
+        "discovery",
+        "hub 2 answers, but sent no scan",
+        lambda: received(tables={1: (A, B, C), 2: (D,)}),
+    ),
     ("modules", "module 2 did not answer; 10 taxels", table(A, C, D)),
     ("modules", "module 9 (hub 1, position 4)", table(*MODULES, replace(A, sui=9))),
     ("modules", "4 did not answer", table(A, B, C, replace(D, sui=9))),
@@ -158,10 +161,16 @@ FAULTS: list[tuple[str, str, Callable[[], Received]]] = [
     ("link", "could not decode", link(noise=1)),
     ("link", "without the beginning", link(orphan=40)),
     ("link", "went away: 2", link(lost=2)),
-    ("link", "fell silent: 1", lambda: received(
-        scans_of(Counts(MODULES))[:100], link=HEALTHY_LINK + Counter(silences=1))),
-    ("link", "went away", lambda: received(
-        scans_of(Counts(MODULES))[:100], link=HEALTHY_LINK + Counter(lost=1))),
+    (
+        "link",
+        "fell silent: 1",
+        lambda: received(scans_of(Counts(MODULES))[:100], link=HEALTHY_LINK + Counter(silences=1)),
+    ),
+    (
+        "link",
+        "went away",
+        lambda: received(scans_of(Counts(MODULES))[:100], link=HEALTHY_LINK + Counter(lost=1)),
+    ),
     ("noise", "T5 of module 1 (hub 1, position 0)", noise(5, 500.0)),
     ("noise", "the whole module", noise(slice(12, 22), 500.0)),
     ("noise", "T1, T2, T3, T4, T5, T6, T7, T8, T9, T10 of module 4", noise(slice(0, 44), 1500.0)),
@@ -177,7 +186,7 @@ FAULTS: list[tuple[str, str, Callable[[], Received]]] = [
     ("press", "module 3 answered when it was pressed", presses(2, 3, 1, 4)),
     ("press", "module 3 (hub 1, position 2) nothing was felt", presses(1, 2, None, 4)),
     ("press", "modules 1, 2, 3, 4 felt 900 counts", presses(1, 2, 3, 4, counts=900.0)),
-]  # fmt: skip
+]
 
 
 def test_a_healthy_skin_fails_nothing() -> None:

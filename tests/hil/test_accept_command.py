@@ -16,15 +16,7 @@ from taxeld_hil import cli
 from taxeld_protocol.modules import Module
 from tests.rig.virtual_hub import StuckHub, VirtualHub
 
-from .accept_skin import (
-    LAYOUT,
-    MODULES,
-    Counts,
-    DamagingHub,
-    Operator,
-    SleepClock,
-    VirtualSkin,
-)  # fmt: skip
+from .accept_skin import LAYOUT, MODULES, Counts, DamagingHub, Operator, SleepClock, VirtualSkin
 
 CHECKS = ["discovery", "modules", "rate", "link", "noise", "taxels", "temperature", "press"]
 FIVE = ["--seconds", "5"]
@@ -53,9 +45,11 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SleepClock:
     """Everything that looks at a clock between device and report looks at this one."""
     made = SleepClock()
     for module in (
-        "taxeld_hil.acceptance.accept", "taxeld_hil.acceptance.received",
-        "taxeld.source.lines", "taxeld.source.slcan_device",
-    ):  # fmt: skip
+        "taxeld_hil.acceptance.accept",
+        "taxeld_hil.acceptance.received",
+        "taxeld.source.lines",
+        "taxeld.source.slcan_device",
+    ):
         monkeypatch.setattr(f"{module}.time", made)
     return made
 
@@ -153,9 +147,13 @@ def slow(skin: VirtualSkin) -> None:
     ],
 )
 def test_a_fault_of_the_skin_fails_its_own_check_alone(
-    fault: Callable[[VirtualSkin], None], more: list[str], check: str, finding: str,
-    skin: VirtualSkin, accept: Accept,
-) -> None:  # fmt: skip
+    fault: Callable[[VirtualSkin], None],
+    more: list[str],
+    check: str,
+    finding: str,
+    skin: VirtualSkin,
+    accept: Accept,
+) -> None:
     fault(skin)
     ran = accept(skin, *more)
     assert (ran.code, ran.failed) == (1, [check]), ran.printed

@@ -77,9 +77,10 @@ def test_a_session_becomes_a_file_a_text_and_a_picture(
 
 
 def test_a_session_replays_better_with_its_calibration(
-    recorded: tuple[PressedSkin, Path], calibrated: tuple[Path, str],
+    recorded: tuple[PressedSkin, Path],
+    calibrated: tuple[Path, str],
     capsys: pytest.CaptureFixture[str],
-) -> None:  # fmt: skip
+) -> None:
     _, session = recorded
     config = calibrated[0].with_name("with.toml")
     text = (session / "config.toml").read_text(encoding="utf-8")
@@ -127,9 +128,11 @@ def test_a_skin_that_is_pressed_now_is_guided_recorded_and_fitted(
         robot.bind(f"ipc://{tmp_path}/poses")
         few = {"proposal": "manifold", "particles": 40, "particles_max": 40, "injected": 10}
         config = configuration(
-            tmp_path, source=hub.source | {"period_ms": 20}, filter=few,
+            tmp_path,
+            source=hub.source | {"period_ms": 20},
+            filter=few,
             sensor_pose={"endpoint": f"ipc://{tmp_path}/poses"},
-        )  # fmt: skip
+        )
         out = tmp_path / "skin.toml"
         place = Guided.place(out)
         asking = Guided(load(config), config, place, 1.5, 16, said.append)

@@ -26,10 +26,14 @@ def drill(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path, attribution = meshes.find("035_power_drill")
     mesh, layout = meshes.load(path), layouts.load(scenario.load("demo").layout)
     info = {
-        "object": path.stem, "attribution": attribution,
+        "object": path.stem,
+        "attribution": attribution,
         "layout": {"name": layout.name, "digest": layout.digest},
-        "height_m": HEIGHT_M, "depth_max_m": DEPTH_MAX_M, "samplers": [], "auto": ["table"],
-    }  # fmt: skip
+        "height_m": HEIGHT_M,
+        "depth_max_m": DEPTH_MAX_M,
+        "samplers": [],
+        "auto": ["table"],
+    }
     bundles.write(scenes.build(mesh, layout, HEIGHT_M), info, place)
     return place
 
@@ -37,9 +41,22 @@ def drill(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_drill_is_felt_on_a_soft_skin_and_everything_is_accounted_for(
     drill: Path, tmp_path: Path
 ) -> None:
-    command = ["matrix", "demo", "--object", str(drill), "--skin", "typical",
-               "--seeds", "1", "--workers", "1", "--memory", str(tmp_path / "memory"),
-               "--out", str(tmp_path)]  # fmt: skip
+    command = [
+        "matrix",
+        "demo",
+        "--object",
+        str(drill),
+        "--skin",
+        "typical",
+        "--seeds",
+        "1",
+        "--workers",
+        "1",
+        "--memory",
+        str(tmp_path / "memory"),
+        "--out",
+        str(tmp_path),
+    ]
     assert cli.main(command) in (0, 1)
     result = json.loads((tmp_path / "scenarios.json").read_text(encoding="utf-8"))
     (run,) = result["runs"]

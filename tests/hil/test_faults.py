@@ -176,9 +176,11 @@ def test_a_silent_failure_a_late_flag_and_a_slow_recovery_are_found() -> None:
         names.append([check.name for check in checks if check.passed is False])
     assert names[0] == []
     assert names[1] == [
-        "accuracy", "no silent failure",
-        "unplugged at 1 s: flag", "unplugged at 1 s: recovery",
-    ]  # fmt: skip
+        "accuracy",
+        "no silent failure",
+        "unplugged at 1 s: flag",
+        "unplugged at 1 s: recovery",
+    ]
     assert judge.tally.silent_episodes == 1
 
 
@@ -217,13 +219,16 @@ def of_a_lap(
 ) -> Grade:
     figures = {
         "silent_failures": {
-            "episodes": len(silent_at_s), "worst_mm": 30.0 * bool(silent_at_s), "at_s": silent_at_s
+            "episodes": len(silent_at_s),
+            "worst_mm": 30.0 * bool(silent_at_s),
+            "at_s": silent_at_s,
         },
-        "faults": [
-            {"kind": kind, "at_s": at_s, "injected": False} for kind, at_s in faults
-        ],
-        "error_mm": 1.0, "status": status, "contacts": contacts, "laws": [],
-    }  # fmt: skip
+        "faults": [{"kind": kind, "at_s": at_s, "injected": False} for kind, at_s in faults],
+        "error_mm": 1.0,
+        "status": status,
+        "contacts": contacts,
+        "laws": [],
+    }
     return Grade(Run("lap", 0, "sim", "fake", "slcan"), (), figures)
 
 
@@ -244,9 +249,9 @@ def test_a_lie_that_was_told_earlier_in_the_lap_explains_a_silent_failure_and_no
 
 def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
     seen = soak.Soak(0, "fake", "box", "typical", 1.0)
-    for number, (status, contacts) in enumerate((
-        ("converged", 8), ("ambiguous", 8), ("converged", 5), ("ambiguous", 3), ("converged", 9)
-    )):  # fmt: skip
+    for number, (status, contacts) in enumerate(
+        (("converged", 8), ("ambiguous", 8), ("converged", 5), ("ambiguous", 3), ("converged", 9))
+    ):
         seen.add(number, of_a_lap([], [], status, contacts), 60.0)
     assert (seen.found, seen.full, seen.full_found, seen.lost_laps) == (3, 3, 2, [1])
     assert seen.full_right == 3, "also the one that is not sure of it"
@@ -257,9 +262,9 @@ def test_reports_of_soaks_are_shown_side_by_side(
 ) -> None:
     seen = soak.Soak(0, "fake", "/there/is/a/drill", "typical", 1.0)
     lied = [("pose_jumping", 4.0)]
-    for number, (faults, status, contacts) in enumerate((
-        (lied, "converged", 8), ([], "converged", 9), ([], "ambiguous", 8)
-    )):  # fmt: skip
+    for number, (faults, status, contacts) in enumerate(
+        ((lied, "converged", 8), ([], "converged", 9), ([], "ambiguous", 8))
+    ):
         seen.add(number, of_a_lap(faults, [12.0] * (number < 2), status, contacts), 60.0)
     seen.report(tmp_path / "soak_drill.json", lambda _: None)
     assert cli.main(["soak", "--table", str(tmp_path / "soak_drill.json")]) == 0
@@ -288,8 +293,9 @@ def test_a_lap_of_a_soak_can_be_run_by_itself(capsys: pytest.CaptureFixture[str]
     assert [row["at_s"] for row in alone.figures["faults"]] == [fault.at_s for fault in faults]
     same = run.graded("lap 2").figures
     assert (same["error_mm"], same["contacts"]) == (
-        alone.figures["error_mm"], alone.figures["contacts"]
-    )  # fmt: skip
+        alone.figures["error_mm"],
+        alone.figures["contacts"],
+    )
 
 
 def test_laps_differ_and_are_determined_by_seed_and_number() -> None:

@@ -39,8 +39,10 @@ def test_a_finished_job_is_not_run_again(tmp_path: Path) -> None:
     memory = tmp_path / "memory"
     first = jobs.run(three(tmp_path), memory)
     assert {name: result["square"] for name, result in first.items()} == {
-        "job-0": 0, "job-1": 1, "job-2": 4,
-    }  # fmt: skip
+        "job-0": 0,
+        "job-1": 1,
+        "job-2": 4,
+    }
     assert jobs.run(three(tmp_path), memory) == first
     assert times_run(tmp_path) == [1, 1, 1]
 

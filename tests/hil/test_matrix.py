@@ -66,8 +66,20 @@ def test_a_run_that_fails_fails_the_command_and_names_its_checks(
 ) -> None:
     hopeless = tmp_path / "hopeless.toml"
     hopeless.write_text('bundle = "box"\ncontacts = 1\nphysics = "scene"\n', encoding="utf-8")
-    command = ["matrix", str(hopeless), "--skin", "scene", "--object", "mug", "--seeds", "1",
-               "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]  # fmt: skip
+    command = [
+        "matrix",
+        str(hopeless),
+        "--skin",
+        "scene",
+        "--object",
+        "mug",
+        "--seeds",
+        "1",
+        "--memory",
+        str(tmp_path / "memory"),
+        "--out",
+        str(tmp_path),
+    ]
     assert cli.main(command) == 1
     assert "failed: object found" in capsys.readouterr().err
 

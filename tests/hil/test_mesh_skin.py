@@ -144,8 +144,9 @@ def test_an_object_turned_by_a_column_is_read_the_same_one_column_on() -> None:
     turned = np.array([c * pose[0] - s * pose[1], s * pose[0] + c * pose[1], pose[2] + turn])
     before, after = hard(pose), hard(turned)
     assert before.max() > 0.001
-    np.testing.assert_allclose(after.reshape(5, 16), np.roll(before.reshape(5, 16), 1, axis=1),
-                               atol=1e-9)  # fmt: skip
+    np.testing.assert_allclose(
+        after.reshape(5, 16), np.roll(before.reshape(5, 16), 1, axis=1), atol=1e-9
+    )
 
 
 def test_a_wall_thinner_than_the_press_is_read_as_deep_as_its_outside() -> None:

@@ -269,9 +269,9 @@ def test_while_nothing_is_touched_no_reading_rises(
     on = rng.random((steps, len(taxels))) < pressed
     depth_m[:, taxels] = np.where(on, rng.uniform(0.0, 0.006, on.shape), 0.0)
     physics = MeshPhysics(SKINS[name], GivenDepths(depth_m), SKIN, 0.005, FULL, rng)  # type: ignore[arg-type]
-    counts = np.array([
-        physics.press(np.array([k, 0.0, 0.0]), period_s * k) for k in range(steps + AWAY_STEPS)
-    ])  # fmt: skip
+    counts = np.array(
+        [physics.press(np.array([k, 0.0, 0.0]), period_s * k) for k in range(steps + AWAY_STEPS)]
+    )
     assert (np.diff(counts[steps:], axis=0) <= ROUNDING).all()
     assert counts.min() >= 0.0
 

@@ -118,10 +118,20 @@ def test_a_run_is_determined_by_its_seed() -> None:
 
 def run_of(seed: int, error: float) -> TouchRun:
     return TouchRun(
-        "box", "poor", seed, [50.0, error, 20.0, 1.0], [False, *[True] * 3],
-        [0.5, None, 2.0 * seed, None], scans=500, air=300, felt_in_air=50, contacts=10,
-        silent_episodes=seed == 3, light=4, missed=seed,
-    )  # fmt: skip
+        "box",
+        "poor",
+        seed,
+        [50.0, error, 20.0, 1.0],
+        [False, *[True] * 3],
+        [0.5, None, 2.0 * seed, None],
+        scans=500,
+        air=300,
+        felt_in_air=50,
+        contacts=10,
+        silent_episodes=seed == 3,
+        light=4,
+        missed=seed,
+    )
 
 
 def test_the_table_is_of_the_runs() -> None:

@@ -140,20 +140,24 @@ class Run:
 
         processes = types.SimpleNamespace(Popen=partial(SimulatedDoor, world), DEVNULL=-3)
         fakes = {
-            "time.time": world.unix, "time.monotonic": lambda: world.now,
+            "time.time": world.unix,
+            "time.monotonic": lambda: world.now,
             "time.monotonic_ns": lambda: int(world.now * 1e9),
-            "time.perf_counter_ns": lambda: int(world.now * 1e9), "time.thread_time_ns": lambda: 0,
-            "time.sleep": lambda s: world.advance(world.now + s), "os.fsync": sync,
+            "time.perf_counter_ns": lambda: int(world.now * 1e9),
+            "time.thread_time_ns": lambda: 0,
+            "time.sleep": lambda s: world.advance(world.now + s),
+            "os.fsync": sync,
             "taxeld.service.loop.wait": partial(simulated_wait, world),
             "taxeld.service.loop.Ticker": partial(Ticker, clock=lambda: world.now),
             "taxeld.service.doorkeeper.threading": world.threads,
             "taxeld.service.doorkeeper.subprocess": processes,
-            "taxeld.stream.pair.open_pair": open_pair, "taxeld.stream.link.Link._give": given,
+            "taxeld.stream.pair.open_pair": open_pair,
+            "taxeld.stream.link.Link._give": given,
             "taxeld.service.loop.Daemon._on_pose": posed,
             "taxeld.source.recorder.threading": world.writers,
             "taxeld.source.recorder.FileIO": File,
             "taxeld.source.sources.open_device": lambda *_: SimulatedDevice(world),
-        }  # fmt: skip
+        }
         with contextlib.ExitStack() as patches:
             for name, fake in fakes.items():
                 patches.enter_context(mock.patch(name, fake))

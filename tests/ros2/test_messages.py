@@ -53,8 +53,12 @@ def test_ros_reads_the_bytes_of_each_type(name: str) -> None:
 def test_fields_that_are_left_out_are_zero_or_empty() -> None:
     made = dds.message("visualization_msgs/Marker", {"ns": "modes"})
     assert (made.ns, made.id, made.text, made.frame_locked, made.points) == (
-        "modes", 0, "", False, [],
-    )  # fmt: skip
+        "modes",
+        0,
+        "",
+        False,
+        [],
+    )
     assert made.texture.header.stamp.sec == 0
 
 

@@ -53,13 +53,13 @@ def shell(page: Path, program: str) -> str:
 def follow(command: str, place: Path) -> subprocess.CompletedProcess[str]:
     """Run a command of the guide as a user would, in the guide's directory."""
     environment = os.environ | {
-        "XDG_RUNTIME_DIR": str(place), "PATH": f"{place / 'bin'}:{os.environ['PATH']}"
-    }  # fmt: skip
+        "XDG_RUNTIME_DIR": str(place),
+        "PATH": f"{place / 'bin'}:{os.environ['PATH']}",
+    }
     command = command.replace("python ", f"{sys.executable} ")
     return subprocess.run(
-        command, shell=True, cwd=place, env=environment, capture_output=True, text=True,
-        check=False,
-    )  # fmt: skip
+        command, shell=True, cwd=place, env=environment, capture_output=True, text=True, check=False
+    )
 
 
 @pytest.fixture(scope="module")

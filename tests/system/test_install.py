@@ -78,17 +78,24 @@ class Machine:
         alone = {k: v for k, v in os.environ.items() if not k.startswith("MAKE")}  # of `make test`
         path = f"{self.at / 'bin'}:{alone['PATH']}"
         variables = {
-            "PREFIX": str(self.prefix), "CONFIGS": str(self.configs), "DESTDIR": "",
-            "PYTHON": str(self.at / "bin" / "python"), "STAMP": str(self.installed), **variables,
-        }  # fmt: skip
+            "PREFIX": str(self.prefix),
+            "CONFIGS": str(self.configs),
+            "DESTDIR": "",
+            "PYTHON": str(self.at / "bin" / "python"),
+            "STAMP": str(self.installed),
+            **variables,
+        }
         # a shell's background job ignores SIGINT, and all that it starts does
         plain = ["env", "--default-signal=INT"]
         return subprocess.Popen(
             [*plain, "make", "--silent", target, *(f"{k}={v}" for k, v in variables.items())],
-            cwd=ROOT, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            cwd=ROOT,
+            text=True,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
             start_new_session=True,
             env={**alone, "PATH": path, "BUILDS": builds, "REFUSES": refuses, "FAILS_AT": fails_at},
-        )  # fmt: skip
+        )
 
     def make(self, target: str, works: bool = True, **how: str) -> str:
         with self.start(target, **how) as running:
@@ -277,15 +284,22 @@ def test_uninstall_takes_exactly_what_install_put(machine: Machine, staged: bool
     how = {"DESTDIR": str(machine.at), "PREFIX": "/opt", "CONFIGS": "/etc"} if staged else {}
     machine.make("install", **how)
     assert {p for p in machine.tree() if "/taxeld/versions/" not in p} == {
-        "opt/bin/taxeld", "opt/lib/other", "opt/lib/taxeld/current",
-        "opt/lib/sysusers.d/taxeld.conf", "opt/share/doc/taxeld/examples/60-can0.network",
-        "opt/share/doc/taxeld/examples/60-taxeld.rules", "opt/share/doc/taxeld/examples/can0.toml",
-        "opt/share/doc/taxeld/service.md", "opt/bin/taxeld-hil", "opt/bin/taxeld-ros2",
+        "opt/bin/taxeld",
+        "opt/lib/other",
+        "opt/lib/taxeld/current",
+        "opt/lib/sysusers.d/taxeld.conf",
+        "opt/share/doc/taxeld/examples/60-can0.network",
+        "opt/share/doc/taxeld/examples/60-taxeld.rules",
+        "opt/share/doc/taxeld/examples/can0.toml",
+        "opt/share/doc/taxeld/service.md",
+        "opt/bin/taxeld-hil",
+        "opt/bin/taxeld-ros2",
         "opt/bin/taxeld-train",
-        "opt/share/man/man1/taxeld.1", "opt/share/bash-completion/completions/taxeld",
+        "opt/share/man/man1/taxeld.1",
+        "opt/share/bash-completion/completions/taxeld",
         "opt/share/zsh/site-functions/_taxeld",
         *(f"opt/lib/systemd/system/{p.name}" for p in (ROOT / "systemd").glob("*.service")),
-    }  # fmt: skip
+    }
     lib = "/opt/lib/taxeld" if staged else str(machine.lib)
     unit = machine.unit.read_text(encoding="utf-8")
     assert f"ExecStart={lib}/current/bin/taxeld run /etc/taxeld/%i.toml" in unit

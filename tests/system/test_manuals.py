@@ -22,8 +22,11 @@ def test_groff_has_nothing_to_say_against_a_page(program: str) -> None:
         pytest.skip("groff is not installed")
     done = subprocess.run(
         ["groff", "-man", "-wall", "-Wbreak", "-Kutf8", "-Tutf8", "-z"],
-        input=FILES[f"share/man/man1/{program}.1"], capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        input=FILES[f"share/man/man1/{program}.1"],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     assert done.stderr == ""
 
 

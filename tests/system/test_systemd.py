@@ -39,10 +39,18 @@ def settings(path: Path = UNIT) -> dict[str, list[str]]:
 @pytest.mark.parametrize("unit", UNITS, ids=lambda unit: unit.stem)
 def test_the_unit_is_exposed_no_more_than_it_must_be(unit: Path) -> None:
     done = subprocess.run(
-        ["systemd-analyze", "security", "--offline=true", "--no-pager",
-         f"--threshold={round(10 * EXPOSURE)}", str(unit)],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        [
+            "systemd-analyze",
+            "security",
+            "--offline=true",
+            "--no-pager",
+            f"--threshold={round(10 * EXPOSURE)}",
+            str(unit),
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stderr == ""
     last = re.search(r"Overall exposure level for \S+: ([\d.]+)", done.stdout)
@@ -60,8 +68,10 @@ def test_systemd_has_nothing_to_say_against_the_unit(tmp_path: Path, unit: Path)
     copy.write_text(text.replace(command, sys.executable), encoding="utf-8")
     done = subprocess.run(
         ["systemd-analyze", "verify", "--man=no", str(tmp_path / unit.name.replace("@", "@can0"))],
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.stderr == ""
     assert done.returncode == 0
 

@@ -54,8 +54,10 @@ class Touched:
         )
         self._skin = subprocess.Popen(
             [sys.executable, __file__, str(place / "skin")],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
         assert self._skin.stdout is not None
         self._skin.stdout.readline()
         command = [sys.executable, "-m", "taxeld.cli", "run", "--record", self.session, config]
@@ -63,9 +65,12 @@ class Touched:
         shell = ["sh", "-c", f'{before}\nexec "$@"', "sh"]
         with self._log.open("wb") as log:
             self._loop = subprocess.Popen(
-                [*shell, *map(str, command)], stdin=subprocess.DEVNULL, stdout=log, stderr=log,
+                [*shell, *map(str, command)],
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=log,
                 env=environ,
-            )  # fmt: skip
+            )
         self.pid = self._loop.pid
         self.last: dict[str, Any] = {}  # health, before it was stopped
 

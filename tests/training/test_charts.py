@@ -18,9 +18,14 @@ from taxeld_training.jobs.rows import GRID, trial_table
 
 RESULTS = Path(__file__).parents[2] / "docs" / "results"
 OBJECTS = (
-    "003_cracker_box", "006_mustard_bottle", "010_potted_meat_can", "019_pitcher_base", "025_mug",
-    "035_power_drill", "061_foam_brick",
-)  # fmt: skip
+    "003_cracker_box",
+    "006_mustard_bottle",
+    "010_potted_meat_can",
+    "019_pitcher_base",
+    "025_mug",
+    "035_power_drill",
+    "061_foam_brick",
+)
 # ms of a call, and distance to the exact posterior as a multiple of the floor
 SAMPLERS = {
     ("ddpm", 100, 128): (110.0, 1.35), ("dpm", 10, 128): (11.0, 1.9), ("dpm", 4, 128): (4.4, 3.0),
@@ -73,9 +78,10 @@ def with_gaps(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 @pytest.mark.parametrize(
-    "rows", [made_rows(OBJECTS[:1]), made_rows(), with_gaps(made_rows(OBJECTS[:2]))],
+    "rows",
+    [made_rows(OBJECTS[:1]), made_rows(), with_gaps(made_rows(OBJECTS[:2]))],
     ids=["one object", "many", "gaps"],
-)  # fmt: skip
+)
 def test_samplers_are_drawn_by_cost_and_side_by_side(
     rows: list[dict[str, Any]], tmp_path: Path
 ) -> None:

@@ -25,11 +25,27 @@ from .rig import evaluate, rows, written_at
 
 ANALYTIC = {"projection", "manifold", "table", EXACT}
 TRIAL_KEYS = {
-    "object", "factor", "level", "proposal", "injection", "particles", "contact", "map_mm",
-    "map_mm_ci", "success_rate", "success_ci", "flagged_rate", "silent_failure_rate",
-    "silent_failure_ci", "silent_so_far_rate", "silent_so_far_ci", "p_shipped", "particles_max",
-    "particles_mean", "seeds",
-}  # fmt: skip
+    "object",
+    "factor",
+    "level",
+    "proposal",
+    "injection",
+    "particles",
+    "contact",
+    "map_mm",
+    "map_mm_ci",
+    "success_rate",
+    "success_ci",
+    "flagged_rate",
+    "silent_failure_rate",
+    "silent_failure_ci",
+    "silent_so_far_rate",
+    "silent_so_far_ci",
+    "p_shipped",
+    "particles_max",
+    "particles_mean",
+    "seeds",
+}
 
 
 def test_proposals_has_a_row_a_sampler_and_remembers_its_jobs(block: Path, tmp_path: Path) -> None:

@@ -154,10 +154,15 @@ def test_an_object_is_kidnapped_once_or_moves_along_a_line(ring_model: Observati
 @pytest.mark.parametrize(
     "given",
     [
-        {"kidnapped_after": 2}, {"pushed_m": 0.02}, {"dead_share": 0.3}, {"stuck": 3},
-        {"drift": 0.1}, {"sensor_sd_m": 0.005}, {"nudged_m": 0.002},
+        {"kidnapped_after": 2},
+        {"pushed_m": 0.02},
+        {"dead_share": 0.3},
+        {"stuck": 3},
+        {"drift": 0.1},
+        {"sensor_sd_m": 0.005},
+        {"nudged_m": 0.002},
     ],
-)  # fmt: skip
+)
 def test_conditions_leave_the_touches_of_a_seed_as_they_are(
     ring_model: ObservationModel, given: dict[str, float]
 ) -> None:

@@ -92,9 +92,13 @@ def the_door_is_limited_and_confined() -> str:
     text = (place / "limits").read_text("ascii")
     limits = dict(re.findall(r"^Max (.*?)  +\S+ +(\S+)", text, re.MULTILINE))
     wanted = {
-        "data size": sandbox.MEMORY_BYTES, "open files": sandbox.DESCRIPTORS, "processes": 0,
-        "file size": 0, "core file size": 0, "locked memory": 0,
-    }  # fmt: skip
+        "data size": sandbox.MEMORY_BYTES,
+        "open files": sandbox.DESCRIPTORS,
+        "processes": 0,
+        "file size": 0,
+        "core file size": 0,
+        "locked memory": 0,
+    }
     assert {name: int(limits[name]) for name in wanted} == wanted, text
     assert int((place / "oom_score_adj").read_text("ascii")) == settings.OOM_SCORE
     assert os.sched_getscheduler(VCAN0.door) == os.SCHED_OTHER
@@ -223,9 +227,13 @@ def inside_the_unit_only_what_it_needs_is_possible() -> str:
         unfiltered = probed("unfiltered", port, "SystemCallFilter=")
     may = {name for name, outcome in inside.items() if outcome == "may"}
     assert may == {
-        "a FIFO thread", "locked memory", "connect to loopback", "a CAN socket",
-        "a USB serial line", "write its state",
-    }, inside  # fmt: skip
+        "a FIFO thread",
+        "locked memory",
+        "connect to loopback",
+        "a CAN socket",
+        "a USB serial line",
+        "write its state",
+    }, inside
     assert int(inside["capabilities"], 16) == 0
     assert inside["uid"] != "0"
     everything = {name for name, outcome in outside.items() if outcome == "may"}

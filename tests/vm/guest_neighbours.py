@@ -89,8 +89,10 @@ def answered(user: str, command: str) -> str:
     """What comes of a command that a user asks for: done, refused, or no socket."""
     asked = subprocess.run(
         as_user(user, sys.executable, "-c", ASKS, CONTROL, command),
-        capture_output=True, text=True, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     if "PermissionError" in asked.stderr:
         return "no socket"
     assert asked.returncode == 0, asked.stderr

@@ -172,9 +172,21 @@ class Touch:
         self._place = tempfile.TemporaryDirectory()
         directory = Path(self._place.name)
         self._skin = subprocess.Popen(
-            [sys.executable, "-m", "taxeld_hil.cli", "emulate", "demo", "--seed", str(seed),
-             "--poses", POSES, "--out", str(directory), *where],
-        )  # fmt: skip
+            [
+                sys.executable,
+                "-m",
+                "taxeld_hil.cli",
+                "emulate",
+                "demo",
+                "--seed",
+                str(seed),
+                "--poses",
+                POSES,
+                "--out",
+                str(directory),
+                *where,
+            ]
+        )
         try:
             truth = directory / session.TRUTH
             until("the virtual skin", truth.exists)

@@ -182,9 +182,10 @@ class FilterConfig:
         doc="where they come from; auto: the bundle's best that fits the budget",
     )
     injection: str = key(
-        "mixture", one_of("mixture", "paper"),
+        "mixture",
+        one_of("mixture", "paper"),
         "how they enter: weighed against all that is remembered, or by Algorithm 1 of the paper",
-    )  # fmt: skip
+    )
     motion: str = key(
         "none", one_of("none", "push"), "what the object does: stands still, or gives way to a push"
     )

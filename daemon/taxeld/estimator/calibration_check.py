@@ -88,9 +88,12 @@ class Read(NamedTuple):
     def at(self, rows: slice) -> Self:
         """The touches in these rows."""
         return self._replace(
-            sensor=self.sensor[rows], z=self.z[rows], live=self.live[rows],
-            floor=self.floor[rows], residue=self.residue[rows],
-        )  # fmt: skip
+            sensor=self.sensor[rows],
+            z=self.z[rows],
+            live=self.live[rows],
+            floor=self.floor[rows],
+            residue=self.residue[rows],
+        )
 
     def after(self, touch: Observation) -> Self:
         """The same touches, and another one after them."""

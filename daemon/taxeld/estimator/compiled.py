@@ -97,13 +97,28 @@ class Compiled:
         self._order = runs.order
         self._model = _Model(
             **{name: table.ctypes.data for name, table in held.items()},
-            nx=nx, ny=ny, heights=heights, runs=len(runs.first), taxels=len(model.layout),
-            x=scene.origin[0], y=scene.origin[1], cell=scene.cell, depth_max=model.depth_max_m,
-            band=BAND_M, hidden=offsets.HIDDEN, robust=offsets.ROBUST,
-            least_variance=offsets.LEAST_M2, iterations=offsets.ITERATIONS,
-            sigma=noise.sigma, gain_cv=noise.gain_cv, outliers=noise.outliers, least=noise.least,
-            farthest=FARTHEST_SD, bowling1=BOWLING[0], bowling3=BOWLING[1],
-        )  # fmt: skip
+            nx=nx,
+            ny=ny,
+            heights=heights,
+            runs=len(runs.first),
+            taxels=len(model.layout),
+            x=scene.origin[0],
+            y=scene.origin[1],
+            cell=scene.cell,
+            depth_max=model.depth_max_m,
+            band=BAND_M,
+            hidden=offsets.HIDDEN,
+            robust=offsets.ROBUST,
+            least_variance=offsets.LEAST_M2,
+            iterations=offsets.ITERATIONS,
+            sigma=noise.sigma,
+            gain_cv=noise.gain_cv,
+            outliers=noise.outliers,
+            least=noise.least,
+            farthest=FARTHEST_SD,
+            bowling1=BOWLING[0],
+            bowling3=BOWLING[1],
+        )
 
     def scans(self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Scans:
         """Readings `kept` (FIELDS or more, K, M) taken at the sensor's poses (K, 3). `variance`
@@ -113,9 +128,13 @@ class Compiled:
         out = laid[:-LANES].reshape(shape)
         np.take(kept[:FIELDS], self._order, axis=2, out=out, mode="clip")  # avoids a copy
         told = _Scans(
-            laid.ctypes.data, sensor.ctypes.data, variance.ctypes.data, silent.ctypes.data,
-            len(sensor), bool(variance.any()),
-        )  # fmt: skip
+            laid.ctypes.data,
+            sensor.ctypes.data,
+            variance.ctypes.data,
+            silent.ctypes.data,
+            len(sensor),
+            bool(variance.any()),
+        )
         return Scans(told, (laid, sensor, variance, silent))
 
     def explain(self, scans: Scans, poses: Poses) -> Floats:

@@ -50,17 +50,28 @@ class Confidence:
 
     @classmethod
     def of(
-        cls, belief: Belief, scene: Scene, agreeing: int = AGREEING, enough: int = SEARCHED,
+        cls,
+        belief: Belief,
+        scene: Scene,
+        agreeing: int = AGREEING,
+        enough: int = SEARCHED,
         least: int = LEAST,
-    ) -> Self:  # fmt: skip
+    ) -> Self:
         """The confidence in a new belief about the object of a scene."""
         metric = PoseMetric(scene)
         return cls(metric, summarise(belief, metric), agreeing, enough, least)
 
     def learned(
-        self, belief: Belief, samples: int, contact: int, remembered: int, oldest: int = 0, *,
-        in_doubt: bool, known: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        belief: Belief,
+        samples: int,
+        contact: int,
+        remembered: int,
+        oldest: int = 0,
+        *,
+        in_doubt: bool,
+        known: bool = False,
+    ) -> None:
         """The belief has learned from a scan. `contact`: the number of the scan's contact, from 1;
         0 where the scan is not firm. `remembered`: contacts in memory, the first of them number
         `oldest`. `in_doubt`: whether the belief was in doubt before; `known`: whether a prior is

@@ -305,9 +305,15 @@ class Memory:
         depth, added, pairs = near.depth, np.zeros(k * n), len(near.gx)
         if pairs:
             readings = Readings(
-                near.row[:pairs], level[:pairs], low[:pairs], high[:pairs], depth[:pairs],
-                near.gx, near.gy, root[:pairs],
-            )  # fmt: skip
+                near.row[:pairs],
+                level[:pairs],
+                low[:pairs],
+                high[:pairs],
+                depth[:pairs],
+                near.gx,
+                near.gy,
+                root[:pairs],
+            )
             offset = readings.offset(np.repeat(variance[order[:about]], n))
             depth[:pairs], added[: about * n], _ = offset
         hidden = (HIDDEN / self._model.depth_max_m) * np.sqrt(variance)

@@ -58,9 +58,15 @@ class Mixture:
         if not belief.ground.size:
             belief.ground = assumed(len(belief), self._rng)
         pose, pushed = self.push(
-            self._model, metric, belief.pose, belief.ground, before.sensor, after.sensor,
-            float(after.z.max()) * self._model.depth_max_m, self._rng,
-        )  # fmt: skip
+            self._model,
+            metric,
+            belief.pose,
+            belief.ground,
+            before.sensor,
+            after.sensor,
+            float(after.z.max()) * self._model.depth_max_m,
+            self._rng,
+        )
         pushed_m = float(belief.weight @ pushed)
         if pushed_m < PUSHED_M:
             return
@@ -80,9 +86,14 @@ class Mixture:
             return 0, 0.0
         contact, memory = firm(observation, contacts), self.memory
         self.confidence.learned(
-            self.belief, len(samples), contact, memory.contacts, memory.oldest,
-            in_doubt=in_doubt, known=memory.prior is not None,
-        )  # fmt: skip
+            self.belief,
+            len(samples),
+            contact,
+            memory.contacts,
+            memory.oldest,
+            in_doubt=in_doubt,
+            known=memory.prior is not None,
+        )
         return len(samples), log_evidence
 
     def _update(self, observation: Observation, samples: Poses, number: int) -> float | None:

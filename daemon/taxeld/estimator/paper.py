@@ -40,9 +40,15 @@ class Paper:
         if not belief.ground.size:
             belief.ground = assumed(len(belief), self._rng)
         belief.pose, pushed = push(
-            self._model, self.confidence.metric, belief.pose, belief.ground, before.sensor,
-            after.sensor, float(after.z.max()) * self._model.depth_max_m, self._rng,
-        )  # fmt: skip
+            self._model,
+            self.confidence.metric,
+            belief.pose,
+            belief.ground,
+            before.sensor,
+            after.sensor,
+            float(after.z.max()) * self._model.depth_max_m,
+            self._rng,
+        )
         if belief.weight @ pushed >= PUSHED_M:
             self.confidence.moved(belief)
 

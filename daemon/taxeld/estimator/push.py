@@ -48,9 +48,15 @@ def changed(ground: Floats, strides: float, rng: np.random.Generator) -> Floats:
 
 
 def push(
-    model: ObservationModel, metric: PoseMetric, poses: Poses, ground: Floats, before: Poses,
-    after: Poses, depth_m: float, rng: np.random.Generator,
-) -> tuple[Poses, Floats]:  # fmt: skip
+    model: ObservationModel,
+    metric: PoseMetric,
+    poses: Poses,
+    ground: Floats,
+    before: Poses,
+    after: Poses,
+    depth_m: float,
+    rng: np.random.Generator,
+) -> tuple[Poses, Floats]:
     """Object poses (N, 3) in the world after the sensor moved from pose `before` (3,) to `after`
     (3,) while a contact was read `depth_m` deep. `ground` (N, 4) is as from `assumed`. → poses (N,
     3), and how far each was pushed (N,) [m].

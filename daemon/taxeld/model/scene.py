@@ -38,9 +38,14 @@ class Scene:
 
     def __post_init__(self) -> None:
         shapes = {
-            "slices": (None, None, None), "silhouette": (None, None), "heights": (None,),
-            "origin": (2,), "outline": (None, 2), "surface": (None, 3), "centre": (2,),
-        }  # fmt: skip
+            "slices": (None, None, None),
+            "silhouette": (None, None),
+            "heights": (None,),
+            "origin": (2,),
+            "outline": (None, 2),
+            "surface": (None, 3),
+            "centre": (2,),
+        }
         for name, shape in shapes.items():
             _check(name, getattr(self, name), shape)
         slices, ny, nx = self.slices.shape

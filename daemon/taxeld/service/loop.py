@@ -239,8 +239,11 @@ class Daemon:
         if ladder.took(took_ns, limit_ns):
             log.warning(
                 "touches take %.0f ms, and have %.0f: samples from now on by %s, %.0f %% of them",
-                took_ns / 1e6, limit_ns / 1e6, ladder.name, 100.0 * ladder.rung.share,
-            )  # fmt: skip
+                took_ns / 1e6,
+                limit_ns / 1e6,
+                ladder.name,
+                100.0 * ladder.rung.share,
+            )
 
     def _touch_ns(self, hubs: int) -> float:
         """Time that a touch may take of the time between two scans [ns]."""
@@ -276,8 +279,10 @@ class Daemon:
         publish_us = self._publish_us
         total_us = (begin_ns - start_ns) / 1000.0 + publish_us
         lat_us = _stages_us(outcome) | {
-            "source": source_us, "publish": publish_us, "total": total_us,
-        }  # fmt: skip
+            "source": source_us,
+            "publish": publish_us,
+            "total": total_us,
+        }
         if outcome.is_used or self._is_news(outcome.estimate):
             self._send_estimate(self._estimate(now_s), lat_us, now_s)
         if outcome.activation is not None:

@@ -195,6 +195,7 @@ class IcubBringUp:
             return ""
         if not any(board.answer for board in silent):
             return f"source.boards: {listing([b.number for b in silent])}: no answer; {CURE}"
-        said = (f"{b.number} ({f'answers, as {b.answer}' if b.answer else 'no answer'})"
-                for b in silent)  # fmt: skip
+        said = (
+            f"{b.number} ({f'answers, as {b.answer}' if b.answer else 'no answer'})" for b in silent
+        )
         return f"source.boards: nothing comes from board {', '.join(said)}"

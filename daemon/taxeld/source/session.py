@@ -95,8 +95,10 @@ def read(directory: Path) -> Session:
     if cut or (about is not None and about.get("poses") != len(poses)):
         log.warning(
             "%s: the recording was cut; %s and %d sensor poses are whole, and used",
-            directory, held, len(poses),
-        )  # fmt: skip
+            directory,
+            held,
+            len(poses),
+        )
     elif not items:
         raise SetupError(f"{directory}: holds no frames, the log is empty; record it again")
     return Session(items, poses)

@@ -42,9 +42,16 @@ STAGES = ("source", "skin", "propose", "filter", "publish", "total")
 
 
 def estimate(
-    e: Estimate, *, seq: int, valid: bool, mono_ns: int = 0, age_us: float = 0.0,
-    overruns: int = 0, degraded: int = 0, lat_us: dict[str, float] | None = None,
-) -> dict[str, Any]:  # fmt: skip
+    e: Estimate,
+    *,
+    seq: int,
+    valid: bool,
+    mono_ns: int = 0,
+    age_us: float = 0.0,
+    overruns: int = 0,
+    degraded: int = 0,
+    lat_us: dict[str, float] | None = None,
+) -> dict[str, Any]:
     """`/taxeld/estimate`; in a replay, where time is not measured, the timing keys are 0."""
     return {
         "v": VERSION,
@@ -73,18 +80,20 @@ def estimate(
 
 def particles(t: float, seq: int, pose: Poses, weight: Poses) -> dict[str, Any]:
     """`/taxeld/particles`."""
-    return {
-        "v": VERSION, "seq": seq, "t": t, "xytheta": pose.tolist(), "weight": weight.tolist(),
-    }  # fmt: skip
+    return {"v": VERSION, "seq": seq, "t": t, "xytheta": pose.tolist(), "weight": weight.tolist()}
 
 
 def taxels(activation: Activation, sensor: Poses | None, seq: int) -> dict[str, Any]:
     """`/taxeld/taxels`; `sensor` (3,) is None where it is not known."""
     return {
-        "v": VERSION, "seq": seq, "t": activation.t,
-        "z": activation.z.tolist(), "live": activation.live.tolist(),
-        "placed": sensor is not None, "sensor": _pose(se2.IDENTITY if sensor is None else sensor),
-    }  # fmt: skip
+        "v": VERSION,
+        "seq": seq,
+        "t": activation.t,
+        "z": activation.z.tolist(),
+        "live": activation.live.tolist(),
+        "placed": sensor is not None,
+        "sensor": _pose(se2.IDENTITY if sensor is None else sensor),
+    }
 
 
 def health(seq: int, t: float, parts: dict[str, Any]) -> dict[str, Any]:

@@ -39,9 +39,17 @@ COLOURS = {
     Status.INCONSISTENT: "red",
 }
 PLASMA = (  # matplotlib's colour scale, in tenths
-    "#0d0887", "#46039f", "#7201a8", "#9c179e", "#bd3786",
-    "#d8576b", "#ed7953", "#fb9f3a", "#fdca26", "#f0f921",
-)  # fmt: skip
+    "#0d0887",
+    "#46039f",
+    "#7201a8",
+    "#9c179e",
+    "#bd3786",
+    "#d8576b",
+    "#ed7953",
+    "#fb9f3a",
+    "#fdca26",
+    "#f0f921",
+)
 
 
 def watch(endpoint: str, keys: Path | None, stopping: Callable[[], bool]) -> None:

@@ -126,12 +126,14 @@ CUT = [
     hub(0x3D, "0100000DC60C00076D0000", "module 1 is 3526: T1, T4, T7 and T11 are cut"),
     hub(0x3D, "0200000DD10C000FFF0000", "module 2 is 3537: T0 to T11"),
     *STREAM,
-    scan([
-        *((3536, name) for name in range(12)),
-        *((3526, name) for name in (0, 2, 3, 5, 6, 8, 9, 10)),
-        *((3537, name) for name in range(12)),
-    ]),
-]  # fmt: skip
+    scan(
+        [
+            *((3536, name) for name in range(12)),
+            *((3526, name) for name in (0, 2, 3, 5, 6, 8, 9, 10)),
+            *((3537, name) for name in range(12)),
+        ]
+    ),
+]
 
 
 def conversation(

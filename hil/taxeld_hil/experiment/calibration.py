@@ -275,9 +275,23 @@ def uniform(scenario: Scenario, taxels: int, factor: float) -> Calibration:
     """A calibration in which all taxels are alike, and the full scale is wrong by a factor."""
     ones, zeros = np.ones(taxels), np.zeros(taxels)
     return Calibration(
-        t=0.0, digest="", object=scenario.bundle, presses=0, full_scale_depth_m=0.005,
-        full_scale_counts=factor * scenario.full_scale_counts, full_scale_sd=0.0,
-        bend=0.0, bend_sd=0.0, mount=np.zeros(3), mount_sd=np.zeros(3),
-        noise_sigma=0.04, gain_cv=0.17, gain=ones, gain_sd=zeros, onset=zeros, onset_sd=zeros,
-        noise_counts=scenario.skin.noise_counts[0] * ones, frozen=zeros > 0.0,
-    )  # fmt: skip
+        t=0.0,
+        digest="",
+        object=scenario.bundle,
+        presses=0,
+        full_scale_depth_m=0.005,
+        full_scale_counts=factor * scenario.full_scale_counts,
+        full_scale_sd=0.0,
+        bend=0.0,
+        bend_sd=0.0,
+        mount=np.zeros(3),
+        mount_sd=np.zeros(3),
+        noise_sigma=0.04,
+        gain_cv=0.17,
+        gain=ones,
+        gain_sd=zeros,
+        onset=zeros,
+        onset_sd=zeros,
+        noise_counts=scenario.skin.noise_counts[0] * ones,
+        frozen=zeros > 0.0,
+    )

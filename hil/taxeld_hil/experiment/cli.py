@@ -18,9 +18,12 @@ SOFT = ("typical", "poor")  # skins
 def add(commands: Commands) -> None:
     """Add all three commands."""
     matrix = command(
-        commands, "matrix", "Run scenarios on several objects and skins, seed by seed.",
-        "taxeld-hil matrix demo --seeds 2 --out matrix", run=_matrix,
-    )  # fmt: skip
+        commands,
+        "matrix",
+        "Run scenarios on several objects and skins, seed by seed.",
+        "taxeld-hil matrix demo --seeds 2 --out matrix",
+        run=_matrix,
+    )
     matrix.add_argument("scenario", nargs="*", metavar="SCENARIO", help="default: all shipped")
     matrix.add_argument(
         "--real",
@@ -31,16 +34,22 @@ def add(commands: Commands) -> None:
     _add_runs(matrix, ("scene", *SOFT), seeds=5)
 
     touches = command(
-        commands, "touches", "Measure how well ten touches of a soft skin find an object.",
-        "taxeld-hil touches --object box --seeds 2 --out touches", run=_touches,
-    )  # fmt: skip
+        commands,
+        "touches",
+        "Measure how well ten touches of a soft skin find an object.",
+        "taxeld-hil touches --object box --seeds 2 --out touches",
+        run=_touches,
+    )
     _add_objects(touches)
     _add_runs(touches, SOFT, seeds=30)
 
     calibration = command(
-        commands, "calibration", "Measure what a calibration finds and how much it helps.",
-        "taxeld-hil calibration --seeds 1 --out calibration", run=_calibration,
-    )  # fmt: skip
+        commands,
+        "calibration",
+        "Measure what a calibration finds and how much it helps.",
+        "taxeld-hil calibration --seeds 1 --out calibration",
+        run=_calibration,
+    )
     _add_runs(calibration, SOFT, seeds=5)
     calibration.add_argument(
         "--picture",

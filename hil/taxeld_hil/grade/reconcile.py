@@ -37,14 +37,15 @@ def laws(ledger: Ledger, health: dict[str, Any], *, line: bool, exact_times: boo
             "packets of no module, malformed or unknown",
             # a foreign frame is of no known command
             fates.index_errors + (0 if line else fates.foreign),
-            counted("source.index_errors") + counted("source.malformed")
+            counted("source.index_errors")
+            + counted("source.malformed")
             + counted("source.unknown"),
             fates.unclear,
         ),
         Law("packets before the modules", fates.undeclared, counted("source.undeclared")),
         Law("scans", fates.scans, counted("source.scans"), fates.unclear),
         Law("scans incomplete", fates.incomplete, counted("source.incomplete"), fates.unclear),
-    ]  # fmt: skip
+    ]
     if exact_times:
         missed = counted("source.missed")
         found.append(Law("scans missed", fates.missed, missed, 20 * fates.unclear))
@@ -86,9 +87,11 @@ def _onwards(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
     unused = ("scans_old", "scans_from_the_future", "scans_waiting")
     used = counted("skin.scans") + sum(counted(f"inputs.{name}") for name in unused)
     taken = (
-        counted("estimator.scans") + counted("skin.learning") + counted("skin.unmapped")
+        counted("estimator.scans")
+        + counted("skin.learning")
+        + counted("skin.unmapped")
         + counted("inputs.scans_without_pose")
-    )  # fmt: skip
+    )
     poses = counted("inputs.poses") + counted("inputs.poses_rejected")
     return [
         Law("scans to the skin, refused or waiting", counted("source.scans"), used),

@@ -69,10 +69,14 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
         arc = np.linspace(before, angle, 2 + int(abs(angle - before) / ARC_STEP_RAD))
         around = centre + circle * np.column_stack([np.cos(arc), np.sin(arc)])
         legs = [(p, TRAVEL_M_S) for p in around] + [
-            (line[0], TRAVEL_M_S), (line[1], APPROACH_M_S), (line[2], PRESS_M_S),
-            (line[2], 0.0), (line[1], PRESS_M_S), (line[0], APPROACH_M_S),
+            (line[0], TRAVEL_M_S),
+            (line[1], APPROACH_M_S),
+            (line[2], PRESS_M_S),
+            (line[2], 0.0),
+            (line[1], PRESS_M_S),
+            (line[0], APPROACH_M_S),
             (around[-1], TRAVEL_M_S),
-        ]  # fmt: skip
+        ]
         for i, (point, speed) in enumerate(legs):
             gap = float(np.linalg.norm(point - poses[-1][:2])) if poses else 0.0
             now += gap / speed if speed else scenario.hold_s

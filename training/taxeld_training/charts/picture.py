@@ -18,8 +18,15 @@ Style = tuple[str, str]  # colour, marker
 
 # Okabe and Ito's colours, for colour-blind readers; grey replaces their yellow, which is too pale
 COLOURS = (
-    "#0072B2", "#D55E00", "#009E73", "#E69F00", "#888888", "#CC79A7", "#000000", "#56B4E9",
-)  # fmt: skip
+    "#0072B2",
+    "#D55E00",
+    "#009E73",
+    "#E69F00",
+    "#888888",
+    "#CC79A7",
+    "#000000",
+    "#56B4E9",
+)
 MARKERS = (
     "o",
     "s",
@@ -30,8 +37,16 @@ MARKERS = (
     ">",
 )  # seven and eight colours: 56 pairs before one repeats
 FIRST = (  # names with the same style in every picture
-    "density", "ddpm", "paper", "dpm", "table", "manifold", "projection", "exact", "ddim",
-)  # fmt: skip
+    "density",
+    "ddpm",
+    "paper",
+    "dpm",
+    "table",
+    "manifold",
+    "projection",
+    "exact",
+    "ddim",
+)
 LEGEND = 0.8  # entries of a legend to an inch
 DPI = 120
 

@@ -51,8 +51,11 @@ FILTER = Experiment(
         SHIPPED,
         Method(GRID, touches=(4, 6, 8)),  # a look after each touch would take minutes a trial
     ),
-    OBJECTS, tuple(range(1, TOUCHES + 1)), seeds=200, quick_seeds=6,
-)  # fmt: skip
+    OBJECTS,
+    tuple(range(1, TOUCHES + 1)),
+    seeds=200,
+    quick_seeds=6,
+)
 STABILITY = Experiment(
     (
         SHIPPED,
@@ -60,8 +63,11 @@ STABILITY = Experiment(
         Method(DENSITY, "paper", 100),
         Method("projection", "paper", 100),
     ),
-    ("003_cracker_box", "025_mug"), (TOUCHES,), seeds=100, quick_seeds=3,
-)  # fmt: skip
+    ("003_cracker_box", "025_mug"),
+    (TOUCHES,),
+    seeds=100,
+    quick_seeds=3,
+)
 
 
 def filter_rows(options: Options) -> list[Path]:

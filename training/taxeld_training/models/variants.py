@@ -69,12 +69,15 @@ MODELS: dict[str, Variant] = {  # the models that experiments compare
     "density-16": density(16, 48, 2),
     "diffusion-128": diffusion(
         samplers=(
-            (Solver.DPM, 4), (Solver.DPM, 10), (Solver.DDIM, 10), (Solver.DPM, 20),
+            (Solver.DPM, 4),
+            (Solver.DPM, 10),
+            (Solver.DDIM, 10),
+            (Solver.DPM, 20),
             (Solver.DDPM, 100),
         )
     ),
     "paper": paper(),
-}  # fmt: skip
+}
 
 
 def trained_with(

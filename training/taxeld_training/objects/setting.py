@@ -9,9 +9,17 @@ from taxeld.model.observation import ObservationModel
 from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M, meshes, scenes
 
 OBJECTS = (  # the paper's ten
-    "002_master_chef_can", "003_cracker_box", "006_mustard_bottle", "016_pear", "019_pitcher_base",
-    "021_bleach_cleanser", "024_bowl", "025_mug", "035_power_drill", "061_foam_brick",
-)  # fmt: skip
+    "002_master_chef_can",
+    "003_cracker_box",
+    "006_mustard_bottle",
+    "016_pear",
+    "019_pitcher_base",
+    "021_bleach_cleanser",
+    "024_bowl",
+    "025_mug",
+    "035_power_drill",
+    "061_foam_brick",
+)
 
 
 @dataclass(frozen=True)
