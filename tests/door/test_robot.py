@@ -57,7 +57,6 @@ def test_messages_of_very_many_frames_starve_no_pose(robot: Robot) -> None:
     for _ in range(100):
         robot.socket.send_multipart([b"/robot/sensor_pose", *[b"x"] * 5000])
     robot.until_heard(1.0)
-    robot.stand.until(lambda: robot.line.oversized)
     assert robot.line.malformed == 0
 
 

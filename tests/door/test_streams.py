@@ -140,6 +140,7 @@ def test_a_socket_file_that_vanished_is_bound_again_and_that_is_said_once(
     (tmp_path / "stream").unlink()
     local.until((tmp_path / "stream").exists)
     local.received(local.subscriber(topics.INFO))
+    local.until(lambda: caplog.records)
     assert [record.message for record in caplog.records] == [
         f"door: publish.endpoints: {tmp_path}/stream had vanished and was bound again"
     ]

@@ -8,7 +8,9 @@ import pytest
 
 pytest.importorskip("cyclonedds")
 
-from .loopback import DOMAIN, Daemon, Robot, bridge, running, until
+from tests.rig.clocks import until
+
+from .loopback import DOMAIN, Daemon, Robot, bridge, running
 
 SOURCE = Path(__file__).parent / "fastdds_peer.cpp"
 HEADERS = ("fastdds/dds/topic/TopicDataType.hpp", "fastcdr/Cdr.h")

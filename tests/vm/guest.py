@@ -41,7 +41,7 @@ def a_device_that_comes_late_is_waited_for() -> None:
     pid = VCAN0.pid
     until("a status line that says so", lambda: VCAN0.show("StatusText").startswith("waiting, "))
     said = VCAN0.said()
-    reason = r"source\.channel: cannot open socketcan vcan0 \(it is not there.*\); waiting for it"
+    reason = r"source\.channel: no CAN interface 'vcan0'; bring it up: .*; waiting for it"
     assert len(re.findall(f"^{reason}$", said, re.MULTILINE)) == 1, said
     sh("ip link add vcan0 type vcan && ip link set vcan0 up")
     until("it is opened", lambda: not VCAN0.show("StatusText").startswith("waiting, "))
