@@ -26,7 +26,8 @@ class Contacts:
 
 
 def clearance(scene: Scene, radius_m: float, poses: Poses) -> NDArray[np.float64]:
-    """(N,) signed gap between the cylinder and the silhouette, negative when pressed."""
+    """(N,) signed gap [m] between the cylinder and the silhouette, negative when pressed, for an
+    object at `poses` (N, 3) in the sensor frame."""
     ax, ay = axis_in_object(poses)
     return scene.clearance(ax, ay)[0] - radius_m
 

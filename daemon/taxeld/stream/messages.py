@@ -79,7 +79,7 @@ def estimate(
 
 
 def particles(t: float, seq: int, pose: Poses, weight: Poses) -> dict[str, Any]:
-    """`/taxeld/particles`."""
+    """`/taxeld/particles`: particles' poses (N, 3) in m, m, rad, and weights (N,)."""
     return {"v": VERSION, "seq": seq, "t": t, "xytheta": pose.tolist(), "weight": weight.tolist()}
 
 

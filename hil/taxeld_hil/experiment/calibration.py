@@ -199,7 +199,7 @@ def calibrated(
     scenario: Scenario, seed: int, mount: Poses, *, given: bool = True
 ) -> tuple[Result, Floats]:
     """The result of pressing the scenario's object with its skin, and the counts (M,) that its
-    taxels truly read at full depth.
+    taxels truly read at full depth. `mount` (3,) is as in `mounted`.
 
     Raises:
         SetupError: the presses do not suffice.
@@ -222,7 +222,8 @@ def calibrated(
 def errors_mm(
     scenario: Scenario, seed: int, mount: Poses, calibration: Calibration | None
 ) -> list[float]:
-    """Errors after so many touches of AFTER, the object elsewhere than it was calibrated."""
+    """Errors [mm] after so many touches of AFTER, the object elsewhere than it was calibrated.
+    `mount` (3,) is as in `mounted`."""
     run = FakeRun(scenario, seed, rate_hz=RATE_HZ, calibration=calibration)
     place = np.array([scenario.place_m, scenario.place_m, np.pi])
     run.rig.world.truth = np.random.default_rng([seed, 7]).uniform(-place, place)
@@ -252,7 +253,7 @@ def noticed(
     modules: tuple[int, int] | None = None,
 ) -> tuple[int, str]:
     """After which touch a doubt is raised, and what about; 0 and nothing where none is. `factor`:
-    of the full scale that the daemon has, to the skin's own."""
+    of the full scale that the daemon has, to the skin's own; `mount` (3,) is as in `mounted`."""
     assumed = uniform(scenario, len(Rig(scenario, seed).model.layout), factor)
     run = FakeRun(scenario, seed, rate_hz=RATE_HZ, calibration=assumed)
     rig, daemon = run.rig, run.daemon

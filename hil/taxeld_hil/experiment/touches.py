@@ -138,6 +138,7 @@ class _Witness:
     depth_m: dict[int, Floats] = field(default_factory=dict)  # (M,) by time in units of SAME_S
 
     def press(self, seen: Poses, t: float) -> Floats:
+        """Like `Physics.press`: `seen` (3,) at t [s] → counts (M,)."""
         counts = self.inner.press(seen, t)
         self.depth_m[round(t / SAME_S)] = self.inner.depth_m
         return counts
@@ -198,6 +199,7 @@ def planned(
     hard = np.zeros(len(model.layout))
 
     def deepest(sensor: Poses) -> float:
+        """How deep the strongest taxel is pressed [m], the sensor at a pose (3,)."""
         return float(skin.indentation(se2.compose(se2.inverse(sensor), truth), hard).max())
 
     return paths.plan(model, truth, deepest, seed, presses, pairs)

@@ -115,7 +115,7 @@ class Judge:
         self._was_silent = False
 
     def error_mm(self, pose: Poses) -> float:
-        """Symmetry-aware ADD; not a number without a truth."""
+        """Symmetry-aware ADD [mm] of a pose (3,); not a number without a truth."""
         if self.truth is None:
             return float("nan")
         at = np.asarray(pose).tobytes()

@@ -17,7 +17,7 @@ from taxeld_hil.world.spread import PerPress
 def of_scenario(
     scenario: Scenario, model: ObservationModel, full_scale: Floats, rng: np.random.Generator
 ) -> "MeshPhysics":
-    """The scenario's object against its skin.
+    """The scenario's object against its skin, whose taxels read `full_scale` (M,) [counts].
 
     Raises:
         SetupError: the object's mesh cannot be found or read.
@@ -59,6 +59,7 @@ class MeshPhysics:
         self._depth_max_m = depth_max_m
 
     def press(self, seen: Poses, t: float) -> Floats:
+        """Like `Physics.press`: `seen` (3,) at t [s] → counts (M,)."""
         was_pressed = self.depth_m.any()
         self.depth_m = self._skin.indentation(seen, self._sag_m.now)
         if was_pressed and not self.depth_m.any():

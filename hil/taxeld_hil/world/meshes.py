@@ -67,8 +67,8 @@ def read(path: Path) -> Floats:
 
 
 def build(triangles: Floats, reach_z_m: float) -> Grid:
-    """Distances of triangles (n, 3, 3), exact within NEAR_M of them and elsewhere no larger than
-    they are; inside is where their normals do not point."""
+    """Distances of triangles (n, 3, 3) [m], exact within NEAR_M of them and elsewhere no larger
+    than they are; inside is where their normals do not point."""
     plan = triangles[:, :, :2].reshape(-1, 2)
     low = np.append(plan.min(axis=0) - MARGIN_M, -reach_z_m)
     high = np.append(plan.max(axis=0) + MARGIN_M, reach_z_m)

@@ -36,6 +36,7 @@ class ScenePhysics:
         self._reach_m = float(np.hypot(*corner)) + model.layout.radius_m
 
     def press(self, seen: Poses, _t: float) -> Floats:
+        """Like `Physics.press`: `seen` (3,) → counts (M,)."""
         if np.hypot(seen[0], seen[1]) > self._reach_m:  # most of a path: the model is not asked
             return np.zeros(len(self._full_scale))
         return np.asarray(self._full_scale * self._model.activation(seen[None])[0])

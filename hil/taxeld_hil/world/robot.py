@@ -47,7 +47,8 @@ class RobotPath:
 
 
 def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -> RobotPath:
-    """A path that touches the object from all sides, in turn, at random offsets and depths."""
+    """A path that touches the object from all sides, in turn, at random offsets and depths; the
+    object stands at `truth` (3,) in the world."""
     rng = np.random.default_rng(seed)
     scene = model.scene
     centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
@@ -88,7 +89,7 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
 
 
 def strongest(model: ObservationModel, truth: Poses, sensor: Poses) -> float:
-    """The strongest activation with the sensor there."""
+    """The strongest activation with the sensor at `sensor` (3,), the object at `truth` (3,)."""
     return float(model.activation(se2.compose(se2.inverse(sensor), truth)[None]).max())
 
 
@@ -102,9 +103,10 @@ def approach(
     depth: float,
     slow_from_m: float = SLOW_FROM_M,
 ) -> NDArray[np.float64]:
-    """(3, 2) points of a straight approach: where it begins, where it slows, where it presses.
+    """(3, 2) points [m] of a straight approach: where it begins, where it slows, where it presses.
 
-    An offset at which the sensor would miss the object is reduced.
+    `truth` (3,): the object's pose in the world; `centre` (2,) [m]: of the circle on which it
+    begins. An offset at which the sensor would miss the object is reduced.
     """
     inwards = -np.array([np.cos(angle), np.sin(angle)])
     sideways = np.array([-inwards[1], inwards[0]])

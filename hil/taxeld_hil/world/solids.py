@@ -21,7 +21,7 @@ class Solid(Protocol):
         """Radius of the circle around the centre [m]."""
 
     def distance(self, points: Floats) -> Floats:
-        """Signed distance [m] of points (3, n) → (n,); far from the surface it may be a lower
+        """Signed distance [m] of points (3, n) [m] → (n,); far from the surface it may be a lower
         bound."""
 
 
@@ -36,6 +36,7 @@ class Grid:
     size: float
 
     def distance(self, points: Floats) -> Floats:
+        """Like `Solid.distance`: points (3, n) [m] → (n,) [m], interpolated."""
         nz, ny, nx = self.values.shape
         at = (points - self.origin[:, None]) / self.cell
         np.clip(at, 0.0, np.array([[nx], [ny], [nz]]) - 1.001, out=at)

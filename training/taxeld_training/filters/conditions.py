@@ -135,7 +135,8 @@ class SoftSkin:
 
 
 def places(given: TrialConditions, start: Poses, touches: int, rng: np.random.Generator) -> Poses:
-    """(touches, 3) poses of the object during each touch; it is pushed in between."""
+    """(touches, 3) poses of the object during each touch; it is pushed in between, from `start`
+    (3,) on."""
     along, turned = rng.uniform(-np.pi, np.pi), rng.choice([-1.0, 1.0])
     step = [
         given.pushed_m * np.cos(along),
@@ -171,6 +172,7 @@ def on_one_side(model: ObservationModel, rng: np.random.Generator) -> Accepts:
     centre, side = model.scene.centre, float(rng.uniform(-np.pi, np.pi))
 
     def accepts(poses: Poses) -> Bools:
+        """(N,) whether the skin is on that side of the object at `poses` (N, 3)."""
         ax, ay = contacts.axis_in_object(poses)
         angle = np.arctan2(ay - centre[1], ax - centre[0])
         return np.asarray(np.abs(se2.wrap(angle - side)) <= SIDE_RAD)
@@ -191,7 +193,8 @@ class Twin:
         return self._model.activation(se2.compose(poses, self.pose))
 
     def is_clear(self, poses: Poses, depth_m: float) -> Bools:
-        """(N,) whether the skin presses the twin no deeper than `depth_m`."""
+        """(N,) whether the skin presses the twin no deeper than `depth_m`, with the first object at
+        `poses` (N, 3), sensor frame."""
         seen = se2.compose(poses, self.pose)
         gap = contacts.clearance(self._model.scene, self._model.layout.radius_m, seen)
         return np.asarray(gap >= -depth_m)

@@ -203,6 +203,8 @@ def by_ground(ground: Ground) -> Push:
         depth_m: float,
         rng: np.random.Generator,
     ) -> tuple[Poses, Floats]:
+        """Like `estimator.push.push`: poses (N, 3), sensor poses `before` (3,) and `after` (3,) →
+        poses (N, 3), and how far each was pushed (N,) [m]; `assumed` (N, 4) is not used."""
         del assumed
         poses, pushed = gave_way(model, ground, poses, before, after, depth_m, limited=True)
         noise = TOLD_SPREAD * pushed[:, None] * rng.standard_normal((len(poses), 3))

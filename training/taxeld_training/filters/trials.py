@@ -118,7 +118,7 @@ class Trial:
         way = np.array(APPROACH_M)
 
         def clear(poses: Poses, depth_m: float) -> Bools:
-            """(N,) whether the approach, too, presses the twin no deeper."""
+            """(N,) whether the approach to poses (N, 3), too, presses the twin no deeper."""
             kept = twin.is_clear(poses, depth_m)
             kept[kept] = [
                 bool(twin.is_clear(along(model, pose, way), depth_m).all()) for pose in poses[kept]
@@ -126,9 +126,11 @@ class Trial:
             return kept
 
         def alone(poses: Poses) -> Bools:
+            """(N,) whether the twin stays untouched at poses (N, 3)."""
             return clear(poses, 0.0)
 
         def both(poses: Poses) -> Bools:
+            """(N,) whether the twin is pressed too at poses (N, 3), no deeper than it may be."""
             pressed = twin.activation(poses).max(axis=1) > MIN_ACTIVATION
             pressed[pressed] = clear(poses[pressed], given.depth * model.depth_max_m)
             return np.asarray(pressed)

@@ -114,6 +114,7 @@ class CellLikelihood:
         residue = np.broadcast_to(scan.residue, len(scan.z))[pairs.taxel]
 
         def of_cells(values: Floats) -> Floats:
+            """(B,) sums of the pairs' values (P,) over each of the block's B cells."""
             return np.asarray(np.bincount(pairs.cell, values, len(mid)), dtype=np.float64)
 
         reach_m = _reach_m(edge, float(np.hypot(*taxel.T).max()))

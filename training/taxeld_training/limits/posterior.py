@@ -112,7 +112,8 @@ def gains(noise: Noise, seen: Observation, at: NDArray[np.intp], h: Reals) -> tu
 
 
 def flattened(log_weight: Floats, least: float = 0.0) -> Floats:
-    """(n,) weights that sum to 1, of the highest power, up to 1, that leaves `least` effective."""
+    """(n,) weights that sum to 1, of the highest power, up to 1, that leaves `least` effective, for
+    log weights (n,)."""
     log_weight = log_weight - log_weight.max()
 
     def at(power: float) -> Floats:

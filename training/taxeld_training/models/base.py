@@ -53,8 +53,8 @@ class Model(nn.Module, ABC):
 
     @abstractmethod
     def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
-        """The training loss for touches as the view shows them, features (B, F) and angle (B,), and
-        coordinates (B, 3) of the true poses."""
+        """The training loss () for touches as the view shows them, features (B, F) and angle (B,),
+        and coordinates (B, 3) of the true poses."""
 
 
 class Residual(nn.Module):
@@ -65,6 +65,7 @@ class Residual(nn.Module):
         self.layer = nn.Linear(width, width)
 
     def forward(self, x: Tensor) -> Tensor:
+        """x (B, E) → (B, E)."""
         return x + nn.functional.silu(self.layer(x))
 
 

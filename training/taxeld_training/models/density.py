@@ -56,16 +56,19 @@ class ContactDensity(Model):
         self.multiply_adds = view.multiply_adds + parameters_of(self) - self.multiply_adds_each
 
     def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
+        """Like `Model.fit_scale`: z, live (B, M), coordinates (B, 3)."""
         _, angle = self.view(z, live)
         mean, scale = standard(self.frame.turned(coordinates, angle)[:, 1:])
         self.mean.copy_(mean)
         self.scale.copy_(scale)
 
     def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
+        """Like `Model.loss`: features (B, F), angle (B,), coordinates (B, 3) → loss ()."""
         return -self.log_density(seen, angle, coordinates).mean()
 
     def log_density(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
-        """log p(contact | touch) (B,), up to constants: over bins of s and whitened φ and δ."""
+        """log p(contact | touch) (B,), up to constants: over bins of s and whitened φ and δ, for
+        features (B, F), angle (B,) and coordinates (B, 3)."""
         code = self.encoder(seen)
         turned = self.frame.turned(coordinates, angle)
         s = turned[:, 0]

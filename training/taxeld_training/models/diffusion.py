@@ -68,18 +68,19 @@ class Denoiser(Model):
         nn.init.normal_(self.time.weight, std=0.1)
 
     def fit_scale(self, z: Tensor, live: Tensor, coordinates: Tensor) -> None:
+        """Like `Model.fit_scale`: z, live (B, M), coordinates (B, 3)."""
         _, angle = self.view(z, live)
         mean, scale = standard(self.frame.features(self.frame.turned(coordinates, angle)))
         self.mean.copy_(mean)
         self.scale.copy_(scale)
 
     def whitened(self, coordinates: Tensor, angle: Tensor) -> Tensor:
-        """Coordinates (B, 3) → whitened features (B, 4) of the touch turned by −angle."""
+        """Coordinates (B, 3) → whitened features (B, 4) of the touch turned by −angle (B,)."""
         features = self.frame.features(self.frame.turned(coordinates, angle))
         return (features - self.mean) / self.scale
 
     def poses(self, whitened: Tensor, angle: Tensor) -> Tensor:
-        """The inverse, to poses (B, 4)."""
+        """The inverse: whitened features (B, 4) and angle (B or 1,) → poses (B, 4)."""
         return rotated(self.frame.decode(whitened * self.scale + self.mean), angle)
 
     def run(self, x: Tensor, shift: Tensor) -> Tensor:
@@ -94,6 +95,7 @@ class Denoiser(Model):
         return value
 
     def loss(self, seen: Tensor, angle: Tensor, coordinates: Tensor) -> Tensor:
+        """Like `Model.loss`: features (B, F), angle (B,), coordinates (B, 3) → loss ()."""
         code = self.encoder(seen)
         clean = self.whitened(coordinates, angle).repeat(REPEATS, 1)
         context = self.context(code).repeat(REPEATS, 1)

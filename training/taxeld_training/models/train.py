@@ -72,7 +72,7 @@ class _Run(Generic[AnyModel]):
         self._drawn = torch.get_rng_state()
 
     def begin(self, batch: tuple[Tensor, Tensor, Tensor]) -> None:
-        """Whiten by a large batch."""
+        """Whiten by a large batch: z, live (B, M) and coordinates (B, 3)."""
         with torch.no_grad():
             self.model.fit_scale(*batch)
         self.averaged = copy.deepcopy(self.model)
@@ -95,7 +95,7 @@ class _Run(Generic[AnyModel]):
         )
 
     def update(self, seen: Tensor, angle: Tensor, coordinates: Tensor, number: int) -> None:
-        """The update of a number, from 1."""
+        """The update of a number, from 1, by features (B, F), angle (B,), coordinates (B, 3)."""
         torch.set_rng_state(self._drawn)
         loss = self.model.loss(seen, angle, coordinates)
         self._drawn = torch.get_rng_state()
