@@ -25,7 +25,7 @@ GONE = {  # commands of earlier versions, and what replaced them
     "physics": "ten touches of a soft skin: taxeld-hil touches; what the simulated skins were "
     "fitted to: docs/physics.md",
 }
-WATCH_SILENT_S = 10.0  # without a message for so long, a line says so: daemons start in seconds
+WATCH_SILENT_S = 5.0  # without a message for so long, a line says so: daemons start in seconds
 
 
 def main(argv: list[str] | None = None) -> int:
