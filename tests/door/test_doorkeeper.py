@@ -49,6 +49,7 @@ def test_a_door_that_hangs_is_ended_and_replaced(
         os.kill(before, signal.SIGSTOP)
         stand.until(lambda: stand.link.is_ready and stand.pid != before)
         stand.received(stand.subscriber(b"/taxeld/e"))
+        stand.until(lambda: not Path(f"/proc/{before}").exists())
 
 
 def test_a_door_that_no_descriptor_is_left_for_is_started_later(

@@ -37,7 +37,7 @@ class Binding:
         self._endpoint = endpoint
         self._key = key
         self._path = endpoints.ipc_path(endpoint)
-        self._listening: kernel.socket | None = None  # of an ipc endpoint
+        self._listening: kernel.socket | None = None  # listening socket of an ipc endpoint
         self._file: tuple[int, int] | None = None
         self._is_lost = self._was_bound = False
         if self._path is not None:
@@ -121,7 +121,7 @@ class Binding:
 
 
 def _identity(path: Path) -> tuple[int, int] | None:
-    """Of the file itself; None where there is none."""
+    """Device and inode of the file itself; None where there is none."""
     try:
         found = path.lstat()
     except OSError:

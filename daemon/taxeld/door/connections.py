@@ -21,10 +21,10 @@ from taxeld.config import endpoints
 from taxeld.stream.sockets import borrowed, credentials
 
 MEMORY_S = 0.01  # at least, between looks while memory does not grow
-NOTICED_BYTES = 4 << 20  # of growth, from which on it is looked at all the time
-GROWTH_BYTES = 32 << 20  # of memory: by more, and whoever is sending is hung up on
+NOTICED_BYTES = 4 << 20  # growth from which memory is looked at all the time
+GROWTH_BYTES = 32 << 20  # growth of memory after which senders are hung up on
 OWN_S = 1.0  # where nobody was sending while memory grew for so long, it is the door's own
-SEND_BYTES = 32_768  # of a slow subscriber that wait in the kernel, which doubles it
+SEND_BYTES = 32_768  # buffer of a slow subscriber in the kernel, which doubles it
 PEERS_MAX = 384  # connections
 PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
@@ -33,12 +33,12 @@ PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 class Connection:
     """An accepted connection."""
 
-    number: int  # of its descriptor
+    number: int  # number of its descriptor
     user: int  # numeric id; of TCP none is known, -1
 
 
 class Connections:
-    """Of the endpoints that are served, and the one of the robot."""
+    """The connections of the endpoints that are served, and that of the robot."""
 
     def __init__(self, served: Iterable[str], robot: str) -> None:
         """To be made before the process is confined: it keeps its places in /proc open."""
@@ -158,7 +158,7 @@ def _hang_up(number: int) -> bool:
 
 
 def _place(endpoint: str) -> object:
-    """Of an endpoint, the kernel's name: a path, or a port alone."""
+    """The kernel's name of an endpoint: a path, or a port alone."""
     path = endpoints.ipc_path(endpoint)
     return str(path) if path is not None else int(endpoint.rpartition(":")[2])
 

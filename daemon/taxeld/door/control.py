@@ -29,7 +29,7 @@ PENDING_S = 2.0  # without the loop's answer for so long, the client is told
 SO_PEERGROUPS = 59
 GROUPS_BYTES = 1024  # getsockopt of Python gives no more: 256 groups
 
-NUMBERS = itertools.count()  # of requests that the loop answers, by any endpoint
+NUMBERS = itertools.count()  # numbers of the requests that the loop answers, of all endpoints
 
 Body = bytes
 MayChange = Callable[[zmq.Frame], str]  # a frame of the peer → why it may not, or an empty text

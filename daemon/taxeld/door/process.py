@@ -37,7 +37,7 @@ log = logging.getLogger("taxeld")
 
 
 class _Keys(NamedTuple):
-    """Of the robot's connection, and of the endpoints over TCP; None where none are used."""
+    """Keys of the robot's connection and of the endpoints over TCP; None where none are used."""
 
     robot: RobotKeys | None
     relay: RelayKeys | None
@@ -115,7 +115,7 @@ class Door:
             self._make_poller()
 
     def _look(self, now_s: float) -> bool:
-        """What need not be looked at in each pass; → whether a socket is another one now."""
+        """Do the work that need not be done in each pass; → whether the poller must change."""
         self._connections.survey()
         for stream in self._streams:
             stream.look(self._connections.there.keys())
@@ -234,7 +234,7 @@ class Door:
             self._report.robot = self._robot.line
 
     def _guard_of(self, endpoint: str) -> Admission | None:
-        """Of an endpoint that takes keys."""
+        """The admission of an endpoint that takes keys; None for another."""
         return self._admission if curve.takes_keys(endpoint) else None
 
     def _publish(
@@ -279,7 +279,7 @@ class Door:
 
 
 class _ToLoop(logging.Handler):
-    """What is logged goes to the loop, which has the log."""
+    """A handler that sends each record to the loop, which has the log."""
 
     def __init__(self, end: socket.socket) -> None:
         super().__init__()
@@ -293,7 +293,10 @@ class _ToLoop(logging.Handler):
 
 def main() -> None:
     """`python -m taxeld.door DESCRIPTOR SETTINGS`, the door's end of the pair."""
-    for number in (signal.SIGINT, signal.SIGTERM):  # of a terminal, or of a service that is stopped
+    for number in (
+        signal.SIGINT,
+        signal.SIGTERM,
+    ):  # signals of a terminal, or of a service that is stopped
         signal.signal(number, signal.SIG_IGN)  # the loop ends the door when it has ended
     end = socket.socket(fileno=int(sys.argv[1]))
     log.addHandler(_ToLoop(end))

@@ -21,7 +21,7 @@ from taxeld.stream.topics import SENSOR_POSE
 POSES_PER_LOOK = 200
 QUEUED = 256  # messages, between two looks as well
 POSE_FRAMES = 3
-MESSAGE_BYTES = 65_536  # of anything that the robot publishes under a topic that begins like ours
+MESSAGE_BYTES = 65_536  # largest message under a topic that begins like ours
 EVENTS_PER_LOOK = 64
 LOST_S = 2.0  # a connection that does not come back by itself in so long is made anew
 HALF_OPEN_S = 3.0  # a connection without a handshake for so long is refused

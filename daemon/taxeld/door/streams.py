@@ -31,7 +31,7 @@ class Streams:
         """`socket`: from `open_publisher`."""
         self.socket = socket
         self.hung_up = 0  # peers that sent too many subscriptions
-        self._prefixes: Counter[bytes] = Counter()  # of our topics, by how many connections
+        self._prefixes: Counter[bytes] = Counter()  # connections that hear a prefix of our topics
         self._asked: dict[int, set[bytes]] = {}  # by connection, as its inode
         self._events: Counter[int] = Counter()  # messages of each connection of late
         self._bindings: list[Binding] = []

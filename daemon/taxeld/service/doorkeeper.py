@@ -26,19 +26,19 @@ FIRST_S = 30.0  # for the first door to be ready
 STOP_S = 2.0  # for a door to end by itself
 PAUSES_S = (0.0, 0.1, 0.2, 0.4)  # before a door that ended early is started again
 EARLY_S = 10.0
-REFUSED_S = 5.0  # the same, where it said that it cannot serve
+REFUSED_S = 5.0  # the same pause where the door said that it cannot serve
 REFUSED = 2  # exit status of such a door
 LOOK_S = 0.01
-QUEUE_S = 2.0  # of all topics, that wait for a slow subscriber
+QUEUE_S = 2.0  # messages of all topics that wait for a slow subscriber
 QUEUE_LEAST = 40  # messages
-LOOPS_OWN = ("NOTIFY_", "WATCHDOG_", "LISTEN_", "STATE_DIRECTORY")  # of the environment
+LOOPS_OWN = ("NOTIFY_", "WATCHDOG_", "LISTEN_", "STATE_DIRECTORY")  # variables of the environment
 log = logging.getLogger(__name__)
 
 
 class _Started(NamedTuple):
     """A door that the loop has not met."""
 
-    end: socket.socket  # of the pair, the loop's
+    end: socket.socket  # the loop's end of the pair
     process: subprocess.Popen[bytes]
 
 
@@ -53,7 +53,7 @@ class Doorkeeper:
         self._process: subprocess.Popen[bytes] | None = None  # the one that the loop has met
         self._lines = Ration()
         self._was_ready = False
-        self._fault = ""  # of the last start
+        self._fault = ""  # why the last start failed
         self._thread = threading.Thread(target=self._keep, name="doorkeeper", daemon=True)
         if settings.is_needed:
             self._thread.start()
@@ -171,7 +171,7 @@ def settings_of(config: Config, robot: str) -> Settings:
 
 
 def poses_alone(config: Config) -> Settings:
-    """Of a configuration, what hears the robot and serves nobody."""
+    """Settings of a door that hears the configured robot and serves nobody."""
     return Settings(
         publish=(),
         control="",

@@ -16,7 +16,7 @@ STDERR = 2  # by its number: the object holds a lock while it writes, also at th
 MOST = 1000  # lines that wait to be written; more are dropped
 CLOSE_S = 2.0  # that the last lines may take
 JOURNAL = {"DEBUG": "<7>", "INFO": "<6>", "WARNING": "<4>", "ERROR": "<3>"}  # sd-daemon(3)
-COLOUR = {"DEBUG": "\x1b[2m", "WARNING": "\x1b[33m", "ERROR": "\x1b[31m"}  # of a terminal
+COLOUR = {"DEBUG": "\x1b[2m", "WARNING": "\x1b[33m", "ERROR": "\x1b[31m"}  # escapes of a terminal
 
 _ROOT = logging.getLogger("taxeld")
 
@@ -57,7 +57,7 @@ def written() -> Iterator[None]:
     hand.setFormatter(formatter(STDERR, os.environ))
     thread = threading.Thread(target=_write, args=(lines,), name="log", daemon=True)
     thread.start()
-    logging.getLogger().addHandler(hand)  # of all, as libraries would else write in the loop
+    logging.getLogger().addHandler(hand)  # for all loggers: libraries would else write in the loop
     try:
         yield
     finally:

@@ -275,7 +275,7 @@ class Daemon:
         """Publish the outcome of a scan, on which work began at `start_ns`; → the time now, on
         `perf_counter_ns` as well."""
         begin_ns = time.perf_counter_ns()
-        # the publication before this one: this one is not over yet
+        # time of the publication before this one, which is not over yet
         publish_us = self._publish_us
         total_us = (begin_ns - start_ns) / 1000.0 + publish_us
         lat_us = _stages_us(outcome) | {

@@ -41,7 +41,7 @@ class Ration:
 
 
 class Notices:
-    """Of one daemon."""
+    """The notices of one daemon."""
 
     def __init__(self, bundle: Path, proposal: str) -> None:
         self._samples = f"{proposal or 'no samples'} of {bundle}"

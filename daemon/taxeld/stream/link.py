@@ -25,8 +25,8 @@ COUNT_MAX = 2**53
 TEXT_MAX = 500  # characters of a line
 TOPICS_MAX, TOPIC_MAX = 4, 60  # other topics of the robot, and characters of each
 SILENT_S = 5.0  # without a packet for so long, the door hangs
-START_S = 30.0  # the same of a door that is starting: a busy machine takes seconds for it
-LOOK_MOST_S = 0.5  # of that, counted for one look: the loop itself may have been stopped
+START_S = 30.0  # the same while a door starts: a busy machine takes seconds for it
+LOOK_MOST_S = 0.5  # silence counted for one look: the loop itself may have been stopped
 REFUSED = (  # a packet that raises one of these is none
     *(ValueError, LookupError, TypeError, AttributeError),
     *(msgpack.UnpackException, struct.error),
@@ -84,7 +84,7 @@ class Link:
 
     @property
     def end(self) -> socket.socket | None:
-        """Of the pair; readable when the door has something to say. Another one for each door."""
+        """The loop's end of the pair, readable when the door has spoken; each door has its own."""
         return self._socket
 
     def attach(self, end: socket.socket, now_s: float) -> None:

@@ -36,7 +36,7 @@ __all__ = [
     "taxels",
 ]
 
-VERSION = 2  # of the stream: `v` in every message
+VERSION = 2  # version of the stream: `v` in every message
 
 STAGES = ("source", "skin", "propose", "filter", "publish", "total")
 

@@ -28,9 +28,9 @@ from enum import IntEnum
 
 SO_PASSRIGHTS = 83  # Linux 6.16
 PACKET_MAX = 65_536  # bytes, kind and body
-HEAD = struct.Struct("=Bd")  # of a MESSAGE: topic's number, time
+HEAD = struct.Struct("=Bd")  # head of a MESSAGE: topic's number, time
 POSE = struct.Struct("=4d")
-POSES_MAX = 100  # of a packet
+POSES_MAX = 100  # poses in a packet
 REQUEST = struct.Struct("=I")  # number of a request
 
 
