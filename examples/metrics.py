@@ -25,7 +25,7 @@ def values(part: dict[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
     for key, value in part.items():
         if isinstance(value, dict):
             yield from values(value, f"{path}{key}.")
-        elif path or key not in ("v", "seq", "t"):
+        elif not isinstance(value, str) and (path or key not in ("v", "seq", "t")):
             yield path + key, value
 
 

@@ -29,7 +29,10 @@ def main(endpoint: str) -> None:
     with zmq.Context() as context, context.socket(zmq.PUB) as socket:
         socket.setsockopt(zmq.LINGER, 0)
         socket.setsockopt(zmq.SNDHWM, round(RATE_HZ))  # about a second, for a slow subscriber
-        socket.bind(endpoint)
+        try:
+            socket.bind(endpoint)
+        except zmq.ZMQError as error:
+            sys.exit(f"{endpoint}: {error}")
         while True:
             t = time.time()  # when it was measured: not time.monotonic(), and not milliseconds
             x, y, theta = pose(t)

@@ -23,6 +23,7 @@ from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import Mode, PoseMetric
+from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.bundle import load as load_bundle
@@ -51,6 +52,7 @@ __all__ = [
     "Skin",
     "SkinConfig",
     "Status",
+    "Why",
     "load_bundle",
     "load_config",
     "load_layout",

@@ -122,15 +122,12 @@ def _decode(args: argparse.Namespace) -> int:
     taxeld decode candump.log
     taxeld decode --config can0.toml session/frames.log
     """
-    from taxeld.commands.decode import decode
-    from taxeld.layout import read as layouts
-    from taxeld.source import module_order
+    from taxeld.commands.decode import decode, of_session
+    from taxeld.source.module_order import ListedModules
 
-    listed = None
-    if args.config:
-        config = load(args.config)
-        listed = module_order.given(config.source, layouts.read(config.skin.layout))
-    for line in decode(args.log, listed, args.dialect, args.interface):
+    source = load(args.config).source if args.config else of_session(args.log)
+    listed = ListedModules(source.modules) if args.config or source.modules else None
+    for line in decode(args.log, listed, args.dialect or source.dialect, args.interface):
         print(line)
     return 0
 
@@ -143,7 +140,7 @@ def _replay(args: argparse.Namespace) -> int:
     from taxeld.commands.replay import replay
     from taxeld.source import session
 
-    config = load(args.config or args.directory / session.CONFIG)
+    config = session.config_of(args.directory, args.config)
     for line in replay(args.directory, config, args.seed):
         print(line)
     return 0
@@ -159,7 +156,7 @@ def _calibrate(args: argparse.Namespace) -> int:
 
     for entry in entry_points(group="taxeld.commands", name="calibrate"):  # the harness has it
         return int(entry.load()(args))
-    raise SetupError("calibrate: taxeld is not installed here; pip install 'taxeld[calibrate]'")
+    raise SetupError("calibrate: taxeld is not installed here; pip install -e . in its clone")
 
 
 def _layout(args: argparse.Namespace) -> int:
@@ -168,11 +165,11 @@ def _layout(args: argparse.Namespace) -> int:
     taxeld layout cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015 --png skin.png
     taxeld layout skin.json
     """
-    from taxeld.commands.layout import summary
+    from taxeld.commands.layout import next_command, summary
     from taxeld.layout import read as layouts
 
     skin = layouts.read(args.layout)
-    print("\n".join(summary(skin)))
+    print("\n".join([*summary(skin), *next_command(args.layout, skin)]))
     if args.png:
         from taxeld.layout.draw import draw
 
@@ -231,6 +228,8 @@ def _add_daemon(commands: Commands) -> None:
     add("--layout", help="the skin's (default: what the bundle was built for)")
     about = "where the robot publishes; '' if the sensor is fixed"
     add("--poses", metavar="ENDPOINT", help=about)
+    about = "the square, about X Y, where the object can be [m] (default 0 0 0.5)"
+    add("--where", nargs=3, metavar=("X", "Y", "HALF"), help=about)
     add("--dialect", choices=DIALECTS, default=DIALECTS[0])
     add("--keys", default="", metavar="DIR", help="keys, where the robot is another machine")
 
@@ -261,8 +260,9 @@ def _add_sessions(commands: Commands) -> None:
     add = documented(commands, _decode).add_argument
     about = "a log of candump or of python-can, or a serial.bin"
     add("log", type=Path, metavar="LOG", help=about)
-    add("--dialect", choices=DIALECTS, default=DIALECTS[0])
-    add("--config", type=Path, help="take the module table from source.modules of this file")
+    add("--dialect", choices=DIALECTS, help="in place of source.dialect")
+    about = "with source.dialect and source.modules; a session's log has its own"
+    add("--config", type=Path, help=about)
     about = "the skin's CAN interface, where the log holds several"
     add("--interface", default="", help=about)
 
@@ -281,7 +281,7 @@ def _add_skin(commands: Commands) -> None:
     add("--idle-s", type=float, default=60.0, help=about)
 
     add = documented(commands, _layout).add_argument
-    add("layout", metavar="LAYOUT", help="cylinder:… or wrap:…, a .json or a .txt file")
+    add("layout", metavar="LAYOUT", help="cylinder:… or wrap:…, a .json, .csv or .txt file")
     add("--png", type=Path, metavar="OUT", help="draw it, unrolled and cut across")
 
 

@@ -7,6 +7,7 @@ It is imported before the command is known, so it imports nothing slow.
 import argparse
 import inspect
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable
@@ -59,6 +60,7 @@ def parser(prog: str, text: str, *examples: str) -> argparse.ArgumentParser:
         prog=prog, description=text, epilog=_listed(examples), formatter_class=AS_WRITTEN
     )
     _add_version(made)
+    made.set_defaults(used=made)
     return made
 
 
@@ -74,7 +76,7 @@ def command(
         name, help=text, description=text, epilog=_listed(examples), formatter_class=AS_WRITTEN
     )
     _add_version(made)
-    made.set_defaults(command=run)
+    made.set_defaults(command=run, used=made)
     return made
 
 
@@ -99,6 +101,24 @@ def add_keys(made: argparse.ArgumentParser) -> None:
     made.add_argument("--keys", type=Path, metavar="DIR", help=about)
 
 
+def add_renamed(made: argparse.ArgumentParser, before: str, now: argparse.Action) -> None:
+    """Also take the option `now` under its name of earlier versions, and say its name."""
+
+    class Renamed(argparse.Action):
+        def __call__(
+            self,
+            parser: argparse.ArgumentParser,
+            namespace: argparse.Namespace,
+            values: object,
+            option_string: str | None = None,  # noqa: ARG002
+        ) -> None:
+            name = now.option_strings[0]
+            print(f"{before} is now {name}", file=sys.stderr)
+            now(parser, namespace, values, name)  # type: ignore[arg-type]
+
+    made.add_argument(before, action=Renamed, default=argparse.SUPPRESS, help=argparse.SUPPRESS)
+
+
 def stopping() -> Callable[[], bool]:
     """From now on, whether a signal asked for the end."""
     stopped: list[int] = []
@@ -111,7 +131,9 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
     """Run the command of the arguments; → 0 fine, 1 failed at work, 2 wrong arguments or
     configuration. `prefix` begins each line on a fault."""
     _open_standard()
-    args = made.parse_args(argv)
+    args, unknown = made.parse_known_args(argv)
+    if unknown:
+        args.used.error(f"unrecognized arguments: {' '.join(unknown)}")
     try:
         return int(args.command(args))
     except ConfigError as error:
@@ -131,16 +153,28 @@ def main(made: argparse.ArgumentParser, argv: list[str] | None, prefix: str = ""
 
 
 def missing_extra(error: ModuleNotFoundError, prog: str = "") -> str | None:
-    """A line on a module that is not installed, with the command that installs it; None where no
-    extra has it. Of several extras, the one for the program `prog`, or the first."""
+    """A line on a module that is not installed, with the command that installs what its extra
+    needs; None where no extra has it. Of several extras, the one for the program `prog`, or the
+    first."""
     module = (error.name or "").split(".")[0]
     for extra in sorted(EXTRAS, key=lambda extra: not prog.endswith(extra)):
         if module in EXTRAS[extra]:
             return (
                 f"this needs {module}, which is not installed: "
-                f"{sys.executable} -m pip install 'taxeld[{extra}]'"
+                f"{sys.executable} -m pip install {_packages(extra)}"
             )
     return None
+
+
+def _packages(extra: str) -> str:
+    """The packages of an extra, as arguments of pip: by its own name taxeld is on no index, and
+    the clone or wheel that it came from may be gone."""
+    from importlib import metadata  # noqa: PLC0415  (slow, and seldom needed)
+
+    needs = (need for each in metadata.distributions(name="taxeld") for need in each.requires or ())
+    split = (need.partition("; extra == ") for need in needs)
+    named = [shlex.quote(name) for name, _, of in split if of.strip("'\"") == extra]
+    return " ".join(named) or f"-e '.[{extra}]'"
 
 
 def _open_standard() -> None:

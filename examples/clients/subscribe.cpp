@@ -8,6 +8,8 @@
 
 using Map = std::map<std::string, msgpack::object>;
 
+constexpr int CONVERGED = 3;  // of `status`: docs/stream.md has all numbers
+
 int main(int argc, char** argv) {
     zmq::context_t context;
     zmq::socket_t socket(context, zmq::socket_type::sub);
@@ -18,7 +20,8 @@ int main(int argc, char** argv) {
         (void)zmq::recv_multipart(socket, std::back_inserter(frames));
         auto held = msgpack::unpack(frames.at(1).data<char>(), frames.at(1).size());
         auto estimate = held->as<Map>();
-        if (touching && !estimate["contact"].as<bool>() && estimate["valid"].as<bool>()) {
+        bool usable = estimate["valid"].as<bool>() && estimate["status"].as<int>() == CONVERGED;
+        if (touching && !estimate["contact"].as<bool>() && usable) {
             auto pose = estimate["map"].as<std::map<std::string, double>>();
             auto modes = estimate["modes"].as<std::vector<std::map<std::string, double>>>();
             std::printf("x %.3f m  y %.3f m  yaw %.2f  (%.0f%%)\n", pose["x"], pose["y"],

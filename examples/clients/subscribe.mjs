@@ -3,13 +3,15 @@
 import { decode } from "@msgpack/msgpack";
 import { Subscriber } from "zeromq";
 
+const CONVERGED = 3; // of `status`: docs/stream.md has all numbers
 const socket = new Subscriber();
 socket.connect(process.argv[2] ?? "ipc:///run/taxeld/stream");
 socket.subscribe("/taxeld/estimate");
 let touching = false;
 for await (const [, body] of socket) {
   const estimate = decode(body);
-  if (touching && !estimate.contact && estimate.valid) {
+  const usable = estimate.valid && estimate.status === CONVERGED;
+  if (touching && !estimate.contact && usable) {
     const { x, y, theta } = estimate.map;
     const percent = (100 * estimate.modes[0].weight).toFixed(0);
     const at = `x ${x.toFixed(3)} m  y ${y.toFixed(3)} m  yaw ${theta.toFixed(2)}`;

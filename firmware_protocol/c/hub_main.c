@@ -25,19 +25,9 @@
 static const uint8_t leave_bootloader[] = {0x01, 0x3B, 0x00, 0x00, 0x4F, 0x6D, 0x17};
 #define BOOTLOADER_ID 0x17FFFFFFu /* 29 bits */
 
-enum { BOOTLOADER, MODULES, RUNNING }; /* the hub's own; its modules'; neither */
-enum { E_PHASE = 0xE9, E_NOT_SUPPORTED = 0xE2, E_FORMAT = 0xE6 };
-
-static struct {
-    uint8_t uid[4];
-    uint8_t short_id;
-    int phase;
-    bool auto_sync;
-    unsigned period_ms;
-    size_t modules;
-    taxeld_module module[TAXELD_MODULES_MAX];
-    taxeld_reassembler own, all;
-} hub;
+static taxeld_module modules[TAXELD_MODULES_MAX];
+static taxeld_hub hub;
+static taxeld_reassembler own, all;
 
 /* ---- The bus: here a queue that is compared with what should have been said. */
 
@@ -73,122 +63,26 @@ static void send(const uint8_t *packet, int len)
         can_send(&frame);
 }
 
-static void say(uint8_t command, const uint8_t *payload, size_t n)
-{
-    uint8_t packet[TAXELD_PACKET_MAX];
-
-    send(packet, taxeld_packet_encode(packet, sizeof packet, command, payload, n));
-}
-
-static void refuse(uint8_t command, uint8_t error)
-{
-    const uint8_t payload[] = {command, error};
-
-    say(TAXELD_ERROR, payload, sizeof payload);
-}
-
-static void channels_of(uint8_t *channels)
-{
-    for (size_t i = 0; i < hub.modules; i++) {
-        channels[i] = 0;
-        for (unsigned mask = hub.module[i].mask; mask; mask &= mask - 1)
-            channels[i]++;
-    }
-}
-
-static void declare(void)
-{
-    uint8_t packet[TAXELD_PACKET_MAX], channels[TAXELD_MODULES_MAX];
-    const uint8_t count = (uint8_t)hub.modules;
-
-    channels_of(channels);
-    if (hub.phase < RUNNING)
-        say(TAXELD_DECLARE, &count, 1);
-    else
-        send(packet, taxeld_declare_encode(packet, sizeof packet, channels, hub.modules));
-}
-
-static void details(uint8_t index)
-{
-    const taxeld_module *module = &hub.module[index];
-    const uint8_t early[] = {
-        index, (uint8_t)(module->sui >> 24), (uint8_t)(module->sui >> 16),
-        (uint8_t)(module->sui >> 8), (uint8_t)module->sui,
-    };
-    uint8_t packet[TAXELD_PACKET_MAX];
-
-    if (hub.phase < RUNNING)
-        say(TAXELD_MODULE_DETAILS, early, sizeof early);
-    else
-        send(packet, taxeld_details_encode(packet, sizeof packet, index, module));
-}
-
-static void answer(const taxeld_packet *request)
-{
-    const uint8_t *p = request->payload;
-    const bool early = hub.phase < RUNNING;
-
-    switch (request->command) {
-    case TAXELD_DISCOVERY_PING:
-        say(TAXELD_DISCOVERY_PING, hub.uid, sizeof hub.uid);
-        break;
-    case TAXELD_DISCOVERY_RECV_ID:
-        if (request->n != 5) {
-            refuse(request->command, E_FORMAT);
-        } else if (memcmp(p, hub.uid, sizeof hub.uid) == 0) {
-            hub.short_id = p[4];
-            taxeld_reassembler_init(&hub.own, hub.short_id);
-            say(TAXELD_DISCOVERY_RECV_ID, NULL, 0);
-        }
-        break;
-    case TAXELD_DECLARE:
-        declare();
-        break;
-    case TAXELD_MODULE_DETAILS:
-        for (size_t i = 0; request->n == 1 && i < hub.modules; i++)
-            if (p[0] == 0xFF || p[0] == i)
-                details((uint8_t)i);
-        break;
-    case TAXELD_MODULE_PROGRAM_END:
-        if (hub.phase == BOOTLOADER)
-            refuse(request->command, E_PHASE);
-        else
-            hub.phase = RUNNING;
-        break;
-    case TAXELD_SET_AUTO_SYNC:
-        if (request->n != 1)
-            refuse(request->command, E_FORMAT);
-        else if (early && p[0])
-            refuse(request->command, E_PHASE);
-        else
-            hub.auto_sync = p[0] != 0;
-        break;
-    case TAXELD_SET_AUTO_SYNC_PERIOD:
-        if (early)
-            refuse(request->command, E_PHASE);
-        else if (request->n == 2)
-            hub.period_ms = (unsigned)p[0] << 8 | p[1];
-        else
-            refuse(request->command, E_FORMAT);
-        break;
-    default:
-        refuse(request->command, E_NOT_SUPPORTED);
-    }
-}
-
 static void hear(const taxeld_frame *frame)
 {
+    uint8_t packet[TAXELD_PACKET_MAX];
     taxeld_packet request;
+    int len;
 
     if (frame->extended && frame->id == BOOTLOADER_ID && frame->len == sizeof leave_bootloader &&
         memcmp(frame->data, leave_bootloader, sizeof leave_bootloader) == 0) {
-        if (hub.phase == BOOTLOADER)
-            hub.phase = MODULES;
+        if (hub.phase == TAXELD_BOOTLOADER)
+            hub.phase = TAXELD_MODULES;
         return;
     }
-    if (taxeld_reassembler_feed(&hub.own, frame, &request) == TAXELD_GOOD ||
-        taxeld_reassembler_feed(&hub.all, frame, &request) == TAXELD_GOOD)
-        answer(&request);
+    if (taxeld_reassembler_feed(&own, frame, &request) != TAXELD_GOOD &&
+        taxeld_reassembler_feed(&all, frame, &request) != TAXELD_GOOD)
+        return;
+    taxeld_hub_hear(&hub, &request);
+    while ((len = taxeld_hub_answer(&hub, packet, sizeof packet)) != 0)
+        send(packet, len);
+    if (hub.short_id != own.short_id)
+        taxeld_reassembler_init(&own, hub.short_id);
 }
 
 static void scan(const uint16_t *counts, size_t n)
@@ -197,8 +91,8 @@ static void scan(const uint16_t *counts, size_t n)
     taxeld_scan state;
     int len;
 
-    CHECK(hub.phase == RUNNING && hub.auto_sync && hub.period_ms);
-    channels_of(channels);
+    CHECK(hub.phase == TAXELD_RUNNING && hub.auto_sync);
+    taxeld_channels(channels, modules, hub.modules);
     CHECK(taxeld_scan_init(&state, channels, hub.modules, 0, 0, counts, n) == 0);
     while ((len = taxeld_scan_next(&state, packet, sizeof packet)) > 0)
         send(packet, len);
@@ -238,19 +132,19 @@ static void begin(char **arg)
     uint8_t bytes[7 * TAXELD_MODULES_MAX];
     const size_t n = unhex(arg[3], bytes, sizeof bytes);
 
-    memset(&hub, 0, sizeof hub);
-    unhex(arg[0], hub.uid, sizeof hub.uid);
-    hub.short_id = (uint8_t)strtoul(arg[1], NULL, 16);
-    hub.phase = (int)strtoul(arg[2], NULL, 16);
-    for (const uint8_t *d = bytes; d < bytes + n; d += 7) {
-        taxeld_module *module = &hub.module[hub.modules++];
+    memset(modules, 0, sizeof modules);
+    for (size_t i = 0; i < n / 7; i++) {
+        const uint8_t *d = bytes + 7 * i;
 
-        module->sui = (uint32_t)d[0] << 24 | (uint32_t)d[1] << 16 | (uint32_t)d[2] << 8 | d[3];
-        module->mask = (uint16_t)(d[4] << 8 | d[5]);
-        module->channels = d[6];
+        modules[i].sui = (uint32_t)d[0] << 24 | (uint32_t)d[1] << 16 | (uint32_t)d[2] << 8 | d[3];
+        modules[i].mask = (uint16_t)(d[4] << 8 | d[5]);
+        modules[i].channels = d[6];
     }
-    taxeld_reassembler_init(&hub.own, hub.short_id);
-    taxeld_reassembler_init(&hub.all, TAXELD_BROADCAST);
+    taxeld_hub_init(&hub, (uint32_t)strtoul(arg[0], NULL, 16), modules, n / 7,
+                    (taxeld_phase)strtoul(arg[2], NULL, 16));
+    hub.short_id = (uint8_t)strtoul(arg[1], NULL, 16);
+    taxeld_reassembler_init(&own, hub.short_id);
+    taxeld_reassembler_init(&all, TAXELD_BROADCAST);
 }
 
 static void run(char **arg, size_t n)

@@ -36,7 +36,8 @@
  *         uart_write(line, (size_t)len);
  *
  * Requests: one reassembler for the hub's own short id and one for TAXELD_BROADCAST; feed both
- * every frame, and take the packet from whichever answers TAXELD_GOOD. On serial:
+ * every frame, and take the packet from whichever answers TAXELD_GOOD. A taxeld_hub answers it, as
+ * hub_main.c shows for CAN and own_skin.c for a serial line. On serial:
  *
  *     while (taxeld_receiver_take(&receiver, &data, &n, &packet) == TAXELD_GOOD)
  *         answer(&packet);
@@ -51,6 +52,11 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
+
+#define TAXELD_PROTOCOL_VERSION_MAJOR 0
+#define TAXELD_PROTOCOL_VERSION_MINOR 2
+#define TAXELD_PROTOCOL_VERSION_PATCH 0
+#define TAXELD_PROTOCOL_VERSION 200L /* MAJOR * 10000 + MINOR * 100 + PATCH, for #if */
 
 #define TAXELD_FIRST 0x100u /* assembly bits of an 11-bit id */
 #define TAXELD_MIDDLE 0x200u
@@ -68,6 +74,7 @@ extern "C" {
 #define TAXELD_NAMES 12u       /* T0..T11, so channels of a module at most */
 #define TAXELD_MODULES_MAX 248u
 #define TAXELD_ALL_NAMES 0xFFFu /* the mask of a module of which nothing is cut */
+#define TAXELD_ALL_MODULES 0xFFu
 
 #define TAXELD_COBS_MAX(n) ((n) + (n) / 254u + 1u)         /* room that n bytes may take encoded */
 #define TAXELD_PLAIN_MAX (1u + 2u + TAXELD_PAYLOAD_MAX + 2u) /* short id .. CRC-16 */
@@ -101,6 +108,20 @@ typedef enum {
     TAXELD_MODULE_PHASE_SHIFT = 0x45,
     TAXELD_MODULE_SET_CUT_SENSORS = 0x47
 } taxeld_command;
+
+typedef enum { /* why a request fails: the byte behind its command in an ERROR */
+    TAXELD_ERROR_FAIL = 0xE1,
+    TAXELD_ERROR_NOT_SUPPORTED = 0xE2,
+    TAXELD_ERROR_INVALID = 0xE3,
+    TAXELD_ERROR_NO_COMMAND = 0xE4,
+    TAXELD_ERROR_NO_ARGUMENT = 0xE5,
+    TAXELD_ERROR_FORMAT = 0xE6,
+    TAXELD_ERROR_CRC = 0xE7,
+    TAXELD_ERROR_NO_BUFFERS = 0xE8,
+    TAXELD_ERROR_PHASE = 0xE9,
+    TAXELD_ERROR_BUSY = 0xEA,
+    TAXELD_ERROR_IO = 0xEB
+} taxeld_error;
 
 typedef enum {
     TAXELD_WAITING = 0, /* taken; no packet yet */
@@ -141,6 +162,35 @@ typedef struct {
     uint8_t cdc_speed;
 } taxeld_module;
 
+/* The fields of a request; those that its command does not have are 0. */
+typedef struct {
+    uint32_t uid;       /* DISCOVERY_RECV_ID: of the hub that is meant */
+    uint8_t short_id;   /* DISCOVERY_RECV_ID: what the hub is called from now on */
+    bool on;            /* SET_AUTO_SYNC */
+    uint16_t period_ms; /* SET_AUTO_SYNC_PERIOD */
+    uint8_t module;     /* MODULE_DETAILS, MODULE_SET_CUT_SENSORS: its index, or TAXELD_ALL_MODULES */
+    uint16_t cut;       /* MODULE_SET_CUT_SENSORS: taxels to cut, LSB = T0 */
+} taxeld_request;
+
+typedef enum {
+    TAXELD_BOOTLOADER, /* the hub's own */
+    TAXELD_MODULES,    /* its modules' */
+    TAXELD_RUNNING
+} taxeld_phase;
+
+/* A hub as the host sees it; begin it by taxeld_hub_init. */
+typedef struct {
+    uint32_t uid; /* no other hub on the line has it */
+    const taxeld_module *module;
+    size_t modules;
+    taxeld_phase phase;
+    uint8_t short_id;
+    bool auto_sync; /* a scan is to be sent each period_ms */
+    uint16_t period_ms;
+    uint8_t asked, error; /* what is being answered */
+    size_t at, end;       /* the next answer, and where they end */
+} taxeld_hub;
+
 uint8_t taxeld_crc8(const uint8_t *data, size_t n);   /* 0xFB over "123456789" */
 uint16_t taxeld_crc16(const uint8_t *data, size_t n); /* 0x29B1 over "123456789" */
 
@@ -149,6 +199,7 @@ uint16_t taxeld_crc16(const uint8_t *data, size_t n); /* 0x29B1 over "123456789"
  * taxeld_packet_encode makes these. */
 int taxeld_packet_encode(uint8_t *out, size_t room, uint8_t command, const uint8_t *payload,
                          size_t n);
+int taxeld_discovery_encode(uint8_t *out, size_t room, uint32_t uid);
 int taxeld_declare_encode(uint8_t *out, size_t room, const uint8_t *channels, size_t modules);
 int taxeld_details_encode(uint8_t *out, size_t room, uint8_t index, const taxeld_module *module);
 
@@ -156,6 +207,22 @@ int taxeld_details_encode(uint8_t *out, size_t room, uint8_t index, const taxeld
  * fragment's padding; more are of another packet, whose fragments were mixed in. Leaves packet->ihb
  * alone, as an encoded packet does not name it. */
 int taxeld_packet_parse(taxeld_packet *packet, const uint8_t *data, size_t len);
+
+/* False where the payload is longer or shorter than the fields of the command, as in another hub's
+ * answer: nothing of it is to be obeyed. Commands that no bring-up asks are not looked into. */
+bool taxeld_request_parse(taxeld_request *request, const taxeld_packet *packet);
+
+/* `phase`: after power-on; a hub whose modules have no bootloader is TAXELD_RUNNING. The modules have
+ * to outlive it. */
+void taxeld_hub_init(taxeld_hub *hub, uint32_t uid, const taxeld_module *module, size_t modules,
+                     taxeld_phase phase);
+/* Do what the host's bring-up asks for; of other requests the answer is an ERROR. On CAN the frame that
+ * ends a hub's bootloader is no packet: set `phase`. A new short_id needs a new reassembler. */
+void taxeld_hub_hear(taxeld_hub *hub, const taxeld_packet *request);
+/* The length of the next answer, 0 after the last. */
+int taxeld_hub_answer(taxeld_hub *hub, uint8_t *out, size_t room);
+/* How many channels each module sends: the bits of its mask. */
+void taxeld_channels(uint8_t *channels, const taxeld_module *module, size_t modules);
 
 /* One scan as SENSOR_DATA packets. What it was begun with has to outlive it. */
 typedef struct {
@@ -289,6 +356,17 @@ static void taxeld__put_u16(uint8_t *out, unsigned value)
     out[1] = (uint8_t)value;
 }
 
+static void taxeld__put_u32(uint8_t *out, uint32_t value)
+{
+    taxeld__put_u16(out, (unsigned)(value >> 16));
+    taxeld__put_u16(out + 2, (unsigned)(value & 0xFFFFu));
+}
+
+static uint16_t taxeld__get_u16(const uint8_t *data)
+{
+    return (uint16_t)(data[0] << 8 | data[1]);
+}
+
 /* Write what surrounds the n bytes of payload that stand at out + 2. */
 static int taxeld__seal(uint8_t *out, uint8_t command, size_t n)
 {
@@ -308,6 +386,14 @@ int taxeld_packet_encode(uint8_t *out, size_t room, uint8_t command, const uint8
     if (n) /* an empty payload may be NULL */
         memcpy(out + 2, payload, n);
     return taxeld__seal(out, command, n);
+}
+
+int taxeld_discovery_encode(uint8_t *out, size_t room, uint32_t uid)
+{
+    uint8_t payload[4];
+
+    taxeld__put_u32(payload, uid);
+    return taxeld_packet_encode(out, room, TAXELD_DISCOVERY_PING, payload, sizeof payload);
 }
 
 int taxeld_declare_encode(uint8_t *out, size_t room, const uint8_t *channels, size_t modules)
@@ -334,8 +420,7 @@ int taxeld_details_encode(uint8_t *out, size_t room, uint8_t index, const taxeld
     if (room < 14)
         return TAXELD_E_ROOM;
     out[2] = index;
-    taxeld__put_u16(out + 3, (unsigned)(module->sui >> 16));
-    taxeld__put_u16(out + 5, (unsigned)(module->sui & 0xFFFFu));
+    taxeld__put_u32(out + 3, module->sui);
     out[7] = module->channels;
     out[8] = module->grouping;
     taxeld__put_u16(out + 9, module->mask);
@@ -354,6 +439,163 @@ int taxeld_packet_parse(taxeld_packet *packet, const uint8_t *data, size_t len)
     packet->n = data[1];
     packet->payload = data + 2;
     return TAXELD_GOOD;
+}
+
+bool taxeld_request_parse(taxeld_request *request, const taxeld_packet *packet)
+{
+    static const uint8_t lengths[][2] = {
+        {TAXELD_DISCOVERY_PING, 0}, {TAXELD_DISCOVERY_RECV_ID, 5},
+        {TAXELD_DECLARE, 0},        {TAXELD_MODULE_DETAILS, 1},
+        {TAXELD_SET_AUTO_SYNC, 1},  {TAXELD_SET_AUTO_SYNC_PERIOD, 2},
+        {TAXELD_MODULE_PROGRAM_END, 0}, {TAXELD_MODULE_SET_CUT_SENSORS, 3},
+    };
+    static const taxeld_request none = {0, 0, false, 0, 0, 0};
+    const uint8_t command = packet->command, *p = packet->payload;
+
+    *request = none;
+    for (size_t i = 0; i < sizeof lengths / sizeof *lengths; i++)
+        if (lengths[i][0] == command && lengths[i][1] != packet->n)
+            return false;
+    if (command == TAXELD_DISCOVERY_RECV_ID) {
+        request->uid = (uint32_t)taxeld__get_u16(p) << 16 | taxeld__get_u16(p + 2);
+        request->short_id = p[4];
+    }
+    if (command == TAXELD_SET_AUTO_SYNC)
+        request->on = p[0] != 0;
+    if (command == TAXELD_SET_AUTO_SYNC_PERIOD)
+        request->period_ms = taxeld__get_u16(p);
+    if (command == TAXELD_MODULE_DETAILS || command == TAXELD_MODULE_SET_CUT_SENSORS)
+        request->module = p[0];
+    if (command == TAXELD_MODULE_SET_CUT_SENSORS)
+        request->cut = taxeld__get_u16(p + 1);
+    return true;
+}
+
+void taxeld_hub_init(taxeld_hub *hub, uint32_t uid, const taxeld_module *module, size_t modules,
+                     taxeld_phase phase)
+{
+    const taxeld_hub begun = {uid, module, modules, phase, 1, false, 50, 0, 0, 0, 0};
+
+    *hub = begun;
+}
+
+/* Set which answers a question has: 0, or a taxeld_error. */
+static uint8_t taxeld__ask(taxeld_hub *hub, uint8_t command, uint8_t module)
+{
+    const bool all = module == TAXELD_ALL_MODULES;
+
+    if (command == TAXELD_DISCOVERY_PING || command == TAXELD_DECLARE) {
+        hub->end = 1;
+        return 0;
+    }
+    if (command != TAXELD_MODULE_DETAILS)
+        return TAXELD_ERROR_NOT_SUPPORTED;
+    if (!all && module >= hub->modules)
+        return TAXELD_ERROR_INVALID;
+    hub->at = all ? 0 : module;
+    hub->end = all ? hub->modules : module + 1u;
+    return 0;
+}
+
+/* Do what is asked for: 0, or the taxeld_error that says why not. Apart from the questions, since a
+ * switch with more cases becomes a table, which on small cores needs the compiler's library. */
+static uint8_t taxeld__obey(taxeld_hub *hub, const taxeld_packet *packet)
+{
+    const bool early = hub->phase < TAXELD_RUNNING;
+    taxeld_request asked;
+
+    if (!taxeld_request_parse(&asked, packet))
+        return TAXELD_ERROR_FORMAT;
+    switch (packet->command) {
+    case TAXELD_DISCOVERY_RECV_ID:
+        if (asked.uid != hub->uid)
+            return 0;
+        if (asked.short_id == 0 || asked.short_id == TAXELD_BROADCAST)
+            return TAXELD_ERROR_INVALID;
+        hub->short_id = asked.short_id;
+        hub->end = 1;
+        return 0;
+    case TAXELD_MODULE_PROGRAM_END:
+        if (hub->phase == TAXELD_BOOTLOADER)
+            return TAXELD_ERROR_PHASE;
+        hub->phase = TAXELD_RUNNING;
+        return 0;
+    case TAXELD_SET_AUTO_SYNC:
+        if (asked.on && early)
+            return TAXELD_ERROR_PHASE;
+        hub->auto_sync = asked.on;
+        return 0;
+    case TAXELD_SET_AUTO_SYNC_PERIOD:
+        if (early)
+            return TAXELD_ERROR_PHASE;
+        if (asked.period_ms == 0)
+            return TAXELD_ERROR_INVALID;
+        hub->period_ms = asked.period_ms;
+        return 0;
+    default:
+        return taxeld__ask(hub, packet->command, asked.module);
+    }
+}
+
+void taxeld_hub_hear(taxeld_hub *hub, const taxeld_packet *request)
+{
+    hub->at = hub->end = 0;
+    if (request->command == TAXELD_ERROR ||
+        (request->ihb != hub->short_id && request->ihb != TAXELD_BROADCAST))
+        return;
+    hub->asked = request->command;
+    hub->error = taxeld__obey(hub, request);
+    if (hub->error)
+        hub->end = 1;
+}
+
+static int taxeld__hub_declare(const taxeld_hub *hub, uint8_t *out, size_t room)
+{
+    const size_t n = hub->phase < TAXELD_RUNNING ? 1 : hub->modules + 2;
+
+    if (hub->modules > TAXELD_MODULES_MAX)
+        return TAXELD_E_ARGUMENT;
+    if (room < n + 3)
+        return TAXELD_E_ROOM;
+    out[2] = (uint8_t)hub->modules;
+    if (n > 1) {
+        out[3] = 0; /* first module */
+        taxeld_channels(out + 4, hub->module, hub->modules);
+    }
+    return taxeld__seal(out, TAXELD_DECLARE, n);
+}
+
+int taxeld_hub_answer(taxeld_hub *hub, uint8_t *out, size_t room)
+{
+    const uint8_t failed[] = {hub->asked, hub->error};
+    const size_t i = hub->at;
+    uint8_t early[5];
+
+    if (i >= hub->end)
+        return 0;
+    hub->at++;
+    if (hub->error)
+        return taxeld_packet_encode(out, room, TAXELD_ERROR, failed, sizeof failed);
+    if (hub->asked == TAXELD_DISCOVERY_PING)
+        return taxeld_discovery_encode(out, room, hub->uid);
+    if (hub->asked == TAXELD_DECLARE)
+        return taxeld__hub_declare(hub, out, room);
+    if (hub->asked != TAXELD_MODULE_DETAILS)
+        return taxeld_packet_encode(out, room, hub->asked, NULL, 0);
+    if (hub->phase == TAXELD_RUNNING)
+        return taxeld_details_encode(out, room, (uint8_t)i, &hub->module[i]);
+    early[0] = (uint8_t)i;
+    taxeld__put_u32(early + 1, hub->module[i].sui);
+    return taxeld_packet_encode(out, room, hub->asked, early, sizeof early);
+}
+
+void taxeld_channels(uint8_t *channels, const taxeld_module *module, size_t modules)
+{
+    for (size_t i = 0; i < modules; i++) {
+        channels[i] = 0;
+        for (unsigned mask = module[i].mask; mask; mask &= mask - 1)
+            channels[i]++;
+    }
 }
 
 /* Go on to the next channel that exists; one past the last is (modules, 0). */
@@ -591,14 +833,12 @@ void taxeld_receiver_init(taxeld_receiver *receiver)
 static int taxeld__line_parse(uint8_t *line, size_t len, taxeld_packet *packet)
 {
     const int n = taxeld_cobs_decode(line, len, line, len);
-    unsigned crc;
 
     if (n < 0)
         return n;
     if (n < 5 || n != line[2] + 5)
         return TAXELD_E_LENGTH;
-    crc = (unsigned)line[n - 2] << 8 | line[n - 1];
-    if (taxeld_crc16(line, (size_t)n - 2) != crc)
+    if (taxeld_crc16(line, (size_t)n - 2) != taxeld__get_u16(line + n - 2))
         return TAXELD_E_CRC;
     packet->ihb = line[0];
     packet->command = line[1];

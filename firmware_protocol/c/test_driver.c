@@ -7,7 +7,8 @@
 #include "taxeld_protocol.h"
 
 const size_t driver_sizes[] = {
-    sizeof(taxeld_packet),    sizeof(taxeld_frame),           sizeof(taxeld_module),
-    sizeof(taxeld_scan),      sizeof(taxeld_fragmenter),      sizeof(taxeld_link_counters),
-    sizeof(taxeld_reassembler), sizeof(taxeld_serial_counters), sizeof(taxeld_receiver),
+    sizeof(taxeld_packet),          sizeof(taxeld_frame),        sizeof(taxeld_module),
+    sizeof(taxeld_request),         sizeof(taxeld_hub),          sizeof(taxeld_scan),
+    sizeof(taxeld_fragmenter),      sizeof(taxeld_link_counters), sizeof(taxeld_reassembler),
+    sizeof(taxeld_serial_counters), sizeof(taxeld_receiver),
 };

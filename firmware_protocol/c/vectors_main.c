@@ -387,10 +387,28 @@ static void any_scan(void)
     free(channels.data), free(out.data), free(counts);
 }
 
+/* A payload of any length, with nothing behind it, and answers into any room. */
+static void any_request(taxeld_hub *asked)
+{
+    blob payload = block(below(8)), out = block(below(300));
+    const taxeld_packet packet = {TAXELD_BROADCAST, (uint8_t)(TAXELD_DISCOVERY_PING + below(64)),
+                                  (uint8_t)payload.n, payload.data};
+    int n;
+
+    for (size_t i = 0; i < payload.n; i++)
+        payload.data[i] = (uint8_t)(below(3) ? below(256) : 255 * below(2));
+    taxeld_hub_hear(asked, &packet);
+    while ((n = taxeld_hub_answer(asked, out.data, out.n)) != 0)
+        CHECK(n <= (int)out.n);
+    free(payload.data), free(out.data);
+}
+
 int main(int argc, char **argv)
 {
     static char text[TEXT_MAX];
     static taxeld_receiver receiver;
+    static taxeld_module modules[TAXELD_MODULES_MAX];
+    taxeld_hub asked;
     FILE *file = argc == 3 ? fopen(argv[1], "r") : NULL;
 
     if (!file) {
@@ -403,10 +421,13 @@ int main(int argc, char **argv)
     }
     fclose(file);
     CHECK(n_lines && n_sequences);
+    taxeld_hub_init(&asked, 0, modules, below(TAXELD_MODULES_MAX) + 1, TAXELD_BOOTLOADER);
     for (long rounds = atol(argv[2]); rounds > 0; rounds--) {
         damaged_frames();
         damaged_line(&receiver);
         any_scan();
+        any_request(&asked);
+        asked.phase = (taxeld_phase)below(3);
     }
     printf("%lu vectors\n", (unsigned long)line_number);
     return 0;

@@ -129,6 +129,12 @@ def to_frames(command: int, payload: bytes = b"", *, ihb: int, t: float = 0.0) -
     return fragment(encode(command, payload), ihb, t)
 
 
+def scan_frames(values: int) -> int:
+    """The number of CAN frames of a scan with so many values, in the fewest SENSOR_DATA packets."""
+    full, rest = divmod(values, MAX_VALUES)
+    return full * MAX_FRAGMENTS + (-(-(2 * rest + 5) // FRAGMENT_BYTES) if rest else 0)
+
+
 @dataclass(slots=True)
 class LinkCounters:
     """Every frame fed is counted exactly once among those below `frames`, or is still pending."""

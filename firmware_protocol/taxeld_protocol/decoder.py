@@ -63,7 +63,7 @@ class Counters:
     index_errors: int = 0  # SENSOR_DATA past the declared tree, or malformed
     malformed: int = 0  # other packets whose payload does not suit their command
     unknown: int = 0  # packets of no known command, and frames of no known id
-    undeclared: int = 0  # SENSOR_DATA before the module table was known
+    undeclared: int = 0  # SENSOR_DATA before the module table was known, or of a hub refused
     bootloader: int = 0  # answers of hubs whose modules are in their bootloader
     scans: int = 0
     incomplete: int = 0  # scans with a lost channel
@@ -122,6 +122,12 @@ class Decoder:
     def table(self, ihb: int) -> ModuleTable:
         """The module table of a hub, empty until it is declared."""
         return self.hubs[ihb].table if ihb in self.hubs else ModuleTable()
+
+    @property
+    def refusal(self) -> str:
+        """A line on a hub that is not read, as it is not known which taxel is which; or empty."""
+        faults = ((ihb, hub.table.fault) for ihb, hub in self.hubs.items())
+        return next((f"hub {ihb} is refused: {fault}" for ihb, fault in faults if fault), "")
 
     def forget(self, ihb: int) -> None:
         """Forget the declarations under a short id: another hub has it now."""
@@ -190,7 +196,7 @@ class Decoder:
             hub.asked = True
             if not hub.table.detailed:
                 self._assume(hub, self._assumed(packet.ihb))
-        if not hub.table.declared:
+        if not hub.table.declared or hub.table.fault:
             self.counters.undeclared += 1
             return []
         scans: list[Scan] = []

@@ -40,7 +40,7 @@ START, STOP = bytes((SET_TX_MODE, 0)), bytes((SET_TX_MODE, 1))
 ASK = bytes((GET_VERSION, 0, 0))  # asks for kind and firmware; 0.0: any version of the protocol
 ANSWER_SIZE = 8
 SKIN_BOARDS = {5: "MTB", 11: "MTB4", 16: "MTB4w", 20: "MTB4c"}  # other kinds answer as well
-PERIOD_MAX_MS = 255
+PERIOD_MAX_MS = 209  # the timer of an MTB3 has 16 bits: 250 ms would be 40
 # A board's compensation of its temperature: 0 first gains, 1 palm and fingertips, 2 not at all,
 # 3 ergoCub's hand, 8 second gains
 SKIN_TYPES = (0, 1, 2, 3, 8)
@@ -129,7 +129,7 @@ def unusable(error: int) -> int:
 
 
 def set_board(period_ms: int, skin_type: int = SKIN_TYPE, no_load: int = NO_LOAD) -> bytes:
-    """The command that sets a board's period [ms, 1..255], one of SKIN_TYPES and its idle value,
+    """The command that sets a board's period [ms, 1..209], one of SKIN_TYPES and its idle value,
     and disables all its triangles."""
     if not 1 <= period_ms <= PERIOD_MAX_MS:
         raise ValueError(f"a period of {period_ms} ms is not 1..{PERIOD_MAX_MS}")
@@ -139,10 +139,10 @@ def set_board(period_ms: int, skin_type: int = SKIN_TYPE, no_load: int = NO_LOAD
 def set_triangles(
     first: int = 0,
     last: int = TRIANGLES - 1,
-    *,
-    enable: bool = True,
     shift: int = SHIFT,
     cdc_offset: int = CDC_OFFSET,
+    *,
+    enable: bool = True,
 ) -> bytes:
     """The command that sets up triangles first..last: whether they are sent, the bits that a raw
     capacitance is shifted by, and its offset (u16). The board calibrates all, and stops."""

@@ -42,6 +42,22 @@ class Module:
         return [bit for bit in range(NAMES) if self.mask >> bit & 1][: self.channels]
 
     @property
+    def fault(self) -> str:
+        """Why its channels have no known names, and the cure: with such a module the vendor's
+        library refuses the hub. Empty where they have."""
+        named = self.mask.bit_count()
+        if self.sui is None or not self.channels or (not self.grouping and self.channels == named):
+            return ""
+        what, cure = f"is grouped (grouping {self.grouping})", "end its grouping"
+        if not self.grouping:
+            what = f"declares {self.channels} channels, but its mask {self.mask:#05x} has {named}"
+            cure = "set its mask anew"
+        return (
+            f"{what}, so which taxel is which is not known; {cure} with the vendor's tool, and "
+            "switch the hub off and on"
+        )
+
+    @property
     def uids(self) -> list[int]:
         """The UID of each channel, ABSENT_UID where it is not known."""
         known = [] if self.sui is None else [self.sui << 4 | name for name in self.names]
@@ -55,6 +71,7 @@ class ModuleTable:
     modules: list[Module] = field(default_factory=list)  # up to the first unknown one
     version: int = 0
     in_bootloader: bool = False  # whether its last answer says so
+    fault: str = ""  # a line on a module whose channels have no known names; or empty
     _size: int = 0  # number of modules, as far as known
     _counts: dict[int, int] = field(default_factory=dict)  # module → channels by DECLARE
     _details: dict[int, Module] = field(default_factory=dict)  # with possible channels, not sent
@@ -152,6 +169,7 @@ class ModuleTable:
         if modules != self.modules:
             self.modules = modules
             self.version += 1
+            self.fault = next((f"module {m.sui} {m.fault}" for m in modules if m.fault), "")
 
 
 def is_of_bootloader(command: int, payload: bytes) -> bool:

@@ -31,6 +31,8 @@ BITRATES = {
     1_000_000: b"S8",
 }
 
+STATUS = re.compile(rb"F([0-9A-Fa-f]{2})")  # answer to F: flags, bit 0 receive queue full
+
 _FRAME = re.compile(
     rb"(?:t([0-7][0-9A-Fa-f]{2})|T([01][0-9A-Fa-f]{7}))([0-8])((?:[0-9A-Fa-f]{2}){0,12})"
 )
@@ -117,7 +119,7 @@ class SlcanReader:
             if frame is not None:
                 counters.used += len(line.removesuffix(BEL)) + 1
                 frames.append(frame)
-            elif line.removesuffix(BEL) in ACCEPTED:
+            elif line.removesuffix(BEL) in ACCEPTED or STATUS.fullmatch(line):
                 continue
             elif carries_no_data(line):
                 counters.foreign += 1

@@ -2,25 +2,31 @@
 
 import argparse
 import math
+import shlex
+import shutil
 import signal
 import sys
 import tempfile
+import textwrap
 import time
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from taxeld import cli as daemon_cli
 from taxeld import command_line
 from taxeld.command_line import Commands, command
 from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld_hil.experiment import cli as measurements
+from taxeld_hil.scenario.mesh_config import FOAMS
 
 if TYPE_CHECKING:
     from taxeld_hil.scenario.scenario import Scenario
 
 VCAN = "vcan0"
+SCENARIOS = sorted(path.stem for path in (Path(__file__).parent / "scenarios").glob("*.toml"))
 GONE = {  # commands of earlier versions, and what replaced them
     "physics": "ten touches of a soft skin: taxeld-hil touches; what the simulated skins were "
     "fitted to: docs/physics.md",
@@ -46,6 +52,8 @@ def _run(args: argparse.Namespace) -> int:
     from taxeld_hil.run.fake_run import FakeRun
     from taxeld_hil.run.live import LiveRun
 
+    if args.view and args.target != "sim":
+        raise SetupError("--view: a run on hardware records no session to show")
     transport, _, channel = args.transport.partition(":")
     scenario = _scenario(args).over(transport)
     name = Path(args.scenario).stem
@@ -57,14 +65,30 @@ def _run(args: argparse.Namespace) -> int:
             site = hardware.Site(args.target, args.poses, truth, args.limit_s)
             grade = hardware.graded(name, scenario, site, out, Path(place), _say)
         elif args.clock == "fake":
-            grade = FakeRun(scenario, args.seed).graded(name)
+            grade = FakeRun(scenario, args.seed).graded(name, out)
         else:
             run = LiveRun(name, scenario, args.seed, out, channel or VCAN, _say)
             grade = run.graded(Path(place))
     report.write(grade, out)
     for line in report.lines(grade):
         _say(line)
+    if args.target == "sim":
+        _say_next(args, scenario, out)
     return 0 if grade.passed else 1
+
+
+def _say_next(args: argparse.Namespace, scenario: "Scenario", out: Path) -> None:
+    """How to see the session, or the viewer itself; and how a daemon gets this bundle."""
+    beside = Path(sys.argv[0]).with_name("taxeld")  # in a .venv that no shell has been told of
+    program = str(beside) if shutil.which("taxeld") is None and beside.is_file() else "taxeld"
+    if args.view:
+        daemon_cli.main(["view", str(out)])  # where its extra lacks, it says so in a line
+    else:
+        _say(f"see it: {shlex.join([program, 'view', str(out)])}")
+    given = ["--bundle", scenario.bundle]
+    if scenario.layout:
+        given += ["--layout", scenario.layout]
+    _say(f"next: {shlex.join([program, 'init', 'robot.toml', *given])}")
 
 
 def _soak(args: argparse.Namespace) -> int:
@@ -94,7 +118,7 @@ def _soak(args: argparse.Namespace) -> int:
 def _table(args: argparse.Namespace) -> int:
     from taxeld_hil.run.table import rows
 
-    for row in rows(range(args.seeds), args.object, args.skin):
+    for row in rows(range(args.seeds), args.object, args.foam, args.layout):
         _say(row)
     return 0
 
@@ -145,15 +169,14 @@ def _watch(args: argparse.Namespace) -> int:
     import numpy as np
     import zmq
 
-    from taxeld.layout import read as layouts
-    from taxeld.proposals import bundle
     from taxeld.source import session
     from taxeld.stream import messages, sockets
     from taxeld_hil.run.watch import HEADER, ContactTable, receive
+    from taxeld_hil.scenario.scenario import Scenario
+    from taxeld_hil.world.world import load_model
 
     _check_endpoint("--endpoint", args.endpoint)
-    skin = layouts.load(args.layout)
-    scene = bundle.load(args.bundle, skin, SkinConfig().full_scale_depth_m).model.scene
+    scene = load_model(Scenario(args.bundle, args.layout)).scene
     truth = np.array(session.read_poses(args.truth)[-1][1:]) if args.truth else None
     table = ContactTable(scene, truth)
     stopping: list[int] = []
@@ -182,7 +205,7 @@ def _watch(args: argparse.Namespace) -> int:
         return 0
     print("\n".join(table.latencies()))
     if truth is not None:
-        _say(f"final symmetry-aware ADD {table.error_mm():.1f} mm")
+        _say(table.final())
     return 0
 
 
@@ -199,20 +222,22 @@ def _say(line: str) -> None:
 
 
 def _scenario(args: argparse.Namespace) -> "Scenario":
-    """The scenario that the arguments name, with their object and skin.
+    """The scenario that the arguments name, with their object, foam and layout.
 
     Raises:
-        SetupError: there is no such scenario or skin.
+        SetupError: there is no such scenario or foam.
     """
     from taxeld_hil.scenario import scenario as scenarios
 
-    return scenarios.load(args.scenario).touching(args.object).on(args.skin)
+    return scenarios.load(args.scenario).touching(args.object).on(args.foam, args.layout)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = command_line.parser(
         "taxeld-hil",
-        "The test harness: a simulated or real skin and robot around a daemon, and a grade for it.",
+        "The test harness: a simulated or real skin and robot around a daemon, and a grade for it."
+        f"\n\n{textwrap.fill('Scenarios: ' + ', '.join(SCENARIOS), 80)}."
+        f"\n\nFoams of the simulated skin: {', '.join(FOAMS)}.",
         "taxeld-hil run demo",
         "taxeld-hil accept can:can0 --layout skin.json",
     )
@@ -226,18 +251,13 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_world(command: argparse.ArgumentParser) -> None:
-    command.add_argument(
-        "--object",
-        default="",
-        metavar="BUNDLE",
-        help="in place of the scenario's object: box, mug, or a path",
-    )
-    command.add_argument(
-        "--skin",
-        default="",
-        metavar="SKIN",
-        help="in place of the scenario's skin: scene, typical, poor, …",
-    )
+    about = "in place of the scenario's object: box, mug, or a path"
+    command.add_argument("--object", default="", metavar="BUNDLE", help=about)
+    about = "in place of the scenario's, as skin.layout"
+    command.add_argument("--layout", default="", help=about)
+    about = f"in place of the scenario's: {', '.join(FOAMS)}"
+    foam = command.add_argument("--foam", default="", help=about)
+    command_line.add_renamed(command, "--skin", foam)
 
 
 def _add_run(commands: Commands) -> None:
@@ -246,16 +266,15 @@ def _add_run(commands: Commands) -> None:
         "run",
         "Run a scenario with all its processes, and grade the daemon.",
         "taxeld-hil run demo",
-        "taxeld-hil run everything --clock fake",
+        "taxeld-hil run everything --clock fake --foam poor",
         "taxeld-hil run demo --target can:can0 --poses tcp://127.0.0.1:9874 --truth 0.4 0.1 0",
         run=_run,
     )
     run.add_argument("scenario", metavar="SCENARIO", help="a shipped name (demo) or a TOML file")
     run.add_argument("--seed", type=int, default=0)
     run.add_argument("--out", type=Path, help="directory for the session and its grade")
-    run.add_argument(
-        "--target", default="sim", help="sim, can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0"
-    )
+    about = "sim, can:can0, serial:/dev/ttyACM0 or slcan:/dev/ttyACM0"
+    run.add_argument("--target", default="sim", help=about)
     run.add_argument("--poses", default="", help="on hardware: the robot's endpoint")
     run.add_argument(
         "--truth",
@@ -271,9 +290,9 @@ def _add_run(commands: Commands) -> None:
         help="on hardware: end the run after so many seconds",
     )
     run.add_argument("--clock", choices=("real", "fake"), default="real")
-    run.add_argument(
-        "--transport", default="", help="in place of the scenario's: slcan, native or can:INTERFACE"
-    )
+    about = "in place of the scenario's: slcan, native or can:INTERFACE"
+    run.add_argument("--transport", default="", help=about)
+    run.add_argument("--view", action="store_true", help="show the session in the end")
     _add_world(run)
 
 
@@ -379,7 +398,7 @@ def _add_parts(commands: Commands) -> None:
     )
     watch.add_argument("--endpoint", required=True)
     watch.add_argument("--bundle", required=True)
-    watch.add_argument("--layout", default=SkinConfig().layout)
+    watch.add_argument("--layout", default="", help="default: what the bundle was built for")
     watch.add_argument(
         "--truth", type=Path, help="CSV of t,x,y,theta of the object; errors are printed"
     )

@@ -180,12 +180,8 @@ def _in_processes(workers: int) -> Iterator[tuple[Executor, Callable[[], int]]]:
 @contextlib.contextmanager
 def _on_dask(address: str) -> Iterator[tuple[Executor, Callable[[], int]]]:
     """The workers of a cluster, and how many there are now."""
-    try:
-        from distributed import Client  # noqa: PLC0415  (an extra)
-    except ImportError:
-        raise SetupError(
-            "--dask: distributed is not installed; pip install 'taxeld[dask]'"
-        ) from None
+    from distributed import Client  # noqa: PLC0415  (an extra)
+
     try:
         client = Client(address, timeout=PATIENCE)
     except (OSError, ValueError) as error:

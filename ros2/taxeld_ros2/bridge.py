@@ -59,7 +59,7 @@ class Bridge:
         self._last: dict[bytes, dict[str, Any]] = {}  # message of each topic
         self._outline: Floats | None = None
         self._heard_s = time.monotonic()
-        self._is_silent = False
+        self._is_silent: bool | None = None  # None until a daemon is heard, or missed
         self._next_diagnostics_s = self._next_markers_s = -math.inf
         with contextlib.ExitStack() as opened:
             self._streams = Subscriber(settings.stream, settings.keys, TOPICS, "--stream")
@@ -141,28 +141,30 @@ class Bridge:
             self._markers.write(markers(estimate, cloud, self._outline, frame, z_m))
 
     def _on_estimate(self, estimate: dict[str, Any]) -> None:
-        """Poses are published while they may be used, and for each estimate of a scan."""
+        """Pose and modes of a scan's estimate are published while they may be used."""
         before, settings = self._last.get(messages.ESTIMATE, {}), self._settings
         t, frame, z_m = estimate["t"], settings.frame, settings.z_m
         if estimate["valid"] and t != before.get("t"):
-            self._pose.write(ros.pose_with_covariance(estimate, frame, z_m))
+            if ros.is_usable(estimate):
+                self._pose.write(ros.pose_with_covariance(estimate, frame, z_m))
+                self._forwarded += 1
             self._modes.write(ros.pose_array(t, estimate["modes"], frame, z_m))
-            self._forwarded += 1
-        if estimate["status"] != before.get("status"):
+        if any(estimate[key] != before.get(key) for key in ("status", "why")):
             self._next_diagnostics_s = -math.inf
         self._heard_s = time.monotonic()
 
     def _watch(self, now_s: float) -> None:
         """Say whether a daemon is heard, and how it is."""
         silent = now_s - self._heard_s > SILENT_S
-        if silent != self._is_silent:
+        if silent != self._is_silent and (silent or messages.ESTIMATE in self._last):
             self._is_silent, self._next_diagnostics_s = silent, -math.inf
-            where = self._settings.stream
+            where, name = self._settings.stream, self._settings.prefix
             if silent:
                 self._last.clear()
                 log.warning("no daemon is heard at %s; is 'taxeld run' there? Waiting", where)
             else:
-                log.warning("a daemon is heard at %s", where)
+                served = f"/{name}/pose, /{name}/modes, /{name}/markers and /diagnostics"
+                log.info("ready: a daemon is heard at %s; published are %s", where, served)
         estimate = self._last.get(messages.ESTIMATE, {})
         if now_s >= self._next_diagnostics_s and (estimate or silent):
             self._next_diagnostics_s = now_s + DIAGNOSTICS_S
@@ -171,5 +173,5 @@ class Bridge:
             self._diagnostics.write(ros.diagnostics(time.time(), name, estimate, health))
 
     def _status_line(self, _: float) -> str:
-        heard = "no daemon is heard" if self._is_silent else "a daemon is heard"
+        heard = "a daemon is heard" if self._is_silent is False else "no daemon is heard"
         return f"{heard}, {self._forwarded} poses passed on"

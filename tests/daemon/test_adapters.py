@@ -2,6 +2,7 @@
 
 import itertools
 import logging
+import math
 import os
 import termios
 import time
@@ -15,17 +16,20 @@ import pytest
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
+from taxeld.source.bus_faults import BusFault
 from taxeld.source.devices import open_device
 from taxeld.source.sources import LiveSource, open_source
 from taxeld_hil.rig.adapters import KINDS, Adapter
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_hil.rig.ports import SlcanPort
+from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.slcan import BITRATES, SlcanReader, split
-from taxeld_protocol.virtual_ihb import Phase
+from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig.clocks import PATIENCE_S, until
 from tests.rig.skins import CHANNELS, LISTED, MODULES, SKIN
 from tests.rig.virtual_hub import VirtualHub
+from tests.rig.virtual_part import skin_layout
 
 COUNTS = list(range(1, 1 + CHANNELS))
 
@@ -143,6 +147,60 @@ def test_a_channel_that_another_process_closed_is_opened_again_and_said_once(
     assert said[1][1] == f"no longer: {said[0][1]}"
 
 
+class QuietHub(VirtualIhb):
+    """It says nothing while its modules start."""
+
+    wakes_s = -math.inf
+
+    def answer(self, packet: Packet) -> list[Answer]:
+        if packet.t < self.wakes_s:
+            return []
+        if packet.command == Command.MODULE_PROGRAM_END:
+            self.wakes_s = packet.t + 1.6
+        return super().answer(packet)
+
+
+@as_bus_and_as_line
+@pytest.mark.parametrize(
+    "ihb",
+    [
+        lambda: VirtualIhb(MODULES, deaf_s=0.06),
+        lambda: VirtualIhb(MODULES, deaf_s=0.06, says_busy=True),
+        lambda: QuietHub(MODULES, modules_s=1.6),
+    ],
+    ids=["drops requests", "is busy", "is quiet"],
+)
+def test_a_hub_that_takes_its_time_is_started_and_its_channel_is_not_opened_again(
+    opened: Opened, ihb: Callable[[], VirtualIhb], bus: bool
+) -> None:
+    skin = opened(bus=bus)
+    skin.hub.ihb = ihb()
+    assert skin.scans() < 6.0
+    assert (skin.source.counters.silences, skin.source.counters.unsent) == (0, 0)
+
+
+@as_bus_and_as_line
+@pytest.mark.parametrize(
+    ("flags", "kind"),
+    [
+        (0x0B, "overflow"),
+        (0x04, "warning"),
+        (0x20, "passive"),
+        (0x40, "arbitration"),
+        (0x80, "error"),
+    ],
+)
+def test_a_silent_adapter_is_asked_for_its_flags_and_they_are_said(
+    opened: Opened, bus: bool, flags: int, kind: str
+) -> None:
+    skin = opened("lawicel", bus, listen_only=True, modules=LISTED)
+    skin.adapter.flags = flags
+    skin.until(lambda: any(skin.source.bus.counts.values()))
+    assert {fault: n for fault, n in skin.source.bus.counts.items() if n} == {kind: 1}
+    assert (kind == "arbitration") != (BusFault(kind).line in skin.source.waits_for)
+    assert skin.source.counters.noise == 0
+
+
 @as_bus_and_as_line
 def test_a_line_that_another_process_set_otherwise_is_set_right_again(
     opened: Opened, bus: bool
@@ -189,11 +247,11 @@ def test_remote_and_fd_frames_are_passed_over_and_counted(opened: Opened, bus: b
 
 
 class LateAdapter:
-    """Lawicel's, on a pseudo-terminal, which answers each line 80 ms later by the test's clock."""
+    """Lawicel's, on a pseudo-terminal, which answers each line later by the test's clock."""
 
-    LATE_S = 0.08
-
-    def __init__(self) -> None:
+    def __init__(self, late_s: float = 0.08, mute: bytes = b"") -> None:
+        """`mute`: a line that it does not answer."""
+        self._late_s, self._mute = late_s, mute
         self._master, self._slave = os.openpty()
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
@@ -205,7 +263,10 @@ class LateAdapter:
     def serve(self, now_s: float) -> None:
         with suppress(BlockingIOError):
             lines, self._rest = split(self._rest + os.read(self._master, 4096))
-            self._answers += [(now_s + self.LATE_S, self.adapter.host(line)[0]) for line in lines]
+            answers = [(line, self.adapter.host(line)[0]) for line in lines]
+            self._answers += [
+                (now_s + self._late_s, a) for line, a in answers if line != self._mute
+            ]
         while self._answers and self._answers[0][0] <= now_s:
             os.write(self._master, self._answers.pop(0)[1])
 
@@ -214,22 +275,66 @@ class LateAdapter:
         os.close(self._slave)
 
 
+latencies = pytest.mark.parametrize("late_s", [0.0, 0.02, 0.08, 0.15])
+mutes = pytest.mark.parametrize("mute", [b"", b"C"], ids=["answers C", "does not answer C"])
+
+
 @pytest.mark.parametrize("listen_only", [False, True])
+@latencies
+@mutes
 @as_bus_and_as_line
 def test_an_adapter_that_answers_late_is_opened_and_none_of_its_answers_is_taken_for_a_refusal(
-    bus: bool, listen_only: bool, caplog: pytest.LogCaptureFixture
+    bus: bool, listen_only: bool, late_s: float, mute: bytes, caplog: pytest.LogCaptureFixture
 ) -> None:
-    with closing(LateAdapter()) as late:
+    with closing(LateAdapter(late_s, mute)) as late:
         config = configured(late.device, bus, listen_only=listen_only, modules=LISTED)
         with closing(open_source(config, SKIN)) as source:
-            for tick in range(250):  # the skin is silent, so that the channel is opened twice
-                source.poll(0.01 * tick)
-                late.serve(0.01 * tick)
-                time.sleep(0.004)
-            assert late.adapter.on_bus
+            tick = itertools.count()
+
+            def turn() -> None:
+                now_s = 0.01 * next(tick)
+                source.poll(now_s)
+                late.serve(now_s)
+
+            # the skin is silent, so that the channel is opened twice
+            until(lambda: source.counters.silences == 1 and late.adapter.on_bus, turn)
+            for _ in range(50):
+                turn()
             assert late.adapter.is_silent == listen_only
         assert (source.counters.refused, source.counters.silences) == (0, 1)
         assert "refused" not in caplog.text
+
+
+@latencies
+@mutes
+def test_an_adapter_that_answers_late_and_refuses_the_bit_rate_is_named_with_that_alone(
+    late_s: float, mute: bytes, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(BITRATES, 1_000_000, b"S9")
+    with closing(LateAdapter(late_s, mute)) as late:
+        with closing(open_source(configured(late.device, True), SKIN)) as source:
+            for tick in range(150):
+                source.poll(0.01 * tick)
+                late.serve(0.01 * tick)
+                time.sleep(0.001)
+        said = [text for text in caplog.messages if "refused" in text]
+        assert said[0].startswith(f"source.channel: {late.device} refused S9 (")
+        # without a bit rate its channel does not open, and takes nothing
+        assert all(text.split()[3][0] in "OtT" for text in said[1:]), said
+
+
+def test_an_adapter_with_nothing_behind_it_does_not_hide_that_boards_may_be_behind_ethernet(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with closing(LateAdapter()) as late:
+        config = configured(late.device, True, dialect="icub")
+        with closing(open_source(config, skin_layout())) as source:
+            for tick in range(900):
+                source.poll(0.01 * tick)
+                late.serve(0.01 * tick)
+        for part in ("its channel is opened again", "behind an Ethernet board (EMS)"):
+            assert part in source.waits_for
+            assert sum(part in text for text in caplog.messages) == 1
 
 
 LONG = Frame(0.0, 0x17FFFFFF, b"\x01\x3b\x00\x00\x4f\x6d\x17", extended=True)
@@ -279,7 +384,7 @@ def test_a_frame_with_a_long_id_goes_to_python_cans_busses_as_such() -> None:
 
 @pytest.mark.parametrize("bitrate", BITRATES)
 def test_the_bus_gets_the_configured_bit_rate(opened: Opened, bitrate: int) -> None:
-    skin = opened("lawicel", at="@921600", bitrate=bitrate)
+    skin = opened("lawicel", at="@921600", bitrate=bitrate, period_ms=300)
     skin.until(lambda: b"O" in skin.adapter.heard)
     assert [line for line in skin.adapter.heard if line[:1] == b"S"] == [BITRATES[bitrate]]
 

@@ -70,7 +70,7 @@ def test_check_passes_what_is_fine(place: Path) -> None:
 
 
 FAULTS = [
-    ("source", "chanel", "x", "source.chanel: unknown key"),
+    ("source", "chanel", "x", "source.chanel: unknown key; did you mean channel?"),
     ("loop", "rate_hz", "fast", "loop.rate_hz: must be a number"),
     ("scene", "bundle", "sphere", "scene.bundle: no bundle 'sphere'; shipped are box, mug"),
     (
@@ -130,9 +130,25 @@ def test_a_missing_file_is_one_line_and_status_2(arguments: list[str]) -> None:
     assert "nowhere" in refused(*arguments)
 
 
+def test_what_is_no_session_is_named_as_such(tmp_path: Path) -> None:
+    for directory in (tmp_path / "none", tmp_path):
+        assert refused("replay", directory).startswith(f"{directory}: is no session (it has no ")
+
+
+def test_a_session_whose_bundle_stayed_elsewhere_says_where_to_name_it(place: Path) -> None:
+    golden(place, scene={"bundle": "objects/bracket"})
+    told = refused("replay", place)
+    assert told.startswith("scene.bundle: no bundle 'objects/bracket'; shipped are box, mug; ")
+    assert told.endswith(
+        f"; a session does not hold its bundle: name it in {place}/config.toml, by its whole path, "
+        "or in another file with --config\n"
+    )
+
+
 def test_decode_into_a_closed_pipe_ends_quietly(tmp_path: Path) -> None:
     log = tmp_path / "long.log"
-    log.write_text("\n".join(GOLDEN_SCAN * 5000) + "\n", encoding="ascii")
+    declare = "501#3C0301000C8C"
+    log.write_text("\n".join([declare, *GOLDEN_SCAN * 5000]) + "\n", encoding="ascii")
     ran = subprocess.run(
         f"{sys.executable} -m taxeld.cli decode {log} | head -n 1",
         shell=True,

@@ -204,8 +204,12 @@ def test_a_can_bus_that_is_full_gets_its_requests_when_it_has_room_and_only_thos
         assert (recorder.counters.frames, source.counters.unsent) == (0, 0)
         full = False
         source.poll(0.2)
+        source.poll(0.25)
+        assert bus.recv(0.0) is not None
+        assert bus.recv(0.0) is None, "the pause after a request begins when it has left"
+        source.poll(0.4)
         source.close()
-        heard = 0
+        heard = 1
         while bus.recv(0.0) is not None:
             heard += 1
     assert heard == recorder.counters.frames >= 3

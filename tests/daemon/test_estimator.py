@@ -17,6 +17,7 @@ from taxeld.estimator.mixture import ROOM, SILENT_MAX, Mixture
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.freshness import Why
 from taxeld.proposals.analytic import Projection
 from taxeld.stream import messages
 from tests.rig.pressed_box import TRUTH, approach, box_side, estimator, feel, press, settled
@@ -131,7 +132,7 @@ def test_touching_nothing_is_evidence(box_model: ObservationModel) -> None:
 def test_same_seed_same_bytes(box_model: ObservationModel) -> None:
     def run(seed: int) -> str:
         subject = estimator(box_model, seed=seed)
-        return json.dumps(messages.estimate(approach(subject, box_model), seq=0, valid=True))
+        return json.dumps(messages.estimate(approach(subject, box_model), seq=0, why=Why.VALID))
 
     assert run(3) == run(3)
     assert run(3) != run(4)
@@ -139,10 +140,10 @@ def test_same_seed_same_bytes(box_model: ObservationModel) -> None:
 
 def test_reset_begins_anew(box_model: ObservationModel) -> None:
     subject = estimator(box_model)
-    first = json.dumps(messages.estimate(approach(subject, box_model), seq=0, valid=True))
+    first = json.dumps(messages.estimate(approach(subject, box_model), seq=0, why=Why.VALID))
     subject.reset()
     assert subject.estimate.contacts == 0
-    again = json.dumps(messages.estimate(approach(subject, box_model), seq=0, valid=True))
+    again = json.dumps(messages.estimate(approach(subject, box_model), seq=0, why=Why.VALID))
     assert again == first
 
 

@@ -1,6 +1,7 @@
-"""What the age of the inputs makes of an estimate."""
+"""Whether an estimate is valid, and the reason and the cure where it is not."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -9,10 +10,11 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.model.observation import ObservationModel
-from taxeld.pipeline.freshness import Freshness
+from taxeld.pipeline.freshness import CURES, Freshness, Why
 from taxeld.proposals.analytic import Projection
 
 STALE_S = 0.5
+WIDTH = 72  # characters that a terminal has for a reason
 
 
 @pytest.fixture(scope="module")
@@ -21,19 +23,25 @@ def estimate(disc_model: ObservationModel) -> Estimate:
     return replace(first, status=Status.AMBIGUOUS, contacts=1)
 
 
+def used(centre_m: tuple[float, float] = (0.0, 0.0), half_width_m: float = np.inf) -> Freshness:
+    """Of an object that reaches 0.1 m, after a scan that was used."""
+    inputs = Freshness(STALE_S, centre_m, half_width_m, reach_m=0.1)
+    inputs.last = Why.VALID
+    return inputs
+
+
 def test_what_became_of_the_last_scan_decides_until_the_next(estimate: Estimate) -> None:
     inputs = Freshness(STALE_S)
-    seen = [inputs.judged(estimate).status]
-    for event in (inputs.used, inputs.unused, inputs.used, inputs.starting, inputs.used):
-        event()
-        seen.append(inputs.judged(estimate).status)
-    assert [status.name for status in seen] == [
-        "STARTING",
-        "AMBIGUOUS",
-        "STALE",
-        "AMBIGUOUS",
-        "STARTING",
-        "AMBIGUOUS",
+    seen = [(inputs.judged(estimate).status.name, inputs.why(estimate).name)]
+    for inputs.last in (Why.VALID, Why.NO_POSE, Why.SCANS_MISTIMED, Why.VALID, Why.STARTING):
+        seen.append((inputs.judged(estimate).status.name, inputs.why(estimate).name))
+    assert seen == [
+        ("STARTING", "STARTING"),
+        ("AMBIGUOUS", "VALID"),
+        ("STALE", "NO_POSE"),
+        ("STALE", "SCANS_MISTIMED"),
+        ("AMBIGUOUS", "VALID"),
+        ("STARTING", "STARTING"),
     ]
 
 
@@ -42,22 +50,40 @@ def test_without_a_scan_for_too_long_everything_is_stale(estimate: Estimate) -> 
     inputs.came(10.0)
     assert inputs.judged(estimate, 10.5).status is Status.STARTING
     assert inputs.judged(estimate, 10.6).status is Status.STALE
-    inputs.used()
+    assert inputs.why(estimate, 10.6) is Why.NO_SCAN
+    inputs.last = Why.VALID
     assert inputs.is_silent(10.6)
     assert inputs.judged(estimate, 10.6).status is Status.STALE
     assert inputs.judged(estimate).status is Status.AMBIGUOUS  # in a replay time does not pass
     inputs.came(10.6)
     assert inputs.judged(estimate, 11.0) == estimate
+    assert inputs.why(estimate, 11.0) is Why.VALID
 
 
-@pytest.mark.parametrize("status", Status)
-def test_an_estimate_is_valid_with_fresh_inputs_after_a_touch(
-    estimate: Estimate, status: Status
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({}, Why.VALID),
+        ({"status": Status.SEARCHING, "cov": np.diag([0.004, 0.005, 9.0])}, Why.VALID),
+        ({"status": Status.CONVERGED}, Why.VALID),
+        ({"contacts": 0}, Why.UNTOUCHED),
+        ({"contacts": 0, "status": Status.BLIND}, Why.BLIND),
+        ({"status": Status.INCONSISTENT}, Why.INCONSISTENT),
+        # one contact would leave the object within 0.1 m
+        ({"status": Status.SEARCHING, "cov": np.diag([0.006, 0.005, 0.0])}, Why.VAGUE),
+        ({"status": Status.SEARCHING, "cov": np.full((3, 3), np.nan)}, Why.VAGUE),
+    ],
+)
+def test_an_estimate_without_a_touch_or_with_less_than_one_touch_tells_is_not_valid(
+    estimate: Estimate, changes: dict[str, Any], why: Why
 ) -> None:
-    is_valid = Freshness(STALE_S).is_valid
-    usable = status.name in ("SEARCHING", "AMBIGUOUS", "CONVERGED")
-    assert is_valid(replace(estimate, status=status)) == usable
-    assert not is_valid(replace(estimate, status=status, contacts=0))
+    assert used().why(replace(estimate, **changes)) is why
+
+
+def test_while_modules_are_missing_no_estimate_is_valid(estimate: Estimate) -> None:
+    inputs = used()
+    inputs.is_whole = False
+    assert inputs.why(estimate) is Why.MODULES_MISSING
 
 
 @pytest.mark.parametrize(
@@ -68,14 +94,24 @@ def test_an_estimate_is_valid_with_fresh_inputs_after_a_touch(
         (1.71, 2.0, False),
         (1.0, 1.29, False),
         (1e9, 2.0, False),
-        (float("nan"), 2.0, False),
+        (np.nan, 2.0, False),
     ],
 )
-def test_an_estimate_where_the_object_cannot_be_is_not_valid(
+def test_an_estimate_where_the_object_cannot_be_is_not_valid_and_names_the_keys(
     estimate: Estimate, x: float, y: float, inside: bool
 ) -> None:
-    freshness = Freshness(STALE_S, centre_m=(1.0, 2.0), within_m=0.7)
+    inputs, why = used((1.0, 2.0), 0.6), Why.VALID if inside else Why.OUTSIDE
     there, centre = np.array([x, y, 0.0]), np.array([1.0, 2.0, 0.0])
-    assert freshness.is_valid(replace(estimate, map=there, mean=there)) == inside
-    assert freshness.is_valid(replace(estimate, map=centre, mean=there)) == inside
-    assert freshness.is_valid(replace(estimate, map=there, mean=centre)) == inside
+    for places in ((there, there), (centre, there), (there, centre)):
+        assert inputs.why(replace(estimate, map=places[0], mean=places[1])) is why
+    said = inputs.sentence(Why.OUTSIDE, replace(estimate, map=there))
+    assert said.startswith("outside filter.centre_m ± filter.half_width_m: ")
+    assert said.endswith(f" x {x:.3f} m, y {y:.3f} m; these are [1, 2] ± 0.6 m)")
+
+
+def test_each_reason_has_a_cure_that_fits_a_terminal(estimate: Estimate) -> None:
+    for why in Why:
+        said = used().sentence(why, estimate)
+        assert bool(said) == (why is not Why.VALID)
+        assert len(CURES[why]) <= WIDTH
+    assert used().sentence(Why.NO_POSE, estimate, "no pose comes").endswith(" (no pose comes)")

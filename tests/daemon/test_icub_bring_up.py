@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import pytest
 
+from taxeld.config.tables import SourceConfig
 from taxeld.source import icub_part
 from taxeld.source.icub_bring_up import IcubBringUp
 from taxeld_protocol import icub
@@ -19,10 +20,13 @@ EVERY = {(9, 0), (9, 1), (4, 3)}  # (board, triangle) that the layout has taxels
 class BoardBench:
     """A bring-up and the boards it speaks to, on one clock."""
 
-    def __init__(self, boards: Boards, named: Sequence[int] = (), period_ms: int = 50) -> None:
+    def __init__(
+        self, boards: Boards, named: Sequence[int] = (), period_ms: int = 50, **more: int
+    ) -> None:
         self.bus = boards
         self.decoder = IcubDecoder(named, PART.taxels)
-        self.bring_up = IcubBringUp(self.decoder, PART, named, period_ms)
+        config = SourceConfig("can", period_ms=period_ms, **more)  # type: ignore[arg-type]
+        self.bring_up = IcubBringUp(self.decoder, PART, named, config)
         self.heard: set[tuple[int, int]] = set()
 
     def run(self, seconds: float) -> "BoardBench":
@@ -67,19 +71,30 @@ def test_a_board_is_configured_then_its_triangles_then_started() -> None:
     assert [bench.bus.boards[b].triangles for b in BOARDS] == [TRIANGLES[b] for b in BOARDS]
 
 
+def test_boards_get_the_configured_shift_offset_and_idle_value() -> None:
+    """As an ergoCub's hand has them."""
+    hand = {"skin_type": 3, "shift_bits": 0, "offset_counts": 0x2000, "no_load_counts": 0xC8}
+    bench = BoardBench(Boards(*BOARDS), BOARDS, **hand).run(3.0)
+    assert bench.told(9) == [
+        bytes.fromhex("4D0332C8"),
+        bytes.fromhex("50000100010020"),
+        bytes.fromhex("0700"),
+    ]
+
+
 @pytest.mark.parametrize("mask", [0b1000_0000_0110_0001, 0b0101_0101_0101_0101])
 def test_triangles_apart_are_enabled_run_by_run_and_no_board_is_said_to_be_silent_meanwhile(
     mask: int,
 ) -> None:
     bench = BoardBench(Boards(9), (9,))
     part = icub_part.Part("part", (mask,), PART.taxels)
-    bench.bring_up = IcubBringUp(bench.decoder, part, (9,), 50)
+    bench.bring_up = IcubBringUp(bench.decoder, part, (9,), SourceConfig("can"))
     for _ in range(60):
         assert bench.run(0.1).bring_up.waits_for == ""
     assert {triangle for _, triangle in bench.heard} == {k for k in range(16) if mask >> k & 1}
 
 
-@pytest.mark.parametrize("period_ms", [50, 255])
+@pytest.mark.parametrize("period_ms", [50, 209])
 def test_no_command_reaches_a_board_that_is_busy_with_the_last(period_ms: int) -> None:
     """A board that calibrates waits for two of its periods, and takes what waits last first."""
     bench = BoardBench(Boards(*BOARDS), BOARDS, period_ms).run(5.0)
@@ -207,7 +222,7 @@ def test_a_board_that_lost_its_power_is_brought_up_again_and_the_others_are_left
 def test_boards_that_send_are_left_alone_when_the_adapter_was_opened_anew() -> None:
     """A board that is configured calibrates itself, which would hide a touch."""
     boards = Boards(*BOARDS)
-    bench = BoardBench(boards, BOARDS, period_ms=255).run(5.0)
+    bench = BoardBench(boards, BOARDS, period_ms=209).run(5.0)
     bench.bring_up.restart()
     bench.run(3.0)
     assert [boards.boards[b].calibrations for b in BOARDS] == [1, 1]

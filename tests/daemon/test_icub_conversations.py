@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taxeld.config.tables import SourceConfig
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.source import icub_part
@@ -90,7 +91,8 @@ def test_the_host_says_its_lines_and_makes_the_taxels_of_every_scan(talk: dict[s
     asked = talk["host"]
     part = icub_part.of(layout_of(asked["taxels"]))
     decoder = IcubDecoder(asked["boards"], part.taxels)
-    bring_up = IcubBringUp(decoder, part, asked["boards"], asked["period_ms"], asked["skin_type"])
+    config = SourceConfig("can", period_ms=asked["period_ms"], skin_type=asked["skin_type"])
+    bring_up = IcubBringUp(decoder, part, asked["boards"], config)
     now_s = 0.0
     said: list[str] = []
     for line in talk["script"]:

@@ -248,7 +248,15 @@ def test_a_layout_of_more_boards_than_a_bus_has_is_one_line() -> None:
     ("kind", "more", "counts", "fault"),
     [
         ("serial", "", 200, "source.dialect: icub is spoken on CAN alone"),
-        ("can", ", period_ms = 256", 200, "source.period_ms: must be 1..255 with dialect icub"),
+        ("can", ", period_ms = 210", 200, "source.period_ms: must be 1..209 with dialect icub"),
+        ("can", ", shift_bits = 16", 200, "source.shift_bits: must be 0..15, not 16"),
+        (
+            "can",
+            ", offset_counts = 65536",
+            200,
+            "source.offset_counts: must be 0..65535, not 65536",
+        ),
+        ("can", ", no_load_counts = 256", 200, "source.no_load_counts: must be 0..255, not 256"),
         ("can", "", 20000, "skin.full_scale_counts: must be 1..255 with dialect icub"),
         ("can", ", boards = [1, 1]", 200, "source.boards: must be different boards of 1..14"),
         ("can", ", boards = [15]", 200, "source.boards: must be different boards of 1..14"),

@@ -2,6 +2,8 @@
 
 import os
 import pty
+import re
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -13,9 +15,11 @@ from typing import get_type_hints
 import pytest
 
 from taxeld.cli import main
-from taxeld.config.file import parse
+from taxeld.config.file import load, parse
 from taxeld.config.tables import Config
+from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
+from taxeld.source import dialects
 from tests.rig.commands import printed, refused
 from tests.rig.processes import read_all
 
@@ -42,6 +46,28 @@ def test_what_is_written_from_options_is_fine(
     assert (config.source.kind, config.source.interface) == ("can", "slcan")
     assert config.source.channel == str(tmp_path / "ttyACM0")
     assert config.sensor_pose.endpoint == "tcp://127.0.0.1:9874"
+
+
+def test_a_skin_too_large_for_the_usual_period_gets_one_that_the_bus_carries(
+    tmp_path: Path, flags: list[str]
+) -> None:
+    path = tmp_path / "large.toml"
+    large = "cylinder:rows=31,columns=80,radius_m=0.2,pitch_m=0.015"
+    printed("init", path, *flags, "--layout", large)
+    config = parse(path.read_text(encoding="utf-8"))
+    assert config.source.period_ms == 83
+    dialects.live(config.source, layouts.load(large))
+
+
+def test_the_depth_is_that_of_the_bundle(tmp_path: Path) -> None:
+    box = Path(shutil.copytree(bundle.find("box"), tmp_path / "box")) / "bundle.json"
+    box.write_text(re.sub(r'"depth_max_m": [0-9.]+', '"depth_max_m": 0.003', box.read_text()))
+    written = tmp_path / "skin.toml"
+    printed("init", written, "--source", "can:can0", "--bundle", box.parent, "--poses", "")
+    config = load(written)
+    assert config.skin.full_scale_depth_m == 0.003
+    loaded = bundle.load(config.scene.bundle, layouts.load(config.skin.layout), 0.003)
+    assert loaded.model.depth_max_m == 0.003
 
 
 def test_each_key_is_there_with_the_documented_words_and_its_default(
@@ -78,6 +104,13 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, flags: list[str
         (["--bundle", "n" * 5000], "scene.bundle: no bundle 'nnnn"),
         (["--bundle", "n" * 5000, "--layout", "skin.json"], "scene.bundle: no bundle 'nnnn"),
         (["--bundle", "sphere"], "scene.bundle: no bundle 'sphere'; shipped are box, mug"),
+        (["--layout", "cylinder:rowz=5"], "skin.layout: unknown cylinder key 'rowz'; use 'cyl"),
+        (["--layout", "skin.json"], "skin.layout: "),
+        (
+            ["--where", "0.8", "left", "1"],
+            "--where: '0.8 left 1' is no X Y HALF in metres, as 0.8 0",
+        ),
+        (["--where", "0", "0", "-1"], "filter.half_width_m: "),
         (["--poses", "tcp://robot:1"], "sensor_pose.endpoint: 'tcp://robot:1' is not local"),
     ],
 )
@@ -95,6 +128,17 @@ def test_without_a_terminal_what_is_missing_is_named(tmp_path: Path) -> None:
     )
 
 
+def test_the_place_of_the_object_and_the_upright_link_are_in_the_file(
+    tmp_path: Path, flags: list[str]
+) -> None:
+    path = tmp_path / "skin.toml"
+    printed("init", path, *flags, "--where", "0.84", "-0.1", "0.4")
+    text = path.read_text(encoding="utf-8")
+    assert "must stand upright, its axis within 0.1 rad of vertical" in text
+    config = parse(text)
+    assert (config.filter.centre_m, config.filter.half_width_m) == ((0.84, -0.1), 0.4)
+
+
 def test_a_bundle_is_named_as_seen_from_the_configuration(
     tmp_path: Path, flags: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -110,7 +154,7 @@ def test_a_terminal_is_asked_what_the_options_leave_open(tmp_path: Path) -> None
     ours, theirs = pty.openpty()
     command = [sys.executable, "-m", "taxeld.cli", "init", str(path)]
     with subprocess.Popen(command, stdin=theirs, stderr=theirs, stdout=subprocess.PIPE) as asking:
-        os.write(ours, b"serial:/dev/ttyACM7\nmug\n\n")
+        os.write(ours, b"serial:/dev/ttyACM7\nmug\n\n0.8, 0.1, 0.3\n")
         said, _ = asking.communicate(timeout=60)
     os.close(theirs)
     asked = read_all(ours)
@@ -121,3 +165,4 @@ def test_a_terminal_is_asked_what_the_options_leave_open(tmp_path: Path) -> None
     assert config.source.channel == "/dev/ttyACM7"
     assert config.scene.bundle == "mug"
     assert not config.sensor_pose.endpoint
+    assert (config.filter.centre_m, config.filter.half_width_m) == ((0.8, 0.1), 0.3)

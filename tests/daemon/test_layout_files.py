@@ -1,5 +1,6 @@
 """robotskinlib files: every trap of the format on a small file of its own."""
 
+import dataclasses
 import json
 import math
 from pathlib import Path
@@ -12,6 +13,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld_protocol.modules import NAMES
+from tests.rig.skins import table_of
 
 RADIUS_M = 0.05
 
@@ -252,3 +254,41 @@ class TestRobotskinlib:
         np.testing.assert_allclose(flat.position_m[:, 2], 0.0, atol=1e-12)
         with pytest.raises(SetupError, match=r"skin\.layout: patch: its 40 taxels lie on no cyl"):
             layouts.load(str(path))
+
+
+RING = layouts.load("cylinder:rows=3,columns=16,radius_m=0.05,pitch_m=0.01")
+
+
+class TestTable:
+    """A plain table, a row a taxel."""
+
+    @pytest.mark.parametrize("uid", [False, True])
+    def test_a_table_has_the_taxels_of_the_layout_that_was_written(self, tmp_path, uid):
+        own = dataclasses.replace(RING, uid=RING.uid + 160 * uid)
+        file = tmp_path / "own.csv"
+        file.write_text(table_of(own, uid=uid), encoding="ascii")
+        found = layouts.load(str(file))
+        assert (found.name, found.radius_m) == ("own", pytest.approx(0.05, abs=1e-5))
+        np.testing.assert_array_equal(found.uid, own.uid)
+        turn, shift = found.frame[:3, :3], found.frame[:3, 3]
+        np.testing.assert_allclose(found.position_m, own.position_m @ turn.T + shift, atol=2e-6)
+
+    @pytest.mark.parametrize(
+        ("change", "words"),
+        [
+            (lambda _: "", "line 1: must be x,y,z,nx,ny,nz, or the same with ,uid"),
+            (lambda text: text.replace("nx", "a"), "line 1: must be x,y,z,nx,ny,nz, or"),
+            (lambda text: text.partition("\n")[0], "holds 0 usable taxels"),
+            (lambda text: text.replace("0.05", "wide", 1), "line 2: must be 6 numbers, not ['wide"),
+            (lambda text: text.replace(",17\n", "\n", 1), "line 2: '0.000000' is no UID"),
+            (lambda text: text.replace(",17\n", ",18\n", 1), "line 3: '18' is no UID, or one for"),
+            (lambda text: text.replace(",17\n", ",31\n", 1), "line 2: '31' is no UID"),
+            (lambda text: text.replace(",17\n", ",-1\n", 1), "line 2: '-1' is no UID"),
+        ],
+    )
+    def test_a_fault_in_a_table_names_its_line(self, tmp_path, change, words):
+        file = tmp_path / "own.csv"
+        file.write_text(change(table_of(RING, uid=True)), encoding="ascii")
+        with pytest.raises(SetupError) as caught:
+            layouts.read(str(file))
+        assert str(caught.value).startswith(f"skin.layout: {file}: {words}")

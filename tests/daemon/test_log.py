@@ -14,6 +14,7 @@ from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Projection
@@ -52,9 +53,9 @@ def test_a_terminal_shows_a_warning_in_colour_unless_told_not_to() -> None:
 
 def test_a_librarys_warnings_are_lines_of_the_log(capfd: pytest.CaptureFixture[str]) -> None:
     with log.written():
-        logging.getLogger("can").warning("the bus is off")
-        logging.getLogger("can").info("the bus is on")
-    assert messages(capfd.readouterr().err) == ["the bus is off"]
+        logging.getLogger("serial").warning("the line is noisy")
+        logging.getLogger("serial").info("the line is quiet")
+    assert messages(capfd.readouterr().err) == ["the line is noisy"]
 
 
 @pytest.fixture
@@ -85,10 +86,15 @@ def test_a_change_of_status_is_logged_once(
 ) -> None:
     told = notices()
     for _ in range(3):
-        told.estimate(estimate, valid=False, now_s=0.0)
-    assert logged() == ["INFO: status: searching, not valid, 0 contacts"]
-    told.estimate(replace(estimate, status=Status.STALE), valid=False, now_s=0.1)
-    assert logged() == ["WARNING: status: stale, not valid, 0 contacts"]
+        told.estimate(estimate, Why.UNTOUCHED, "touch the object", 0.0)
+    assert logged() == ["INFO: status: searching, not valid, 0 contacts: touch the object"]
+    told.estimate(estimate, Why.VAGUE, "touch again", 0.0)
+    assert logged() == ["INFO: status: searching, not valid, 0 contacts: touch again"]
+    stale = replace(estimate, status=Status.STALE)
+    told.estimate(stale, Why.NO_SCAN, "no scan comes", 0.1)
+    assert logged() == ["WARNING: status: stale, not valid, 0 contacts: no scan comes"]
+    told.estimate(estimate, Why.VALID, "", 0.2)
+    assert logged()[0].startswith("INFO: status: searching, valid, 0 contacts, x ")
 
 
 def test_a_status_that_flickers_does_not_fill_the_log(
@@ -97,7 +103,7 @@ def test_a_status_that_flickers_does_not_fill_the_log(
     told = notices()
     for k in range(1200):  # a minute of 20 scans a second
         status = Status.STALE if k % 2 else Status.SEARCHING
-        told.estimate(replace(estimate, status=status), valid=False, now_s=k / 20.0)
+        told.estimate(replace(estimate, status=status), Why.NO_SCAN, "no scan", k / 20.0)
     lines = logged()
     assert 10 < len(lines) < 30
     assert "changes before were not logged)" in lines[-1]
@@ -137,9 +143,9 @@ def hub_of(modules: int) -> tuple[Pipeline, SimulatedSkin]:
 def test_estimates_are_valid_only_where_the_hubs_have_the_modules_of_the_layout() -> None:
     for modules, valid in ((8, True), (5, False)):
         pipeline, _ = hub_of(modules)
-        touched = replace(pipeline.estimate, contacts=1)
-        assert touched.status is Status.SEARCHING
-        assert pipeline.freshness.is_valid(touched) is valid
+        touched = replace(pipeline.estimate, contacts=1, status=Status.AMBIGUOUS)
+        why = pipeline.freshness.why(touched)
+        assert why is (Why.VALID if valid else Why.MODULES_MISSING)
         assert pipeline.health()["modules"]["match"] is valid
     assert pipeline.health()["missing_modules"] == [6, 7, 8]
 

@@ -1,5 +1,6 @@
 """The loop on a fake clock, and its sockets on real ones."""
 
+import contextlib
 import itertools
 import time
 from collections.abc import Iterable, Iterator
@@ -24,11 +25,13 @@ from taxeld.service.ticker import Ready
 from taxeld.source import session
 from taxeld.stream import messages
 from taxeld_protocol.decoder import Scan
+from tests.rig.clocks import until
 from tests.rig.recorded import configuration, write_session
 from tests.rig.simulated_skin import SimulatedSkin
 
 EVERY_KEY = [
-    *("v", "seq", "t", "mono_ns", "valid", "status", "contact", "contacts", "map", "mean", "cov"),
+    *("v", "seq", "t", "mono_ns", "valid", "why", "status"),
+    *("contact", "contacts", "map", "mean", "cov"),
     *("modes", "ess", "particles", "injected", "proposal", "log_evidence", "age_us", "overruns"),
     *("degraded", "lat_us"),
 ]
@@ -410,6 +413,32 @@ def test_a_client_that_breaks_off_does_not_wedge_control(daemon: Daemon, tmp_pat
             socket.setsockopt(zmq.LINGER, 0)
             socket.connect(f"ipc://{tmp_path}/control")
             assert ask(daemon, socket, msgpack.packb({"cmd": "status"}))["ok"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "glue", "fault"),
+    [
+        ({"theta": 90.0}, False, "messages come and are no poses: theta is beyond 1.5 turns: send"),
+        ({}, True, "messages come and are no poses: topic and map are one frame: send three"),
+        ({"x": 310.0}, False, "x or y is beyond 10 m: send metres, not millimetres"),
+    ],
+)
+def test_a_robots_mistake_is_named_in_the_answer_to_status(
+    tmp_path: Path, changes: dict[str, float], glue: bool, fault: str
+) -> None:
+    text = settings(tmp_path) + f'[sensor_pose]\nendpoint = "ipc://{tmp_path}/poses"\n'
+    daemon = Daemon(parse(text))
+    with contextlib.closing(daemon), zmq.Context() as context, context.socket(zmq.PUB) as robot:
+        robot.setsockopt(zmq.LINGER, 0)
+        robot.bind(f"ipc://{tmp_path}/poses")
+
+        def goes_on() -> None:
+            pose = {"t": time.time(), "x": 0.1, "y": 0.5, "theta": 0.0} | changes
+            parts = [messages.SENSOR_POSE, msgpack.packb(pose), b"1.0"]
+            robot.send_multipart([b"".join(parts[:2])] if glue else parts)
+            daemon.tick(time.monotonic())
+
+        until(lambda: daemon.state()["sensor_pose"]["fault"].startswith(fault), goes_on)
 
 
 def test_malformed_sensor_poses_are_counted(tmp_path: Path) -> None:

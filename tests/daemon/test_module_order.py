@@ -1,16 +1,19 @@
 """Which taxel is which, where no DECLARE was heard: as listed, as told elsewhere, or refused."""
 
+import itertools
 import json
 import math
 import subprocess
 import time
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from taxeld.cli import main
-from taxeld.config.file import parse
+from taxeld.commands.record import Recording
+from taxeld.config.file import load, parse
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source import dialects, module_order
@@ -23,7 +26,8 @@ from taxeld_protocol.modules import listed
 from taxeld_protocol.virtual_ihb import Answer, Phase, VirtualIhb
 from tests.rig import skins
 from tests.rig.clocks import PATIENCE_S, until
-from tests.rig.configurations import configuration
+from tests.rig.commands import printed
+from tests.rig.configurations import QUIET, configuration
 from tests.rig.given_device import GivenDevice
 from tests.rig.logged import warnings
 from tests.rig.processes import PIPES, taxeld
@@ -204,6 +208,47 @@ def test_decode_with_a_configuration_reads_by_its_list_or_refuses(
         assert errors.startswith(f"source.modules: hub 1 of {path} streams")
 
 
+@pytest.mark.parametrize("beside", ["config.toml", module_order.FILE])
+def test_decode_of_a_sessions_log_reads_by_the_list_beside_it(tmp_path: Path, beside: str) -> None:
+    """A skin of 13 modules, one of them cut: with full modules a quarter of the values is wrong."""
+    cut = listed((sui, 0x76D if sui == 7 else 0xFFF) for sui in range(1, 14))
+    path = log(tmp_path, scan(VirtualIhb(cut)))
+    if beside == "config.toml":
+        modules = [(module.sui, module.mask) for module in cut]
+        configuration(tmp_path, source=QUIET | {"listen_only": True, "modules": modules})
+    else:
+        module_order.write(tmp_path / beside, {1: cut})
+    heard, last = map(json.loads, printed("decode", path).splitlines())
+    assert heard["modules"] == [module.uids for module in cut]
+    assert last["stats"]["assumed"] == []
+
+
+def test_decode_says_once_that_a_hubs_modules_are_assumed(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A listener's session without a list, of one hub that declares its modules and one that does
+    not."""
+    quiet, telling = VirtualIhb(MODULES, short_id=1), VirtualIhb(MODULES, short_id=2)
+    answers = frames(telling, told(telling))
+    path = log(tmp_path, [*answers, *2 * (scan(quiet) + scan(telling))])
+    configuration(tmp_path, source=QUIET | {"listen_only": True})
+    *_, last = map(json.loads, printed("decode", path).splitlines())
+    assert last["stats"]["assumed"] == [1]
+    (said,) = caplog.messages
+    assert said.startswith(f"{path}: has no DECLARE of hub 1; full modules of 12 channels are ")
+    assert "under wrong modules" in said
+    assert "--config" in said
+
+
+def test_decode_of_a_sessions_log_takes_the_dialect_of_its_configuration(tmp_path: Path) -> None:
+    path = log(tmp_path, [Frame(1.0, 0x301, bytes(8)), Frame(1.0, 0x301, b"\x80" + bytes(7))])
+    source = QUIET | {"dialect": "icub"}
+    configuration(tmp_path, source=source, skin={"full_scale_counts": 200})
+    by_itself = printed("decode", path)
+    assert by_itself == printed("decode", "--dialect", "icub", path)
+    assert by_itself != printed("decode", "--dialect", "cyskin", path)
+
+
 @pytest.mark.parametrize("source", [{}, {"modules": LISTED}], ids=["unlisted", "listed"])
 def test_check_tells_a_listener_without_a_list_when_it_must_be_started(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], source: dict[str, object]
@@ -255,6 +300,33 @@ def test_record_lists_the_modules_and_a_listener_reads_by_that_list(tmp_path: Pa
     text = (out / module_order.FILE).read_text(encoding="utf-8")
     config = parse(f'[source]\nkind = "can"\nchannel = "x"\n{text}[scene]\nbundle = "box"\n')
     assert config.source.modules == LISTED
+
+
+GROUPED = [replace(MODULES[0], grouping=2), *MODULES[1:]]
+REFUSED = f"hub 1 is refused: module {MODULES[0].sui} is grouped (grouping 2)"
+
+
+def test_a_hub_with_a_grouped_module_is_refused_and_its_scans_are_not_used() -> None:
+    source, device = listener()
+    hub = VirtualIhb(GROUPED)
+    device.frames = frames(hub, told(hub)) + scan(hub)
+    assert source.poll(0.0) == []
+    assert source.waits_for.startswith(REFUSED)
+
+
+def test_a_recording_of_a_hub_that_is_refused_says_so_and_lists_no_modules(tmp_path: Path) -> None:
+    with VirtualHub(tmp_path / "skin", GROUPED) as hub:
+        config_file = configuration(tmp_path, source=hub.source)
+        recording = Recording(load(config_file), config_file, tmp_path / "session")
+        polls = itertools.count()
+
+        def serve(*_: object) -> None:
+            hub.serve(time.monotonic(), lambda _: UIDS)
+            recording.stopping = hub.ihb.phase == Phase.RUNNING and next(polls) > 500
+
+        assert REFUSED in recording.run(serve)
+    assert recording.scans == 0
+    assert not (tmp_path / "session" / module_order.FILE).exists()
 
 
 @pytest.mark.parametrize("command", ["run", "record"])

@@ -103,7 +103,7 @@ def test_a_daemon_is_ready_says_how_it_is_feeds_the_watchdog_and_says_when_it_st
         assert process.wait(DEADLINE_S) == 0
     assert first[0] == "READY=1"
     assert sorted(first[1:4]) == [
-        "STATUS=starting, contacts 0, overruns 0",
+        "STATUS=starting, not valid, contacts 0, overruns 0",
         "WATCHDOG=1",
         "WATCHDOG=1",
     ]

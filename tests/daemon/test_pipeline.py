@@ -18,7 +18,7 @@ from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Status
 from taxeld.layout import read as layouts
 from taxeld.model import se2
-from taxeld.pipeline.freshness import Freshness
+from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import EXTRAPOLATE_S
@@ -91,7 +91,7 @@ def test_a_scan_of_another_time_makes_the_estimate_stale_until_the_next(
     scan = skin.scan()
     (refused,) = pipeline.advance([scan], scan.t + late_s)
     assert refused.estimate.status is Status.STALE
-    assert not pipeline.freshness.is_valid(refused.estimate)
+    assert pipeline.freshness.why(refused.estimate) is Why.SCANS_MISTIMED
     assert getattr(pipeline.inputs, counter) == 1
     assert pipeline.skin.counters.scans == LEARNED
     scan = skin.scan()
@@ -221,11 +221,7 @@ def estimates(pipeline: Pipeline, events: list[Event]) -> list[dict[str, object]
 
 
 def published(found: Iterable[Outcome]) -> list[dict[str, object]]:
-    is_valid = Freshness(1.0).is_valid
-    return [
-        messages.estimate(o.estimate, seq=k, valid=is_valid(o.estimate))
-        for k, o in enumerate(found)
-    ]
+    return [messages.estimate(o.estimate, seq=k, why=Why.VALID) for k, o in enumerate(found)]
 
 
 @given(

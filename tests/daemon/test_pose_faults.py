@@ -23,7 +23,7 @@ def right(now: float) -> float:
 
 
 def look(watch: PoseWatch, now: float, **line: Any) -> None:
-    usual = {"malformed": 0, "topics": [], "connected": True, "refused": False}
+    usual = {"malformed": 0, "reason": "", "topics": [], "connected": True, "refused": False}
     watch.look(now, **(usual | line))
 
 
@@ -87,9 +87,19 @@ def heard(watch: PoseWatch, now: float, **line: Any) -> str:
 
 def test_messages_that_are_no_poses_are_a_fault_while_they_come() -> None:
     watch = watched(right)
-    faults = [heard(watch, NOW + 9.0 + k, malformed=n) for k, n in enumerate((3, 6, 6, 6))]
-    are_named = [fault.startswith("messages come and are no poses") for fault in faults]
-    assert are_named == [False, True, True, False]
+    line = {"reason": "t is no number"}
+    faults = [heard(watch, NOW + 9.0 + k, malformed=n, **line) for k, n in enumerate((3, 6, 6, 6))]
+    said = "messages come and are no poses: t is no number"
+    assert faults == ["", said, said, ""]
+
+
+def test_poses_in_millimetres_are_told_from_poses_in_metres() -> None:
+    watch = watched(right)
+    for k in range(2):
+        watch.add(right(NOW + 9.0 + k), NOW + 9.0 + k, is_far=True)
+        look(watch, NOW + 9.0 + k)
+    assert watch.fault == "x or y is beyond 10 m: send metres, not millimetres"
+    assert [heard(watch, NOW + 11.0 + k) for k in range(2)][-1] == ""
 
 
 def test_a_fault_stands_only_once_it_was_seen_twice() -> None:

@@ -64,9 +64,12 @@ def test_what_is_refused_is_reported_and_stops_nothing() -> None:
 class Unplugged(can.BusABC):
     """A driver that leaves objects which refer to each other, as python-can's own do."""
 
-    def __init__(self, **_: object) -> None:
+    def __init__(self, *_: object, **__: object) -> None:
         self.me = [self]
         raise OSError(errno.ENODEV, "No such device")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise NotImplementedError
 
 
 def test_a_device_that_is_away_for_long_costs_no_memory(monkeypatch: pytest.MonkeyPatch) -> None:

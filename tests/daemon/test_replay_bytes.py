@@ -22,10 +22,10 @@ FIXED = {
     "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
-    'proposal = "table"': "2558b2d3bf592163",
-    'proposal = "manifold"\ninjection = "paper"': "998b7bc5e2f5f040",
-    'proposal = "table"\nmotion = "push"': "39984d49ce36d0d0",
-    'proposal = "manifold"\nparticles = 300': "7d88cdaa4398f55d",
+    'proposal = "table"': "70f4dfec5eba035f",
+    'proposal = "manifold"\ninjection = "paper"': "e16a87b014c213e8",
+    'proposal = "table"\nmotion = "push"': "7074c9f09ce4486f",
+    'proposal = "manifold"\nparticles = 300': "d0a8260c8ca240dd",
 }
 
 

@@ -82,6 +82,7 @@ def test_doors_that_are_killed_cost_no_scan_and_no_record(tmp_path: Path, hub: H
         tick(daemon, hub, lambda: daemon.link.is_ready and door_of(os.getpid()) > 0)
         os.kill(door_of(os.getpid()), signal.SIGKILL)
         tick(daemon, hub, lambda starts=starts: daemon.door.starts > starts)
+    tick(daemon, hub, lambda: hub.scans > 20)
     until(lambda: scans.scans == hub.scans, lambda: daemon.tick(time.monotonic()))
     settings = daemon.config
     daemon.close()

@@ -91,9 +91,7 @@ def estimates(place: Path, transport: str) -> list[str]:
     settings_ = config_of(transport)
     pipeline = Pipeline(settings_, box().model, box().untimed(settings_.filter))
     return [
-        json.dumps(
-            messages.estimate(o.estimate, seq=seq, valid=pipeline.freshness.is_valid(o.estimate))
-        )
+        json.dumps(messages.estimate(o.estimate, seq=seq, why=pipeline.freshness.why(o.estimate)))
         for seq, o in enumerate(outcomes(place, pipeline))
     ]
 

@@ -5,9 +5,11 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import can
+import numpy as np
 import pytest
 
 from taxeld.config.tables import SourceConfig
@@ -133,6 +135,25 @@ def test_a_cold_hub_on_a_can_bus_is_led_out_of_its_bootloader_by_a_frame_of_29_b
         source.close()
     log = (tmp_path / "session" / "frames.log").read_text(encoding="ascii").splitlines()
     assert log[0].endswith(" can0 17FFFFFF#013B00004F6D17")
+
+
+@pytest.mark.parametrize(
+    ("modules", "source", "least_ms"),
+    [
+        (60, SourceConfig("can"), 22),  # 189 frames: six packets
+        (60, SourceConfig("can", bitrate=500_000), 44),
+        (60, SourceConfig("serial", framing="slcan"), 22),
+        (60, SourceConfig("serial"), 0),
+        (10, SourceConfig("can"), 4),
+        (1, SourceConfig("can"), 1),
+        (224, SourceConfig("can", dialect="icub"), 52),  # two frames a triangle
+    ],
+)
+def test_the_shortest_period_is_what_the_bus_carries(
+    modules: int, source: SourceConfig, least_ms: int
+) -> None:
+    uid = np.array([sui << 4 | name for sui in range(modules) for name in range(1, 12)])
+    assert dialects.least_period_ms(source, replace(SKIN, uid=uid)) == least_ms
 
 
 def test_a_virtual_bus_with_foreign_frames_is_read_through() -> None:

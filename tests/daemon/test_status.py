@@ -11,12 +11,14 @@ import pytest
 from taxeld.cli import main
 from taxeld.commands.status import lines
 from taxeld.estimator.estimate import Status
+from taxeld.pipeline.freshness import CURES, Why
 from taxeld.stream import client
 from tests.rig import configurations
 from tests.rig.clocks import until
 from tests.rig.commands import printed, refused
 from tests.rig.processes import taxeld
 from tests.rig.recorded import configuration, write_session
+from tests.rig.stream_page import documented
 
 
 @pytest.fixture(scope="module")
@@ -58,7 +60,7 @@ def test_status_is_aligned_names_and_values_with_units(
     assert values["Total time"].startswith("median ")
     assert " mm, y " in values["Uncertainty"]
     answer = json.loads(printed("status", "--endpoint", f"ipc://{running}/control", "--json"))
-    assert set(answer) == {"ok", "estimate", "health", "waits_for", "sensor_pose"}
+    assert set(answer) == {"ok", "estimate", "health", "waits_for", "why", "sensor_pose"}
 
 
 def test_reset_and_tare_wait_for_the_answer_and_say_what_happened(running: Path) -> None:
@@ -123,6 +125,29 @@ def test_a_daemon_without_health_yet_still_has_a_status(running: Path) -> None:
     text = list(lines(answer))
     assert "unknown (99), " in text[0]
     assert all(line[14] == ":" for line in text)
+
+
+def test_faults_of_the_bus_have_a_row_with_their_counts_and_cures(running: Path) -> None:
+    answer = client.ask(f"ipc://{running}/control", "status")
+    assert answer is not None
+    assert not any(line.startswith("Bus") for line in lines(answer))
+    answer["health"]["source"]["bus"] |= {"no_ack": 12, "unread": 3}
+    (row,) = (line for line in lines(answer) if line.startswith("Bus"))
+    assert "no_ack 12 (nothing acknowledges; see" in row
+    assert "; unread 3 (the kernel dropped" in row
+
+
+def test_status_says_why_an_estimate_is_not_valid() -> None:
+    answer: dict[str, Any] = {"estimate": documented("/taxeld/estimate")[1]}
+    assert not any(line.startswith("Not valid") for line in lines(answer))
+    for why in Why:
+        answer["estimate"] |= {"valid": why is Why.VALID, "why": int(why)}
+        row = list(lines(answer))[1]
+        assert why is Why.VALID or row == f"Not valid     : {CURES[why]}"
+    answer["why"] = "it seems to be at x 0.840 m"  # with a fact, by the daemon itself
+    assert list(lines(answer))[1] == f"Not valid     : {answer['why']}"
+    answer["estimate"]["why"], answer["why"] = 99, ""  # of a newer daemon
+    assert list(lines(answer))[1] == "Not valid     : unknown (99)"
 
 
 def test_ambiguous_with_one_mode_is_explained(running: Path) -> None:

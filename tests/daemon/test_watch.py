@@ -20,6 +20,7 @@ from rich.console import Console
 
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
+from taxeld.pipeline.freshness import CURES, Why
 from taxeld.stream import messages
 from taxeld.view.streams import Subscriber
 from taxeld.view.watch import Page
@@ -100,6 +101,13 @@ def test_modes_rates_latencies_and_the_age_of_the_sensor_pose_are_told() -> None
     assert "sensor pose 8 ms old" in text
     assert "3.90" in text, "what the filter took now, in milliseconds"
     assert "6 frames dropped" not in text
+
+
+@pytest.mark.parametrize("why", [why for why in Why if why is not Why.VALID])
+def test_the_page_has_the_whole_reason_why_an_estimate_is_not_valid(why: Why) -> None:
+    said = maps()
+    said[messages.ESTIMATE] |= {"valid": False, "why": int(why)}
+    assert f"why not {CURES[why]}" in "\n".join(shown(page_of(said)))
 
 
 def test_a_status_of_a_newer_daemon_and_taxels_of_another_skin_do_no_harm() -> None:

@@ -94,11 +94,15 @@ def ask(endpoint: str, command: str, into: Path) -> None:
 
 
 @pytest.mark.skipif(needs_root[0], reason=needs_root[1])
-@pytest.mark.parametrize(("groups", "may"), [([], False), ([1], True)], ids=["other", "member"])
+@pytest.mark.parametrize(
+    ("number", "groups", "may"),
+    [(1, [], False), (1, [1], True), (0, [], False)],
+    ids=["other", "member", "of root's group, which nobody is told to join"],
+)
 def test_only_members_of_the_group_change_anything(
-    tmp_path: Path, groups: list[int], may: bool
+    tmp_path: Path, number: int, groups: list[int], may: bool
 ) -> None:
-    group = grp.getgrgid(1).gr_name
+    group = grp.getgrgid(number).gr_name
     (tmp_path / "answers").mkdir()
     (tmp_path / "answers").chmod(0o777)
     with Stand(tmp_path, change_group=group) as stand:
@@ -112,6 +116,8 @@ def test_only_members_of_the_group_change_anything(
     assert answers["status"]["ok"]
     assert answers["tare"]["ok"] is may
     refusal = f"tare: is for members of the group {group}: sudo usermod -aG {group} USER"
+    if number == 0:
+        refusal = "tare: is for the daemon's own user; control.group (root) is no group here, or "
     assert may or answers["tare"]["error"].startswith(refusal)
     assert stand.done == ["tare"] * may
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from taxeld.stream import pair, topics
-from taxeld.stream.link import CHANGES_HZ, PACKETS_HZ, SILENT_S, START_S, Link, Report
+from taxeld.stream.link import CHANGES_HZ, PACKETS_HZ, REASON_MAX, SILENT_S, START_S, Link, Report
 from taxeld.stream.pair import Kind
 
 
@@ -139,6 +139,7 @@ REPORT = asdict(Report())
         (Kind.REPORT, msgpack.packb(REPORT | {"crowded_out": 2**63})),
         (Kind.REPORT, msgpack.packb(REPORT | {"crowded_out": True})),
         (Kind.REPORT, msgpack.packb(REPORT | {"robot": {}})),
+        (Kind.REPORT, msgpack.packb(REPORT | {"robot": REPORT["robot"] | {"reason": 1}})),
         (Kind.REPORT, msgpack.packb(REPORT | {"more": 1})),
         (Kind.LOG, b"\x09text"),
         (Kind.MESSAGE, b"x"),
@@ -161,6 +162,16 @@ def test_lines_of_a_door_stay_one_line_each(ends: Ends, caplog: pytest.LogCaptur
     assert record.message.startswith("door: a\\n<0>b\\x1b]0;cxx")
     assert record.message.isprintable()
     assert len(record.message) < 600
+
+
+def test_why_a_message_is_no_pose_stays_one_short_line(ends: Ends) -> None:
+    robot = REPORT["robot"] | {"reason": "a\n<0>b\x1b]0;c" + "x" * 900}
+    ends.say(Kind.REPORT, msgpack.packb(REPORT | {"robot": robot}))
+    ends.look()
+    reason = ends.link.report.robot.reason
+    assert reason.startswith("a\\n<0>b\\x1b]0;cxx")
+    assert reason.isprintable()
+    assert len(reason) == REASON_MAX
 
 
 def test_changes_beyond_a_rate_are_not_done_and_that_is_said(ends: Ends) -> None:

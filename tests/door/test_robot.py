@@ -1,5 +1,6 @@
 """The robot's poses through the door: whole, whatever else is published beside them."""
 
+import math
 import statistics
 import time
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ import msgpack
 import pytest
 
 from taxeld.door.robot import as_pose
+from taxeld.stream.link import REASON_MAX
 
 from ..rig.processes import program
 from . import attacks
@@ -109,22 +111,68 @@ def test_another_service_on_the_port_for_a_moment_does_not_end_the_poses(tmp_pat
         made.until_heard(1.0)
 
 
+def packed(**changes: object) -> bytes:
+    made: bytes = msgpack.packb({"t": 1.0, "x": 0.0, "y": 0.0, "theta": 0.0} | changes)
+    return made
+
+
+def framed(body: bytes) -> list[bytes]:
+    return [b"/robot/sensor_pose", body, b"1.0"]
+
+
 @pytest.mark.parametrize(
-    "body",
+    ("parts", "reason"),
     [
-        b"",
-        b"\xc0",
-        msgpack.packb([1.0] * 4),
-        msgpack.packb({"t": 1.0, "x": 0.0, "y": 0.0}),
-        msgpack.packb({"t": "1", "x": 0.0, "y": 0.0, "theta": 0.0}),
-        msgpack.packb({"t": 1.0, "x": float("nan"), "y": 0.0, "theta": 0.0}),
-        msgpack.packb({"t": [], "x": 0.0, "y": 0.0, "theta": 0.0}),
+        (pose(1.0)[:2], "they have 2 frames: send three, the topic, one msgpack map, the time"),
+        ([b"/robot/sensor_pose" + packed()], "topic and map are one frame: send three, "),
+        (framed(b""), "the second frame is no msgpack map {t, x, y, theta}"),
+        (framed(b"\xc0"), "the second frame is no msgpack map"),
+        (framed(msgpack.packb([1.0] * 4)), "the second frame is no msgpack map"),
+        (framed(b'{"t": 1.0, "x": 0, "y": 0, "theta": 0}'), "the map is JSON: pack it by msgpack"),
+        (
+            framed(msgpack.packb({"y": 0.0, "x": 0.0, "t": 1.0, "yaw": 0.0})),
+            "key theta lacks; the map has t, x, y, yaw",
+        ),
+        (framed(packed(t="1")), "t is no number"),
+        (framed(packed(t=[])), "t is no number"),
+        (framed(packed(y=None)), "y is no number"),
+        (framed(packed(x=math.nan)), "x is not finite: leave such a pose out"),
+        (framed(packed(theta=-math.inf)), "theta is not finite: leave such a pose out"),
+        (framed(packed(theta=90.0)), "theta is beyond 1.5 turns: send radians from -pi to pi, not"),
+        (framed(packed(theta=-9.43)), "theta is beyond 1.5 turns: send radians"),
     ],
-    ids=["empty", "nil", "list", "lacks", "text", "nan", "nested"],
 )
-def test_a_message_that_is_no_pose_is_none(body: bytes) -> None:
-    assert as_pose([b"/robot/sensor_pose", body, b"1.0"]) is None
-    assert as_pose(pose(1.0)[:2]) is None
+def test_a_message_that_is_no_pose_has_a_reason_of_its_own(parts: list[bytes], reason: str) -> None:
+    said = as_pose(parts)
+    assert isinstance(said, str)
+    assert said.startswith(reason)
+
+
+def test_an_angle_of_a_turn_and_a_half_is_an_angle_in_radians() -> None:
+    assert as_pose(framed(packed(theta=9.42))) == (1.0, 0.0, 0.0, 9.42)
+
+
+@pytest.mark.parametrize(
+    ("parts", "reason"),
+    [
+        ([b"/robot/sensor_pose" + packed()], "topic and map are one frame: send three"),
+        (framed(packed(theta=90.0)), "theta is beyond 1.5 turns"),
+        (framed(msgpack.packb({"\x1b]0;x\n" * 30: 1.0})), "key t lacks; the map has \\x1b]0;x\\n"),
+    ],
+)
+def test_the_loop_hears_why_a_message_is_no_pose_in_one_printable_line(
+    robot: Robot, parts: list[bytes], reason: str
+) -> None:
+    def hears() -> str:
+        robot.socket.send_multipart(parts)
+        return str(robot.line.reason)
+
+    robot.stand.until(hears)
+    assert robot.line.malformed > 0
+    assert robot.line.reason.startswith(reason)
+    assert robot.line.reason.isprintable()
+    assert len(robot.line.reason) <= REASON_MAX
+    assert robot.line.topics == []
 
 
 def test_what_else_the_robot_publishes_is_named_while_no_pose_comes(tmp_path: Path) -> None:
@@ -140,7 +188,6 @@ def test_what_else_the_robot_publishes_is_named_while_no_pose_comes(tmp_path: Pa
 
         stand.until(hears_other_topics)
         (topic,) = stand.link.report.robot.topics
-        assert topic.isprintable()
-        assert topic.startswith("/robot/sensorpose\\n")
+        assert topic == "/robot/sensorpose", "the rest is no text"
         robot.send_multipart(pose(1.0))
         stand.until(lambda: not stand.link.report.robot.topics)

@@ -53,6 +53,33 @@ class CModule(ctypes.Structure):
     ]
 
 
+class CRequest(ctypes.Structure):
+    _fields_ = [
+        ("uid", u32),
+        ("short_id", u8),
+        ("on", ctypes.c_bool),
+        ("period_ms", u16),
+        ("module", u8),
+        ("cut", u16),
+    ]
+
+
+class CHub(ctypes.Structure):
+    _fields_ = [
+        ("uid", u32),
+        ("module", pointer),
+        ("modules", size_t),
+        ("phase", ctypes.c_int),
+        ("short_id", u8),
+        ("auto_sync", ctypes.c_bool),
+        ("period_ms", u16),
+        ("asked", u8),
+        ("error", u8),
+        ("at", size_t),
+        ("end", size_t),
+    ]
+
+
 class CScan(ctypes.Structure):
     _fields_ = [
         ("channels", pointer),
@@ -99,6 +126,8 @@ MIRRORS = [
     CPacket,
     CFrame,
     CModule,
+    CRequest,
+    CHub,
     CScan,
     CFragmenter,
     CLinkCounters,
@@ -106,6 +135,12 @@ MIRRORS = [
     CSerialCounters,
     CReceiver,
 ]
+
+
+def c_packet(ihb: int, command: int, payload: bytes) -> tuple[CPacket, object]:
+    """A packet, and what has to outlive it."""
+    held = ctypes.create_string_buffer(payload, max(len(payload), 1))
+    return CPacket(ihb, command, len(payload), ctypes.addressof(held)), held
 
 
 def compile_c(*args: str | Path) -> None:
@@ -122,6 +157,7 @@ class CSide:
     def __init__(self, path: Path) -> None:
         self.c = ctypes.CDLL(str(path))
         self.c.taxeld_fragmenter_next.restype = ctypes.c_bool
+        self.c.taxeld_request_parse.restype = ctypes.c_bool
         self.c.taxeld_crc8.restype, self.c.taxeld_crc16.restype = u8, u16
 
     def _built(self, room: int, call: Callable[[Any, ctypes.c_size_t], int]) -> bytes | int:
@@ -140,6 +176,11 @@ class CSide:
             lambda out, n: self.c.taxeld_packet_encode(
                 out, n, u8(command), payload, size_t(len(payload))
             ),
+        )
+
+    def discovery(self, uid: int) -> bytes | int:
+        return self._built(
+            PACKET_MAX, lambda out, n: self.c.taxeld_discovery_encode(out, n, u32(uid))
         )
 
     def declare(self, channels: Sequence[int]) -> bytes | int:
@@ -181,6 +222,12 @@ class CSide:
         status: int = self.c.taxeld_packet_parse(ctypes.byref(packet), data, size_t(len(data)))
         return packet.value() if status == GOOD else status
 
+    def request(self, command: int, payload: bytes) -> dict[str, int] | None:
+        """All fields of a request; None where its length is refused."""
+        fields, (packet, _) = CRequest(), c_packet(0, command, payload)
+        taken = self.c.taxeld_request_parse(ctypes.byref(fields), ctypes.byref(packet))
+        return {name: int(getattr(fields, name)) for name, _ in fields._fields_} if taken else None
+
     def fragment(self, packet: bytes, ihb: int) -> list[Frame] | int:
         state, frame = CFragmenter(), CFrame()
         status: int = self.c.taxeld_fragmenter_init(
@@ -190,6 +237,24 @@ class CSide:
         while self.c.taxeld_fragmenter_next(ctypes.byref(state), ctypes.byref(frame)):
             frames.append(frame.value())
         return frames if status == 0 else status
+
+    def hub(self, uid: int, modules: Sequence[dict[str, int]], phase: int) -> CHub:
+        hub, table = CHub(), (CModule * len(modules))(*(CModule(**module) for module in modules))
+        self.c.taxeld_hub_init(ctypes.byref(hub), u32(uid), table, size_t(len(modules)), phase)
+        hub.held = table
+        return hub
+
+    def answers(self, hub: CHub, packet: Packet) -> list[bytes | int]:
+        """What a hub answers to a request."""
+        request, _held = c_packet(packet.ihb, packet.command, packet.payload)
+        self.c.taxeld_hub_hear(ctypes.byref(hub), ctypes.byref(request))
+
+        def step() -> bytes | int:
+            return self._built(
+                PACKET_MAX, lambda out, n: self.c.taxeld_hub_answer(ctypes.byref(hub), out, n)
+            )
+
+        return list(iter(step, b""))
 
     def scan(
         self, channels: Sequence[int], counts: Sequence[int], start: tuple[int, int] = (0, 0)

@@ -2,10 +2,12 @@
 
 import ctypes
 import os
+import re
 import struct
 import subprocess
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +15,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from taxeld_protocol import cyskin, serial_link
+import taxeld
+from taxeld_protocol import commands, cyskin, serial_link
 from taxeld_protocol.cyskin import Command, Packet, Reassembler
 from taxeld_protocol.decoder import MISSING, Decoder
 from taxeld_protocol.frames import Frame
@@ -38,6 +41,10 @@ from .test_vectors import VECTORS, each, frames_of
 SANITIZED = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 ROUNDS_OF_DAMAGE = 20_000
 SECONDS = 120  # that the sanitized program may take
+
+HEADER = (C / "taxeld_protocol.h").read_text(encoding="utf-8")
+
+WITHOUT_FIELDS = Command.DISCOVERY_PING, Command.DECLARE, Command.MODULE_PROGRAM_END
 
 Case = dict[str, Any]
 Received = tuple[list[Packet], dict[str, int], int]  # delivered, counters, pending
@@ -84,7 +91,7 @@ def test_mirrored_structs_have_their_size_in_c(c_side: CSide) -> None:
 
 
 def test_the_usage_examples_of_the_header_compile(tmp_path: Path) -> None:
-    comment = (C / "taxeld_protocol.h").read_text(encoding="utf-8").split("*/")[0]
+    comment = HEADER.split("*/")[0]
     code = "\n".join(
         line[7:] if line.startswith(" *     ") or line == " *" else "//"  # text ends a snippet
         for line in comment.splitlines()
@@ -106,6 +113,30 @@ def test_the_usage_examples_of_the_header_compile(tmp_path: Path) -> None:
     """
     (tmp_path / "example.c").write_text(source, encoding="utf-8")
     compile_c("-c", f"-I{C}", tmp_path / "example.c", "-o", tmp_path / "example.o")
+
+
+def test_the_header_has_the_version_of_the_python_package() -> None:
+    parts = re.findall(r"#define TAXELD_PROTOCOL_VERSION_[A-Z]+ (\d+)", HEADER)
+    assert ".".join(parts) == taxeld.__version__
+    [number] = re.findall(r"#define TAXELD_PROTOCOL_VERSION (\d+)L", HEADER)
+    major, minor, patch = map(int, parts)
+    assert int(number) == major * 10000 + minor * 100 + patch
+
+
+@pytest.mark.parametrize(
+    ("enum", "prefix", "values"),
+    [("command", "TAXELD_", Command), ("error", "TAXELD_ERROR_", cyskin.ErrorCode)],
+)
+def test_both_sides_have_the_same_codes(enum: str, prefix: str, values: type[IntEnum]) -> None:
+    [body] = re.findall(rf"typedef enum {{([^}}]*)}} taxeld_{enum};", HEADER)
+    codes = dict(re.findall(rf"\b{prefix}(\w+) = (0x\w+)", body))
+    assert {name: int(code, 16) for name, code in codes.items()} == {v.name: v for v in values}
+
+
+@pytest.mark.parametrize("uid", [0, 1, 0xC15C0001, 0xFFFFFFFF])
+def test_a_hub_answers_discovery_with_its_uid(c_side: CSide, uid: int) -> None:
+    payload = commands.answer(Command.DISCOVERY_PING, uid=uid)
+    assert c_side.discovery(uid) == cyskin.encode(Command.DISCOVERY_PING, payload)
 
 
 def test_checksums_have_their_published_values(c_side: CSide) -> None:
@@ -237,6 +268,18 @@ def test_both_sides_send_any_packet_alike(
     assert c_side.fragment(packet, ihb) == cyskin.fragment(packet, ihb)
     assert c_side.serial(packet, ihb) == serial_link.encode(command, payload, ihb=ihb)
     assert c_side.parse(packet) == Packet(0.0, 0, command, payload)
+
+
+@given(st.sampled_from([*commands.REQUESTS, *WITHOUT_FIELDS]), st.binary(max_size=6))
+@settings(deadline=None, max_examples=300)
+def test_both_sides_read_the_fields_of_any_request_alike(
+    c_side: CSide, command: Command, payload: bytes
+) -> None:
+    fields, want = c_side.request(command, payload), commands.parse_request(command, payload)
+    assert (fields is None) == (want is None)
+    if fields is not None and want is not None:
+        read = {**want, **({"on": int(want["on"] != 0)} if "on" in want else {})}
+        assert fields == dict.fromkeys(fields, 0) | read
 
 
 line_parts = st.one_of(

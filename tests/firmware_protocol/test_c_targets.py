@@ -1,10 +1,12 @@
-"""The C side on other processors: big-endian, 32 bits, and a microcontroller's compiler.
+"""The C side on other processors, big-endian, of 32 bits and small, and in others' builds.
 
-Cross compilers and qemu-user are Debian packages, which `.ci/run` installs; without them the tests
-are skipped.
+Cross compilers, qemu-user and cmake are Debian packages, which `.ci/run` installs; without them the
+tests are skipped.
 """
 
+import json
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -12,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from taxeld import __version__
 from tests.rig.conversations import load
 
 from .c_side import STRICT, C
@@ -45,7 +48,7 @@ def needed(*programs: str) -> None:
 
 def run(*command: str | Path) -> str:
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout
 
 
@@ -93,3 +96,67 @@ def test_the_library_needs_nothing_of_libc_but_memcpy_and_memset(
     run(compiler, *options, C / "test_driver.c", "-o", tmp_path / "driver.o")
     undefined = run("nm", "--undefined-only", "--format=posix", tmp_path / "driver.o")
     assert {line.split()[0] for line in undefined.splitlines()} <= {"memcpy", "memset"}
+
+
+@pytest.mark.parametrize(
+    "found_by", ["find_package(taxeld_protocol 0.2 REQUIRED)", "add_subdirectory({C} taxeld)"]
+)
+def test_a_cmake_project_uses_the_header(tmp_path: Path, found_by: str) -> None:
+    needed("cmake", COMPILERS[0])
+    made, prefix = tmp_path / "made", tmp_path / "prefix"
+    run("cmake", "-S", C, "-B", tmp_path / "library", f"-DCMAKE_INSTALL_PREFIX={prefix}")
+    run("cmake", "--install", tmp_path / "library")
+    (tmp_path / "CMakeLists.txt").write_text(
+        f"""
+        cmake_minimum_required(VERSION 3.14)
+        project(firmware LANGUAGES C)
+        {found_by.format(C=C)}
+        add_executable(firmware main.c)
+        target_link_libraries(firmware taxeld_protocol::taxeld_protocol)
+        """,
+        encoding="utf-8",
+    )
+    (tmp_path / "main.c").write_text(
+        """
+        #include <stdio.h>
+        #define TAXELD_PROTOCOL_IMPLEMENTATION
+        #include <taxeld_protocol.h>
+        int main(void) { return printf("%02X", taxeld_crc8((const uint8_t *)"123456789", 9)) != 2; }
+        """,
+        encoding="utf-8",
+    )
+    run("cmake", "-S", tmp_path, "-B", made, f"-DCMAKE_PREFIX_PATH={prefix}")
+    run("cmake", "--build", made)
+    assert run(made / "firmware") == "FB"
+
+
+def test_the_manifests_have_the_version_and_files_that_are_there() -> None:
+    """Of CMake, and of PlatformIO: its required fields and those that name files."""
+    project = (C / "CMakeLists.txt").read_text(encoding="utf-8")
+    assert re.findall(r"project\(.* VERSION (\S+)", project) == [__version__]
+    library = json.loads((C / "library.json").read_text(encoding="utf-8"))
+    assert (library["name"], library["version"]) == ("taxeld_protocol", __version__)
+    assert {"description", "keywords", "license"} <= library.keys()
+    [example] = library["examples"]
+    files = {library["headers"], *example["files"], *library["export"]["include"]}
+    assert all((C / file).is_file() for file in files)
+
+
+def test_the_page_tells_what_the_header_takes_of_a_small_core(tmp_path: Path) -> None:
+    """In flash within a tenth, as compilers differ; in RAM exactly."""
+    compiler, sizes = "arm-none-eabi-gcc", "arm-none-eabi-nm"
+    needed(compiler, sizes)
+    (tmp_path / "string.h").write_text(STRING_H, encoding="ascii")
+    (tmp_path / "ram.c").write_text(
+        f'#include "{C / "test_driver.c"}"\nchar ram[sizeof(taxeld_reassembler)];', "ascii"
+    )
+    options = ["-std=c99", "-Os", *OBJECT, f"-I{tmp_path}", *CORE[compiler]]
+    run(compiler, *options, tmp_path / "ram.c", "-o", tmp_path / "ram.o")
+    symbols = [line.split() for line in run(sizes, "--print-size", tmp_path / "ram.o").splitlines()]
+    size = {name: int(n, 16) for _, n, kind, name in (s for s in symbols if len(s) == 4)}
+    flash = sum(n for name, n in size.items() if name.startswith("taxeld_"))
+    page = (C.parents[1] / "docs" / "protocol.md").read_text(encoding="utf-8")
+    told = re.search(r"(\d+)\s+bytes\s+of\s+flash,\s+and\s+(\d+)\s+bytes\s+of\s+RAM", page)
+    assert told is not None
+    assert abs(flash - int(told[1])) <= flash / 10, flash
+    assert int(told[2]) == size["ram"]

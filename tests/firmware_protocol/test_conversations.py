@@ -47,6 +47,7 @@ def test_the_virtual_hub_says_its_part(name: str) -> None:
         phase=PHASES[entry["state"]],
         # of these hubs all modules tell 12, or all what they send
         details_channels=12 if all(m["details_channels"] == 12 for m in entry["modules"]) else None,
+        versions={},
     )
 
     def hear(frame: Frame) -> list[Frame]:

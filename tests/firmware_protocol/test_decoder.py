@@ -29,6 +29,13 @@ def scan_frames(counts: list[int], ihb: int = 1, t: float = 0.0) -> list[list[Fr
     return [cyskin.to_frames(command, payload, ihb=ihb, t=t) for command, payload in answers]
 
 
+@given(st.integers(0, 250))
+def test_the_frames_of_a_scan_are_known_beforehand(values: int) -> None:
+    hub = VirtualIhb([Module(1)] * values)
+    sent = [cyskin.to_frames(*packet, ihb=1) for packet in hub.sensor_data([0] * values)]
+    assert cyskin.scan_frames(values) == sum(map(len, sent))
+
+
 def declared() -> Decoder:
     return Decoder(lambda _: MODULES)
 

@@ -306,8 +306,8 @@ def test_commands_are_the_wires() -> None:
     assert icub.to_frames(9, icub.ASK) == [Frame(0.0, 0x209, b"\x1c\x00\x00")]
     assert icub.to_frames(9, icub.START) == [Frame(0.0, 0x209, b"\x07\x00")]
     assert icub.to_frames(9, icub.STOP) == [Frame(0.0, 0x209, b"\x07\x01")]
-    with pytest.raises(ValueError, match="300 ms"):
-        icub.set_board(300)
+    with pytest.raises(ValueError, match="210 ms"):
+        icub.set_board(210)
 
 
 @given(st.integers(0, 0xFFFF))

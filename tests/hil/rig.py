@@ -23,7 +23,7 @@ from taxeld_protocol.virtual_ihb import VirtualIhb
 from tests.rig.virtual_hub import told
 
 DEMO = scenario.load("demo")
-SKIN = layouts.load(DEMO.layout)
+SKIN = layouts.load(DEMO.skin_layout)
 MODEL = bundle.load("box", SKIN, 0.005).model
 MODULES = wired(SKIN.uid.tolist())
 TRUTH = np.array([0.05, -0.1, 0.7])  # pose of a touched object

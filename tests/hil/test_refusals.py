@@ -10,7 +10,7 @@ from taxeld_hil.cli import main
 from .accept_skin import LAYOUT
 
 ACCEPT = f"--layout {LAYOUT} --out {{place}}/out"
-NO_SKIN = "no skin 'marble'; there are scene, typical, poor, stiff\n"
+NO_FOAM = "no foam 'marble'; there are scene, typical, poor, stiff; a layout is given by --layout\n"
 NO_BUNDLE = "scene.bundle: no bundle 'party'"
 NO_MEMORY = "--memory: {place}/file/m: "
 NO_ENDPOINT = "; use ipc:///path or tcp://"
@@ -19,24 +19,29 @@ EMULATE = "emulate demo --link {place}/skin --out {place}/out --poses"
 
 WRONG = [  # a command line, and words of its line
     ("run demo --target usb0", "--target: 'usb0' is none of sim, can:DEVICE"),
-    ("run demo --skin marble", NO_SKIN),
+    ("run demo --foam marble", NO_FOAM),
+    (
+        "run demo --foam skin.json",
+        "no foam 'skin.json'; there are scene, typical, poor, stiff; a lay",
+    ),
+    ("run demo --target can:can0 --view", "--view: a run on hardware records no session to show"),
     ("run demo --clock fake --object party", NO_BUNDLE),
     ("run party", "no scenario 'party'; shipped are "),
-    ("soak --skin marble", NO_SKIN),
+    ("soak --foam marble", NO_FOAM),
     ("soak --object party", NO_BUNDLE),
     ("soak --lap -1", "--lap: must be at least 0"),
     ("soak --table {place}/file", "is no report of a soak"),
     ("soak --table {place}/none", "No such file"),
-    ("table --skin marble", NO_SKIN),
+    ("table --foam marble", NO_FOAM),
     ("table --object party", NO_BUNDLE),
-    ("matrix demo --skin marble --out {place}/out", NO_SKIN),
+    ("matrix demo --foam marble --out {place}/out", NO_FOAM),
     ("matrix demo --object party --out {place}/out", NO_BUNDLE),
     ("matrix demo --seeds 0 --out {place}/out", "--seeds must be at least 1"),
     ("matrix demo --memory {place}/file/m --out {place}/out", NO_MEMORY),
-    ("touches --skin scene --out {place}/out", "--skin scene: is no soft skin"),
+    ("touches --foam scene --out {place}/out", "--foam scene: is no soft skin"),
     ("touches --object box --workers 0 --out {place}/out", "--workers must be at least 1"),
     ("touches --object box", "--out: is required"),
-    ("calibration --skin scene --out {place}/out", "--skin scene: is no soft skin"),
+    ("calibration --foam scene --out {place}/out", "--foam scene: is no soft skin"),
     ("physics --touches --out {place}/out", "taxeld-hil physics is gone; "),
     (f"{WATCH} foo", f"--endpoint: 'foo' is no endpoint{NO_ENDPOINT}"),
     (f"{WATCH} tcp://", NO_ENDPOINT),

@@ -22,6 +22,7 @@ class Line:
     counts: list[int] | None  # of a scan: what the device's channels read,
     taxels: dict[int, int]  # and what the host must make of it: UID → count
     device: int = 0
+    after_s: float = 0.0  # least time since the host's line before
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +67,7 @@ def load(name: str) -> Conversation:
             line.get("counts"),
             {int(uid): count for uid, count in line.get("taxels", {}).items()},
             line.get("device", 0),
+            line.get("after_ms", 0) / 1000.0,
         )
         for line in value["script"]
     ]
@@ -94,17 +96,24 @@ def hold_device(
 
 
 def hold_host(conversation: Conversation, host: Host) -> None:
-    """A host must ask what the conversation has, and nothing else, and read its scans."""
-    now = 0.0
+    """A host must ask what the conversation has, after its pauses and nothing else, and read its
+    scans."""
+    now = last = 0.0
     heard: list[Frame] = []
     for asked, answered in conversation.turns:
         wanted = [frame for line in asked for frame in line.frames]
         said: list[Frame] = []
+        times: list[float] = []
         until = now + PATIENCE_S
         while len(said) < len(wanted) and now < until:
             said += host.step(now, heard)
+            times += [now] * (len(said) - len(times))
             heard, now = [], round(now + TICK_S, 6)
         assert said == wanted
+        for line in asked:
+            [begin, *_], times = times[: len(line.frames)], times[len(line.frames) :]
+            assert round(begin - last, 6) >= line.after_s, line
+            last = begin
         for line in answered:
             heard += [frame._replace(t=now) for frame in line.frames]
             if line.counts is not None:

@@ -21,8 +21,8 @@ class GivenDevice(Device):
         heard, self.frames = self.frames, []
         return heard
 
-    def pack(self, command: int, payload: bytes) -> Sequence[Piece]:
-        return self._to_frames(command, payload)
+    def pack(self, to: int, body: bytes) -> Sequence[Piece]:
+        return self._to_frames(to, body)
 
     def put(self, piece: Piece) -> None:
         self.sent.append(piece)

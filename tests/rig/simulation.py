@@ -21,6 +21,7 @@ from unittest import mock
 from taxeld.commands import replay
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate, Status
+from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.service import health
@@ -242,7 +243,7 @@ def of_scans(outcomes: Iterable[Outcome]) -> list[Estimate]:
 
 
 def as_bytes(estimate: Estimate) -> str:
-    return json.dumps(messages.estimate(estimate, seq=0, valid=False))
+    return json.dumps(messages.estimate(estimate, seq=0, why=Why.VALID))
 
 
 def simulate(seed: int, place: Path) -> tuple[Run, list[str]]:

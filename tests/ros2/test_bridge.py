@@ -11,6 +11,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("cyclonedds")
@@ -36,6 +37,11 @@ pathlib.Path(sys.argv[1]).touch()
 came.clear()
 came.wait(600)
 """
+
+SERVED = (
+    "ready: a daemon is heard at {}; published are /taxeld/pose, /taxeld/modes, /taxeld/markers "
+    "and /diagnostics"
+)
 
 
 class Heard:
@@ -92,11 +98,12 @@ def test_another_process_hears_poses_modes_markers_and_status(daemon: Daemon, he
     def go_on() -> None:
         sent.append(daemon.say_all())
 
-    with bridge("--stream", daemon.endpoint, "--frame", "table", "--z-m", "0.2"):
+    with bridge("--stream", daemon.endpoint, "--frame", "table", "--z-m", "0.2") as process:
         until(lambda: len(heard.of("taxeld/pose")) >= 3, go_on)
         until(lambda: any(m.markers[5].points for m in heard.of("taxeld/markers")), go_on)
         until(lambda: any(len(d.status[0].values) > 9 for d in heard.of("diagnostics")), go_on)
         until(lambda: heard.of("taxeld/modes"), go_on)
+        assert logged(process, "ready: ") == SERVED.format(daemon.endpoint)
     for message in heard.of("taxeld/pose"):
         t, pose = seconds(message.header.stamp), message.pose.pose
         (said,) = (one for one in sent if abs(one["t"] - t) < 1e-6)
@@ -112,17 +119,24 @@ def test_another_process_hears_poses_modes_markers_and_status(daemon: Daemon, he
 def test_an_estimate_that_may_not_be_used_is_no_pose_and_its_status_is_told(
     daemon: Daemon, heard: Heard
 ) -> None:
+    unusable: list[float] = []
+
     def inconsistent() -> None:
-        daemon.say(valid=False, status=6)
+        unusable.append(daemon.say(valid=False, why=7, status=6)["t"])
+
+    def ambiguous() -> None:
+        unusable.append(daemon.say(status=2)["t"])
 
     with bridge("--stream", daemon.endpoint):
         until(lambda: heard.of("taxeld/pose"), daemon.say)
         until(lambda: (ros.WARN, "inconsistent") in heard.status(), inconsistent)
+        told = {one.key: one.value for one in heard.of("diagnostics")[-1].status[0].values}
+        assert (told["valid"], told["why"]) == ("False", "inconsistent")
+        until(lambda: (ros.OK, "ambiguous") in heard.status(), ambiguous)
         before = len(heard.of("taxeld/pose"))
-        first = daemon.say()
         until(lambda: len(heard.of("taxeld/pose")) > before, daemon.say)
-    for message in heard.of("taxeld/pose")[before:]:
-        assert seconds(message.header.stamp) >= first["t"] - 1e-6
+    published = [seconds(message.header.stamp) for message in heard.of("taxeld/pose")]
+    assert not [t for t in published if np.isclose(t, unusable, rtol=0.0, atol=1e-6).any()]
 
 
 def test_without_a_daemon_that_is_said_once_and_told_as_stale_until_one_comes(
@@ -136,7 +150,8 @@ def test_without_a_daemon_that_is_said_once_and_told_as_stale_until_one_comes(
         assert heard.status()[0] == (ros.STALE, ros.SILENT)
         daemon = Daemon(tmp_path)
         until(lambda: heard.of("taxeld/pose"), daemon.say)
-        assert logged(process, "a daemon is heard").endswith(endpoint)
+        line = logged(process, "a daemon is heard")
+        assert line == SERVED.format(endpoint)
         daemon.close()
 
 

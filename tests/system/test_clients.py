@@ -1,46 +1,43 @@
-"""The clients in examples/clients, each in its own language, hear a running daemon alike."""
+"""The clients in examples/clients, each in its own language, use the same estimates."""
 
-import itertools
 import os
 import shutil
 import subprocess
 import sys
-import tomllib
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import msgpack
 import pytest
 import zmq
 
+from taxeld.estimator.estimate import Status
+from taxeld.pipeline.freshness import Why
 from taxeld.stream import messages
 
 from ..rig.clocks import PATIENCE_S, until
-from ..rig.configurations import configuration
-from ..rig.processes import taxeld
 from ..rig.sockets import Sockets
 from ..rig.stream_page import documented
 
 ROOT = Path(__file__).parents[2]
 CLIENTS = ROOT / "examples" / "clients"
-SESSION = ROOT / "tests" / "daemon" / "session"  # four contacts of a mug
+TOUCHES = [  # x of the pose, why it is not valid, and its status
+    (0.1, Why.VALID, Status.CONVERGED),
+    (0.2, Why.VALID, Status.AMBIGUOUS),
+    (0.3, Why.VALID, Status.SEARCHING),
+    (0.4, Why.OUTSIDE, Status.CONVERGED),
+    (0.5, Why.INCONSISTENT, Status.INCONSISTENT),
+    (0.6, Why.VALID, Status.CONVERGED),
+]
 LAYOUT = ROOT / "examples" / "plotjuggler.xml"
 NODE_MODULES = Path(os.environ.get("NODE_PATH", str(Path(sys.prefix) / "node" / "node_modules")))
 CPP_HEADERS = ("zmq_addon.hpp", "msgpack.hpp")
 
 
-def expected(estimates: list[dict[str, Any]]) -> list[str]:
-    """What a client prints of these estimates, that came one after the other."""
-    said = []
-    for before, now in itertools.pairwise(estimates):
-        if before["contact"] and not now["contact"] and now["valid"]:
-            at, share = now["map"], now["modes"][0]["weight"]
-            said.append(
-                f"x {at['x']:.3f} m  y {at['y']:.3f} m  yaw {at['theta']:.2f}  ({share:.0%})"
-            )
-    return said
+def said_of(x_m: float) -> str:
+    """A client's line on the documented estimate at that x."""
+    return f"x {x_m:.3f} m  y -0.021 m  yaw 0.52  (98%)"
 
 
 def python(place: Path) -> list[str] | None:  # noqa: ARG001
@@ -86,65 +83,83 @@ def started(place: Path, name: str, command: list[str]) -> "subprocess.Popen[byt
         return subprocess.Popen([*command, f"ipc://{place}/stream"], stdout=printed)
 
 
-def configured(place: Path) -> Path:
-    """A daemon that replays a recorded session and serves in `place`."""
-    shutil.copytree(SESSION, place / "session")
-    recorded = tomllib.loads((SESSION / "config.toml").read_text(encoding="utf-8"))
-    source = {"kind": "replay", "path": place / "session"}
-    return configuration(place, **{**recorded, "source": source})
-
-
-def wait_for_subscriptions(sockets: Sockets, place: Path, wanted: int) -> None:
-    """Until so many clients have started and subscribed; they will find the daemon by
-    themselves, in the same place."""
-    with sockets.open(zmq.XPUB) as stand_in:
-        stand_in.setsockopt(zmq.XPUB_VERBOSE, 1)
-        stand_in.bind(f"ipc://{place}/stream")
-        for _ in range(wanted):
-            assert stand_in.poll(1000 * PATIENCE_S), "a client has not subscribed"
-            assert stand_in.recv() == b"\x01" + messages.ESTIMATE
-    (place / "stream").unlink(missing_ok=True)
-
-
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[str]]:
-    """What each client has printed of one run of a daemon, and what it should have."""
+    """What each client has printed after the same touches."""
     place = tmp_path_factory.mktemp("run")
-    config = configured(place)
     commands = {name: made for name, make in MAKERS.items() if (made := make(place)) is not None}
     clients = [started(place, name, command) for name, command in commands.items()]
-    estimates: list[dict[str, Any]] = []
+    said = dict[str, list[str]]()
+
+    def all_have_printed() -> bool:
+        said.update((name, (place / name).read_text().splitlines()) for name in commands)
+        return all(told[-1:] == [said_of(TOUCHES[-1][0])] for told in said.values())
+
     try:
         with Sockets() as sockets:
-            wait_for_subscriptions(sockets, place, len(clients))
-            socket = sockets.subscriber(f"ipc://{place}/stream", messages.ESTIMATE)
-            with taxeld("run", config) as daemon:
-                while daemon.poll() is None or socket.poll(100):
-                    if socket.poll(100):
-                        estimates.append(msgpack.unpackb(socket.recv_multipart()[1]))
-            assert daemon.returncode == 0
-        lines, said = expected(estimates), dict[str, list[str]]()
-
-        def all_have_printed() -> bool:
-            said.update((name, (place / name).read_text().splitlines()) for name in commands)
-            return all(len(told) >= len(lines) for told in said.values())
-
-        until(all_have_printed)
+            daemon = sockets.open(zmq.XPUB)
+            daemon.setsockopt(zmq.XPUB_VERBOSE, 1)
+            daemon.bind(f"ipc://{place}/stream")
+            for _ in clients:
+                assert daemon.poll(1000 * PATIENCE_S), "a client has not subscribed"
+                assert daemon.recv() == b"\x01" + messages.ESTIMATE
+            for x_m, why, status in TOUCHES:
+                for contact in (True, True, False, False):
+                    estimate = documented("/taxeld/estimate")[1]
+                    estimate |= {"valid": why is Why.VALID, "why": why, "status": status}
+                    estimate |= {"contact": contact, "map": {**estimate["map"], "x": x_m}}
+                    body = msgpack.packb(estimate)
+                    daemon.send_multipart([messages.ESTIMATE, body, b"1700000005.121000"])
+            until(all_have_printed)
     finally:
         for client in clients:
             client.kill()
             client.wait()
-    return {**said, "expected": lines}
+    return said
 
 
 @pytest.mark.parametrize("name", list(MAKERS))
-def test_each_client_prints_where_a_running_daemon_believes_the_object_after_each_touch(
+def test_each_client_prints_the_pose_after_a_touch_if_it_is_valid_and_converged(
     name: str, printed: dict[str, list[str]]
 ) -> None:
     if name not in printed:
         pytest.skip(f"{NEEDS[name]}: not here")
-    assert len(printed["expected"]) >= 3
-    assert printed[name] == printed["expected"]
+    assert printed[name] == [said_of(0.1), said_of(0.6)]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "line"),
+    [
+        (["--help"], 0, "usage: subscribe.py"),
+        (["--endpoint"], 2, "usage: subscribe.py"),
+        (["nonsense"], 1, "nonsense: "),
+    ],
+)
+def test_a_wrong_argument_of_the_python_client_is_told_without_a_traceback(
+    arguments: list[str], status: int, line: str
+) -> None:
+    command = [sys.executable, CLIENTS / "subscribe.py", *arguments]
+    ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert ended.returncode == status
+    assert (ended.stdout + ended.stderr).startswith(line)
+    assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("by_hand", [True, False])
+def test_the_python_client_listens_to_a_daemon_started_by_hand_or_else_to_the_service(
+    tmp_path: Path, by_hand: bool
+) -> None:
+    own = tmp_path / "taxeld" / "stream"
+    if by_hand:
+        own.parent.mkdir()
+        own.touch()
+    environ = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
+    command = [sys.executable, CLIENTS / "subscribe.py"]
+    with subprocess.Popen(command, env=environ, stderr=subprocess.PIPE, text=True) as client:
+        assert client.stderr is not None
+        line = client.stderr.readline()
+        client.kill()
+    assert line == f"listening at ipc://{own if by_hand else '/run/taxeld/stream'}\n"
 
 
 def test_plotjugglers_layout_plots_keys_that_are_sent_and_fills_each_of_its_panes() -> None:

@@ -31,8 +31,12 @@ def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path
     assert [line.split()[0] for line in lines[2:4]] == ["1", "2"]
     assert all(int(line.split()[1]) > 0 for line in lines[2:4])
     assert any(line.startswith("total ") for line in lines)
-    assert any(line.startswith("final symmetry-aware ADD ") for line in lines)
-    assert lines[-1].split(":")[0] in ("passed", "failed")
+    assert any(line.startswith("final error ") for line in lines)
+    assert lines[-3].split(":")[0] in ("passed", "failed")
+    assert lines[-2:] == [
+        f"see it: taxeld view {ran[0]}",
+        "next: taxeld init robot.toml --bundle box",
+    ]
 
 
 def test_a_replay_gives_the_same_bytes_twice(ran: tuple[Path, str]) -> None:

@@ -11,6 +11,8 @@ import pytest
 from deploy import manuals
 
 from taxeld import __version__, command_line
+from taxeld_hil.scenario.mesh_config import FOAMS
+from taxeld_hil.scenario.scenario import shipped
 from tests.rig.commands import refused
 from tests.rig.processes import python
 
@@ -76,6 +78,51 @@ def test_each_command_has_a_sentence_and_examples_that_its_parser_takes(
         PROGRAMS[program]._parser().parse_args(typed[1:])
 
 
+RENAMED = [  # a line with an option's earlier name, its present one, and the value
+    ("taxeld-train scene x --skin a.json", "layout", "a.json"),
+    ("taxeld-train build x --out y --skin a.json", "layout", "a.json"),
+    ("taxeld-train evaluate filter --skin a.json", "layout", "a.json"),
+    ("taxeld-hil run demo --skin poor", "foam", "poor"),
+    ("taxeld-hil emulate demo --can vcan0 --poses ipc://x --out y --skin poor", "foam", "poor"),
+    ("taxeld-hil touches --skin poor --skin stiff", "foam", ["poor", "stiff"]),
+]
+
+
+@pytest.mark.parametrize(("line", "now", "value"), RENAMED)
+def test_an_option_under_its_earlier_name_works_and_says_the_present_one(
+    line: str, now: str, value: object, capsys: pytest.CaptureFixture[str]
+) -> None:
+    program, *typed = shlex.split(line)
+    args = PROGRAMS[program]._parser().parse_args(typed)
+    assert getattr(args, now) == value
+    said = capsys.readouterr().err.splitlines()
+    assert set(said) == {f"--skin is now --{now}"}
+    assert "--skin" not in PROGRAMS[program]._parser().format_help()
+
+
+def test_the_harness_lists_its_scenarios_and_foams() -> None:
+    text = " ".join(PROGRAMS["taxeld-hil"]._parser().format_help().split())
+    assert f"Scenarios: {', '.join(shipped())}." in text
+    assert f"Foams of the simulated skin: {', '.join(FOAMS)}." in text
+
+
+@pytest.mark.parametrize(("program", "name", "parser"), ALL, ids=NAMES)
+def test_a_wrong_option_is_told_with_the_commands_own_usage(
+    program: str,
+    name: list[str],
+    parser: argparse.ArgumentParser,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert parser.epilog is not None
+    example = parser.epilog.splitlines()[1].partition(">")[0]
+    with pytest.raises(SystemExit) as ended:
+        PROGRAMS[program].main([*shlex.split(example)[1:], "--nonsense"])
+    assert ended.value.code == 2
+    usage, *_, fault = capsys.readouterr().err.splitlines()
+    assert usage.startswith(" ".join(["usage:", program, *name, ""]))
+    assert fault.endswith("error: unrecognized arguments: --nonsense")
+
+
 @pytest.mark.parametrize(("program", "name", "parser"), ALL, ids=NAMES)
 def test_each_command_tells_its_version(
     program: str,
@@ -131,4 +178,6 @@ def test_a_missing_extra_is_one_line_that_names_the_command_that_installs_it(
     ran = python(code, check=False)
     assert ran.returncode == 2
     assert ran.stderr.count("\n") == 1
-    assert ran.stderr.endswith(f"{sys.executable} -m pip install 'taxeld[{extra}]'\n")
+    _, _, packages = ran.stderr.partition(f"not installed: {sys.executable} -m pip install ")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert set(shlex.split(packages)) == set(project["optional-dependencies"][extra])

@@ -48,5 +48,18 @@ def test_the_performance_pages_sampler_table_is_what_the_bundles_say() -> None:
         assert f"| `{name}` | " + " | ".join(f"{f:.3f}" for f in figures) + " |" in text
 
 
+def test_what_is_to_be_installed_comes_from_the_clone_or_a_wheel_and_from_no_index() -> None:
+    """taxeld is on no index; pip knows the packages of its extras by their own names."""
+    texts = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*")]
+    for root in ("daemon", "hil", "training", "ros2"):
+        texts += (ROOT / root).rglob("*.py")
+    for path in filter(Path.is_file, texts):
+        text = path.read_text(encoding="utf-8")
+        lines = [line for line in text.splitlines() if re.search(r"pip install|taxeld\[", line)]
+        for line in lines:
+            named = re.findall(r"(\S*)\[[a-z0-9,{}]+\]'", line)
+            assert {one.strip("`'") for one in named} <= {".", "WHEEL"}, line
+
+
 def test_the_example_configuration_is_fine() -> None:
     assert config_file.load(ROOT / "examples" / "can0.toml").source.channel == "can0"

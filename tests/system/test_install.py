@@ -33,9 +33,10 @@ case "$*" in
     for name in taxeld taxeld-hil taxeld-ros2 taxeld-train; do
         printf '#!%s/bin/python\n' "$here" >"$here/bin/$name"
     done
-    for page in man/man1/taxeld.1 bash-completion/completions/taxeld zsh/site-functions/_taxeld; do
-        mkdir -p "$here/share/${page%/*}"
-        echo page >"$here/share/$page"
+    for file in include/taxeld_protocol.h share/man/man1/taxeld.1 \
+        share/bash-completion/completions/taxeld share/zsh/site-functions/_taxeld; do
+        mkdir -p "$here/${file%/*}"
+        echo file >"$here/$file"
     done ;;
 *" --version") [ "$FAILS_AT" != version ] && cat "$here/version" ;;
 *" check "*)
@@ -295,6 +296,7 @@ def test_uninstall_takes_exactly_what_install_put(machine: Machine, staged: bool
         "opt/bin/taxeld-hil",
         "opt/bin/taxeld-ros2",
         "opt/bin/taxeld-train",
+        "opt/include/taxeld_protocol.h",
         "opt/share/man/man1/taxeld.1",
         "opt/share/bash-completion/completions/taxeld",
         "opt/share/zsh/site-functions/_taxeld",

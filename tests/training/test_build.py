@@ -30,7 +30,9 @@ from tests.rig.processes import read_all
 
 from . import rig
 
+ROOT = Path(__file__).parents[2]
 SKIN = "cylinder:rows=2,columns=8,radius_m=0.04,pitch_m=0.015"
+DEPTH_M = 0.003
 
 
 @pytest.fixture(scope="module")
@@ -39,8 +41,9 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     mesh = rig.box()
     mesh.invert()
     mesh.export(place / "block.stl")
-    arguments = ["build", str(place / "block.stl"), "--skin", SKIN, "--out", str(place / "block")]
+    arguments = ["build", str(place / "block.stl"), "--layout", SKIN, "--out", str(place / "block")]
     small = ["--effort", "0.01", "--contacts", "5000", "--bank", "5000", "--readings", "12"]
+    small += ["--depth-mm", f"{1e3 * DEPTH_M:g}"]
     out, errors = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
         assert main(arguments + small) == 0
@@ -92,17 +95,59 @@ def test_a_build_ends_with_what_it_made_how_good_and_what_to_do_next(built: Path
     heads = [line[:11].strip() for line in text.splitlines() if not line.startswith(" ")]
     assert heads == ["made", "samplers", "how good", "next", "took"]
     assert f"made       {built}: block on {SKIN}, " in text
-    assert f"taxeld-hil run demo --object {built}" in text
-    assert f"taxeld init robot.toml --bundle {built} --layout {SKIN}" in text
+    assert f"taxeld-hil run demo --object {built} --layout {SKIN} --out block_demo" in text
 
 
-def test_samplers_that_are_far_from_exact_draws_are_called_poor(
+@pytest.mark.parametrize(
+    ("times", "cost"),
+    [
+        (1.0, ""),
+        (3.0, "3.0 times as far: expect no more touches"),
+        (10.0, "10.0 times as far: expect one touch more"),
+        (47.0, "47.0 times as far: expect three to five touches more"),
+    ],
+)
+def test_a_bundle_far_from_exact_draws_says_what_that_costs_and_its_cure(
+    built: Path, info: dict[str, Any], times: float, cost: str
+) -> None:
+    samplers = [one["energy_distance"] for one in info["samplers"]]
+    best = min(*samplers, info["analytic"]["table"]["energy_distance"])
+    info["energy_floor"] = best / times
+    said = "\n".join(summary(built, info, SKIN, "the cure"))
+    assert ("that is poor, " in said, "the cure" in said) == (bool(cost), bool(cost))
+    assert cost in said
+
+
+def test_the_cost_of_a_poor_bundle_is_that_of_the_measured_trials() -> None:
+    """Of methods with samples so many times as far as exact draws: touches until as many trials as
+    with the exact ones of the density have found their object."""
+    rows = json.loads((ROOT / "docs/results/filter.json").read_text(encoding="utf-8"))
+
+    def found(proposal: str) -> list[float]:
+        mine = [r for r in rows if r["proposal"] == proposal and r["injection"] == "mixture"]
+        mine = [r for r in mine if r["particles_max"] == 100]
+        return [
+            float(np.mean([r["success_rate"] for r in mine if r["contact"] == contact]))
+            for contact in range(1, 9)
+        ]
+
+    for proposal, least, most in (
+        ("table", -0.6, 0.6),
+        ("manifold", 0.6, 1.6),
+        ("projection", 2.5, 5),
+    ):
+        touches = np.interp(found(proposal)[4:], found("density"), np.arange(1, 9))
+        assert least < float(np.mean(np.arange(5, 9) - touches)) < most, proposal
+
+
+def test_another_depth_is_the_bundles_and_a_daemon_must_have_it(
     built: Path, info: dict[str, Any]
 ) -> None:
-    best = min(one["energy_distance"] for one in info["samplers"])
-    for floor, is_poor in ((best, False), (best / 3.0, True)):
-        said = "\n".join(summary(built, info | {"energy_floor": floor}, ""))
-        assert ("the samplers are poor: build with more --effort and --contacts" in said) == is_poor
+    assert info["depth_max_m"] == DEPTH_M
+    with pytest.raises(SetupError, match=f"was built for {DEPTH_M:g}"):
+        bundle.load(str(built), layouts.load(SKIN), 0.005)
+    said = refused("scene", "003_cracker_box", "--depth-mm", 51, main=main)
+    assert said == "taxeld-train: --depth-mm: must be 0.1..50, not 51\n"
 
 
 def test_exact_posteriors_are_the_same_by_any_number_of_workers_and_tell_their_share(
@@ -145,7 +190,7 @@ def test_a_terminal_has_a_bar_for_each_stage_from_the_start() -> None:
 
 def test_the_daemon_loads_a_built_bundle_and_samples_from_it(built: Path) -> None:
     skin = layouts.load(SKIN)
-    loaded = bundle.load(str(built), skin, 0.005)
+    loaded = bundle.load(str(built), skin, DEPTH_M)
     assert loaded.info["symmetry"] == 2
     rng = np.random.default_rng(0)
     z = np.zeros(16)

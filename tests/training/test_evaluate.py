@@ -118,7 +118,7 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
     more = ("--groups", "analytic,density-16", "--minutes", "0")
     assert evaluate("proposals", block, tmp_path, *more) == 0
     assert {row["proposal"] for row in rows(tmp_path, "proposals")} == ANALYTIC
-    few = ("--groups", "analytic", "--skin", ring(4))
+    few = ("--groups", "analytic", "--layout", ring(4))
     assert evaluate("proposals", block, tmp_path, *few) == 0
     assert len(list((tmp_path / "out").glob("proposals*.json"))) == 2
 

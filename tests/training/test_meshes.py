@@ -205,7 +205,8 @@ def test_an_unusable_mesh_is_refused_in_one_line_with_its_cure(
         ("empty.glb", b"", "is an empty file; export it again"),
         ("nothing.stl", b"solid nothing\nendsolid nothing\n", "holds no triangles; export"),
         ("cut.stl", b"\x80" * 1000, "perhaps cut short"),
-        ("notes.txt", b"hello", "'txt' not supported"),
+        ("notes.txt", b"hello", r"\.txt is not read; export STL, PLY or OBJ"),
+        ("bracket.STEP", b"ISO-10303-21;", r"\.step is not read; export STL, PLY or OBJ"),
         ("dangling.obj", b"v 0 0 0\nv .1 0 0\nv 0 .1 0\nf 1 2 9\n", "unreadable mesh"),
     ],
 )
@@ -223,7 +224,7 @@ def test_the_scene_command_prints_a_report(tmp_path: Path) -> None:
     path = tmp_path / "can.stl"
     without(slit).export(path)
     lines = dict(
-        line.split(maxsplit=1) for line in printed("scene", path, main=main).splitlines()[:4]
+        line.split(maxsplit=1) for line in printed("scene", path, main=main).splitlines()[:5]
     )
     assert lines["extents"] == "100 × 100 × 100 mm"
     assert lines["slices"].startswith("5, 10 to 70 mm")
@@ -296,7 +297,8 @@ def test_the_scene_command_warns_after_its_report_and_draws(
     turned(can(24, 0.05, 0.14), TURNS["90° about y"]).export(path)
     assert main(["scene", str(path), "--png", str(out)]) == 0
     told, warned = capsys.readouterr()
-    assert told.startswith("extents     140 × 100 × 100 mm\n")
+    assert told.startswith("upright ")
+    assert "\nextents     140 × 100 × 100 mm\n" in told
     assert warned.startswith(f"taxeld-train: {path}: warning: it rests on 2")
     assert warned.count("\n") == 1
     assert out.read_bytes().startswith(b"\x89PNG")

@@ -29,7 +29,7 @@ from taxeld_training.filters.trials import Trial, TrialScan
 from .rig import gap_m
 
 TOUCHES = 6
-LAYOUT = layouts.load(Scenario("box").layout)
+LAYOUT = layouts.load(Scenario("box").skin_layout)
 FULL = Scenario("box").full_scale_counts
 TAXELS = len(LAYOUT)
 LITTLE = (1e-9, 1e-9)  # of a length, in place of 0

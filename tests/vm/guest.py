@@ -49,6 +49,14 @@ def a_device_that_comes_late_is_waited_for() -> None:
 
 
 @check
+def an_error_frame_of_the_kernels_is_said_with_its_cure_and_that_it_has_passed() -> None:
+    sh("cansend vcan0 20000040#0000000000000000")
+    until("bus-off is said", lambda: "source.channel: bus-off, " in VCAN0.said())
+    sh("cansend vcan0 20000100#0000000000000000")  # restarted
+    until("it has passed", lambda: "no longer: source.channel: bus-off, " in VCAN0.said())
+
+
+@check
 def a_reload_and_a_dump_are_said_in_the_log() -> None:
     pid = VCAN0.pid
     sh(f"systemctl reload {VCAN0.name}")

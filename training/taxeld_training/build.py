@@ -1,5 +1,7 @@
-"""`taxeld-train build`: an object and a skin → a bundle that the daemon runs."""
+"""`taxeld-train build`: an object and a skin → a bundle that the daemon runs; and the commands that
+follow one another on the way there."""
 
+import math
 import shlex
 import shutil
 import tempfile
@@ -10,10 +12,11 @@ from typing import Any
 
 import trimesh
 
+from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld_training import bundles
-from taxeld_training.objects import DEPTH_MAX_M, meshes, scenes
+from taxeld_training.objects import meshes, scenes
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
 
@@ -21,15 +24,26 @@ MESH = "mesh"  # name, before its suffix, of the copy of a mesh file for the har
 SCENE = "scene"
 STAGES = (SCENE, *candidates.STAGES)  # stages of a build, in order
 FAR = 2.0  # a sampler is poor beyond so many times the distance of two sets of exact draws
+COSTS = (  # up to so many times that → what it costs: 3, 10 and 47 times in docs/results/filter.md
+    (5.0, "no more touches"),
+    (15.0, "one touch more"),
+    (math.inf, "three to five touches more"),
+)
 
 
 def build(
-    name: str, layout: Layout, height_m: float, given: Candidates, out: Path, progress: Progress
+    name: str,
+    layout: Layout,
+    height_m: float,
+    depth_m: float,
+    given: Candidates,
+    out: Path,
+    progress: Progress,
 ) -> Path:
     """Build the bundle of `name` (a YCB id or a mesh file) for `layout` in the directory `out`.
 
-    `height_m` is the sensor frame's origin above the object's lowest point. An older bundle in
-    `out` is replaced once the new one is complete.
+    `height_m` is the sensor frame's origin above the object's lowest point, `depth_m` the depth of
+    a press at full scale. An older bundle in `out` is replaced once the new one is complete.
 
     Raises:
         SetupError: the object or skin cannot be used, or `out` holds something else.
@@ -37,7 +51,7 @@ def build(
     bundles.check_place(out)
     path, attribution = meshes.find(name)
     mesh = meshes.load(path)
-    model = ObservationModel(scenes.build(mesh, layout, height_m), layout, DEPTH_MAX_M)
+    model = ObservationModel(scenes.build(mesh, layout, height_m), layout, depth_m)
     info: dict[str, Any] = {"object": path.stem, "attribution": attribution}
     if Path(name).suffix:  # the harness has the meshes of YCB objects
         info["mesh"] = MESH + path.suffix
@@ -70,23 +84,36 @@ def _describe(mesh: trimesh.Trimesh, model: ObservationModel, height_m: float) -
     }
 
 
-def summary(out: Path, info: dict[str, Any], skin: str) -> Iterator[str]:
-    """Lines on the bundle in `out`, how good it is, and the next commands; `skin`: the layout,
-    where it is not the default."""
+def command(name: str, layout: str, height_m: float, depth_m: float) -> str:
+    """The command that builds a first bundle of an object on a layout."""
+    words = ["taxeld-train", "build", name, *_layout(layout), "--height-m", f"{height_m:g}"]
+    if depth_m != SkinConfig().full_scale_depth_m:
+        words += ["--depth-mm", f"{1e3 * depth_m:g}"]
+    return shlex.join([*words, "--quick", "--out", Path(name).stem])
+
+
+def summary(out: Path, info: dict[str, Any], layout: str, more: str) -> Iterator[str]:
+    """Lines on the bundle in `out`, how good it is, and the next commands. `layout`: as it was
+    given; `more`: a cure for poor samplers."""
     size = sum(path.stat().st_size for path in out.iterdir())
     samplers = {one["name"]: one["energy_distance"] for one in info["samplers"]}
     best = min(samplers, key=lambda name: samplers[name])
-    floor = info["energy_floor"]
+    table, floor = info["analytic"]["table"]["energy_distance"], info["energy_floor"]
     yield f"made       {out}: {info['object']} on {info['layout']['name']}, {size / 1e6:.1f} MB"
     yield f"samplers   {', '.join(samplers)}; auto: {info['auto'][0]}"
     yield (
-        f"how good   {best} is {samplers[best]:.3f} from the exact posterior, table "
-        f"{info['analytic']['table']['energy_distance']:.3f}; two sets of exact draws are "
-        f"{floor:.3f} apart"
+        f"how good   {best} is {samplers[best]:.3f} from the exact posterior, table {table:.3f}; "
+        f"two sets of exact draws are {floor:.3f} apart"
     )
-    if samplers[best] > FAR * floor:
-        yield "           the samplers are poor: build with more --effort and --contacts"
-    layout = f" --layout {shlex.quote(skin)}" if skin else ""
-    shape = f" --skin {shlex.quote(skin)}" if skin else ""
-    yield f"next       taxeld-hil run demo --object {out}{shape} --out demo    # without a robot"
-    yield f"           taxeld init robot.toml --bundle {out}{layout}"
+    times = min(table, samplers[best]) / floor
+    if times > FAR:
+        cost = next(words for most, words in COSTS if times <= most)
+        yield f"           that is poor, {times:.1f} times as far: expect {cost} to find the object"
+        yield f"           {more}"
+    run = ["taxeld-hil", "run", "demo", "--object", str(out), *_layout(layout)]
+    yield f"next       {shlex.join([*run, '--out', f'{out.name}_demo'])}"
+
+
+def _layout(given: str) -> list[str]:
+    """The option, but for the default."""
+    return ["--layout", given] if given != SkinConfig().layout else []

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from taxeld import command_line
-from taxeld.command_line import command
+from taxeld.command_line import add_renamed, documented
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M
@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
     from taxeld.layout.layout import Layout
 
-DEFAULT_SKIN = SkinConfig().layout
+DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
+UPRIGHT = "the link's axis must be vertical (within 0.1 rad), and the object stand as its mesh does"
+LONGER = 3.0  # times the effort, as a cure for poor samplers
+QUICK = {"effort": 0.02, "contacts": 30_000, "bank": 50_000, "readings": 10}
 EXPERIMENTS = ("proposals", "frontier", "filter", "stability", "push")
 
 
@@ -29,34 +32,65 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _build(args: argparse.Namespace) -> int:
+    """Build the bundle of an object and a skin, which the daemon runs with.
+
+    taxeld-train build 025_mug --out mug
+    taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --quick --out bracket
+    """
     from taxeld.layout import read as layouts
     from taxeld_training.build import STAGES, build, summary
     from taxeld_training.jobs import stages
     from taxeld_training.models.variants import trained_with
     from taxeld_training.objects import meshes
-    from taxeld_training.samplers.candidates import VARIANTS, Candidates
+    from taxeld_training.samplers.candidates import CONTACTS, TRAINING, VARIANTS, Candidates
 
+    full = {"effort": 1.0, "contacts": 300_000}
+    full |= {"bank": Candidates.bank, "readings": Candidates.readings}
+    named = {name: getattr(args, name) for name in full if getattr(args, name) is not None}
+    size = full | (QUICK if args.quick else {}) | named
+    effort, contacts = size["effort"], int(size["contacts"])
     given = Candidates(
-        variants=tuple(trained_with(v, args.effort, args.contacts, args.seed) for v in VARIANTS),
-        bank=args.bank or Candidates.bank,
-        readings=args.readings or Candidates.readings,
+        variants=tuple(trained_with(v, effort, contacts, args.seed) for v in VARIANTS),
+        bank=int(size["bank"]),
+        readings=int(size["readings"]),
         seed=args.seed,
     )
-    skin = layouts.load(args.skin)
+    depth_m, skin = _depth_m(args), layouts.load(args.layout)
     _doubt(args, meshes.load(meshes.find(args.object)[0]), skin)
-    began_s = time.monotonic()
-    with stages.shown(STAGES, sys.stderr) as progress:
-        out = build(args.object, skin, args.height_m, given, args.out, progress)
+    began_s, ended_s = time.monotonic(), dict[str, float]()
+    with stages.shown(STAGES, sys.stderr) as tell:
+
+        def progress(stage: str, share: float) -> None:
+            ended_s[stage] = time.monotonic()
+            tell(stage, share)
+
+        out = build(args.object, skin, args.height_m, depth_m, given, args.out, progress)
     info = json.loads((out / "bundle.json").read_text(encoding="utf-8"))
     for repair in info["repairs"]:
         print(f"taxeld-train: {args.object}: {repair}", file=sys.stderr)
-    is_default = args.skin == DEFAULT_SKIN
-    print("\n".join(summary(out, info, "" if is_default else args.skin)))
-    print(f"took       {time.monotonic() - began_s:.0f} s")
+    took_s = time.monotonic() - began_s
+    longer = took_s + (LONGER - 1.0) * (ended_s[TRAINING] - ended_s[CONTACTS])
+    more = f"--effort {LONGER * effort:g} would take about {longer / 60.0:.0f} min here"
+    if args.quick:
+        more = "--quick asked for no more; build without it for use"
+    print("\n".join(summary(out, info, args.layout, more)))
+    print(f"took       {took_s:.0f} s")
     return 0
 
 
+def _depth_m(args: argparse.Namespace) -> float:
+    """The depth of a press at full scale. Raises SetupError."""
+    least, most = DEPTHS_MM
+    if not least <= args.depth_mm <= most:
+        raise SetupError(f"--depth-mm: must be {least:g}..{most:g}, not {args.depth_mm:g}")
+    return float(args.depth_mm / 1e3)
+
+
 def _seal(args: argparse.Namespace) -> int:
+    """Write the digests of a bundle's files into it, as they are now.
+
+    taxeld-train seal bracket
+    """
     from taxeld_training import bundles
 
     bundles.seal(args.bundle)
@@ -65,19 +99,26 @@ def _seal(args: argparse.Namespace) -> int:
 
 
 def _scene(args: argparse.Namespace) -> int:
+    """Show what the skin meets of an object, before a bundle is built.
+
+    taxeld-train scene 025_mug
+    taxeld-train scene bracket.stl --height-m 0.05 --png bracket.png
+    """
     from taxeld.layout import read as layouts
     from taxeld.model.scene import CONTINUOUS
+    from taxeld_training.build import command
     from taxeld_training.objects import meshes, scenes
 
-    skin = layouts.load(args.skin)
+    depth_m, skin = _depth_m(args), layouts.load(args.layout)
     mesh = meshes.load(meshes.find(args.object)[0])
     scene = scenes.build(mesh, skin, args.height_m)
-    error = scenes.grid_error(scene, mesh, skin, args.height_m, DEPTH_MAX_M)
+    error = scenes.grid_error(scene, mesh, skin, args.height_m, depth_m)
     heights = (args.height_m + scene.heights) * 1e3
     met = sum(bool((piece < 0.0).any()) for piece in scene.slices)
     turn = {CONTINUOUS: "continuous", 1: "none"}.get(scene.symmetry, f"{scene.symmetry}-fold")
     repairs = scenes.repairs(mesh, skin, args.height_m)
     size = scene.slices.nbytes + scene.silhouette.nbytes
+    print(f"upright     {UPRIGHT}")
     print(f"extents     {' × '.join(f'{length * 1e3:.0f}' for length in mesh.extents)} mm")
     print(
         f"slices      {len(heights)}, {heights[0]:.0f} to {heights[-1]:.0f} mm above the lowest "
@@ -87,11 +128,12 @@ def _scene(args: argparse.Namespace) -> int:
     print(f"repairs     {'; '.join(repairs) or 'none'}")
     print(f"grid error  rms {error.rms:.3f}, 99 % under {error.p99:.3f}, max {error.max:.3f} mm")
     print(f"grid        {size / 1e3:.0f} kB")
+    print(f"next        {command(args.object, args.layout, args.height_m, depth_m)}")
     _doubt(args, mesh, skin)
     if args.png:
         from taxeld_training.objects.scene_picture import draw
 
-        title = f"{args.object} on {skin.name}"
+        title = f"{args.object} on {skin.name}\n{UPRIGHT}"
         try:
             draw(mesh, scene, skin, args.height_m, title, args.png)
         except OSError as error:
@@ -108,6 +150,10 @@ def _doubt(args: argparse.Namespace, mesh: "trimesh.Trimesh", skin: "Layout") ->
 
 
 def _evaluate(args: argparse.Namespace) -> int:
+    """Run an experiment; it writes JSON and pictures.
+
+    taxeld-train evaluate proposals --quick --out results
+    """
     from taxeld_training.filters import experiment, push, sampled
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
@@ -136,86 +182,36 @@ def _parser() -> argparse.ArgumentParser:
         "taxeld-train build bracket.stl --height-m 0.05 --out bracket",
     )
     commands = command_line.commands_of(parser)
-    one = command(
-        commands,
-        "scene",
-        "Show what the skin meets of an object, before a bundle is built.",
-        "taxeld-train scene 025_mug",
-        "taxeld-train scene bracket.stl --height-m 0.05 --png bracket.png",
-        run=_scene,
-    )
-    _add_object(one)
-    one.add_argument(
-        "--png", type=Path, metavar="OUT", help="draw the object, the skin's heights and the slices"
-    )
-    one = command(
-        commands,
-        "build",
-        "Build the bundle of an object and a skin, which the daemon runs with.",
-        "taxeld-train build 025_mug --out mug",
-        "taxeld-train build bracket.stl --skin skin.json --height-m 0.05 --out bracket",
-        run=_build,
-    )
-    _add_object(one)
-    one.add_argument(
-        "--out", type=Path, required=True, metavar="BUNDLE", help="directory of the bundle"
-    )
-    one.add_argument(
-        "--effort",
-        type=float,
-        default=1.0,
-        metavar="SHARE",
-        help="share of each model's full training (default %(default)s)",
-    )
-    one.add_argument(
-        "--contacts",
-        type=int,
-        default=300_000,
-        help="simulated contacts to train on (default %(default)s)",
-    )
-    one.add_argument("--bank", type=int, help="contacts that exact posteriors begin with")
-    one.add_argument("--readings", type=int, help="readings that samplers are measured on")
-    one.add_argument("--seed", type=int, default=0)
-    one = command(
-        commands,
-        "seal",
-        "Write the digests of a bundle's files into it, as they are now.",
-        "taxeld-train seal bracket",
-        run=_seal,
-    )
-    one.add_argument("bundle", type=Path, metavar="BUNDLE")
-    _add_options(
-        command(
-            commands,
-            "evaluate",
-            "Run an experiment; it writes JSON and pictures.",
-            "taxeld-train evaluate proposals --quick --out results",
-            run=_evaluate,
-        )
-    )
+    add = _with_object(documented(commands, _scene)).add_argument
+    about = "draw the object, the skin's heights and the slices"
+    add("--png", type=Path, metavar="OUT", help=about)
+    add = _with_object(documented(commands, _build)).add_argument
+    add("--out", type=Path, required=True, metavar="BUNDLE", help="directory of the bundle")
+    about = "in a minute, with poor samplers: other defaults for the options below"
+    add("--quick", action="store_true", help=about)
+    about = "share of each model's full training (default 1)"
+    add("--effort", type=float, metavar="SHARE", help=about)
+    add("--contacts", type=int, help="simulated contacts to train on (default 300000)")
+    add("--bank", type=int, help="contacts that exact posteriors begin with")
+    add("--readings", type=int, help="readings that samplers are measured on")
+    add("--seed", type=int, default=0)
+    documented(commands, _seal).add_argument("bundle", type=Path, metavar="BUNDLE")
+    _add_options(documented(commands, _evaluate))
     return parser
 
 
-def _add_object(one: argparse.ArgumentParser) -> None:
-    """The arguments of `scene` and `build`."""
-    one.add_argument(
-        "object",
-        metavar="OBJECT",
-        help="a YCB id (025_mug), or a mesh file in metres whose z axis points up",
-    )
-    one.add_argument(
-        "--skin",
-        default=DEFAULT_SKIN,
-        metavar="LAYOUT",
-        help="as skin.layout in the configuration (default %(default)s)",
-    )
-    one.add_argument(
-        "--height-m",
-        type=float,
-        default=HEIGHT_M,
-        metavar="H",
-        help="the sensor frame's origin above the object's lowest point (default %(default)s)",
-    )
+def _with_object(one: argparse.ArgumentParser) -> argparse.ArgumentParser:
+    """The parser with the arguments of `scene` and `build`."""
+    add = one.add_argument
+    about = "a YCB id (025_mug), or a mesh file in metres whose z axis points up"
+    add("object", metavar="OBJECT", help=about)
+    about = "as skin.layout in the configuration (default %(default)s)"
+    add_renamed(one, "--skin", add("--layout", default=SkinConfig().layout, help=about))
+    about = "the sensor frame's origin above the object's lowest point (default %(default)s)"
+    add("--height-m", type=float, default=HEIGHT_M, metavar="H", help=about)
+    about = "depth of a press at full scale (default %(default)g)"
+    add("--depth-mm", type=float, default=1e3 * DEPTH_MAX_M, metavar="D", help=about)
+    return one
 
 
 def _names(text: str) -> tuple[str, ...]:
@@ -231,38 +227,18 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add = one.add_argument
     add("experiment", choices=EXPERIMENTS)
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
-    add(
-        "--memory",
-        type=Path,
-        default=Path(".experiments"),
-        metavar="DIR",
-        help="finished jobs; what was interrupted goes on from them (default %(default)s)",
-    )
+    about = "finished jobs; what was interrupted goes on from them (default %(default)s)"
+    add("--memory", type=Path, default=Path(".experiments"), metavar="DIR", help=about)
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
-    add(
-        "--objects",
-        type=_names,
-        default=(),
-        metavar="A,B",
-        help="default: the paper's ten; of stability, push and cells of proposals, box and mug",
-    )
+    about = "default: the paper's ten; of stability, push and cells of proposals, box and mug"
+    add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
-    add("--skin", default="", metavar="LAYOUT", help="this layout in place of them")
+    add_renamed(one, "--skin", add("--layout", default="", help="this layout in place of them"))
     add("--workers", type=int, default=2, help="processes of one thread each")
-    add(
-        "--groups",
-        type=_names,
-        default=(),
-        metavar="A,B",
-        help="of samplers (analytic, paper, …), or of filters (table, shipped, …)",
-    )
-    add(
-        "--cells",
-        type=_names,
-        default=(),
-        metavar="A,B",
-        help="conditions: factors (noise, skin, 'wrong object', …) or a level of one (moved=5)",
-    )
+    about = "of samplers (analytic, paper, …), or of filters (table, shipped, …)"
+    add("--groups", type=_names, default=(), metavar="A,B", help=about)
+    about = "conditions: factors (noise, skin, 'wrong object', …) or a level of one (moved=5)"
+    add("--cells", type=_names, default=(), metavar="A,B", help=about)
     add("--effort", type=float, default=1.0, metavar="SHARE", help="of a model's own training")
     add("--seeds", type=int, default=0, metavar="N", help="trials a cell of a filter experiment")
     add("--minutes", type=float, default=math.inf, help="begin nothing later; write what is done")

@@ -19,7 +19,7 @@ from taxeld.source import dialects, session
 from taxeld.source.device import BusyError
 from taxeld.source.devices import open_device
 from taxeld.source.socketcan_device import bring_up
-from taxeld.stream import client, curve
+from taxeld.stream import client, curve, messages
 
 SYS_NET = Path("/sys/class/net")
 IS_UP = 0x1  # IFF_UP
@@ -77,8 +77,9 @@ def notes(config: Config) -> list[str]:
     if source.kind == "replay":
         return []
     found = [line] if (line := _down(source)) else []
-    if not config.sensor_pose.endpoint and client.hears_poses(POSES_USUAL, HEAR_POSES_S):
-        found.append(POSES_UNUSED)
+    if not config.sensor_pose.endpoint:
+        heard = client.hears(POSES_USUAL, messages.SENSOR_POSE, HEAR_POSES_S)
+        found += [POSES_UNUSED] * heard
     if source.dialect != "icub":
         return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
     return [

@@ -3,12 +3,15 @@
 import json
 import logging
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
+from taxeld.config import file as config_file
+from taxeld.config import toml_tables
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
-from taxeld.source import logs
+from taxeld.source import logs, module_order, session
 from taxeld.source.module_order import ListedModules, missing
 from taxeld.source.wire import Decoded, Wire
 from taxeld_protocol.cyskin import Command
@@ -20,8 +23,28 @@ KNOWN = (
     "candump -l and -L, files that python-can reads by their ending "
     f"({' '.join(logs.PYTHON_CAN)}), and serial.bin are read"
 )
+HUBS_NAMED = 8  # in a line
 
 log = logging.getLogger(__name__)
+
+
+def of_session(path: Path) -> SourceConfig:
+    """The dialect and modules that stand beside a log in its session; the defaults for another
+    log. Modules that were declared to the recorder (`modules.toml`) go before listed ones.
+
+    Raises:
+        ConfigError: a file of the session has faults.
+    """
+    source = SourceConfig(kind="replay")
+    if path.name not in (session.FRAMES, session.SERIAL):
+        return source
+    if (config := path.with_name(session.CONFIG)).exists():
+        source = config_file.load(config).source
+    if (file := path.with_name(module_order.FILE)).exists():
+        text = f'kind = "replay"\n{config_file.text_of(file)}'
+        heard = toml_tables.parse(SourceConfig, text, str(file))
+        source = replace(source, modules=heard.modules)
+    return source
 
 
 def decode(
@@ -31,8 +54,8 @@ def decode(
     has several.
 
     The module table of a CySkin hub comes from its DECLARE and DETAILS answers, wherever in the log
-    they stand; else from `given`; else it is full modules of twelve channels, as many as the hub's
-    packets reach. An iCub board has the triangles that it sends.
+    they stand; else from `given`; else full modules are assumed, as many as the hub's packets
+    reach, which is logged, and told as "assumed". An iCub board has the triangles that it sends.
 
     Raises:
         SetupError: the log is unreadable or has no frame, the interface is ambiguous, or `given`
@@ -43,9 +66,11 @@ def decode(
             f"{path}: is no file; name a log, or of a session its frames.log or serial.bin"
         )
 
+    assumed: list[int] = []
+
     @cache  # needed only for a hub that streams before it has declared its modules
     def tables() -> dict[int, Sequence[Module]]:
-        return _tables(path, interface, given)
+        return _tables(path, interface, given, assumed)
 
     known = Decoder(lambda ihb: tables().get(ihb, ()))
     decoder: ScanDecoder = IcubDecoder() if dialect == "icub" else known
@@ -53,7 +78,7 @@ def decode(
     for _, scans in whole.heard():
         yield from map(_line, scans)
     yield from map(_line, decoder.flush())
-    yield _json({"stats": whole.stats()})
+    yield _json({"stats": {**whole.stats(), "assumed": assumed}})
     if whole.damage.count:
         log.warning(
             "%s: left out what is damaged or no frame (counted as %d bad_lines), at first %s",
@@ -123,8 +148,10 @@ class _Pass:
             raise SetupError(f"--interface: {self._path} has no frame of {wanted}; {cure}")
 
 
-def _tables(path: Path, interface: str, given: ListedModules | None) -> dict[int, Sequence[Module]]:
-    """The module table of each hub of the log."""
+def _tables(
+    path: Path, interface: str, given: ListedModules | None, assumed: list[int]
+) -> dict[int, Sequence[Module]]:
+    """The module table of each hub of the log; `assumed` is given the hubs whose table is."""
     decoder = Decoder()
     reached: dict[int, int] = {}  # hub → channels of full modules that its packets reach
     for packet, _ in _Pass(path, decoder, interface).heard():
@@ -134,9 +161,18 @@ def _tables(path: Path, interface: str, given: ListedModules | None) -> dict[int
             reached[packet.ihb] = max(reached.get(packet.ihb, 0), end)
     tables: dict[int, Sequence[Module]] = {}
     for ihb, channels in reached.items():
-        full = [Module(NAMES)] * -(-channels // NAMES)
-        elsewhere = full if given is None else given.of(ihb)
-        tables[ihb] = decoder.table(ihb).modules or elsewhere
+        tables[ihb] = decoder.table(ihb).modules or (given.of(ihb) if given else ())
+        if given is None and not tables[ihb]:
+            tables[ihb] = [Module(NAMES)] * -(-channels // NAMES)
+            assumed.append(ihb)
+    if assumed:
+        log.warning(
+            "%s: has no DECLARE of hub %s; full modules of %d channels are assumed, so one cut "
+            "module puts values under wrong modules; name the modules with --config CONFIG",
+            path,
+            ", ".join(map(str, assumed[:HUBS_NAMED])),
+            NAMES,
+        )
     if tables and not any(tables.values()):
         raise SetupError(missing(f"hub {next(iter(tables))} of {path}"))
     return tables

@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any, get_type_hints
 
 from taxeld.config import file as config_file
-from taxeld.config.tables import Config
+from taxeld.config.tables import Config, SkinConfig, SourceConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.layout import generated
-from taxeld.proposals import bundle, manifest
+from taxeld.layout import read as layouts
+from taxeld.proposals import bundle
+from taxeld.source import dialects
 
 Tables = dict[str, dict[str, Any]]  # values of keys, by table
 
@@ -29,13 +31,16 @@ QUESTIONS = {  # by option
     "layout": "the skin's layout, as the bundle was built for",
     "poses": "where the robot publishes the sensor's pose, tcp://HOST:PORT; empty if the sensor "
     "stands still",
+    "where": "where the object can be in the world: X Y HALF, the middle of a square and half its "
+    "width in metres; empty for 0 0 0.5",
 }
+OPTIONAL = ("poses", "where")  # these may stay without an answer
 ICUB_COUNTS = 200.0  # full scale of an iCub's skin
 
 
 def write(path: Path, options: Mapping[str, Any]) -> Config:
-    """Write the configuration of the options `source`, `bundle`, `layout`, `poses`, `dialect` and
-    `keys`; a person at the terminal is asked for those of `QUESTIONS` that are None.
+    """Write the configuration of the options `source`, `bundle`, `layout`, `poses`, `where`,
+    `dialect` and `keys`; a person at the terminal is asked for those of `QUESTIONS` that are None.
 
     Raises:
         SetupError: an answer is missing or cannot be used, or the file exists already.
@@ -57,6 +62,8 @@ def _text(path: Path, given: Tables) -> str:
     text = [
         "# Configuration of a taxeld daemon. A key behind a '#' has its default.",
         f"# Test it with 'taxeld check {path.name}', run it with 'taxeld run {path.name}'.",
+        "# The link that carries the skin must stand upright, its axis within 0.1 rad of vertical;",
+        "# a daemon cannot notice that it is tilted.",
     ]
     for table in fields(Config):
         text += ["", f"[{table.name}]"]
@@ -79,21 +86,28 @@ def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
     """The keys that follow from the options and the answers."""
     source = _source(_answer(options, "source"))
     named = _answer(options, "bundle")
-    manifest_path = bundle.find(named) / manifest.NAME  # refuses a directory that is no bundle
-    built_for = manifest.parse(manifest.read(manifest_path), manifest_path)[0].layout.name
-    is_generated = ":" in built_for  # a layout from a file is not found by its name
-    layout = options["layout"] or (built_for if is_generated else _answer(options, "layout"))
+    built = bundle.manifest_of(named)  # refuses a directory that is no bundle
+    own = built.layout.name if ":" in built.layout.name else ""  # a file is not found by its name
+    layout = options["layout"] or own or _answer(options, "layout")
+    placed = layouts.load(layout)
     poses = _answer(options, "poses")
     skin: dict[str, Any] = {"layout": layout if generated.parse(layout) else _from(path, layout)}
+    if built.depth_max_m != SkinConfig().full_scale_depth_m:
+        skin["full_scale_depth_m"] = built.depth_max_m
     if options["dialect"] == "icub":
         source["dialect"] = "icub"
         skin["full_scale_counts"] = ICUB_COUNTS
+    planned = SourceConfig(**source)
+    least_ms = dialects.least_period_ms(planned, placed)
+    if least_ms > planned.period_ms:
+        source["period_ms"] = least_ms
     keys = options["keys"]
     return {
         "scene": {"bundle": _from(path, named)},
         "source": source,
         "skin": skin,
         "sensor_pose": {"endpoint": poses} if poses else {},
+        "filter": _square(_answer(options, "where")),
         "curve": {"directory": str(Path(keys).absolute())} if keys else {},
     }
 
@@ -101,10 +115,11 @@ def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
 def _answer(options: Mapping[str, Any], option: str) -> str:
     """An option's value, or the answer of a person at the terminal."""
     if options[option] is not None:
-        return str(options[option])
+        given = options[option]
+        return given if isinstance(given, str) else " ".join(given)
     question = QUESTIONS[option]
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        if option == "poses":
+        if option in OPTIONAL:
             return ""
         raise SetupError(f"--{option}: is required where nobody can be asked; {question}")
     sys.stderr.write(f"{question}: ")
@@ -113,6 +128,16 @@ def _answer(options: Mapping[str, Any], option: str) -> str:
     if not line:
         raise ConfigError(["taxeld init: the questions were not answered; nothing is written"])
     return line.strip()
+
+
+def _square(text: str) -> dict[str, Any]:
+    if not text:
+        return {}
+    try:
+        x, y, half = map(float, text.replace(",", " ").split())
+    except ValueError:
+        raise SetupError(f"--where: '{text}' is no X Y HALF in metres, as 0.8 0 0.4") from None
+    return {"centre_m": (x, y), "half_width_m": half}
 
 
 def _source(text: str) -> dict[str, Any]:
@@ -130,4 +155,5 @@ def _from(path: Path, name: str) -> str:
         return name
     there = there.parent.resolve() / there.name  # a link keeps its own name
     beside = path.parent.resolve()
-    return str(there.relative_to(beside) if there.is_relative_to(beside) else there)
+    near = str(there.relative_to(beside) if there.is_relative_to(beside) else there)
+    return str(there) if bundle.is_shipped(near) else near  # of a directory that is called box

@@ -1,6 +1,7 @@
-"""`taxeld layout`: the facts about a layout, a line each."""
+"""`taxeld layout`: the facts about a layout, a line each, and the next command."""
 
 import math
+import shlex
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from taxeld.layout.layout import Layout
 
 TILT_MAX_RAD = math.radians(30.0)  # the scene model assumes that a taxel gives way along its radius
 SAME_PLACE_M = 1e-4  # iCub files put taxels of unknown place at their neighbour's
+ABOVE_M = 0.005  # height of the lowest taxels over the table, in the next command
 CLOSED_PITCHES = 2.0  # taxel pitches: a narrower angular gap is only the space between taxels
 
 
@@ -55,6 +57,16 @@ def summary(layout: Layout) -> list[str]:
     if source.parent is not None:
         lines += _matrix("parent", source.parent, "the file's tf_matrix [m]")
     return lines
+
+
+def next_command(spec: str, layout: Layout) -> list[str]:
+    """The line of the command that follows, for the layout that `spec` names; none without a
+    cylinder."""
+    if math.isinf(layout.radius_m):
+        return []
+    height = math.ceil((ABOVE_M - layout.position_m[:, 2].min()) * 1e3) / 1e3
+    words = ["taxeld-train", "scene", "MESH", "--layout", spec, "--height-m", f"{height:g}"]
+    return [f"next      {shlex.join(words)}    # the frame's height over the table; here the least"]
 
 
 def arc_rad(layout: Layout) -> float:

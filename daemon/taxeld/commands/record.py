@@ -87,6 +87,8 @@ class Recording:
         if not isinstance(decoder, Decoder) or not (written.frames or written.bytes):
             return ""
         tables, path = module_order.complete(decoder), self._directory / module_order.FILE
+        if not tables and decoder.refusal:
+            return f"; {decoder.refusal}"
         if not tables:
             unheard = "no DECLARE and MODULE_DETAILS were heard: to replay it, list source.modules"
             return f"; {unheard}" if decoder.counters.undeclared or decoder.counters.scans else ""

@@ -9,10 +9,11 @@ from operator import itemgetter
 from pathlib import Path
 
 from taxeld.arrays import Floats, Poses
-from taxeld.config import file as config_file
 from taxeld.config.tables import Config
+from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
+from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
@@ -43,7 +44,7 @@ class Replay:
             ConfigError: the configuration has faults.
         """
         self.directory = Path(directory)
-        config = config or config_file.load(self.directory / session.CONFIG)
+        config = config or session.config_of(self.directory)
         if seed is not None:
             config = replace(config, filter=replace(config.filter, seed=seed))
         self.pipeline = open_pipeline(self.directory, config)
@@ -65,9 +66,13 @@ class Replay:
         belief = self.pipeline.estimator.rule.belief
         return belief.pose.copy(), belief.weight.copy()
 
+    def why(self, estimate: Estimate) -> Why:
+        """Why the daemon would not mark this estimate, the last one, as valid."""
+        return self.pipeline.freshness.why(estimate)
+
     def is_valid(self, estimate: Estimate) -> bool:
         """Whether the daemon would mark this estimate, the last one, as valid."""
-        return self.pipeline.freshness.is_valid(estimate)
+        return self.why(estimate) is Why.VALID
 
 
 def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator[str]:
@@ -79,8 +84,8 @@ def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator
     """
     recorded = Replay(directory, config, seed)
     for seq, outcome in enumerate(recorded):
-        valid = recorded.is_valid(outcome.estimate)
-        message = messages.estimate(outcome.estimate, seq=seq, valid=valid)
+        why = recorded.why(outcome.estimate)
+        message = messages.estimate(outcome.estimate, seq=seq, why=why)
         yield json.dumps(message, separators=(",", ":"))
 
 
@@ -94,6 +99,13 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     where = str(directory) if session.has_poses(directory) else ""
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
     skin = layouts.load(config.skin.layout)
+    try:
+        bundle.find(config.scene.bundle)
+    except SetupError as error:
+        raise SetupError(
+            f"{error}; a session does not hold its bundle: name it in "
+            f"{directory / session.CONFIG}, by its whole path, or in another file with --config"
+        ) from None
     loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
     begun = session.begun(directory) if config.skin.calibration else 0.0
     calibration = calibration_file.load(config.skin, skin, begun, recorded=True)

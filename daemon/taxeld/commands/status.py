@@ -8,14 +8,15 @@ from taxeld.estimator.calibration_check import Suspect
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.proposals.ladder import Step
 from taxeld.skin.channels import mismatch
-from taxeld.stream.messages import name_of
+from taxeld.source import bus_faults
+from taxeld.stream.messages import name_of, reason_of
 
 WIDTH = 14
 
 
 def lines(answer: dict[str, Any]) -> Iterator[str]:
     """Lines of a subject each, from the answer to `status`; missing parts are left out."""
-    rows = [*estimate_rows(answer["estimate"])]
+    rows = [*estimate_rows(answer["estimate"], answer.get("why", ""))]
     rows.append(("Samples", name_of(Step, answer["estimate"]["degraded"])))
     rows.append(("Age", f"{answer['estimate']['age_us'] / 1e3:.1f} ms since the scan"))
     if answer.get("health"):
@@ -25,9 +26,12 @@ def lines(answer: dict[str, Any]) -> Iterator[str]:
         yield f"{name:{WIDTH}s}: {text}"
 
 
-def estimate_rows(e: dict[str, Any]) -> Iterator[tuple[str, str]]:
-    """Names and texts of an estimate's parts, from its map in the stream."""
+def estimate_rows(e: dict[str, Any], reason: str = "") -> Iterator[tuple[str, str]]:
+    """Names and texts of an estimate's parts, from its map in the stream; `reason`: the daemon's
+    own sentence why it is not valid, which has facts that the map lacks."""
     yield "Status", f"{name_of(Status, e['status'])}, {'valid' if e['valid'] else 'not valid'}"
+    if not e["valid"]:
+        yield "Not valid", reason or reason_of(e["why"])
     pose, cov = e["map"], e["cov"]
     yield "Pose", f"x {pose['x']:.4f} m, y {pose['y']:.4f} m, yaw {pose['theta']:.3f} rad"
     x, y, yaw = (math.sqrt(max(cov[k][k], 0.0)) for k in range(3))
@@ -55,6 +59,8 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     dropped = ", ".join(f"{n} {cause}" for cause, n in source["dropped"].items() if n) or "none"
     yield "Frames", f"{source['frames']}, dropped {dropped}"
     yield "Device", _device(source, waits_for)
+    if told := bus_faults.counted(source.get("bus", {})):
+        yield "Bus", told
     used = health.get("calibration")
     if used:
         yield "Calibration", _calibration(used)

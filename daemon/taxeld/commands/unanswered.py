@@ -3,16 +3,24 @@
 import getpass
 import grp
 import os
+import pwd
 import socket
 from pathlib import Path
 
 from taxeld.config import endpoints
+from taxeld.stream import client, messages
 
-PROBE_S = 1.0
+PROBE_S = 0.5
+FIRST_PERSON = 1000  # smaller user numbers are of services (UID_MIN of login.defs)
 
 
 def unanswered(endpoint: str) -> str:
     """One line with the cure."""
+    if client.hears(endpoint, messages.ESTIMATE, PROBE_S):
+        return (
+            f"{endpoint} is where a daemon publishes; name its control endpoint, control.endpoint "
+            "or relay.control of its configuration"
+        )
     path = endpoints.ipc_path(endpoint)
     none = f"no daemon answers at {endpoint}; is 'taxeld run' there?"
     if path is None:
@@ -37,12 +45,27 @@ def _is_closed(directory: Path) -> bool:
 
 
 def _denied(path: Path) -> str:
-    """The group of a path, and how this user joins it."""
+    """The group of a path, and how this user joins it, unless it is root's or a person's own."""
     try:
-        group = grp.getgrgid(path.stat().st_gid).gr_name
-        user = getpass.getuser()
+        number = path.stat().st_gid
+        group, user = grp.getgrgid(number).gr_name, getpass.getuser()
     except (OSError, KeyError):
         return "is closed to this user"
+    if number == 0 or _is_of_a_person(group, number):
+        owner = group if number else "root"
+        return (
+            f"is open to {owner} and its group alone: ask as {owner}, or run the daemon as the "
+            "service, which answers members of the group taxeld"
+        )
     return (
         f"is for members of the group {group}: sudo usermod -aG {group} {user}, then log in again"
     )
+
+
+def _is_of_a_person(group: str, number: int) -> bool:
+    """Whether a group is the one that a user of the same name has alone."""
+    try:
+        own = pwd.getpwnam(group)
+    except KeyError:
+        return False
+    return own.pw_gid == number and own.pw_uid >= FIRST_PERSON

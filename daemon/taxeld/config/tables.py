@@ -98,6 +98,11 @@ class SourceConfig:
         one_of(*icub.SKIN_TYPES),
         "dialect icub: how boards make up for their temperature",
     )
+    shift_bits: int = key(icub.SHIFT, between(0, 15), "dialect icub: bits a capacitance loses")
+    offset_counts: int = key(
+        icub.CDC_OFFSET, between(0, 0xFFFF), "dialect icub: offset of a capacitance"
+    )
+    no_load_counts: int = key(icub.NO_LOAD, between(0, 255), "dialect icub: an idle taxel's value")
     interface: str = key("socketcan", doc="kind can: socketcan, slcan, or any of python-can's")
     channel: str = key("", doc="kind can: can0, a device; kind serial: the device")
     bitrate: int = key(1_000_000, one_of(*BITRATES), "bit/s of the CAN bus")

@@ -161,8 +161,10 @@ def for_members(group: str) -> MayChange:
     refusal = (
         f"is for members of the group {group}: sudo usermod -aG {group} USER, and log in again"
     )
-    if number < 0:
-        refusal = f"is for the daemon's own user; there is no group {group} (control.group)"
+    if number <= 0:  # nobody is to join root's group
+        refusal = (
+            f"is for the daemon's own user; control.group ({group}) is no group here, or root's"
+        )
 
     def why_not(frame: zmq.Frame) -> str:
         try:

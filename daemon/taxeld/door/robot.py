@@ -6,6 +6,7 @@ publishes is listened to for a moment, so that a wrong topic can be named.
 
 import itertools
 import math
+import re
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -14,13 +15,16 @@ import zmq
 
 from taxeld.stream import curve, pair, sockets
 from taxeld.stream.curve import RobotKeys
-from taxeld.stream.link import TOPIC_MAX, TOPICS_MAX, RobotLine
+from taxeld.stream.link import REASON_MAX, TOPIC_MAX, TOPICS_MAX, RobotLine
 from taxeld.stream.sockets import connect, open_socket, unpack
 from taxeld.stream.topics import SENSOR_POSE
 
 POSES_PER_LOOK = 200
 QUEUED = 256  # messages, between two looks as well
 POSE_FRAMES = 3
+POSE_KEYS = ("t", "x", "y", "theta")
+THETA_MAX = 3.0 * math.pi  # beyond it an angle is in degrees; smaller ones cannot be told
+NAME = re.compile(rb"[!-~]{0,%d}" % TOPIC_MAX)  # a topic up to where it is no text
 MESSAGE_BYTES = 65_536  # largest message under a topic that begins like ours
 EVENTS_PER_LOOK = 64
 LOST_S = 2.0  # a connection that does not come back by itself in so long is made anew
@@ -43,6 +47,7 @@ EVENT = struct.Struct("=HI")  # an event and its value: pyzmq's own reader bring
 NUMBERS = itertools.count()  # each monitor has a name of its own
 
 OnPoses = Callable[[bytes], object]
+Pose = tuple[float, float, float, float]
 
 
 class Robot:
@@ -133,15 +138,17 @@ class Robot:
         self.line.connected = False
 
     def _take(self, now_s: float, parts: list[bytes]) -> None:
-        if parts[0] != SENSOR_POSE:  # its prefix is all that ZeroMQ looks at
-            name = parts[0].decode("utf-8", "backslashreplace")[:TOPIC_MAX]
+        is_glued = len(parts) == 1 and parts[0].startswith(SENSOR_POSE)
+        if parts[0] != SENSOR_POSE and not is_glued:  # its prefix is all that ZeroMQ looks at
+            name = NAME.findall(parts[0])[0].decode() or "a topic that is no text"
             known = self.line.topics
             if self._listens_s is not None and name not in known and len(known) < TOPICS_MAX:
                 known.append(name)
             return
         pose = as_pose(parts)
-        if pose is None:
+        if isinstance(pose, str):
             self.line.malformed += 1
+            self.line.reason = pose[:REASON_MAX]
             return
         self._pose_s, self.is_awaited = now_s, False
         self._packed.append(pair.POSE.pack(*pose))
@@ -183,16 +190,25 @@ class Robot:
             self.line.topics, self._pauses_s = [], -math.inf
 
 
-def as_pose(parts: list[bytes]) -> tuple[float, float, float, float] | None:
-    """(t, x, y, θ) of a message; None where it is none."""
+def as_pose(parts: list[bytes]) -> Pose | str:
+    """(t, x, y, θ) of a message, or the reason why it is none, with the cure."""
     if len(parts) != POSE_FRAMES:
-        return None
+        are = "topic and map are one frame" if len(parts) == 1 else f"they have {len(parts)} frames"
+        return f"{are}: send three, the topic, one msgpack map, the time as text"
     message = unpack(parts[1])
-    try:
-        pose = message["t"], message["x"], message["y"], message["theta"]
-        if not all(map(math.isfinite, pose)):
-            return None
-        t, x, y, theta = map(float, pose)
-    except (KeyError, TypeError, OverflowError):  # one lacks, is no number, or is too large for one
-        return None
+    if not message:
+        if parts[1].lstrip().startswith(b"{"):
+            return "the map is JSON: pack it by msgpack"
+        return "the second frame is no msgpack map {t, x, y, theta}"
+    for key in POSE_KEYS:
+        if key not in message:
+            return f"key {key} lacks; the map has {', '.join(sorted(map(str, message)))}"
+        value = message[key]
+        if type(value) not in (int, float):
+            return f"{key} is no number"
+        if not math.isfinite(value):
+            return f"{key} is not finite: leave such a pose out"
+    t, x, y, theta = (float(message[key]) for key in POSE_KEYS)
+    if abs(theta) > THETA_MAX:
+        return "theta is beyond 1.5 turns: send radians from -pi to pi, not degrees"
     return t, x, y, theta

@@ -1,4 +1,5 @@
-"""Layout files: CySkin's own robotskinlib JSON (version 2), and iCub skin positions (`.txt`).
+"""Layout files: CySkin's own robotskinlib JSON (version 2), iCub skin positions (`.txt`), and a
+plain table (`.csv`).
 
 A reader returns the taxels of the file, in metres and in the file's frame, and counts what it left
 out. Any other content raises one ValueError that names the place.
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Floats
 from taxeld.layout import normals
+from taxeld.layout.generated import TAXELS_PER_MODULE
 from taxeld.layout.layout import Provenance
 from taxeld_protocol.icub import THERMAL
 from taxeld_protocol.modules import NAMES
@@ -25,6 +27,7 @@ MAX_TAXELS = 5000  # a link's skin has hundreds
 MISSING_ID = -1
 UID_BITS = 36  # SUI u32 << 4 | name
 TRIANGLE = 12  # slots of an iCub triangle
+COLUMNS = ["x", "y", "z", "nx", "ny", "nz"]  # of a plain table
 MIDDLE = 3  # slot of a triangle's middle taxel, which may stand for all ten
 NUMBER_MAX = 1e6
 METRES_MAX = 5.0  # m: a wider patch is in mm, as no link is 5 m wide and no module under 5 mm
@@ -177,6 +180,27 @@ def _parent(frames: Any) -> Floats | None:
     return matrix
 
 
+def _csv(text: str) -> Patch:
+    """Read a row a taxel under the header `x,y,z,nx,ny,nz`, and `uid` where the file has it; else
+    UIDs go up as those of a generated cylinder."""
+    head, *rows = [line.replace(" ", "").split(",") for line in text.splitlines() or [""]]
+    if head not in (COLUMNS, [*COLUMNS, "uid"]):
+        raise ValueError(f"line 1: must be {','.join(COLUMNS)}, or the same with ,uid")
+    gathered, seen = _Gathered(), set[int]()
+    for number, words in enumerate(rows, 2):
+        place, i = f"line {number}", len(seen)
+        uid = (i // TAXELS_PER_MODULE + 1) << 4 | (i % TAXELS_PER_MODULE + 1)
+        if "uid" in head:
+            named = words.pop()
+            uid = int(named) if re.fullmatch("[0-9]{1,11}", named) else 0
+            if not 0 < uid & 0xF < NAMES or uid >= 1 << UID_BITS or uid in seen:
+                raise ValueError(f"{place}: {_show(named)} is no UID, or one for the second time")
+        seen.add(uid)
+        row = _row(words, place)
+        gathered.add(uid, row[:3], row[3:], place)
+    return gathered.patch()
+
+
 def _icub(text: str) -> Patch:
     """Read iCub positions: row i is slot i % 12 of triangle i // 12, triangles counted through the
     part's boards. A UID is the triangle as the SUI, and the slot as the name.
@@ -257,4 +281,4 @@ def _show(value: Any) -> str:
     return reprlib.repr(value)
 
 
-READERS: dict[str, Callable[[str], Patch]] = {".json": _robotskinlib, ".txt": _icub}
+READERS: dict[str, Callable[[str], Patch]] = {".json": _robotskinlib, ".txt": _icub, ".csv": _csv}

@@ -39,7 +39,7 @@ def read(spec: str) -> Layout:
         if Path(spec).suffix.lower() not in files.READERS:
             raise ValueError(
                 f"'{spec}' is no known layout; use '{generated.EXAMPLES['cylinder']}', "
-                f"'{generated.EXAMPLES['wrap']}', a robotskinlib .json or an iCub positions .txt"
+                f"'{generated.EXAMPLES['wrap']}', a robotskinlib .json, an iCub .txt, or a .csv"
             )
         return _of_patch(Path(spec).stem, files.read(Path(spec)))
     except ValueError as error:

@@ -1,46 +1,66 @@
-"""Whether the inputs are fresh, and the status of an estimate where they are not.
+"""Whether an estimate is valid, and why it is not.
 
-The estimator judges its belief; this module judges the inputs. Status is decided nowhere else.
+The estimator judges its belief; this module judges the inputs, and where they stop the estimates,
+the status. Both are decided nowhere else.
 """
 
 import math
 from dataclasses import replace
+from enum import IntEnum
 
-from taxeld.arrays import Poses
+import numpy as np
+
 from taxeld.estimator.estimate import Estimate, Status
 
-USABLE = (Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED)
+
+class Why(IntEnum):
+    """Why an estimate is not valid: the first reason that holds, in this order."""
+
+    VALID = 0
+    NO_SCAN = 1
+    STARTING = 2
+    SCANS_MISTIMED = 3
+    NO_POSE = 4
+    MODULES_MISSING = 5
+    BLIND = 6
+    INCONSISTENT = 7
+    UNTOUCHED = 8
+    VAGUE = 9
+    OUTSIDE = 10
+
+
+CURES = {  # the reason and its cure, in the width of a terminal (docs/stream.md)
+    Why.VALID: "",
+    Why.NO_SCAN: "no scan comes from the skin: see Device and Frames",
+    Why.STARTING: "the idle baseline is being learned: leave the skin untouched",
+    Why.SCANS_MISTIMED: "scans come too late, or from the future: see to load and clock",
+    Why.NO_POSE: "no sensor pose near the time of a scan: see Sensor poses",
+    Why.MODULES_MISSING: "modules of skin.layout are on no hub: see Modules",
+    Why.BLIND: "no live taxel where a touch is expected: turn the skin, see Dead taxels",
+    Why.INCONSISTENT: "no pose explains the touches: another object, or it moved: taxeld reset",
+    Why.UNTOUCHED: "nothing was touched yet: touch the object",
+    Why.VAGUE: "the touches tell less than one should: is it this object? touch again",
+    Why.OUTSIDE: "outside filter.centre_m ± filter.half_width_m: widen or move that square",
+}
 
 
 class Freshness:
-    """Use of the last scan, and its age."""
+    """What became of the last scan, and its age."""
 
     def __init__(
         self,
         stale_s: float,
         centre_m: tuple[float, float] = (0.0, 0.0),
-        within_m: float = math.inf,
+        half_width_m: float = math.inf,
+        reach_m: float = math.inf,
     ) -> None:
-        """`stale_s`: age of the last scan [s] beyond which the inputs are stale. An object farther
-        than `within_m` from `centre_m` along x or y is outside its possible places."""
-        self._centre_m = centre_m
-        self._within_m = within_m
-        self._stale_s = stale_s
-        self._verdict: Status | None = Status.STARTING  # None: the last scan was used
-        self._came_s = 0.0
+        """`stale_s`: age of the last scan [s] beyond which the inputs are stale. An object may be
+        `half_width_m` from `centre_m` along x and y, and is felt up to `reach_m` from the link's
+        axis."""
+        self.last = Why.STARTING  # of the last scan: VALID where the estimator has taken it
         self.is_whole = True  # the hubs have the modules that the layout has
-
-    def starting(self) -> None:
-        """The idle baseline is being learned."""
-        self._verdict = Status.STARTING
-
-    def unused(self) -> None:
-        """A scan came at a wrong time, or without a sensor pose."""
-        self._verdict = Status.STALE
-
-    def used(self) -> None:
-        """The estimator has taken a scan."""
-        self._verdict = None
+        self._stale_s, self._came_s = stale_s, 0.0
+        self._centre_m, self._half_width_m, self._reach_m = centre_m, half_width_m, reach_m
 
     def came(self, now_s: float) -> None:
         """A scan has come, used or not, at the monotonic time `now_s`."""
@@ -52,18 +72,37 @@ class Freshness:
 
     def judged(self, estimate: Estimate, now_s: float | None = None) -> Estimate:
         """The estimate with the status that its inputs allow; with `now_s`, also by their age."""
-        verdict = self._verdict
-        if now_s is not None and self.is_silent(now_s):
-            verdict = Status.STALE
-        return estimate if verdict is None else replace(estimate, status=verdict)
+        why = self._of_inputs(now_s)
+        stopped = Status.STARTING if why is Why.STARTING else Status.STALE
+        return estimate if why is Why.VALID else replace(estimate, status=stopped)
 
-    def is_valid(self, estimate: Estimate) -> bool:
-        """Whether a subscriber may use the estimate: its inputs are fresh and whole, something was
-        touched, and the object is at a possible place."""
-        if not self.is_whole or estimate.contacts == 0 or estimate.status not in USABLE:
-            return False
-        return self._is_inside(estimate.map) and self._is_inside(estimate.mean)
+    def why(self, estimate: Estimate, now_s: float | None = None) -> Why:
+        """Why a subscriber may not use the last estimate, VALID where it may; `now_s` as above."""
+        inputs, cov = self._of_inputs(now_s), estimate.cov
+        if inputs is not Why.VALID:
+            return inputs
+        places = np.array([estimate.map, estimate.mean])[:, :2]
+        off_m = np.abs(places - self._centre_m).max()
+        # one contact leaves the object within the reach, and hence its spread
+        is_vague = not cov[0, 0] + cov[1, 1] <= self._reach_m**2
+        holds = {
+            Why.MODULES_MISSING: not self.is_whole,
+            Why.BLIND: estimate.status is Status.BLIND,
+            Why.INCONSISTENT: estimate.status is Status.INCONSISTENT,
+            Why.UNTOUCHED: estimate.contacts == 0,
+            Why.VAGUE: estimate.status is Status.SEARCHING and is_vague,
+            Why.OUTSIDE: not off_m <= self._half_width_m + self._reach_m,
+        }
+        return next((why for why, is_so in holds.items() if is_so), Why.VALID)
 
-    def _is_inside(self, pose: Poses) -> bool:
-        x, y = self._centre_m
-        return bool(max(abs(pose[0] - x), abs(pose[1] - y)) <= self._within_m)
+    def sentence(self, why: Why, estimate: Estimate, fact: str = "") -> str:
+        """The reason, its cure, and a fact where there is one."""
+        if why is Why.OUTSIDE:
+            (x, y, _), (x0, y0) = estimate.map, self._centre_m
+            square = f"[{x0:g}, {y0:g}] ± {self._half_width_m:g} m"
+            fact = f"it seems to be at x {x:.3f} m, y {y:.3f} m; these are {square}"
+        return f"{CURES[why]} ({fact})" if fact else CURES[why]
+
+    def _of_inputs(self, now_s: float | None) -> Why:
+        is_silent = now_s is not None and self.is_silent(now_s)
+        return Why.NO_SCAN if is_silent else self.last

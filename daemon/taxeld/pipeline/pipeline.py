@@ -16,7 +16,7 @@ from taxeld.config.tables import Config
 from taxeld.estimator.estimator import Estimator
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.calibrated import calibrated
-from taxeld.pipeline.freshness import Freshness
+from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
 from taxeld.proposals.ladder import Ladder
@@ -61,8 +61,8 @@ class Pipeline:
             mount = None if calibration is None else calibration.mount
             self.poses = PoseTrack(on_pose, mount, extrapolate_s)
         self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)
-        square = config.filter.half_width_m + _reach_m(model)
-        self.freshness = Freshness(silent_s, config.filter.centre_m, square)
+        square = config.filter.centre_m, config.filter.half_width_m
+        self.freshness = Freshness(silent_s, *square, _reach_m(model))
         self.estimate = self.freshness.judged(self.estimator.estimate)
         self.inputs = InputCounters()
         self.thinks_at_once = True  # whether a scan's second opinion is part of the work on it
@@ -166,7 +166,7 @@ class Pipeline:
         """Learn the idle baseline anew; the skin must not be touched. The status is STARTING until
         the baseline is learned."""
         self.skin.tare()
-        self.freshness.starting()
+        self.freshness.last = Why.STARTING
         self.estimate = self.freshness.judged(self.estimate)
 
     def reset(self) -> None:
@@ -185,7 +185,7 @@ class Pipeline:
             self.inputs.scans_old += 1
         else:
             self.inputs.scans_from_the_future += 1
-        self.freshness.unused()
+        self.freshness.last = Why.SCANS_MISTIMED
         self.estimate = self.freshness.judged(self.estimate)
         return Outcome(self.estimate)
 
@@ -197,14 +197,14 @@ class Pipeline:
         skin_ns = clock() - start
         self.freshness.is_whole = len(self.skin.wiring.lacking) <= self.config.skin.missing_modules
         if activation is None:
-            self.freshness.starting()
+            self.freshness.last = Why.STARTING
             return self._unused(scan, skin_ns)
         sensor = self.poses.at(scan.t + by)
         if sensor is None:
             self.inputs.scans_without_pose += 1
-            self.freshness.unused()
+            self.freshness.last = Why.NO_POSE
             return replace(self._unused(scan, skin_ns), activation=later(activation, by))
-        self.freshness.used()
+        self.freshness.last = Why.VALID
         start, proposed_ns = clock(), self.ladder.spent_ns
         learn = self.estimator.on_scan if self.thinks_at_once else self.estimator.learn
         estimate = learn(activation, sensor)
@@ -221,5 +221,5 @@ class Pipeline:
 
 
 def _reach_m(model: ObservationModel) -> float:
-    """How far outside its square an object may lie that is felt inside [m]."""
+    """How far from the link's axis an object may lie that touches it [m]."""
     return float(np.hypot(*model.scene.outline.T).max()) + model.layout.radius_m

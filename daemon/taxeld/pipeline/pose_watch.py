@@ -8,6 +8,8 @@ from collections import deque
 from collections.abc import Collection
 from dataclasses import dataclass
 
+from taxeld.pipeline.poses import FAR_M
+
 LOOKS = 5  # looks, a second each, over which the rate is taken
 OFFSET_S = 0.05  # s between the robot's clock and this one
 SLOW = 0.9  # share of the scans' rate: fewer poses are too few
@@ -33,13 +35,15 @@ class PoseWatch:
         self.fault = ""  # the fault with its cure, once it was seen twice: a robot may start late
         self._endpoint, self._scans_hz = endpoint, 1.0 / scan_period_s
         self._received = self._malformed = 0
+        self._is_far = False  # a pose since the last look was
         self._came_s = math.nan
         self._nearest_s = math.inf  # least offset since a look
         self._found = ""  # fault at the last look
         self._looks: deque[tuple[float, int]] = deque(maxlen=LOOKS)
 
-    def add(self, t: float, now: float) -> None:
-        """A pose of Unix time t has come `now`, used or not."""
+    def add(self, t: float, now: float, *, is_far: bool = False) -> None:
+        """A pose of Unix time t has come `now`, used or not; `is_far`: too far from the origin."""
+        self._is_far |= is_far
         self._received += 1
         self._came_s = now
         self._nearest_s = min(self._nearest_s, now - t, key=abs)
@@ -50,10 +54,18 @@ class PoseWatch:
         self._nearest_s, self._came_s = math.inf, math.nan
 
     def look(
-        self, now: float, malformed: int, topics: Collection[str], *, connected: bool, refused: bool
+        self,
+        now: float,
+        malformed: int,
+        reason: str,
+        topics: Collection[str],
+        *,
+        connected: bool,
+        refused: bool,
     ) -> PoseFigures:
         """The figures at the Unix time `now`; the other arguments are from the socket: messages
-        that are no poses, other topics that are heard, and the state of the connection."""
+        that are no poses, and the `reason` of the last, other topics that are heard, and the state
+        of the connection."""
         figures = self.figures
         figures.connected = connected
         figures.age_s = NEVER_S if math.isnan(self._came_s) else max(now - self._came_s, 0.0)
@@ -62,19 +74,18 @@ class PoseWatch:
         figures.rate_hz = (self._received - before) / (now - then) if now > then else 0.0
         if math.isfinite(self._nearest_s):
             figures.offset_s = self._nearest_s
-        found = self._judge(topics, is_malformed=malformed > self._malformed, is_refused=refused)
+        if malformed > self._malformed:
+            found = f"messages come and are no poses: {reason}"
+        else:
+            found = self._judge(topics, is_refused=refused)
         if found == self._found:
             self.fault = found
         self._found, self._malformed, self._nearest_s = found, malformed, math.inf
+        self._is_far = False
         return figures
 
-    def _judge(self, topics: Collection[str], *, is_malformed: bool, is_refused: bool) -> str:
+    def _judge(self, topics: Collection[str], *, is_refused: bool) -> str:
         figures, at = self.figures, self._endpoint
-        if is_malformed:
-            return (
-                "messages come and are no poses: topic, then one msgpack map {t, x, y, theta} of "
-                "numbers, then the time as text"
-            )
         if not 0.0 <= figures.age_s <= STOPPED_S:
             if is_refused:
                 return f"{at} refuses the daemon: both must use keys, or neither (curve.directory)"
@@ -87,6 +98,8 @@ class PoseWatch:
                 "their times are not of this machine's clock: send Unix time in seconds, and let "
                 "chrony or PTP keep both clocks"
             )
+        if self._is_far:
+            return f"x or y is beyond {FAR_M:g} m: send metres, not millimetres"
         if len(self._looks) == LOOKS and figures.rate_hz < SLOW * self._scans_hz:
             return "fewer poses than scans come: publish 100 a second"
         return ""

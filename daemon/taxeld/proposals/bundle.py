@@ -122,27 +122,34 @@ def find(name: str) -> Path:
     )
 
 
+def manifest_of(name: str) -> Manifest:
+    """The manifest of a shipped bundle's name or of a path. Raises SetupError."""
+    path = find(name) / manifest.NAME
+    return manifest.parse(manifest.read(path), path)[0]
+
+
 def _shipped() -> dict[str, Path]:
     """The shipped bundles by their names."""
     folder = Path(str(resources.files("taxeld") / "bundles"))
     return {path.parent.name: path.parent for path in folder.glob(f"*/{manifest.NAME}")}
 
 
-def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
-    """Load and validate a bundle for a skin.
+def load(name: str, layout: Layout, depth_max_m: float | None = None) -> Bundle:
+    """Load and validate a bundle for a skin, at the depth that it was built for.
 
     Raises:
-        SetupError: it is missing, damaged, or of another layout or depth.
+        SetupError: it is missing, damaged, or of another layout, or of another depth than given.
     """
     path = find(name)
     found, info = manifest.parse(manifest.read(path / manifest.NAME), path / manifest.NAME)
     if found.layout.digest != layout.digest:
         raise SetupError(
             f"scene.bundle: {path.name} is for the layout {found.layout.name} "
-            f"({found.layout.digest}), not for {layout.name} ({layout.digest}); build it again for "
-            "this one ('taxeld-train build --skin'), or name the other in skin.layout"
+            f"({found.layout.digest}), not for {layout.name} ({layout.digest}); name that layout "
+            "(skin.layout, or --layout), or build a bundle for this one "
+            "('taxeld-train build --layout')"
         )
-    if abs(found.depth_max_m - depth_max_m) > 1e-6:
+    if depth_max_m is not None and abs(found.depth_max_m - depth_max_m) > 1e-6:
         raise SetupError(
             f"skin.full_scale_depth_m: is {depth_max_m:g}, but {path.name} was built for "
             f"{found.depth_max_m:g}; set it to that"
@@ -150,7 +157,7 @@ def load(name: str, layout: Layout, depth_max_m: float) -> Bundle:
     files = manifest.unbroken(path, found.files)
     scene = scene_file.parse(files[manifest.SCENE], path / manifest.SCENE)
     try:
-        model = ObservationModel(scene, layout, depth_max_m)
+        model = ObservationModel(scene, layout, found.depth_max_m)
         check_contacts(model)
     except SetupError as error:
         raise SetupError(f"{path / manifest.SCENE}: {error}") from None

@@ -29,6 +29,8 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
             "unopened": source.counters.unopened,
             "unsent": source.counters.unsent,
             "waiting": bool(source.waits_for),
+            "bus": source.bus.counts,
+            "firmware": dict(source.firmware),
         },
         "inputs": {
             **pipeline.input_counts(),

@@ -20,6 +20,7 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.model.activation import Activation
+from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.pose_watch import PoseFigures, PoseWatch
@@ -111,6 +112,7 @@ class Daemon:
         self._estimate_s = 1.0 / config.publish.rate_hz
         self._next_look_s = 0.0
         self._told: Estimate | None = None  # the estimate published last
+        self._why = Why.STARTING  # why that one is not valid
         self._notices = Notices(scene.path, self.pipeline.ladder.name)
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
@@ -263,9 +265,10 @@ class Daemon:
             self.door.look(self.link, now_s)
 
     def _on_pose(self, t: float, x: float, y: float, theta: float) -> None:
-        now = time.time()
-        self.pipeline.poses.add(t, x, y, theta, now)
-        self._watch.add(t, now)
+        now, poses = time.time(), self.pipeline.poses
+        far = poses.far
+        poses.add(t, x, y, theta, now)
+        self._watch.add(t, now, is_far=poses.far > far)
 
     def close(self) -> None:
         """Stop the skin and free everything that is open."""
@@ -300,12 +303,14 @@ class Daemon:
         self._seq += 1
         wall_s = time.time()
         self._told, self._next_estimate_s = estimate, now_s + self._estimate_s
-        valid = self.pipeline.freshness.is_valid(estimate)
-        self._notices.estimate(estimate, valid, now_s)
+        before, self._why = self._why, self.pipeline.freshness.why(estimate, now_s)
+        if self._why is not before:
+            self.link.tell(self._state())
+        self._notices.estimate(estimate, self._why, self._reason(), now_s)
         self._estimate_sent = messages.estimate(
             estimate,
             seq=self._seq,
-            valid=valid,
+            why=self._why,
             mono_ns=time.monotonic_ns(),
             age_us=(wall_s - estimate.t) * 1e6 if estimate.t else 0.0,
             overruns=self.counters.overruns,
@@ -338,7 +343,7 @@ class Daemon:
             self.link.send(messages.HEALTH, self._health_sent, wall_s)
             fault, match = self._watch.fault, self.pipeline.freshness.is_whole
             self._notices.inputs(fault, self.pipeline.skin.wiring, match=match, now_s=now_s)
-            self.link.tell({"waits_for": self.source.waits_for, "sensor_pose": self._sensor_pose()})
+            self.link.tell(self._state())
 
     def _estimate(self, now_s: float) -> Estimate:
         """The estimate as published at the time `now_s`."""
@@ -348,33 +353,36 @@ class Daemon:
         if self.source.waits_for:
             return f"waiting, {self.source.waits_for}"
         estimate = self._estimate(now_s)
-        return (
-            f"{estimate.status.name.lower()}, contacts {estimate.contacts}, "
-            f"overruns {self.counters.overruns}"
-        )
+        line = f"{estimate.status.name.lower()}{', not valid' if self._why else ''}"
+        return f"{line}, contacts {estimate.contacts}, overruns {self.counters.overruns}"
 
     def state(self) -> dict[str, Any]:
-        """The estimate and health published last, and the input that is waited for."""
-        return {
-            "estimate": self._estimate_sent,
-            "health": self._health_sent,
-            "waits_for": self.source.waits_for,
-            "sensor_pose": self._sensor_pose(),
-        }
+        """The estimate and health published last, and the rest of the answer to `status`."""
+        return {"estimate": self._estimate_sent, "health": self._health_sent, **self._state()}
 
-    def _sensor_pose(self) -> dict[str, Any]:
-        topics = self.link.report.robot.topics
-        endpoint = self.config.sensor_pose.endpoint
-        return {"endpoint": endpoint, "topics": topics, "fault": self._watch.fault}
+    def _state(self) -> dict[str, Any]:
+        """The part of the answer to `status` that no message has."""
+        sensor_pose = {
+            "endpoint": self.config.sensor_pose.endpoint,
+            "topics": self.link.report.robot.topics,
+            "fault": self._watch.fault,
+        }
+        waits_for, why = self.source.waits_for, self._reason()
+        return {"waits_for": waits_for, "why": why, "sensor_pose": sensor_pose}
+
+    def _reason(self) -> str:
+        """Why the estimate published last is not valid, and the cure; empty where it is."""
+        facts = {Why.NO_SCAN: self.source.waits_for, Why.NO_POSE: self._watch.fault}
+        estimate, fact = self._told or self.pipeline.estimate, facts.get(self._why, "")
+        return self.pipeline.freshness.sentence(self._why, estimate, fact)
 
     def pose_figures(self, t: float) -> PoseFigures:
         """Figures of the robot's poses at the Unix time t; to be called once a second."""
         if not self.config.sensor_pose.endpoint or self._replays_poses:
             return PoseFigures()
         line = self.link.report.robot
-        return self._watch.look(
-            t, line.malformed, line.topics, connected=line.connected, refused=line.refused
-        )
+        link = {"connected": line.connected, "refused": line.refused}
+        return self._watch.look(t, line.malformed, line.reason, line.topics, **link)
 
 
 def _stages_us(outcome: Outcome) -> dict[str, float]:

@@ -11,6 +11,7 @@ from typing import Any
 
 from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Estimate, Status
+from taxeld.pipeline.freshness import Why
 from taxeld.skin.channels import Wiring, mismatch
 
 GRAVE = (Status.STALE, Status.BLIND, Status.INCONSISTENT)
@@ -45,7 +46,7 @@ class Notices:
 
     def __init__(self, bundle: Path, proposal: str) -> None:
         self._samples = f"{proposal or 'no samples'} of {bundle}"
-        self._status: tuple[Status, bool] | None = None  # the last status, and whether valid
+        self._status: tuple[Status, Why] | None = None  # the last, and why it was not valid
         self._said: dict[str, str] = {}  # the last line on each subject
         self._looks = 0  # since the modules of a hub have changed
         self._of_status = Ration(burst=10, every_s=5.0)
@@ -66,19 +67,20 @@ class Notices:
         ]
         log.info("ready: %s", "; ".join(parts))
 
-    def estimate(self, estimate: Estimate, valid: bool, now_s: float) -> None:
-        """Log a published estimate if its status, or whether it is valid, has changed."""
+    def estimate(self, estimate: Estimate, why: Why, reason: str, now_s: float) -> None:
+        """Log a published estimate if its status, or why it is not valid, has changed; `reason`:
+        the same in words."""
         status, left_out = estimate.status, self._of_status.left_out
-        if (status, valid) == self._status:
+        if (status, why) == self._status:
             return
-        self._status = status, valid
+        self._status = status, why
         if not self._of_status.allows(now_s):
             return
         self._of_status.left_out = 0
         x, y, yaw = estimate.map
-        line = f"{status.name.lower()}, {'valid' if valid else 'not valid'}"
+        line = f"{status.name.lower()}, {'not ' if reason else ''}valid"
         line += f", {estimate.contacts} contacts"
-        line += f", x {x:.4f} m, y {y:.4f} m, yaw {yaw:.3f} rad" if valid else ""
+        line += f": {reason}" if reason else f", x {x:.4f} m, y {y:.4f} m, yaw {yaw:.3f} rad"
         line += f" ({left_out} changes before were not logged)" if left_out else ""
         log.log(logging.WARNING if status in GRAVE else logging.INFO, "status: %s", line)
 

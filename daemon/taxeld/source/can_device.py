@@ -6,17 +6,35 @@ by byte and frame by frame.
 
 import contextlib
 import logging
+import math
+import re
 from typing import Any
 
 import can
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
+from taxeld.source.bus_faults import BusFault, kinds
 from taxeld.source.device import BusDevice, first_line, unopened
 from taxeld.source.dialects import ToFrames
 from taxeld_protocol.frames import Frame
 
-logging.getLogger("can").addHandler(logging.NullHandler())  # its faults are reported here, once
+INTERFACES = sorted(can.VALID_INTERFACES)
+
+# its faults are reported here, once
+logging.getLogger("can").addHandler(logging.NullHandler())
+logging.getLogger("can").propagate = False
+
+
+# interfaces that pass on error frames of the kernel's form
+AS_THE_KERNEL = ("gs_usb", "socketcand", "udp_multicast", "virtual")
+STATES = {
+    can.BusState.ACTIVE: BusFault.ACTIVE,
+    can.BusState.PASSIVE: BusFault.PASSIVE,
+    can.BusState.ERROR: BusFault.OFF,
+}
+BUS_OFF = re.compile("bus.?off", re.IGNORECASE)
+LOOK_S = 1.0  # time between two looks at an interface's state
 
 
 class CanDevice(BusDevice):
@@ -26,11 +44,20 @@ class CanDevice(BusDevice):
         """Raises SetupError where the bus cannot be opened."""
         super().__init__(to_frames)
         self._bus = _open_bus(config)
+        self._is_as_the_kernel = config.interface in AS_THE_KERNEL
+        self._state = can.BusState.ACTIVE  # state of the interface, when last looked
+        self._look_s = -math.inf  # monotonic time of the next look
 
     def fileno(self) -> int:
         with contextlib.suppress(NotImplementedError, can.CanError):
             return int(self._bus.fileno())
         return -1
+
+    def tend(self, now_s: float) -> None:
+        if now_s >= self._look_s:
+            self._look_s = now_s + LOOK_S
+            with contextlib.suppress(NotImplementedError, can.CanError, OSError):
+                self._enter(self._bus.state)
 
     def close(self, wait_s: float = 0.0) -> None:  # noqa: ARG002
         with contextlib.suppress(can.CanError, OSError):
@@ -42,11 +69,18 @@ class CanDevice(BusDevice):
             # set back by an hour
             message = self._bus._recv_internal(0.0)[0]
         except (can.CanError, OSError, ValueError, IndexError) as error:
+            self._look_into(error)
             is_noise = isinstance(error.__cause__ or error, (ValueError, IndexError))
             raise (ValueError if is_noise else ConnectionError)(str(error)) from None
         if message is None:
             raise BlockingIOError
-        if message.is_error_frame or message.is_remote_frame or message.is_fd:
+        if message.is_error_frame:
+            known = self._is_as_the_kernel
+            told = kinds(message.arbitration_id if known else 0, bytes(message.data))
+            self.noticed.bus.update(told)
+            return None
+        if message.is_remote_frame or message.is_fd:
+            self.noticed.foreign += 1
             return None
         number, data = message.arbitration_id, bytes(message.data)
         return Frame(message.timestamp, number, data, message.is_extended_id)
@@ -58,14 +92,36 @@ class CanDevice(BusDevice):
         try:
             self._bus.send(message, timeout=0.0)
         except can.CanError as error:
+            self._look_into(error)
             raise BlockingIOError from error
+
+    def _look_into(self, error: Exception) -> None:
+        if BUS_OFF.search(str(error)):
+            self._enter(can.BusState.ERROR)
+
+    def _enter(self, state: can.BusState) -> None:
+        if state is not self._state:
+            self._state = state
+            self.noticed.bus[STATES[state]] += 1
 
 
 def _open_bus(config: SourceConfig) -> Any:
     where = f"{config.interface} {config.channel}"
     try:
         return can.Bus(interface=config.interface, channel=config.channel, bitrate=config.bitrate)
-    except (can.CanInterfaceNotImplementedError, ImportError) as error:
-        raise SetupError(f"source.interface: {first_line(error)}") from None
     except Exception as error:  # each of python-can's interfaces raises exceptions of its own
-        raise unopened(where, error) from None
+        if _is_of_channel(error):
+            raise unopened(where, error) from None
+        raise SetupError(
+            f"source.interface: python-can cannot use {config.interface} ({first_line(error)}); is "
+            "its maker's library installed, and source.channel one of its own?"
+        ) from None
+
+
+def _is_of_channel(error: Exception) -> bool:
+    """Whether a fault is of the channel, not of a library that is missing: ctypes raises an OSError
+    without a number, and an interface that goes on without its library any exception."""
+    if isinstance(error, can.CanInterfaceNotImplementedError):
+        return False
+    is_of_ctypes = type(error) is OSError and error.errno is None
+    return isinstance(error, (can.CanError, OSError, ValueError)) and not is_of_ctypes

@@ -4,10 +4,12 @@ import errno
 import os
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from taxeld.errors import SetupError
+from taxeld.source.bus_faults import BusFault
 from taxeld.source.dialects import ToFrames
 from taxeld.source.session import Chunk
 from taxeld_protocol.frames import Frame
@@ -16,13 +18,17 @@ FRAMES_PER_POLL = 1000  # limit on a pass, so that a flooded bus cannot hold the
 FOREIGN_CLOCK_S = 86_400.0  # a stamp farther from now is not from this machine's clock
 
 ABSENT = "it is not there; is it plugged in?"
-DENIED = "permission denied; is this user in the group that owns it?"
+DENIED = (
+    "permission denied; is this user in the group that owns it? One of root's needs a udev rule"
+)
 REASONS = {  # words in place of the system's own
     errno.ENOENT: ABSENT,
     errno.ENODEV: ABSENT,
     errno.ENXIO: ABSENT,
     errno.EACCES: DENIED,
     errno.EPERM: DENIED,
+    errno.EAFNOSUPPORT: "this kernel has no CAN: 'modprobe -a can can_raw' loads it, and an SLCAN "
+    'adapter, source.interface = "slcan", does without',
     errno.ENOTTY: "it is no serial line",
     errno.EISDIR: "it is a directory",
 }
@@ -53,7 +59,7 @@ def unopened(where: str, error: Exception) -> SetupError:
             f"source.channel: cannot open {where} (another process has it open; stop that first, "
             f"'fuser {where}' tells which)"
         )
-    reason = REASONS.get(number) or (os.strerror(number) if number else first_line(error))
+    reason = REASONS.get(number) or (os.strerror(number) if number > 0 else first_line(error))
     for_a_person = number in FOR_A_PERSON or (not number and isinstance(error, ValueError))
     kind = SetupError if for_a_person else AwayError
     return kind(f"source.channel: cannot open {where} ({reason})")
@@ -78,7 +84,8 @@ class Noticed:
     """Faults that a device has noticed since they were last taken."""
 
     noise: int = 0  # reads that could not be decoded
-    foreign: int = 0  # frames that are not classic data frames
+    foreign: int = 0  # frames that are neither classic data frames nor error frames
+    bus: Counter[BusFault] = field(default_factory=Counter)  # faults of a CAN bus
     refused: int = 0  # lines that an SLCAN adapter refused
     silences: int = 0  # times that an SLCAN adapter fell silent
     lines: list[str] = field(default_factory=list)  # lines for the log
@@ -88,6 +95,7 @@ class Device(ABC):
     """An open CAN interface or serial line. Neither reading nor writing waits."""
 
     waits_for = ""  # a line on why nothing comes; empty where nothing is amiss
+    is_starting = False  # whether the skin behind it is being started, and so may be silent
 
     def __init__(self) -> None:
         self.noticed = Noticed()  # faults so far; the reader takes them and leaves a fresh object
@@ -104,8 +112,8 @@ class Device(ABC):
         """Do work beside requests; `now_s` is monotonic. Raises LostError."""
 
     @abstractmethod
-    def pack(self, command: int, payload: bytes) -> Sequence[Piece]:
-        """A request to all hubs, as the pieces that this device sends."""
+    def pack(self, to: int, body: bytes) -> Sequence[Piece]:
+        """A request, as the bring-up makes it, in the pieces that this device sends."""
 
     @abstractmethod
     def put(self, piece: Piece) -> None:
@@ -144,8 +152,8 @@ class BusDevice(Device):
                 self._fault = error
                 break
             if frame is None:
-                self.noticed.foreign += 1
-            elif abs(frame.t - now) < FOREIGN_CLOCK_S:
+                continue
+            if abs(frame.t - now) < FOREIGN_CLOCK_S:
                 frames.append(frame)
             else:
                 frames.append(frame._replace(t=now))
@@ -153,8 +161,8 @@ class BusDevice(Device):
             raise LostError from self._fault
         return frames
 
-    def pack(self, command: int, payload: bytes) -> Sequence[Piece]:
-        return self._to_frames(command, payload)
+    def pack(self, to: int, body: bytes) -> Sequence[Piece]:
+        return self._to_frames(to, body)
 
     def put(self, piece: Piece) -> None:
         assert isinstance(piece, Frame)  # noqa: S101  (as packed)
@@ -165,7 +173,7 @@ class BusDevice(Device):
 
     @abstractmethod
     def _receive(self) -> Frame | None:
-        """The next frame; None for one that is not a classic data frame.
+        """The next frame; None for one that is not a classic data frame, and was noticed.
 
         Raises:
             BlockingIOError: there is none now.

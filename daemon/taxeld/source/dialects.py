@@ -1,10 +1,11 @@
 """The skins' protocols: for each, its decoder, its bring-up, and the form of its requests."""
 
+import math
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 from taxeld.config.tables import SourceConfig
+from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.source import icub_part, module_order
 from taxeld.source.bring_up import BringUp
@@ -12,12 +13,15 @@ from taxeld.source.icub_bring_up import IcubBringUp
 from taxeld.source.module_order import Listening, RecordedModules
 from taxeld.source.session import Items
 from taxeld_protocol import cyskin, icub
-from taxeld_protocol.cyskin import BROADCAST
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER
 from taxeld_protocol.decoder import Decoder, ScanDecoder
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.icub_decoder import IcubDecoder
+from taxeld_protocol.modules import wired
 
 ToFrames = Callable[[int, bytes], list[Frame]]
+
+FRAME_BITS = 116  # a frame with 8 bytes and a short id, with the stuff bits of usual readings
 
 
 class Dialect(NamedTuple):
@@ -33,23 +37,52 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
     """The configured dialect for a live skin.
 
     Raises:
-        SetupError: the layout needs more boards than are configured, or their order is unknown.
+        SetupError: the layout needs more boards than are configured, or their order is unknown; or
+            its scans are more than the bus carries.
     """
+    least_ms = least_period_ms(config, layout)
+    if config.period_ms < least_ms:
+        rate = 1000 * _frames(config, layout) / config.period_ms
+        raise SetupError(
+            f"source.period_ms: {len(wired(layout.uid.tolist()))} modules every {config.period_ms} "
+            f"ms are {rate:.0f} frames/s, and a bus of {config.bitrate} bit/s carries "
+            f"{config.bitrate // FRAME_BITS}: at least {least_ms} ms"
+        )
     if config.dialect == "icub":
         if config.listen_only:
             return Dialect(icub_part.listened(config, layout), None, icub.to_frames)
         part = icub_part.of(layout)
         boards = part.named(config.boards)
         skin = IcubDecoder(boards, part.taxels)
-        start = IcubBringUp(skin, part, boards, config.period_ms, config.skin_type)
-        return Dialect(skin, start, icub.to_frames)
-    to_frames = partial(cyskin.to_frames, ihb=BROADCAST)
+        return Dialect(skin, IcubBringUp(skin, part, boards, config), icub.to_frames)
     if config.listen_only:
         decoder = Decoder(module_order.given(config, layout).of, config.period_ms / 1000.0)
-        return Dialect(decoder, None, to_frames, Listening(decoder))
+        return Dialect(decoder, None, _to_frames, Listening(decoder))
     # a bring-up asks the hubs for their modules, so the decoder must not guess them
     decoder = Decoder(period_s=config.period_ms / 1000.0)
-    return Dialect(decoder, BringUp(decoder, config.period_ms), to_frames)
+    suis = {int(uid) >> 4 for uid in layout.uid}
+    return Dialect(decoder, BringUp(decoder, config.period_ms, suis), _to_frames)
+
+
+def _to_frames(to: int, body: bytes) -> list[Frame]:
+    if to == LEAVE_BOOTLOADER:
+        return cyskin.to_frames(to, ihb=BROADCAST)
+    return cyskin.to_frames(body[0], body[1:], ihb=to)
+
+
+def least_period_ms(config: SourceConfig, layout: Layout) -> int:
+    """The shortest period at which a CAN bus carries the layout's scans; 0 without a bus."""
+    if config.kind == "serial" and config.framing == "native":
+        return 0
+    return math.ceil(1000 * _frames(config, layout) * FRAME_BITS / config.bitrate)
+
+
+def _frames(config: SourceConfig, layout: Layout) -> int:
+    """The least frames of a scan."""
+    modules = wired(layout.uid.tolist())
+    if config.dialect == "icub":
+        return 2 * len(modules)
+    return cyskin.scan_frames(sum(module.channels for module in modules))
 
 
 def replayed(config: SourceConfig, layout: Layout, items: Items, what: str) -> ScanDecoder:

@@ -8,9 +8,11 @@ Commands to a board are spaced out, because an MTB obeys the last of several wai
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
+from taxeld.config.tables import SourceConfig
 from taxeld.source.bring_up import RETRY_S, SILENCE_S, Request
 from taxeld.source.icub_part import Part, listing
 from taxeld_protocol import icub
@@ -60,20 +62,21 @@ class _BoardStart:
 class IcubBringUp:
     """Decides what to send to get scans and to keep them coming."""
 
+    is_starting = False  # boards answer and send within a second
+    firmware: Mapping[str, str] = MappingProxyType({})  # the answers of boards are in its lines
+
     def __init__(
-        self,
-        decoder: IcubDecoder,
-        part: Part,
-        boards: Sequence[int],
-        period_ms: int,
-        skin_type: int = icub.SKIN_TYPE,
+        self, decoder: IcubDecoder, part: Part, boards: Sequence[int], config: SourceConfig
     ) -> None:
         """`boards`: the part's, in its order; empty to take the boards that answer, ascending."""
+        period_ms = config.period_ms
+        setting = icub.set_board(period_ms, config.skin_type, config.no_load_counts)
         self.waits_for = ""  # a line on what must come before all taxels can; or empty
         self._decoder = decoder
         self._part = part
         self._named = tuple(boards)
-        self._head = [(icub.ASK, ANSWER_S), (icub.set_board(period_ms, skin_type), PAUSE_S)]
+        self._head = [(icub.ASK, ANSWER_S), (setting, PAUSE_S)]
+        self._shift, self._offset = config.shift_bits, config.offset_counts
         self._calibration_s = CALIBRATION_S + 2 * period_ms / 1000.0
         self._boards: list[_BoardStart] = []
         self._answered: tuple[int, ...] = ()  # boards that have answered so far
@@ -89,10 +92,8 @@ class IcubBringUp:
             board.at, board.due_s, board.heard_s = 0, -math.inf, -math.inf
         self._next_s = -math.inf
 
-    @staticmethod
-    def on_packet(_: Packet) -> list[Request]:
-        """Return nothing: these boards send no packets."""
-        return []
+    def on_packet(self, _: Packet) -> None:
+        """Do nothing: these boards send no packets."""
 
     @staticmethod
     def news() -> list[str]:
@@ -127,7 +128,7 @@ class IcubBringUp:
 
     def _triangles(self, mask: int) -> list[Step]:
         return [
-            (icub.set_triangles(first, last), self._calibration_s)
+            (icub.set_triangles(first, last, self._shift, self._offset), self._calibration_s)
             for first, last in icub.runs(mask)
         ]
 

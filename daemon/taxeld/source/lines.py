@@ -12,7 +12,7 @@ from taxeld.source.device import Device, LostError, Piece, unopened
 from taxeld.source.dialects import ToFrames
 from taxeld.source.session import Chunk
 from taxeld_protocol import serial_link, slcan
-from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER
+from taxeld_protocol.cyskin import LEAVE_BOOTLOADER
 from taxeld_protocol.frames import Frame
 
 BYTES_PER_POLL = 65536
@@ -101,7 +101,7 @@ class SerialDevice(SerialLine):
         data = self._receive()
         return [Chunk(time.time(), data)] if data else []
 
-    def pack(self, command: int, payload: bytes) -> list[bytes]:
-        if command == LEAVE_BOOTLOADER:  # a hub that speaks this link runs its application
+    def pack(self, to: int, body: bytes) -> list[bytes]:
+        if to == LEAVE_BOOTLOADER:  # a hub that speaks this link runs its application
             return []
-        return [serial_link.encode(command, payload, ihb=BROADCAST)]
+        return [serial_link.encode(body[0], body[1:], ihb=to)]

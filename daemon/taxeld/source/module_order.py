@@ -101,6 +101,11 @@ class Listening:
         self._since_s: float | None = None  # time when data without a place were first seen
         self._can = False
 
+    @property
+    def refusal(self) -> str:
+        """A line on a hub that is not read; empty without one."""
+        return self._decoder.refusal
+
     def fault(self, now_s: float) -> str:
         """A line on why no scan can be used; empty where some can."""
         counters = self._decoder.counters
@@ -115,8 +120,9 @@ class Listening:
 
 
 def complete(decoder: Decoder) -> dict[int, list[Module]]:
-    """Short id → modules, for the hubs that declared all of theirs."""
-    return {ihb: hub.table.modules for ihb, hub in decoder.hubs.items() if hub.table.detailed}
+    """Short id → modules, for the hubs that declared all of theirs, and are not refused."""
+    tables = {ihb: hub.table for ihb, hub in decoder.hubs.items()}
+    return {ihb: t.modules for ihb, t in tables.items() if t.detailed and not t.fault}
 
 
 def _placed(decoder: Decoder) -> dict[int, list[Module]]:

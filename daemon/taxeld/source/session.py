@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from taxeld.config import toml_tables
-from taxeld.config.file import opened
+from taxeld.config.file import load, opened
+from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld_protocol.frames import Frame, parse_log_line
 
@@ -57,6 +58,20 @@ class Session:
 
     items: Items
     poses: list[PoseRow]
+
+
+def config_of(directory: Path, given: Path | None = None) -> Config:
+    """The configuration of a session, or the `given` one in its place.
+
+    Raises:
+        SetupError: there is no session, or the configuration has faults.
+    """
+    if not directory.is_dir() or not (given or (directory / CONFIG).is_file()):
+        raise SetupError(
+            f"{directory}: is no session (it has no {CONFIG}); 'taxeld record' and "
+            "'taxeld run --record' make one"
+        )
+    return load(given or directory / CONFIG)
 
 
 def has_poses(directory: Path) -> bool:

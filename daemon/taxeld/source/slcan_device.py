@@ -13,6 +13,7 @@ import time
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
+from taxeld.source.bus_faults import BusFault
 from taxeld.source.device import LostError, Piece
 from taxeld.source.dialects import ToFrames
 from taxeld.source.lines import SerialLine, line_speed
@@ -29,10 +30,18 @@ LEAVE_S = 0.02  # time for the last requests to leave an adapter, before its cha
 CLOSE = b"C\r"
 CLOSE_TWICE = 2 * CLOSE  # the first CLOSE may only end an unfinished line of an earlier host
 OPEN = b"O\r"
+FLAGS = b"F\r"  # asks an open channel for its flags, which not every adapter knows
 LISTEN = b"L\r"  # opens to listen only; CANable's firmware does not know it
 SILENT, NORMAL = b"M1\r", b"M0\r"  # CANable's: whether the next OPEN listens only
+FLAGGED = {  # bits of the flags, as Lawicel's
+    0x0B: BusFault.OVERFLOW,
+    0x04: BusFault.WARNING,
+    0x20: BusFault.PASSIVE,
+    0x40: BusFault.ARBITRATION,
+    0x80: BusFault.ERROR,
+}
 # A channel may be closed already, and not every adapter knows M0 and L.
-MAY_BE_REFUSED = (CLOSE_TWICE, LISTEN, NORMAL)
+MAY_BE_REFUSED = (FLAGS, CLOSE_TWICE, LISTEN, NORMAL)
 REFUSALS = {  # first letter of a refused line → reason and cure
     b"S": "it knows no such bit rate: source.bitrate must be one that it does",
     b"O": "its channel does not open; is the bit rate one that it knows?",
@@ -92,6 +101,10 @@ class SlcanDevice(SerialLine):
             elif line[-1:] == slcan.BEL:
                 self._answer = False
                 self._refused()
+            elif status := slcan.STATUS.fullmatch(line):
+                self._answer = True
+                flags = int(status[1], 16)
+                self.noticed.bus.update(fault for bits, fault in FLAGGED.items() if flags & bits)
             elif len(line) >= SHORTEST and line.startswith(FRAMES):
                 self._frame_came = True
         if not self._is_bus:  # the wire parses the bytes, as it does for a recording
@@ -108,6 +121,8 @@ class SlcanDevice(SerialLine):
         if self._frame_came:
             self._frame_came = False
             self._heard_s, self.waits_for = now_s, ""
+        if self.is_starting:
+            self._heard_s = now_s
         if now_s >= self._heard_s + self._silence_s:
             self._begin_anew()
             self._heard_s = now_s
@@ -117,8 +132,8 @@ class SlcanDevice(SerialLine):
             self._step_s = self._heard_s = now_s
             self._send_rest()
 
-    def pack(self, command: int, payload: bytes) -> list[Frame] | list[bytes]:
-        frames = self._to_frames(command, payload)
+    def pack(self, to: int, body: bytes) -> list[Frame] | list[bytes]:
+        frames = self._to_frames(to, body)
         return frames if self._is_bus else [slcan.encode(frame) for frame in frames]
 
     def put(self, piece: Piece) -> None:
@@ -149,7 +164,7 @@ class SlcanDevice(SerialLine):
             self._port.baudrate = self._port.baudrate
         except (OSError, termios.error) as error:
             raise LostError from error
-        self._steps = list(self._opening)
+        self._steps = [FLAGS, *self._opening]
         self._line, self._answer, self._step_s = b"", None, -math.inf
 
     def _may_go_on(self, now_s: float) -> bool:

@@ -1,7 +1,8 @@
 """A CAN interface of the Linux kernel, on a raw socket.
 
 Each frame has the time at which the kernel took it from the driver (SO_TIMESTAMPNS; see
-networking/can.rst and networking/timestamping.rst in the kernel's documentation).
+networking/can.rst and networking/timestamping.rst in the kernel's documentation), and the number of
+frames that the socket has lost so far (SO_RXQ_OVFL).
 """
 
 import contextlib
@@ -10,18 +11,20 @@ import socket
 import struct
 
 from taxeld.config.tables import SourceConfig
+from taxeld.source.bus_faults import BusFault, kinds
 from taxeld.source.device import AwayError, BusDevice, unopened
 from taxeld.source.dialects import ToFrames
 from taxeld_protocol.frames import Frame
 
-SO_TIMESTAMPNS = 35  # Python has no name for it
+SO_TIMESTAMPNS, SO_RXQ_OVFL = 35, 40  # Python has no names for them
 SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERRORS = 101, 2, 0x1FFF_FFFF
 EXTENDED, REMOTE, ERROR = 0x8000_0000, 0x4000_0000, 0x2000_0000
 EXTENDED_MASK, STANDARD_MASK = 0x1FFF_FFFF, 0x7FF
 
 _FRAME = struct.Struct("=IB3x8s")  # struct can_frame
 _STAMP = struct.Struct("@ll")  # struct timespec
-_CONTROL_BYTES = socket.CMSG_SPACE(_STAMP.size)
+_LOST = struct.Struct("=I")
+_CONTROL_BYTES = socket.CMSG_SPACE(_STAMP.size) + socket.CMSG_SPACE(_LOST.size)
 
 
 class SocketCanDevice(BusDevice):
@@ -32,7 +35,9 @@ class SocketCanDevice(BusDevice):
         super().__init__(to_frames)
         self._socket = opened(config)
         self._socket.setblocking(False)
-        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        for option in (SO_TIMESTAMPNS, SO_RXQ_OVFL):
+            self._socket.setsockopt(socket.SOL_SOCKET, option, 1)
+        self._lost = 0  # frames that the socket has lost
 
     def fileno(self) -> int:
         return self._socket.fileno()
@@ -44,7 +49,15 @@ class SocketCanDevice(BusDevice):
     def _receive(self) -> Frame | None:
         data, control, _, _ = self._socket.recvmsg(_FRAME.size, _CONTROL_BYTES)
         number, length, payload = _FRAME.unpack(data)
-        if number & (ERROR | REMOTE):
+        if len(control) > 1:
+            (lost,) = _LOST.unpack(control[1][2])
+            self.noticed.bus[BusFault.UNREAD] += lost - self._lost
+            self._lost = lost
+        if number & ERROR:
+            self.noticed.bus.update(kinds(number & EXTENDED_MASK, payload))
+            return None
+        if number & REMOTE:
+            self.noticed.foreign += 1
             return None
         seconds, nanoseconds = _STAMP.unpack(control[0][2])
         extended = number >= EXTENDED
@@ -64,7 +77,7 @@ def opened(config: SourceConfig) -> socket.socket:
     except OSError as error:
         raise unopened(where, error) from None
     try:
-        # error frames are counted: a failing bus sends nothing else
+        # a failing bus sends nothing but error frames
         made.setsockopt(SOL_CAN_RAW, CAN_RAW_ERR_FILTER, ALL_ERRORS)
         made.bind((config.channel,))
     except OSError as error:

@@ -10,22 +10,25 @@ import logging
 import math
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.source import dialects, session
+from taxeld.source.bus_faults import BusHealth
 from taxeld.source.device import AwayError, Device, LostError, Noticed
 from taxeld.source.devices import open_device
 from taxeld.source.dialects import Dialect, ToFrames
-from taxeld.source.outbox import Outbox
+from taxeld.source.outbox import PATIENCE_S, Outbox
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk, Items, Session, joined
 from taxeld.source.wire import Wire
 from taxeld_protocol.decoder import Scan
+from taxeld_protocol.frames import Frame
 
 OnPose = Callable[[float, float, float, float], None]
 
@@ -58,10 +61,12 @@ class Source:
     finished = False  # whether nothing more will ever come
     waits_for = ""  # a line on why no scans come; empty where nothing is amiss
     fault = ""  # a line on why no scan can ever be used; empty where nothing is amiss
+    firmware: Mapping[str, str] = MappingProxyType({})  # short id of a hub → its versions, in words
 
     def __init__(self, wire: Wire) -> None:
         self.wire = wire
         self.counters = SourceCounters()
+        self.bus = BusHealth()  # of a CAN bus
 
     def gather(self) -> int:
         """Read the device and keep the items for the next `poll`; → the number of frames, or of
@@ -125,6 +130,9 @@ class LiveSource(Source):
         self._failed: LostError | None = None  # loss of the device, after the held items
         self._pause_s, self._next_open_s = REOPEN_S[0], 0.0
         self._lines, self._next_line_s = LOG_BURST, 0.0
+        self._amiss: dict[str, str] = {}  # a line on each subject that was amiss
+        self._due_s, self._behind_s = 0.0, 0.0  # the bring-up's time, and how far it is behind
+        self._sent_s = 0.0  # time when all requests had left
         try:
             self._take(self._open())
         except SetupError as error:
@@ -135,6 +143,10 @@ class LiveSource(Source):
     @property
     def is_busy(self) -> bool:  # type: ignore[override]
         return bool(self._outbox) or (self.device is not None and self.device.fileno() < 0)
+
+    @property
+    def firmware(self) -> Mapping[str, str]:  # type: ignore[override]
+        return self._bring_up.firmware if self._bring_up else {}
 
     def gather(self) -> int:
         if self.device is not None and self._failed is None:
@@ -166,28 +178,45 @@ class LiveSource(Source):
         self.device, self._outbox, self._failed = device, Outbox(device), None
         self._pause_s = REOPEN_S[0]
         self.waits_for = ""
+        self._amiss.clear()
 
     def _exchange(self, device: Device, outbox: Outbox, now_s: float) -> list[Scan]:
         """One turn: hear what has come, and send what is due. Raises LostError."""
         scans: list[Scan] = []
         bring_up = self._bring_up
-        for packet, ended in self.wire.take(self._read()):
+        items = self._read()
+        decoded = self.wire.take(items)
+        if decoded or (items and isinstance(items[0], Frame)):  # a line's bytes may be answers
+            self.bus.hear(now_s)
+        for packet, ended in decoded:
             scans += ended
             if packet is not None and bring_up is not None:
-                outbox.add(bring_up.on_packet(packet), now_s)
+                bring_up.on_packet(packet)
         lacks = ""
         if bring_up is not None:
+            if not outbox:
+                self._sent_s = now_s
+            # until a request has left, no time passes for the bring-up, whose pauses follow it
+            waits = bool(outbox) and now_s < self._sent_s + PATIENCE_S
+            self._behind_s = now_s - self._due_s if waits else self._behind_s
+            self._due_s = now_s - self._behind_s
             for scan in scans:
-                bring_up.on_scan(scan.ihb, now_s)
-            outbox.add(bring_up.due(now_s), now_s)
+                bring_up.on_scan(scan.ihb, self._due_s)
+            if not waits:
+                outbox.add(bring_up.due(self._due_s), now_s)
             for line in bring_up.news():
                 self._say(logging.INFO, line, now_s)
-            lacks = bring_up.waits_for
+            lacks, device.is_starting = bring_up.waits_for, bring_up.is_starting
         if self._listening is not None:
-            self.fault = self._listening.fault(now_s)
+            self.fault, lacks = self._listening.fault(now_s), self._listening.refusal
         device.tend(now_s)
-        self._follow(device, outbox, now_s)
-        self._heed(device.waits_for or lacks, now_s)
+        self._follow(device, now_s)
+        amiss = {"bus": self.bus.line(now_s), "device": device.waits_for, "skin": lacks}
+        for subject, line in amiss.items():
+            self._heed(subject, line, now_s)
+        if not self.bus.is_mute(now_s):
+            del amiss["bus"]
+        self.waits_for = "; ".join(filter(None, amiss.values()))
         self._flush(outbox, now_s)
         return scans
 
@@ -203,18 +232,17 @@ class LiveSource(Source):
                 self._recorder.take(item)
         return items
 
-    def _follow(self, device: Device, outbox: Outbox, now_s: float) -> None:
+    def _follow(self, device: Device, now_s: float) -> None:
         """Count and log the faults noticed by the device."""
         noticed, device.noticed = device.noticed, Noticed()
         self.counters.noise += noticed.noise
         self.counters.refused += noticed.refused
         self.counters.silences += noticed.silences
+        self.bus.take(noticed.bus, now_s)
         for _ in range(noticed.foreign):
             self.wire.decoder.drop_foreign()
         for line in noticed.lines:
             self._say(logging.WARNING, line, now_s)
-        if noticed.silences:
-            outbox.clear()  # a skin that still streams behind it must not be set up anew
 
     def _flush(self, outbox: Outbox, now_s: float) -> None:
         try:
@@ -237,6 +265,7 @@ class LiveSource(Source):
 
     def _lose(self, device: Device, reason: str, now_s: float) -> None:
         self.counters.lost += 1
+        self.bus.take(device.noticed.bus, now_s)
         device.close()
         self.device = self._outbox = None
         self._next_open_s = now_s + self._pause_s
@@ -253,6 +282,7 @@ class LiveSource(Source):
             self._wait(str(error), now_s)
             return
         self.counters.reopened += 1
+        self.bus.recover(now_s)
         self._say(logging.INFO, f"source.channel: is open, after: {waited_for}", now_s)
         if self._bring_up is not None:
             self._bring_up.restart()
@@ -265,14 +295,12 @@ class LiveSource(Source):
             self.waits_for = reason
             self._say(logging.WARNING, f"{reason}; waiting for it", now_s)
 
-    def _heed(self, line: str, now_s: float) -> None:
-        """Log what is missing, once, and when it has come."""
-        if line == self.waits_for:
-            return
-        before, self.waits_for = self.waits_for, line
-        if line:
+    def _heed(self, subject: str, line: str, now_s: float) -> None:
+        """Log what is amiss with a subject, once, and when it has passed."""
+        before, self._amiss[subject] = self._amiss.get(subject, ""), line
+        if line and line != before:
             self._say(logging.WARNING, line, now_s)
-        else:
+        elif before and not line:
             self._say(logging.INFO, f"no longer: {before}", now_s)
 
     def _say(self, level: int, line: str, now_s: float) -> None:

@@ -9,7 +9,7 @@ import zmq
 
 from taxeld.config import endpoints
 from taxeld.errors import SetupError
-from taxeld.stream import curve, messages
+from taxeld.stream import curve
 from taxeld.stream.sockets import connect, open_socket, unpack
 
 ANSWER_BYTES = 1 << 20
@@ -18,13 +18,13 @@ AGAIN_S = 0.5  # without an answer for so long, the daemon may have closed its s
 SERVER, OWN = "server.key", "client.key_secret"
 
 
-def hears_poses(endpoint: str, within_s: float) -> bool:
-    """Whether a robot publishes its poses there."""
+def hears(endpoint: str, topic: bytes, within_s: float) -> bool:
+    """Whether a topic that begins so is published there."""
     with (
         zmq.Context() as context,
         open_socket(context, zmq.SUB, send=1, receive=1, largest=ANSWER_BYTES) as socket,
     ):
-        socket.setsockopt(zmq.SUBSCRIBE, messages.SENSOR_POSE)
+        socket.setsockopt(zmq.SUBSCRIBE, topic)
         connect(socket, endpoint, "--endpoint")
         return bool(socket.poll(round(within_s * 1000)))
 

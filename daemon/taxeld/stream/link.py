@@ -23,6 +23,7 @@ BODY_MAX = 4096  # bytes of a packet from the door
 CHANGES_HZ = 20.0  # tare and reset that are done, at most
 COUNT_MAX = 2**53
 TEXT_MAX = 500  # characters of a line
+REASON_MAX = 120  # characters of why a message is no pose
 TOPICS_MAX, TOPIC_MAX = 4, 60  # other topics of the robot, and characters of each
 SILENT_S = 5.0  # without a packet for so long, the door hangs
 START_S = 30.0  # the same while a door starts: a busy machine takes seconds for it
@@ -45,6 +46,7 @@ class RobotLine:
     connected: bool = False
     refused: bool = False  # the handshake fails
     malformed: int = 0  # messages of the topic that are no pose
+    reason: str = ""  # why the last of them is none
     topics: list[str] = field(default_factory=list)  # others that are heard while no pose comes
 
 
@@ -226,6 +228,8 @@ def _fill(into: Any, given: Any) -> None:
         if isinstance(before, int):  # a bool as well
             if type(value) is not type(before) or not 0 <= value <= COUNT_MAX:
                 raise ValueError(f.name)
+        elif isinstance(before, str):
+            value = line_of(value.encode())[:REASON_MAX]
         elif isinstance(before, list):
             value = [line_of(name.encode())[:TOPIC_MAX] for name in value[:TOPICS_MAX]]
         else:

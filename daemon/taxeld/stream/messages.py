@@ -15,6 +15,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.scene import Scene
+from taxeld.pipeline.freshness import CURES, Why
 from taxeld.proposals.ladder import Step
 from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, PARTICLES, SENSOR_POSE, TAXELS, TOPICS
 
@@ -33,6 +34,7 @@ __all__ = [
     "info",
     "name_of",
     "particles",
+    "reason_of",
     "taxels",
 ]
 
@@ -45,7 +47,7 @@ def estimate(
     e: Estimate,
     *,
     seq: int,
-    valid: bool,
+    why: Why,
     mono_ns: int = 0,
     age_us: float = 0.0,
     overruns: int = 0,
@@ -58,7 +60,8 @@ def estimate(
         "seq": seq,
         "t": e.t,
         "mono_ns": mono_ns,
-        "valid": valid,
+        "valid": why is Why.VALID,
+        "why": int(why),
         "status": int(e.status),
         "contact": e.contact,
         "contacts": e.contacts,
@@ -109,6 +112,7 @@ def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str)
         "taxeld": __version__,
         "units": {"length": "m", "angle": "rad", "time": "s", "lat_us": "us", "age_us": "us"},
         "status": {str(int(s)): s.name.lower() for s in Status},
+        "why": {str(int(w)): w.name.lower() for w in Why},
         "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
         "degraded": {str(int(s)): s.name.lower() for s in Step},
         "layout": {
@@ -128,6 +132,11 @@ def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str)
 def name_of(kind: type[IntEnum], number: int) -> str:
     """The name of a status or proposal; a newer daemon may send one that is not known here."""
     return {int(one): one.name.lower() for one in kind}.get(number, f"unknown ({number})")
+
+
+def reason_of(number: int) -> str:
+    """Why an estimate is not valid, and the cure, by the number in its map."""
+    return {int(why): cure for why, cure in CURES.items()}.get(number, name_of(Why, number))
 
 
 def _plain(part: Any) -> Any:

@@ -70,8 +70,9 @@ def _made(stage: Stage, message: Message) -> Iterator[tuple[str, dict[str, Any]]
     topic, m = message
     if topic == messages.ESTIMATE:
         yield "/taxeld/status", ros.diagnostics(m["t"], "taxeld", m, hardware=stage.layout)
-        if m["valid"]:
+        if ros.is_usable(m):
             yield "/taxeld/pose", ros.pose_with_covariance(m)
+        if m["valid"]:
             yield "/taxeld/modes", ros.pose_array(m["t"], m["modes"])
     elif topic == messages.TAXELS:
         if m["placed"]:

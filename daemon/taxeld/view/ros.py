@@ -12,6 +12,7 @@ import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import ProposalKind, Status
+from taxeld.pipeline.freshness import Why
 from taxeld.stream.messages import name_of
 
 Map = dict[str, Any]
@@ -33,6 +34,7 @@ POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("live", "u1")], align=True
 )
 IN_6X6 = [0, 1, 5]  # places of x, y and yaw among x, y, z, roll, pitch, yaw
+UNKNOWN = 1e6  # variance of the others, which are not measured, as robot_localization has it
 RULE = "=" * 80  # parts of a definition stand between such lines (mcap.dev/spec/registry)
 
 # Fields as the `.msg` files of Humble and later have them, in the order of the wire
@@ -117,9 +119,14 @@ def pose(planar: Map, z_m: float = 0.0) -> Map:
     }
 
 
+def is_usable(e: Map) -> bool:
+    """Whether the pose of `/taxeld/estimate` may be used (docs/stream.md)."""
+    return bool(e["valid"]) and e["status"] == Status.CONVERGED
+
+
 def pose_with_covariance(e: Map, frame: str = WORLD, z_m: float = 0.0) -> Map:
-    """Mean and covariance of `/taxeld/estimate`; height, roll and pitch are certain, so 0."""
-    cov = np.zeros((6, 6))
+    """Mean and covariance of `/taxeld/estimate`; height, roll and pitch are not known."""
+    cov = np.diag(np.full(6, UNKNOWN))
     cov[np.ix_(IN_6X6, IN_6X6)] = e["cov"]
     held = {"pose": pose(e["mean"], z_m), "covariance": cov.ravel().tolist()}
     return {"header": header(e["t"], frame), "pose": held}
@@ -174,6 +181,7 @@ def diagnostics(t: float, name: str, e: Map, health: Map | None = None, hardware
         message = name_of(Status, e["status"])
         values = {
             "valid": e["valid"],
+            "why": name_of(Why, e["why"]),
             "contact": e["contact"],
             "contacts": e["contacts"],
             "weights": " ".join(f"{mode['weight']:.4f}" for mode in e["modes"]),

@@ -9,9 +9,7 @@ import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.commands.replay import Replay
-from taxeld.config import file as config_file
 from taxeld.config.tables import Config
-from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
@@ -80,13 +78,7 @@ def recorded(directory: Path, config: Path | None = None) -> tuple[Stage, Iterat
         SetupError: there is no session, or what its configuration names cannot be used; while the
             messages are read, also: the session is damaged.
     """
-    path = config or directory / session.CONFIG
-    if not directory.is_dir() or not path.is_file():
-        raise SetupError(
-            f"{directory}: is no session (it has no {session.CONFIG}); 'taxeld record' and "
-            "'taxeld run --record' make one"
-        )
-    replay = Replay(directory, config_file.load(path))
+    replay = Replay(directory, session.config_of(directory, config))
     skin, scene = replay.pipeline.skin.layout, replay.model.scene
     stage = Stage(
         object=Path(replay.config.scene.bundle).name,
@@ -118,8 +110,8 @@ def _messages(replay: Replay) -> Iterator[Message]:
             yield messages.TAXELS, messages.taxels(activation, outcome.sensor, seq)
         if not estimate.t:  # nothing was measured yet
             continue
-        valid = replay.is_valid(estimate)
-        yield messages.ESTIMATE, messages.estimate(estimate, seq=seq, valid=valid)
+        message = messages.estimate(estimate, seq=seq, why=replay.why(estimate))
+        yield messages.ESTIMATE, message
         if estimate.contact and not estimate.t < next_s < estimate.t + 1.0:
             next_s = estimate.t + PARTICLES_S
             yield messages.PARTICLES, messages.particles(estimate.t, seq, *replay.belief)

@@ -189,6 +189,8 @@ def _belief(e: dict[str, Any]) -> list[Text]:
     lines += [Text("")] * (MODES - len(e["modes"]))  # the lines below stay where they are
     x, y, yaw = (math.sqrt(max(e["cov"][k][k], 0.0)) for k in range(3))
     spread = f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(yaw):.1f}°"
+    if not e["valid"]:
+        return [*lines, _row("why not", messages.reason_of(e["why"]))]
     return [*lines, _row("spread", f"{spread} (1 sd of all particles)")]
 
 

@@ -1,8 +1,8 @@
 """Write the CySkin conversations beside this file (see ../README.md).
 
-Who says what is typed in from the order that the vendor's library keeps to and from the protocol's
-tables, not taken from this repository's host or hub: both are held against it. Checksums and
-fragments alone are computed.
+Who says what, and after which pause, is typed in from the order that the vendor's library keeps to
+and from the protocol's tables, not taken from this repository's host or hub: both are held against
+it. Checksums and fragments alone are computed. The questions for versions are taxeld's own.
 """
 
 import json
@@ -33,9 +33,10 @@ def _frames(command: int, payload: str, short_id: int) -> list[str]:
     return [f"{frame.can_id:03X}#{frame.data.hex().upper()}" for frame in frames]
 
 
-def host(command: int, payload: str, means: str) -> Line:
-    """A request, to all hubs."""
-    return {"from": "host", "frames": _frames(command, payload, BROADCAST), "means": means}
+def host(command: int, payload: str, means: str, after_ms: int = 0) -> Line:
+    """A request, to all hubs, after a pause."""
+    line = {"from": "host", "frames": _frames(command, payload, BROADCAST), "means": means}
+    return line | ({"after_ms": after_ms} if after_ms else {})
 
 
 def hub(command: int, payload: str, means: str, short_id: int = 1) -> Line:
@@ -63,17 +64,25 @@ def named(short_id: int) -> list[Line]:
     ]
 
 
-FIND = [LEAVE, host(0x10, "", "discovery: who is there?")]
+FIND = [LEAVE, host(0x10, "", "discovery: who is there?", after_ms=100)]
 ASK = [
     host(0x3C, "", "how many channels does each module send?"),
     host(0x3D, "FF", "details of all modules"),
 ]
 START = [
     host(0x37, "00", "auto sync off"),
-    host(0x31, "", "modules, start your application"),
-    host(0x10, "", "discovery: who is there?"),
+    host(0x31, "", "modules, start your application", after_ms=60),
+    host(0x10, "", "discovery: who is there?", after_ms=500),
 ]
-STREAM = [host(0x38, "0032", "a scan every 50 ms"), host(0x37, "01", "auto sync on")]
+VERSIONS = [
+    host(0x3E, "", "your version?"),
+    hub(0x13, "3EE2", "that is not supported"),
+    host(0x3F, "", "the version of your modules' bootloader?"),
+    hub(0x13, "3FE2", "that is not supported"),
+    host(0x40, "", "the version of your modules' application?"),
+    hub(0x13, "40E2", "that is not supported"),
+]
+STREAM = [*VERSIONS, host(0x38, "0032", "a scan every 50 ms"), host(0x37, "01", "auto sync on")]
 
 COLD = [
     *FIND,

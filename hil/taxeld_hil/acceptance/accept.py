@@ -4,6 +4,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
+from taxeld.command_line import missing_extra
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
@@ -67,8 +68,8 @@ def _write(report: AcceptanceReport, out: Path, say: Say) -> None:
         say(f"the hub's modules are listed in {path}, for source.modules")
     try:
         from taxeld_hil.acceptance.draw import draw  # noqa: PLC0415  (of the extra `view`)
-    except ImportError as error:
-        say(f"no picture: {error}; pip install 'taxeld[view]'")
+    except ModuleNotFoundError as error:
+        say(f"no picture: {missing_extra(error) or error}")
         return
     draw(report, out / "report.png")
 

@@ -15,6 +15,7 @@ from taxeld.arrays import Bools, Floats
 from taxeld.skin.channels import TEMPERATURE
 from taxeld.skin.rest import NOISE_TELLS
 from taxeld.skin.skin import INVALID_FROM
+from taxeld.source.bus_faults import NORMAL, BusFault
 from taxeld_hil.acceptance import cures
 from taxeld_hil.acceptance.idle import INVALID
 from taxeld_hil.acceptance.received import DAMAGES, Received
@@ -58,8 +59,8 @@ class CheckResult:
 
 def discovery(got: Received) -> CheckResult:
     """The hub answers the daemon's own bring-up, declares all its modules, and sends scans."""
-    findings, parts = [], []
-    if not got.tables:
+    findings, parts = [] if got.scans else [*_bus(got.bring_up)], []
+    if not got.tables and not findings:
         heard = _counted(got.bring_up, *cures.SILENCE) or "nothing at all was heard"
         cure = next((c for name, c in cures.SILENCE.items() if got.bring_up[name]), cures.POWER)
         findings.append(Finding("the bus", f"no hub declared its modules; {heard}", cure))
@@ -71,12 +72,13 @@ def discovery(got: Received) -> CheckResult:
             if unknown:
                 what = f"no details of the modules at positions {_listed(unknown)}"
             findings.append(Finding(f"hub {hub}", what, cures.SPI))
-        elif not any(scan.ihb == hub for scan in got.scans):
+        elif not any(scan.ihb == hub for scan in got.scans) and not any(m.fault for m in table):
             what = "answers, but sent no scan after auto sync was switched on"
             findings.append(Finding(f"hub {hub}", what, cures.FIRMWARE))
         channels = sum(module.channels for module in connected)
         parts.append(f"hub {hub}: {len(connected)} modules, {channels} channels")
-    return CheckResult("; ".join(parts) or "no hub answered", findings)
+    notes = [f"hub {hub}: {versions}" for hub, versions in got.firmware.items()]
+    return CheckResult("; ".join(parts) or "no hub answered", findings, notes)
 
 
 def modules(got: Received) -> CheckResult:
@@ -97,10 +99,13 @@ def modules(got: Received) -> CheckResult:
     if unexpected:
         where = _listed([got.module(sui) for sui in unexpected])
         findings.append(Finding(where, "answered, but not in the layout", cures.LAYOUT))
-    for sui in found:
+    for sui, module in found.items():
         if times[sui] > 1:
             what = f"{times[sui]} modules answer to this serial number"
             findings.append(Finding(got.module(sui), what, "give one of them its own number"))
+        if module.fault:
+            what, _, cure = module.fault.partition("; ")
+            findings.append(Finding(got.module(sui), f"{what}: its hub is refused", cure))
     for sui in sorted(layout.keys() & found):
         where = got.module(sui)
         findings += [Finding(where, what, cures.MASK) for what in _mask(layout[sui], found[sui])]
@@ -114,10 +119,7 @@ def modules(got: Received) -> CheckResult:
 
 def _mask(layout: Module, found: Module) -> Iterator[str]:
     """Faults in the channels of a module of the layout."""
-    mask, named = f"its mask {found.mask:#05x}", found.mask.bit_count()
-    if found.channels != named:
-        said = f"{mask} names {named} channels, but it sends {found.channels}"
-        yield f"{said}: which taxel is which is not known"
+    mask = f"its mask {found.mask:#05x}"
     if absent := _names(layout.mask & ~found.mask & ~(1 << TEMPERATURE)):
         yield f"{mask} leaves out {absent}, which the layout has"
     if not found.mask >> TEMPERATURE & 1:
@@ -184,7 +186,7 @@ def link(got: Received) -> CheckResult:
     count, packets = got.link, got.link["packets"] + got.damaged
     if not got.scans:
         return CheckResult("no scan came", checked=False)
-    findings = []
+    findings = [*_bus(count)]
     if gone := _counted(count, "lost", "silences"):
         findings.append(Finding("the adapter", gone, cures.ADAPTER))
     if got.damaged > DAMAGED * packets or count["orphan"] > DAMAGED * count["frames"]:
@@ -196,6 +198,14 @@ def link(got: Received) -> CheckResult:
         f"length {count['length_errors']}, index {count['index_errors']}"
     )
     return CheckResult(summary, findings, [note] * bool(note), dict(count))
+
+
+def _bus(count: Counter[str]) -> Iterator[Finding]:
+    """The faults that a CAN bus itself told."""
+    for fault in BusFault:
+        if fault not in NORMAL and (times := count[f"bus_{fault}"]):
+            what, _, cure = fault.line.partition("; ")
+            yield Finding("the bus", f"{what}: {times}", cure)
 
 
 def noise(got: Received) -> CheckResult:

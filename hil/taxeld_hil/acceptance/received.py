@@ -6,7 +6,7 @@ The checks are functions of `Received` alone: they need no device and no clock.
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import NamedTuple
 
@@ -49,6 +49,7 @@ class Received:
     scans: Sequence[Scan]  # scans in the idle period
     span: tuple[float, float]  # begin and end of the idle period, in the clock of the scans
     presses: Sequence[Press] | None = None  # None: not asked for
+    firmware: Mapping[str, str] = field(default_factory=dict)  # short id → versions, in words
 
     @cached_property
     def idle(self) -> IdleReadings:
@@ -97,7 +98,8 @@ def receive(
     bring_up, link = _since(began, before), _since(before, _counters(source))
     tables = _tables(source, {scan.ihb for scan in came})
     span = start, time.time()
-    return Received(layout, period_ms, full_scale, tables, bring_up, link, came, span)
+    heard = layout, period_ms, full_scale, tables, bring_up, link, came, span
+    return Received(*heard, firmware=source.firmware)
 
 
 def scans(source: Source, seconds: float) -> Iterator[Scan]:
@@ -112,7 +114,8 @@ def _counters(source: Source) -> Counter[str]:
     stats = source.wire.stats()
     dropped = stats["dropped"]
     assert isinstance(dropped, dict)  # noqa: S101  (of CySkin's decoder)
-    found = {**stats, **dropped, **asdict(source.counters)}
+    bus = {f"bus_{fault}": times for fault, times in source.bus.counts.items()}
+    found = {**stats, **dropped, **asdict(source.counters), **bus}
     return Counter({name: value for name, value in found.items() if isinstance(value, int)})
 
 

@@ -66,7 +66,8 @@ class AcceptanceReport:
     def modules(self) -> str:
         """The hubs' modules in their order, as `source.modules`; empty where not all are known."""
         tables = self.received.tables
-        known = all(m.sui is not None for table in tables.values() for m in table if m.channels)
+        modules = [m for table in tables.values() for m in table if m.channels]
+        known = all(m.sui is not None and not m.fault for m in modules)
         return module_order.text(tables) if tables and known else ""
 
     @property

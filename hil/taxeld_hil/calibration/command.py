@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     placed = None if args.object is None else np.array(args.object)
     directory = args.source
     if directory.is_dir():
-        config = load(args.config or directory / session.CONFIG)
+        config = session.config_of(directory, args.config)
     else:
         if args.config:
             raise SetupError(

@@ -5,14 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from taxeld.command_line import Commands, command
+from taxeld.command_line import Commands, add_renamed, command
 from taxeld.errors import SetupError
 
 if TYPE_CHECKING:
     from taxeld_hil.jobs import Job
 
 OBJECTS = ("box", "mug")  # bundles
-SOFT = ("typical", "poor")  # skins
+SOFT = ("typical", "poor")  # foams
 
 
 def add(commands: Commands) -> None:
@@ -60,15 +60,16 @@ def add(commands: Commands) -> None:
 
 
 def _add_objects(one: argparse.ArgumentParser) -> None:
-    one.add_argument(
-        "--object", action="append", metavar="BUNDLE", help=f"default: {', '.join(OBJECTS)}"
-    )
+    about = f"default: {', '.join(OBJECTS)}"
+    one.add_argument("--object", action="append", metavar="BUNDLE", help=about)
+    one.add_argument("--layout", default="", help="default: what each was built for")
 
 
-def _add_runs(one: argparse.ArgumentParser, skins: tuple[str, ...], seeds: int) -> None:
-    """The arguments of every measurement; `skins` and `seeds` are its own."""
-    one.set_defaults(skins=skins)
-    one.add_argument("--skin", action="append", metavar="SKIN", help=f"default: {', '.join(skins)}")
+def _add_runs(one: argparse.ArgumentParser, foams: tuple[str, ...], seeds: int) -> None:
+    """The arguments of every measurement; `foams` and `seeds` are its own."""
+    one.set_defaults(foams=foams)
+    about = f"default: {', '.join(foams)}"
+    add_renamed(one, "--skin", one.add_argument("--foam", action="append", help=about))
     one.add_argument(
         "--seeds",
         type=int,
@@ -93,8 +94,8 @@ def _matrix(args: argparse.Namespace) -> int:
     from taxeld_hil.scenario import scenario as scenarios
 
     names = args.scenario or list(scenarios.shipped())
-    objects, skins = args.object or OBJECTS, args.skin or args.skins
-    todo = matrix.jobs(names, objects, skins, args.seeds, real=args.real)
+    objects, foams = args.object or OBJECTS, args.foam or args.foams
+    todo = matrix.jobs(names, objects, foams, args.seeds, real=args.real, layout=args.layout)
     runs = _run(todo, args, matrix.described, "scenarios.json")
     for line in matrix.lines(runs):
         print(line)
@@ -104,7 +105,7 @@ def _matrix(args: argparse.Namespace) -> int:
 def _touches(args: argparse.Namespace) -> int:
     from taxeld_hil.experiment import touches
 
-    todo = touches.jobs(args.object or OBJECTS, args.skin or args.skins, args.seeds)
+    todo = touches.jobs(args.object or OBJECTS, args.foam or args.foams, args.seeds, args.layout)
     runs = _run(todo, args, touches.described, "touches.json")
     for line in touches.lines(runs):
         print(line)
@@ -132,10 +133,10 @@ def _calibration(args: argparse.Namespace) -> int:
     if args.picture:
         from taxeld_hil.calibration.picture import draw
 
-        draw(calibration.pictured((args.skin or args.skins)[0]), args.picture)
+        draw(calibration.pictured((args.foam or args.foams)[0]), args.picture)
         print(args.picture)
         return 0
-    todo = calibration.jobs(args.skin or args.skins, args.seeds)
+    todo = calibration.jobs(args.foam or args.foams, args.seeds)
     runs = _run(todo, args, calibration.described, "calibration.json")
     for line in calibration.lines(runs):
         print(line)

@@ -19,6 +19,7 @@ def jobs(
     seeds: int,
     *,
     real: bool,
+    layout: str = "",
 ) -> list[Job]:
     """A job for each run of scenarios with bundles and skins, seed by seed, so that a part of them
     is as fair as all. With `real`, a scenario with a fault that no fake clock can inject runs in
@@ -28,7 +29,7 @@ def jobs(
         SetupError: there is no such scenario, object or skin, an object has no mesh here, or there
             are no seeds.
     """
-    require(objects, skins, seeds, soft=False)
+    require(objects, skins, seeds, layout, soft=False)
     found = []
     for seed in range(seeds):
         for name in scenarios:
@@ -36,7 +37,7 @@ def jobs(
             in_real_time = real and any(fault.kind in NOT_INJECTED for fault in asked.fault)
             for skin in skins:
                 for bundle in objects:
-                    subject = asked.touching(bundle).on(skin)
+                    subject = asked.touching(bundle).on(skin, layout)
                     title = f"{name}, {bundle}, {skin}, seed {seed}{', real time' * in_real_time}"
                     arguments = (name, subject, seed, in_real_time)
                     found.append(Job(title, play, arguments, code=digest(subject)))

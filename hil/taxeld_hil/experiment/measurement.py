@@ -18,7 +18,9 @@ from taxeld_hil.world.world import load_model
 RunRow: TypeAlias = dict[str, Any]  # one run's figures, as JSON has them
 
 
-def require(objects: Sequence[str], skins: Sequence[str], seeds: int, *, soft: bool) -> None:
+def require(
+    objects: Sequence[str], skins: Sequence[str], seeds: int, layout: str = "", *, soft: bool
+) -> None:
     """Check the asked objects, skins and seeds, and build each object's mesh once, before several
     workers need it; `soft`: only soft skins will do.
 
@@ -31,11 +33,11 @@ def require(objects: Sequence[str], skins: Sequence[str], seeds: int, *, soft: b
     demo = scenario.load("demo")
     physics = {demo.on(skin).physics for skin in skins}
     if soft and "scene" in physics:
-        raise SetupError("--skin scene: is no soft skin; name typical, poor or stiff")
+        raise SetupError("--foam scene: is no soft skin; name typical, poor or stiff")
     for name in objects:
-        layout = load_model(demo.touching(name)).layout
+        model = load_model(demo.touching(name).on("", layout))
         if physics != {"scene"}:
-            solid_of(name, layout)
+            solid_of(name, model.layout)
 
 
 def digest(subject: Scenario) -> str:

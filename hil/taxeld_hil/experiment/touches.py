@@ -41,16 +41,16 @@ SHARES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)  # the sd of each round, as shares o
 TRIED = 400  # poses a round
 
 
-def jobs(objects: Sequence[str], skins: Sequence[str], seeds: int) -> list[Job]:
+def jobs(objects: Sequence[str], skins: Sequence[str], seeds: int, layout: str = "") -> list[Job]:
     """A job for each run with bundles and skins, seed by seed.
 
     Raises:
         SetupError: there is no such object or skin, an object has no mesh here, or there are no
             seeds.
     """
-    require(objects, skins, seeds, soft=True)
+    require(objects, skins, seeds, layout, soft=True)
     demo = scenarios.load("demo")
-    subjects = [demo.touching(name).on(skin) for skin in skins for name in objects]
+    subjects = [demo.touching(name).on(skin, layout) for skin in skins for name in objects]
     return [
         Job(f"{s.bundle}, {s.physics}, seed {seed}", figures, (s, seed), code=digest(s))
         for seed in range(seeds)

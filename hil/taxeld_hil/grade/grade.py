@@ -92,6 +92,7 @@ def _found(judge: Judge, expect: Expect) -> Iterator[Check]:
     last, error = judge.last, _error_mm(judge)
     converged = last is not None and last.valid and last.status == Status.CONVERGED
     state = "no estimate came" if last is None else f"status {last.status.name.lower()}"
+    state += f", not valid: {last.why.name.lower()}" if last and not last.valid else ""
     if not expect.found:
         yield Check("object found", None, f"not asked for; {state}")
     else:

@@ -13,13 +13,14 @@ from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Status
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import SILENT_MM, add_m
+from taxeld.pipeline.freshness import Why
 from taxeld_hil.grade import flags
 from taxeld_hil.grade.flags import Flag, Health, TaxelsOf
 from taxeld_hil.rig.rig import SETTLE_S
 from taxeld_hil.scenario.scenario import Fault, Scenario
 
 SILENCE_S = 0.1  # without an estimate for so long, the stream is silent
-USABLE = (Status.SEARCHING, Status.AMBIGUOUS, Status.CONVERGED)
+USABLE = (Why.VALID, Why.UNTOUCHED, Why.VAGUE)  # the daemon works, whatever it knows
 DOUBTS = (Status.INCONSISTENT, Status.BLIND)
 STOPPED = (Status.STARTING, Status.STALE)
 AGE_UNIT_S = 1e-4
@@ -31,12 +32,16 @@ class Sample(NamedTuple):
 
     t: float  # scenario time
     status: Status
-    valid: bool
+    why: Why
     contacts: int
     map: Poses  # (3,)
     scan_t: float  # time of its scan, by whatever clock; 0: there was none yet
     age_s: float  # age of the scan [s]
     total_us: float = 0.0  # time that the tick took
+
+    @property
+    def valid(self) -> bool:
+        return self.why is Why.VALID
 
 
 @dataclass(slots=True)
@@ -192,7 +197,7 @@ class Judge:
             return
         if sample.status in STOPPED:
             seen.usable_s = None
-        elif seen.usable_s is None and _is_usable(sample):
+        elif seen.usable_s is None and sample.why in USABLE:
             seen.usable_s = sample.t - fault.end_s
 
     def _close(self, seen: Seen) -> None:
@@ -238,10 +243,6 @@ def _is_overlapped(fault: Fault, scenario: Scenario) -> bool:
         for other in scenario.fault
         if other.kind in flags.STOPPING
     )
-
-
-def _is_usable(sample: Sample) -> bool:
-    return sample.status in USABLE and (sample.valid or sample.contacts == 0)
 
 
 def percentile(counts: Counter[int], share: float) -> float:

@@ -15,7 +15,6 @@ from matplotlib.lines import Line2D
 
 from taxeld.arrays import Floats, Poses
 from taxeld.commands.replay import open_pipeline, outcomes
-from taxeld.config import file as config_file
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.layout.draw import MM, plane
@@ -115,7 +114,7 @@ class SessionPicture:
     def __init__(self, directory: Path) -> None:
         """Raises SetupError where the session cannot be used."""
         self._directory = directory
-        self._pipeline = open_pipeline(directory, config_file.load(directory / session.CONFIG))
+        self._pipeline = open_pipeline(directory, session.config_of(directory))
         self._scene = self._pipeline.estimator.model.scene
         self._truth = truth_of(directory / session.TRUTH)
         self._skin = self._pipeline.skin.layout

@@ -1,19 +1,28 @@
 """A run on the fake clock, without waiting; deterministic for a scenario and a seed."""
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
+from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.proposals import bundle
 from taxeld.skin.calibration import Calibration
+from taxeld.source import session
+from taxeld.source.recorder import HEADERS, Item
+from taxeld.source.session import Chunk
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.grade.reconcile import laws
+from taxeld_hil.rig.bench import write_config, write_truth
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.fake import FakeDaemon
 from taxeld_hil.run.memory import MemoryLine
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import Scenario
+from taxeld_protocol.frames import Frame, format_log_line
 
 NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
 HEALTH_S = 1.0
@@ -45,13 +54,18 @@ class FakeRun:
         """
         self.rig = Rig(scenario, seed)
         self.line = MemoryLine(self.rig)
-        self.config = settings.on_a_fake_clock(scenario, seed, filter_keys, rate_hz)
-        self.skin = layouts.load(scenario.layout)
-        self.scene = bundle.load(scenario.bundle, self.skin, self.config.skin.full_scale_depth_m)
+        self._file = settings.without_devices(scenario, seed, filter_keys)
+        parsed = config_file.parse(self._file)
+        self.config = replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))
+        self.skin = layouts.load(scenario.skin_layout)
+        self.scene = bundle.load(scenario.bundle, self.skin)
         self._calibration = calibration
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
         self.judge = self.judging()
+        self._record: Callable[[Item], None] = lambda _: (
+            None
+        )  # called with each of the robot's poses
         self._seed = seed
         self._began_s = self._next_health_s = 0.0
 
@@ -64,9 +78,20 @@ class FakeRun:
         if self.daemon is not None:
             self.daemon.pipeline.reset()
 
-    def graded(self, name: str) -> Grade:
-        """The scenario of this name to its end, and its grade."""
-        self.run()
+    def graded(self, name: str, directory: Path | None = None) -> Grade:
+        """The scenario of this name to its end, and its grade; its session into `directory`.
+
+        Raises:
+            SetupError: the directory has a session.
+        """
+        if directory is None:
+            self.run()
+        else:
+            write_config(directory, self._file)
+            write_truth(directory, self.rig)
+            self.line.record = self._record = (kept := list[Item]()).append
+            self.run()
+            write_session(directory, kept)
         held = laws(self.rig.ledger, self.judge.health or {}, line=self.rig.line, exact_times=True)
         run = Run(name, self._seed, "sim", "fake", self.rig.scenario.transport)
         return grade(run, self.judge, held, self.rig.ledger)
@@ -101,6 +126,7 @@ class FakeRun:
         if self.daemon is None:
             self.line.take()
         for row in rig.poses(t, now, now):
+            self._record(row)
             if self.daemon is not None:
                 rig.ledger.poses_heard += 1
                 self.daemon.pose(*row)
@@ -108,8 +134,8 @@ class FakeRun:
             return None
         self.daemon.tick(now)
         e = self.daemon.estimate(now)
-        valid = self.daemon.pipeline.freshness.is_valid(e)
-        self.judge.on_estimate(Sample(t, e.status, valid, e.contacts, e.map, e.t, now - e.t))
+        why = self.daemon.pipeline.freshness.why(e, now)
+        self.judge.on_estimate(Sample(t, e.status, why, e.contacts, e.map, e.t, now - e.t))
         if now >= self._next_health_s:
             self._next_health_s = now + HEALTH_S
             self.judge.on_health(t, self.daemon.health(now))
@@ -136,3 +162,23 @@ class FakeRun:
         """A daemon with what the one before has stored of the skin."""
         kept = None if self._dead is None else self._dead.pipeline.skin.state()
         return FakeDaemon(self.config, self.skin, self.scene, self.line, kept, self._calibration)
+
+
+def write_session(directory: Path, kept: Sequence[Item]) -> None:
+    """Write the frames, or bytes of a serial line, and the poses of a run into its session."""
+    lines: dict[str, list[str]] = {session.POSES: []}
+    data = bytearray()
+    for item in kept:
+        if isinstance(item, Frame):
+            name, line = session.FRAMES, format_log_line(item)
+        elif isinstance(item, Chunk):
+            name, line = session.SERIAL_TIMES, f"{item.t:.6f},{len(data)}"
+            data += item.data
+        else:
+            name, line = session.POSES, f"{item[0]:.6f},{item[1]!r},{item[2]!r},{item[3]!r}"
+        lines.setdefault(name, []).append(f"{line}\n")
+    for name, found in lines.items():
+        text = HEADERS.get(name, "") + "".join(found)
+        (directory / name).write_text(text, encoding="ascii")
+    if data:
+        (directory / session.SERIAL).write_bytes(data)

@@ -10,6 +10,7 @@ import numpy as np
 import zmq
 
 from taxeld.estimator.estimate import Status
+from taxeld.pipeline.freshness import Why
 from taxeld.stream import messages
 from taxeld_hil.grade.flags import Health
 from taxeld_hil.grade.judge import Judge, Sample
@@ -84,7 +85,7 @@ def sample(message: dict[str, Any], t: float) -> Sample:
     return Sample(
         t,
         Status(message["status"]),
-        message["valid"],
+        Why(message["why"]),
         message["contacts"],
         np.array([pose["x"], pose["y"], pose["theta"]]),
         message["t"],

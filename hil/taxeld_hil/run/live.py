@@ -60,7 +60,7 @@ class LiveRun:
         judge.end(bench.rig.duration_s)
         for line in table.latencies():
             self._say(line)
-        self._say(f"final symmetry-aware ADD {table.error_mm():.1f} mm")
+        self._say(table.final())
         return grade(self.run, judge, held, bench.rig.ledger)
 
     def lap(self, bench: Bench, name: str, scenario: Scenario, seed: int) -> Grade:

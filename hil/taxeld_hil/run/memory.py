@@ -1,5 +1,6 @@
 """The wire of a run on the fake clock: a rig at one end, a device of the daemon's at the other."""
 
+from collections.abc import Callable
 from typing import Any
 
 from taxeld.errors import SetupError
@@ -17,6 +18,7 @@ class MemoryLine:
         self.rig = rig
         self.t = 0.0  # scenario time [s], which begins anew with each lap
         self.now = 0.0  # the daemon's clock [s], which goes on over laps
+        self.record: Callable[[Frame | Chunk], None] = lambda _: None  # called with each delivered
         self._waiting: list[Frame] = []
         self._bytes = b""
 
@@ -32,9 +34,14 @@ class MemoryLine:
         """Deliver what was held back, at the end."""
         self._deliver(self.rig.rest())
 
-    def ask(self, command: int, payload: bytes) -> None:
+    def ask(self, to: int, body: bytes) -> None:
         """Deliver the answers to a request."""
-        self._deliver(self.rig.answer(Packet(self.now, BROADCAST, command, payload), self.t))
+        packet = (
+            Packet(self.now, to, body[0], body[1:])
+            if body
+            else Packet(self.now, BROADCAST, to, body)
+        )
+        self._deliver(self.rig.answer(packet, self.t))
 
     def take(self) -> list[Frame] | list[Chunk]:
         """Frames or bytes delivered since the last call."""
@@ -50,8 +57,11 @@ class MemoryLine:
             item = unit.item
             if isinstance(item, bytes):
                 self._bytes += item
+                self.record(Chunk(self.now, item))
             else:  # a frame that was late arrives now
-                self._waiting.append(item if item.t == self.now else item._replace(t=self.now))
+                frame = item if item.t == self.now else item._replace(t=self.now)
+                self._waiting.append(frame)
+                self.record(frame)
 
 
 class MemoryDevice(Device):
@@ -70,8 +80,8 @@ class MemoryDevice(Device):
             raise LostError
         return self._line.take()
 
-    def pack(self, command: int, payload: bytes) -> list[bytes]:
-        return [command.to_bytes(2) + payload]  # LEAVE_BOOTLOADER does not fit one byte
+    def pack(self, to: int, body: bytes) -> list[bytes]:
+        return [to.to_bytes(2) + body]  # LEAVE_BOOTLOADER does not fit one byte
 
     def put(self, piece: Piece) -> None:
         assert isinstance(piece, bytes)  # noqa: S101  (as packed)

@@ -70,7 +70,7 @@ class Processes:
         """`config`: the daemon's file; `endpoint`: where it publishes; `log_level`: its log's."""
         run = ("run", "--log-level", log_level, str(config))
         watch = ("watch", "--endpoint", endpoint, "--bundle", scenario.bundle)
-        skin = ("--layout", scenario.layout)
+        skin = ("--layout", scenario.skin_layout)
         self._printed = tempfile.TemporaryFile()  # noqa: SIM115  (for as long as this lives)
         self._bytes = 0  # bytes printed by the subscriber
         self.daemon = Process("the daemon", "taxeld.cli", *run)

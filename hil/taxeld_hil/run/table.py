@@ -9,18 +9,18 @@ from taxeld_hil.scenario import scenario
 HEAD = ("fault", "scenario", "shows in", "within", "seen after", "fresh again after its end")
 
 
-def rows(seeds: Iterable[int], bundle: str = "", skin: str = "") -> Iterator[str]:
+def rows(seeds: Iterable[int], bundle: str = "", foam: str = "", layout: str = "") -> Iterator[str]:
     """A Markdown table: worst values over the seeds, on the fake clock; with the scenarios' own
-    objects and skins where none is named.
+    objects, foams and layouts where none is named.
 
     Raises:
-        SetupError: there is no skin of that name.
+        SetupError: there is no foam of that name.
     """
     yield "| " + " | ".join(HEAD) + " |"
     yield "|---" * len(HEAD) + "|"
     seeds = list(seeds)
     for name in scenario.shipped():
-        subject = scenario.load(name).touching(bundle).on(skin)
+        subject = scenario.load(name).touching(bundle).on(foam, layout)
         if not subject.fault or name == "everything":
             continue
         runs = [FakeRun(subject, seed).graded(name).figures["faults"] for seed in seeds]

@@ -13,8 +13,8 @@ from taxeld.model.symmetry import add_m
 from taxeld.stream import messages
 
 HEADER = (
-    "contact  taxels    ESS  modes   MAP x, y, yaw [mm, mm, deg]    mean x, y, yaw"
-    "               error [mm]"
+    "contact  taxels  modes  heaviest  likeliest x, y, yaw [mm, mm, deg]  mean x, y, yaw"
+    "             error [mm]"
 )
 
 
@@ -42,20 +42,26 @@ class ContactTable:
         self._in_contact = message["contact"]
         if not ended:
             return None
+        share = max((mode["weight"] for mode in message["modes"]), default=0.0)
         line = (
-            f"{message['contacts']:7d} {self.most_taxels:7d} {message['ess']:6.1f} "
-            f"{len(message['modes']):6d}   {_pose(message['map'])}     {_pose(message['mean'])}"
+            f"{message['contacts']:7d} {self.most_taxels:7d} {len(message['modes']):6d} "
+            f"{share:8.0%}    {_pose(message['map'])}       {_pose(message['mean'])}"
         )
         self.most_taxels = 0
         return line if self.truth is None else f"{line} {self.error_mm():12.1f}"
 
     def error_mm(self) -> float:
-        """Symmetry-aware ADD of the last MAP estimate; not a number where there is none."""
+        """Symmetry-aware ADD of the last likeliest pose; not a number where there is none."""
         if self.truth is None or not self.last or not self.last["valid"]:
             return float("nan")
         pose = self.last["map"]
         estimate = np.array([pose["x"], pose["y"], pose["theta"]])
         return 1e3 * add_m(self.scene, estimate, self.truth)[1]
+
+    def final(self) -> str:
+        """A line on the last error."""
+        about = "mean distance of the object's points, up to its symmetry"
+        return f"final error {self.error_mm():.1f} mm ({about})"
 
     def latencies(self) -> list[str]:
         """A line a stage: median, 99th percentile and maximum of ticks with a scan."""

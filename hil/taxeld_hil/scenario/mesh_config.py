@@ -102,3 +102,4 @@ PLAIN = MeshConfig(
     drift_counts_per_min=0.0,
 )
 SKINS = {"typical": TYPICAL, "poor": POOR, "stiff": STIFF}
+FOAMS = ("scene", *SKINS)  # `scene` is the estimator's own model

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from taxeld.config import toml_tables
 from taxeld.config.file import text_of
-from taxeld.config.tables import SkinConfig
 from taxeld.config.toml_tables import Given, between, key, one_of
 from taxeld.errors import SetupError
-from taxeld_hil.scenario.mesh_config import PLAIN, SKINS, MeshConfig
+from taxeld.proposals import bundle as bundles
+from taxeld_hil.scenario.mesh_config import FOAMS, PLAIN, SKINS, MeshConfig
 
 TRANSPORTS = ("slcan", "native", "can")
 
@@ -69,19 +69,19 @@ class Expect:
 @dataclass(frozen=True, slots=True)
 class Scenario:
     bundle: str = key(doc="the object, as a bundle that the daemon can load")
-    layout: str = key(SkinConfig().layout, doc="the skin")
+    layout: str = key("", doc="the skin; empty: the one that the bundle was built for")
     transport: str = key("slcan", one_of(*TRANSPORTS), "how the skin is reached in simulation")
     contacts: int = key(8, between(1, 1000), "presses, spread around the object")
-    press_min_m: float = key(0.002, between(0.0005, 0.005), "least depth of a press")
+    press_min_m: float = key(0.002, between(0.0005, 0.005), "least depth of a press, of 5 mm foam")
     press_max_m: float = key(0.0045, between(0.0005, 0.005), "most")
     hold_s: float = key(0.3, between(0, 3600), "how long a press is held")
     rest_s: float = key(0.5, between(0.5, 3600), "at the end, untouched")
     place_m: float = key(0.15, between(0.0, 10.0), "the object stands within ± this, any yaw")
     baseline_counts: float = key(10_247.0, between(100, 40_000), "idle reading")
     baseline_spread: float = key(286.0, between(0, 10_000), "sd between taxels")
-    full_scale_counts: float = key(20_000.0, between(100, 60_000), "counts of a 5 mm press")
+    full_scale_counts: float = key(20_000.0, between(100, 60_000), "counts of a full press")
     physics: str = key(
-        "typical", one_of("scene", *SKINS), "a soft skin, or the estimator's own model of one"
+        "typical", one_of(*FOAMS), "a soft skin, or the estimator's own model of one"
     )
     mesh: Given[MeshConfig] = field(default_factory=Given)  # keys that replace the skin's own
     expect: Expect = Expect()  # grounds of the grade
@@ -93,15 +93,29 @@ class Scenario:
         alone are used."""
         return self.mesh.over(SKINS.get(self.physics, PLAIN))
 
-    def on(self, skin: str) -> "Scenario":
-        """The same scenario on another skin; on its own where none is named.
+    @property
+    def skin_layout(self) -> str:
+        """The layout of the skin.
 
         Raises:
-            SetupError: there is none of that name.
+            SetupError: it is a file that only the maker of the bundle had.
         """
-        if skin and skin not in ("scene", *SKINS):
-            raise SetupError(f"no skin '{skin}'; there are scene, {', '.join(SKINS)}")
-        return replace(self, physics=skin) if skin else self
+        name = self.layout or bundles.manifest_of(self.bundle).layout.name
+        if self.layout or ":" in name:  # the name of a generated one is its line
+            return name
+        raise SetupError(f"{self.bundle} was built for a layout file, {name}: name it by --layout")
+
+    def on(self, foam: str, layout: str = "") -> "Scenario":
+        """The same scenario on another foam and layout; on its own where none is named.
+
+        Raises:
+            SetupError: there is no foam of that name.
+        """
+        if foam and foam not in FOAMS:
+            raise SetupError(
+                f"no foam '{foam}'; there are {', '.join(FOAMS)}; a layout is given by --layout"
+            )
+        return replace(self, physics=foam or self.physics, layout=layout or self.layout)
 
     def touching(self, bundle: str) -> "Scenario":
         """The same scenario with another object; with its own where none is named."""

@@ -1,10 +1,8 @@
 """The configuration of the daemon that a scenario is run with."""
 
-from dataclasses import replace
 from pathlib import Path
 
-from taxeld.config import file as config_file
-from taxeld.config.tables import Config
+from taxeld.proposals import bundle
 from taxeld_hil.scenario.scenario import Scenario
 
 SOURCES = {
@@ -17,6 +15,7 @@ TEXT = """\
 [skin]
 layout = "{layout}"
 full_scale_counts = {full_scale_counts}
+full_scale_depth_m = {full_scale_depth_m}
 state_dir = "{place}/state"
 [source]
 {source}
@@ -40,8 +39,9 @@ def text(
     """The file: sockets and the skin's state are kept in `place`; `filter_keys` are more lines of
     the table [filter]."""
     return TEXT.format(
-        layout=scenario.layout,
+        layout=scenario.skin_layout,
         full_scale_counts=scenario.full_scale_counts,
+        full_scale_depth_m=bundle.manifest_of(scenario.bundle).depth_max_m,
         source=SOURCES[scenario.transport].format(channel=channel),
         bundle=scenario.bundle,
         poses=poses,
@@ -51,15 +51,7 @@ def text(
     )
 
 
-def on_a_fake_clock(
-    scenario: Scenario, seed: int, filter_keys: str = "", rate_hz: float = 100.0
-) -> Config:
-    """The configuration of a daemon without sockets, files and devices.
-
-    Raises:
-        SetupError: faults in `filter_keys`.
-    """
+def without_devices(scenario: Scenario, seed: int, filter_keys: str = "") -> str:
+    """The file of a daemon without sockets, files and devices."""
     nowhere = Path("/nowhere")
-    file = text(scenario, seed, "memory", f"ipc://{nowhere}/poses", nowhere, filter_keys)
-    parsed = config_file.parse(file)
-    return replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))
+    return text(scenario, seed, "memory", f"ipc://{nowhere}/poses", nowhere, filter_keys)

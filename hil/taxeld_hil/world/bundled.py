@@ -3,7 +3,7 @@
 import numpy as np
 
 from taxeld.layout.layout import Layout
-from taxeld.proposals import bundle, manifest
+from taxeld.proposals import bundle
 from taxeld_hil.world import meshes
 from taxeld_hil.world.mesh_skin import LAYER_M, MARGIN_M
 from taxeld_hil.world.solids import Solid
@@ -15,8 +15,7 @@ def solid_of(name: str, layout: Layout) -> Solid:
     Raises:
         SetupError: the bundle is damaged, or its mesh cannot be found or read.
     """
-    path = bundle.find(name) / manifest.NAME
-    built, _ = manifest.parse(manifest.read(path), path)
+    built = bundle.manifest_of(name)
     reach = float(np.abs(layout.position_m[:, 2]).max()) + MARGIN_M + LAYER_M
-    mesh = str(path.parent / built.mesh) if built.mesh else built.object
+    mesh = str(bundle.find(name) / built.mesh) if built.mesh else built.object
     return meshes.load(mesh, built.height_m, reach)

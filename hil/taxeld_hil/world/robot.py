@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Poses
+from taxeld.config.tables import SkinConfig
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.scenario.scenario import Scenario
@@ -53,6 +54,7 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
     scene = model.scene
     centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
     circle = scene.size + model.layout.radius_m + STANDOFF_M
+    share = depth_share(model)
     start = rng.uniform(-np.pi, np.pi)
     poses: list[list[float]] = []
     times: list[float] = []
@@ -62,7 +64,7 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
         angle = start + step * (k + rng.uniform(-0.3, 0.3))
         yaw_to = yaw + rng.uniform(-YAW_SPREAD_RAD, YAW_SPREAD_RAD)
         for _ in range(TRIES):
-            depth = rng.uniform(scenario.press_min_m, scenario.press_max_m)
+            depth = share * rng.uniform(scenario.press_min_m, scenario.press_max_m)
             offset = rng.uniform(-0.7, 0.7) * scene.size
             line = approach(model, truth, centre, angle, offset, circle, depth)
             if strongest(model, truth, np.array([*line[2], yaw_to])) > TOUCH:
@@ -86,6 +88,11 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
             times.append(now)
         yaw, before = yaw_to, angle
     return RobotPath(np.array(times), np.array(poses))
+
+
+def depth_share(model: ObservationModel) -> float:
+    """Depth of this foam at full scale, as a share of the usual one: presses go in proportion."""
+    return model.depth_max_m / SkinConfig().full_scale_depth_m
 
 
 def strongest(model: ObservationModel, truth: Poses, sensor: Poses) -> float:

@@ -17,8 +17,8 @@ from taxeld_hil.world.robot import RobotPath
 
 APART_S = (2.0, 3.0)  # range of times between the beginnings of two touches
 LIGHT_AFTER_S = (0.4, 1.4)  # range of times between a press and its light touch
-PRESS_MM = (2.0, 4.5)
-LIGHT_MM = (0.3, 0.5)  # depth range at the taxel that is pressed most
+PRESS_MM = (2.0, 4.5)  # of foam whose full scale is 5 mm deep; of other foam in proportion
+LIGHT_MM = (0.3, 0.5)  # the same, at the taxel that is pressed most
 RAMP_S, HOLD_S = 0.3, 0.7
 SLOW_FROM_M = 0.004  # clearance at which a ramp begins and ends
 SIDEWAYS = 0.7  # most that an approach passes the centre by, in sizes of the object
@@ -79,12 +79,12 @@ def plan(
     track = Track(np.array([*_around(centre, circle, angle), yaw]))
     touches: list[Touch] = []
     out = track.poses[0][None]
-    step = 2.0 * np.pi / max(presses, 1)
+    step, share = 2.0 * np.pi / max(presses, 1), robot.depth_share(model)
     for k in range(presses + pairs):
         before, angle = angle, angle + step * rng.uniform(0.7, 1.3)
         yaw_to = yaw + rng.uniform(-robot.YAW_SPREAD_RAD, robot.YAW_SPREAD_RAD)
         for _ in range(robot.TRIES):
-            depth = 1e-3 * rng.uniform(*PRESS_MM)
+            depth = 1e-3 * share * rng.uniform(*PRESS_MM)
             offset = rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
             line = robot.approach(model, truth, centre, angle, offset, circle, depth, SLOW_FROM_M)
             line = np.column_stack([line, np.full(3, yaw_to)])
@@ -98,7 +98,7 @@ def plan(
         touches.append(track.touch(line[2], is_light=False))
         if k >= presses:
             track.go(line[1:2], rng.uniform(*LIGHT_AFTER_S))
-            light = _at_depth(line[1], line[2], deepest, 1e-3 * rng.uniform(*LIGHT_MM))
+            light = _at_depth(line[1], line[2], deepest, 1e-3 * share * rng.uniform(*LIGHT_MM))
             touches.append(track.touch(light, is_light=True))
         yaw = yaw_to
     track.go(np.vstack([out, [*_around(centre, circle, angle), yaw]]), 0.5)

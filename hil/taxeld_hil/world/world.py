@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Floats, Poses
-from taxeld.config.tables import SkinConfig
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
@@ -30,8 +29,7 @@ def load_model(scenario: Scenario) -> ObservationModel:
     Raises:
         SetupError: either cannot be loaded.
     """
-    skin = layouts.load(scenario.layout)
-    return bundle.load(scenario.bundle, skin, SkinConfig().full_scale_depth_m).model
+    return bundle.load(scenario.bundle, layouts.load(scenario.skin_layout)).model
 
 
 class Channels:

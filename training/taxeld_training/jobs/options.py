@@ -40,7 +40,7 @@ class Options:
     memory: Path
     objects: tuple[str, ...] = ()
     columns: tuple[int, ...] = ()
-    skin: str = ""  # another layout instead of the rings
+    layout: str = ""  # another layout instead of the rings
     quick: bool = False
     workers: int = 2
     dask: str = ""

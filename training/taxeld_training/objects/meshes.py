@@ -48,6 +48,11 @@ def load(path: Path) -> trimesh.Trimesh:
     Raises:
         SetupError: the file cannot be read, holds nothing, or is not in metres.
     """
+    ending = path.suffix.lower()
+    if ending[1:] not in trimesh.available_formats():
+        raise SetupError(
+            f"{path}: {ending or 'a file without ending'} is not read; export STL, PLY or OBJ"
+        )
     if path.is_file() and not path.stat().st_size:
         raise SetupError(f"{path}: is an empty file; export it again")
     try:
@@ -56,7 +61,7 @@ def load(path: Path) -> trimesh.Trimesh:
         repairs = _clean(mesh) if triangles else []
     except Exception as error:  # trimesh's readers raise whatever their format's parser raises
         reason = " ".join(str(error).split())
-        if isinstance(error, ImportError) and path.suffix.lower() == ".stl":
+        if isinstance(error, ImportError) and ending == ".stl":
             reason = "neither binary nor text STL, perhaps cut short"  # trimesh guesses an encoding
         raise SetupError(f"{path}: unreadable mesh ({reason}); export it again") from None
     if not triangles or not len(mesh.faces):

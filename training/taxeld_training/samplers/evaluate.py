@@ -62,8 +62,8 @@ def settings(options: Options, columns: Sequence[int]) -> list[Measurement]:
     """The cells of an experiment, column by column, so that a run cut short has whole columns."""
     objects = options.objects or OBJECTS
     skins = [(c, ring(c)) for c in options.columns or columns]
-    if options.skin:
-        skins = [(0, options.skin)]
+    if options.layout:
+        skins = [(0, options.layout)]
     if options.quick:
         objects, skins = objects[:2], skins[:1]
     made = [
@@ -157,4 +157,4 @@ def _with_cost(row: dict[str, Any], ms: Costs) -> dict[str, Any]:
 
 def _of_skin(options: Options) -> str:
     """The end of a file's name: rows of another skin stand beside those of the rings."""
-    return f"_{Path(options.skin).stem}" if options.skin else ""
+    return f"_{Path(options.layout).stem}" if options.layout else ""

@@ -1,0 +1,145 @@
+"""The hub of the C header beside the virtual hub, and docs/own-skin.md beside the daemon."""
+
+import json
+import re
+import shlex
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taxeld.commands.decode import decode
+from taxeld.source import session
+from taxeld_protocol import commands, cyskin
+from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER, Command, Packet
+from taxeld_protocol.modules import listed
+from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
+from tests.pages import FENCED
+from tests.rig.clocks import PATIENCE_S, until
+from tests.rig.commands import printed
+from tests.rig.processes import PIPES, taxeld
+from tests.rig.skins import SKIN
+
+from .c_side import C, CSide, compile_c
+from .test_c_side import c_side  # noqa: F401  (a fixture)
+
+UID = 0xC15C0001
+MASKS = [0xFFF, 0x7FF, 0x7FE, 0x001, 0x000]
+ASKED = [
+    Command.DISCOVERY_PING,
+    Command.DISCOVERY_RECV_ID,
+    Command.ERROR,
+    Command.MODULE_PROGRAM_END,
+    Command.SET_AUTO_SYNC,
+    Command.SET_AUTO_SYNC_PERIOD,
+    Command.SET_COMM_SPEED,  # which neither does
+    Command.DECLARE,
+    Command.MODULE_DETAILS,
+]
+FIELDS = {
+    "uid": st.sampled_from([UID, UID + 1]),
+    "short_id": st.sampled_from([0, 1, 2, BROADCAST]),
+    "on": st.sampled_from([0, 1, 2]),
+    "period_ms": st.sampled_from([0, 1, 50, 0xFFFF]),
+    "module": st.sampled_from([0, 1, len(MASKS) - 1, len(MASKS), 0xFF]),
+}
+
+
+@st.composite
+def requests(draw: st.DrawFn) -> Packet:
+    """Of a host; some of another length than theirs."""
+    command = draw(st.sampled_from(ASKED))
+    _, names = commands.REQUESTS.get(command, ("", ()))
+    payload = commands.request(command, **{name: draw(FIELDS[name]) for name in names})
+    if not draw(st.integers(0, 5)):
+        payload = draw(st.binary(max_size=6))
+    return Packet(0.0, draw(st.sampled_from([0, 1, 2, BROADCAST])), command, payload)
+
+
+LEAVE = Packet(0.0, BROADCAST, LEAVE_BOOTLOADER, b"")
+
+
+@given(st.sampled_from(Phase), st.lists(requests() | st.just(LEAVE), max_size=30))
+@settings(deadline=None, max_examples=300)
+def test_a_hub_in_c_answers_whatever_it_is_asked_as_the_virtual_hub_does(
+    c_side: CSide,  # noqa: F811
+    phase: Phase,
+    asked: list[Packet],
+) -> None:
+    virtual = VirtualIhb(listed(enumerate(MASKS)), uid=UID, phase=phase)
+    modules = [{"sui": sui, "mask": mask, "channels": 12} for sui, mask in enumerate(MASKS)]
+    hub = c_side.hub(UID, modules, phase)
+    for packet in asked:
+        want = [cyskin.encode(*answer) for answer in virtual.answer(packet)]
+        if packet is LEAVE:
+            hub.phase = virtual.phase
+        else:
+            assert c_side.answers(hub, packet) == want
+        assert (hub.phase, hub.short_id) == (virtual.phase, virtual.short_id)
+        assert (hub.auto_sync, hub.period_ms) == (virtual.auto_sync, virtual.period_ms)
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "own-skin.md"
+SHOWN = dict(FENCED.findall(PAGE.read_text(encoding="utf-8")))  # language → its one block
+CHANNELS = 11  # of each module: T0 to T10
+
+
+def test_the_page_shows_the_program_which_has_about_fifty_lines() -> None:
+    program = (C / "own_skin.c").read_text(encoding="utf-8")
+    assert SHOWN["c"] == program
+    assert sum(1 for line in program.splitlines() if line.strip()) <= 60
+
+
+@pytest.fixture
+def own_skin(tmp_path: Path) -> Iterator[str]:
+    """The device of the page's program, made by the page's command."""
+    for name in ("taxeld_protocol.h", "own_skin_host.c"):
+        shutil.copy(C / name, tmp_path)
+    (tmp_path / "own_skin.c").write_text(SHOWN["c"], encoding="utf-8")
+    [command] = re.findall(r"`(cc .*?)`", PAGE.read_text(encoding="utf-8"))
+    compile_c("-Wconversion", C / "own_skin.c", C / "own_skin_host.c", "-o", tmp_path / "strict")
+    subprocess.run(shlex.split(command), cwd=tmp_path, check=True)
+    with subprocess.Popen([tmp_path / "own_skin"], stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout is not None
+        yield program.stdout.readline().strip()
+        program.kill()
+
+
+def test_by_its_page_an_own_skin_is_recorded_without_a_wrong_value(
+    tmp_path: Path, own_skin: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = json.loads(SHOWN["json"])
+    [taxel] = file["skin"]["taxels"]
+    assert taxel["id"] == SKIN.uid[0] == 1 << 4 | 1
+    file["skin"]["taxels"] = [
+        dict(zip(taxel, (int(uid), at.tolist(), normal.tolist()), strict=True))
+        for uid, at, normal in zip(SKIN.uid, SKIN.position_m, SKIN.normal, strict=True)
+    ]
+    Path("skin.json").write_text(json.dumps(file), encoding="utf-8")
+    layout, _accept, init, record = (
+        shlex.split(line.replace("/dev/ttyACM0", own_skin)) for line in SHOWN["sh"].splitlines()
+    )
+    assert "80 in 8 modules" in printed(*layout[1:])
+    assert "written: skin.toml" in printed(*init[1:])
+    recording = Path("first", session.SERIAL)
+    with taxeld(*record[1:], **PIPES) as process:
+        until(lambda: recording.exists() and recording.stat().st_size > 4000)
+        process.send_signal(signal.SIGINT)
+        said, errors = process.communicate(timeout=PATIENCE_S)
+    assert (process.returncode, errors) == (0, "")
+    assert "0 sensor poses" in said
+    *scans, told = map(json.loads, decode(recording))
+    first = scans[0]["modules"][0][0]
+    assert len(scans) > 10
+    for k, scan in enumerate(scans):
+        values = [value for module in scan["modules"] for value in module]
+        at = 10_000 + (first - 10_000 + k) % 8
+        assert values == list(range(at, at + len(values)))
+        assert [len(module) for module in scan["modules"]] == [CHANNELS] * 8
+    assert (told["stats"]["bytes_dropped"], told["stats"]["incomplete"]) == (0, 0)
