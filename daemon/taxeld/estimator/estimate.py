@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,14 @@ class ProposalKind(IntEnum):
     DENSITY = 5
 
 
+class Hypotheses(NamedTuple):
+    """Probabilities of what was touched; they sum to 1."""
+
+    stands: float = 1.0  # this object, which has stood since the oldest remembered contact
+    moved: float = 0.0  # this object, moved between two remembered contacts
+    other: float = 0.0  # something else
+
+
 @dataclass(frozen=True, slots=True)
 class Summary:
     """Place and spread of the belief, up to the object's symmetry."""
@@ -66,6 +75,9 @@ class Estimate:
     mean: Poses  # (3,)
     cov: Poses  # (3, 3) covariance about the mean, turns up to symmetry
     modes: tuple[Mode, ...]
+    p: float  # probability that it is this object and within `filter.within_m` of `map`
+    radius_m: float  # if it is this object, it is farther from `map` with `filter.risk` at most
+    hypotheses: Hypotheses
     ess: float
     particles: int
     injected: int  # samples injected by this scan

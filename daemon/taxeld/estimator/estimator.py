@@ -13,7 +13,7 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import confidence, injection
 from taxeld.estimator.calibration_check import CalibrationCheck, CalibrationDoubt
-from taxeld.estimator.estimate import Estimate, ProposalKind
+from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import News
@@ -168,6 +168,9 @@ class Estimator:
             mean=summary.mean,
             cov=summary.cov,
             modes=summary.modes,
+            p=summary.modes[0].weight,
+            radius_m=float(np.sqrt(np.trace(summary.cov[:2, :2]))),
+            hypotheses=Hypotheses(),
             ess=summary.ess,
             particles=summary.particles,
             injected=injected,
