@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.estimate import Estimate, Status
+from taxeld.estimator.estimate import Estimate, Hypotheses, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.model.observation import ObservationModel
-from taxeld.pipeline.freshness import CURES, Freshness, Why
+from taxeld.pipeline.freshness import CURES, LEAST_P, Freshness, Why
 from taxeld.proposals.analytic import Projection
 
 STALE_S = 0.5
@@ -20,7 +20,7 @@ WIDTH = 72  # characters that a terminal has for a reason
 @pytest.fixture(scope="module")
 def estimate(disc_model: ObservationModel) -> Estimate:
     first = Estimator(disc_model, Projection(disc_model), FilterConfig()).estimate
-    return replace(first, status=Status.AMBIGUOUS, contacts=1)
+    return replace(first, status=Status.AMBIGUOUS, contacts=1, p=0.5)
 
 
 def used(centre_m: tuple[float, float] = (0.0, 0.0), half_width_m: float = np.inf) -> Freshness:
@@ -64,17 +64,18 @@ def test_without_a_scan_for_too_long_everything_is_stale(estimate: Estimate) -> 
     ("changes", "why"),
     [
         ({}, Why.VALID),
-        ({"status": Status.SEARCHING, "cov": np.diag([0.004, 0.005, 9.0])}, Why.VALID),
+        ({"status": Status.SEARCHING, "p": LEAST_P}, Why.VALID),
         ({"status": Status.CONVERGED}, Why.VALID),
         ({"contacts": 0}, Why.UNTOUCHED),
         ({"contacts": 0, "status": Status.BLIND}, Why.BLIND),
         ({"status": Status.INCONSISTENT}, Why.INCONSISTENT),
-        # one contact would leave the object within 0.1 m
-        ({"status": Status.SEARCHING, "cov": np.diag([0.006, 0.005, 0.0])}, Why.VAGUE),
-        ({"status": Status.SEARCHING, "cov": np.full((3, 3), np.nan)}, Why.VAGUE),
+        ({"p": LEAST_P - 1e-9}, Why.VAGUE),
+        ({"p": np.nan}, Why.VAGUE),
+        ({"p": 0.0, "contacts": 0}, Why.UNTOUCHED),
+        ({"p": 0.0, "status": Status.INCONSISTENT}, Why.INCONSISTENT),
     ],
 )
-def test_an_estimate_without_a_touch_or_with_less_than_one_touch_tells_is_not_valid(
+def test_an_estimate_without_a_touch_or_with_less_probability_than_one_leaves_is_not_valid(
     estimate: Estimate, changes: dict[str, Any], why: Why
 ) -> None:
     assert used().why(replace(estimate, **changes)) is why
@@ -115,3 +116,7 @@ def test_each_reason_has_a_cure_that_fits_a_terminal(estimate: Estimate) -> None
         assert bool(said) == (why is not Why.VALID)
         assert len(CURES[why]) <= WIDTH
     assert used().sentence(Why.NO_POSE, estimate, "no pose comes").endswith(" (no pose comes)")
+    doubted = replace(estimate, p=0.0312, hypotheses=Hypotheses(0.09, 0.71, 0.2))
+    assert used().sentence(Why.VAGUE, doubted).endswith(" (it is 3.1%)")
+    likelier = used().sentence(Why.INCONSISTENT, doubted)
+    assert likelier.endswith(" (stands 9%, moved 71%, other 20%)")

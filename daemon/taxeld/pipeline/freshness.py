@@ -12,6 +12,8 @@ import numpy as np
 
 from taxeld.estimator.estimate import Estimate, Status
 
+LEAST_P = 0.05  # of a valid estimate: what one touch leaves, 20 mm of an outline of 0.4 m
+
 
 class Why(IntEnum):
     """Why an estimate is not valid: the first reason that holds, in this order."""
@@ -37,9 +39,9 @@ CURES = {  # the reason and its cure, in the width of a terminal (docs/stream.md
     Why.NO_POSE: "no sensor pose near the time of a scan: see Sensor poses",
     Why.MODULES_MISSING: "modules of skin.layout are on no hub: see Modules",
     Why.BLIND: "no live taxel where a touch is expected: turn the skin, see Dead taxels",
-    Why.INCONSISTENT: "no pose explains the touches: another object, or it moved: taxeld reset",
+    Why.INCONSISTENT: "another object, or that it moved, is likelier: taxeld reset",
     Why.UNTOUCHED: "nothing was touched yet: touch the object",
-    Why.VAGUE: "the touches tell less than one should: is it this object? touch again",
+    Why.VAGUE: f"p is under {LEAST_P:.0%}: touch another side; is it this object?",
     Why.OUTSIDE: "outside filter.centre_m ± filter.half_width_m: widen or move that square",
 }
 
@@ -78,26 +80,28 @@ class Freshness:
 
     def why(self, estimate: Estimate, now_s: float | None = None) -> Why:
         """Why a subscriber may not use the last estimate, VALID where it may; `now_s` as above."""
-        inputs, cov = self._of_inputs(now_s), estimate.cov
+        inputs = self._of_inputs(now_s)
         if inputs is not Why.VALID:
             return inputs
         places = np.array([estimate.map, estimate.mean])[:, :2]
         off_m = np.abs(places - self._centre_m).max()
-        # one contact leaves the object within the reach, and hence its spread
-        is_vague = not cov[0, 0] + cov[1, 1] <= self._reach_m**2
         holds = {
             Why.MODULES_MISSING: not self.is_whole,
             Why.BLIND: estimate.status is Status.BLIND,
             Why.INCONSISTENT: estimate.status is Status.INCONSISTENT,
             Why.UNTOUCHED: estimate.contacts == 0,
-            Why.VAGUE: estimate.status is Status.SEARCHING and is_vague,
+            Why.VAGUE: not estimate.p >= LEAST_P,
             Why.OUTSIDE: not off_m <= self._half_width_m + self._reach_m,
         }
         return next((why for why, is_so in holds.items() if is_so), Why.VALID)
 
     def sentence(self, why: Why, estimate: Estimate, fact: str = "") -> str:
         """The reason, its cure, and a fact where there is one."""
-        if why is Why.OUTSIDE:
+        if why is Why.INCONSISTENT:
+            fact = ", ".join(f"{name} {p:.0%}" for name, p in estimate.hypotheses._asdict().items())
+        elif why is Why.VAGUE:
+            fact = f"it is {estimate.p:.1%}"
+        elif why is Why.OUTSIDE:
             (x, y, _), (x0, y0) = estimate.map, self._centre_m
             square = f"[{x0:g}, {y0:g}] ± {self._half_width_m:g} m"
             fact = f"it seems to be at x {x:.3f} m, y {y:.3f} m; these are {square}"
