@@ -15,8 +15,8 @@ from taxeld.stream.sockets import unpack
 QUEUE = 1000  # messages kept while the subscriber is busy; it loses later ones
 MOST = 500  # messages taken at once
 NEEDED = {  # keys that the pictures and the ROS messages read
-    messages.ESTIMATE: "t valid why status contact contacts map mean cov modes ess particles "
-    "injected proposal log_evidence age_us overruns lat_us",
+    messages.ESTIMATE: "t valid why status p radius_m hypotheses contact contacts map mean cov "
+    "modes ess particles injected proposal log_evidence age_us overruns lat_us",
     messages.TAXELS: "t z live placed sensor",
     messages.PARTICLES: "t xytheta",
     messages.HEALTH: "loop source inputs lat_us dead_taxels",
