@@ -37,6 +37,7 @@ def test_a_minimal_configuration_has_every_default() -> None:
         ("[log]\nlevel = 'loud'", "log.level: must be one of debug, info, warning, error"),
         ("[filter]\nparticles = 1.5", "filter.particles: must be an integer, not 1.5"),
         ("[filter]\ncentre_m = [1]", "filter.centre_m: must be a list of 2 (float), not [1]"),
+        ("[filter]\nwithin_m = 10", "filter.within_m: must be 0.001..0.1, not 10"),
         ("loop = 3", "loop: must be a table [loop]"),
         ("[source]\nmodules = [7]", "source.modules: must be a list (a list (int)), not [7]"),
         (

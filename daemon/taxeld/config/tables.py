@@ -201,8 +201,10 @@ class FilterConfig:
     # a soft skin's readings differ by this much from expected ones (docs/physics.md)
     noise_sigma: float = key(0.04, between(1e-4, 1), "sd of an activation")
     gain_cv: float = key(0.17, between(0, 1), "spread of the taxels' gains")
-    within_m: float = key(0.01, between(1e-4, 1), "estimate's p: how likely it is this near")
-    risk: float = key(1e-3, between(1e-6, 0.5), "of the pose being beyond the estimate's radius_m")
+    within_m: float = key(
+        0.01, between(0.001, 0.1), "p of an estimate: how likely its pose is this near the true one"
+    )
+    risk: float = key(1e-3, between(1e-6, 0.5), "of being farther from it than radius_m, at most")
 
     GONE: ClassVar = {
         "kld_error": "particles and particles_max bound the number of particles",
