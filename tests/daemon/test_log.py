@@ -93,8 +93,11 @@ def test_a_change_of_status_is_logged_once(
     stale = replace(estimate, status=Status.STALE)
     told.estimate(stale, Why.NO_SCAN, "no scan comes", 0.1)
     assert logged() == ["WARNING: status: stale, not valid, 0 contacts: no scan comes"]
-    told.estimate(estimate, Why.VALID, "", 0.2)
-    assert logged()[0].startswith("INFO: status: searching, valid, 0 contacts, x ")
+    sure = replace(estimate, p=0.9962, radius_m=0.0048)
+    told.estimate(sure, Why.VALID, "", 0.2)
+    (line,) = logged()
+    assert line.startswith("INFO: status: searching, valid, 0 contacts, x ")
+    assert line.endswith(" rad, p 99.6%, radius 4.8 mm")
 
 
 def test_a_status_that_flickers_does_not_fill_the_log(
@@ -143,7 +146,7 @@ def hub_of(modules: int) -> tuple[Pipeline, SimulatedSkin]:
 def test_estimates_are_valid_only_where_the_hubs_have_the_modules_of_the_layout() -> None:
     for modules, valid in ((8, True), (5, False)):
         pipeline, _ = hub_of(modules)
-        touched = replace(pipeline.estimate, contacts=1, status=Status.AMBIGUOUS)
+        touched = replace(pipeline.estimate, contacts=1, status=Status.AMBIGUOUS, p=0.5)
         why = pipeline.freshness.why(touched)
         assert why is (Why.VALID if valid else Why.MODULES_MISSING)
         assert pipeline.health()["modules"]["match"] is valid

@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import time
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from taxeld.config.file import load, parse
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.model.activation import Activation
+from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.proposals.ladder import Step
 from taxeld.service import loop
@@ -31,6 +33,7 @@ from tests.rig.simulated_skin import SimulatedSkin
 
 EVERY_KEY = [
     *("v", "seq", "t", "mono_ns", "valid", "why", "status"),
+    *("p", "radius_m", "hypotheses"),
     *("contact", "contacts", "map", "mean", "cov"),
     *("modes", "ess", "particles", "injected", "proposal", "log_evidence", "age_us", "overruns"),
     *("degraded", "lat_us"),
@@ -227,6 +230,17 @@ def test_a_pass_without_arrivals_takes_one_second_opinion_and_sends_what_it_bett
     assert bettered > 3
     daemon.latencies.percentiles()
     assert daemon.latencies.scans == daemon.pipeline.skin.counters.scans, "each scan counts once"
+
+
+def test_the_status_line_has_p_where_the_estimate_is_valid(daemon: Daemon) -> None:
+    now, pipeline = time.monotonic(), daemon.pipeline
+    pipeline.estimate = replace(pipeline.estimate, contacts=2, p=0.5)
+    daemon.tick(now)
+    assert daemon._status_line(now) == "starting, not valid, contacts 2, overruns 0"
+    pipeline.freshness.last = Why.VALID
+    pipeline.estimate = replace(pipeline.estimate, status=Status.CONVERGED, p=0.9962)
+    daemon.tick(now)
+    assert daemon._status_line(now) == "converged, p 99.6%, contacts 2, overruns 0"
 
 
 def test_no_second_opinion_is_taken_while_a_scan_waits(touches: Touches) -> None:

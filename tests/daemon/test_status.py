@@ -150,17 +150,17 @@ def test_status_says_why_an_estimate_is_not_valid() -> None:
     assert list(lines(answer))[1] == "Not valid     : unknown (99)"
 
 
-def test_ambiguous_with_one_mode_is_explained(running: Path) -> None:
-    answer = client.ask(f"ipc://{running}/control", "status")
-    assert answer is not None
-    estimate = answer["estimate"]
-
-    def told(status: Status, weights: list[float]) -> str:
-        estimate["status"] = int(status)
-        estimate["modes"] = [{"weight": weight} for weight in weights]
-        (row,) = (line for line in lines(answer) if line.startswith("Modes"))
-        return row.partition(": ")[2]
-
-    assert told(Status.CONVERGED, [1.0]) == "1 (100%)"
-    assert told(Status.AMBIGUOUS, [0.5, 0.5]) == "2 (50%, 50%)"
-    assert told(Status.AMBIGUOUS, [1.0]).startswith("1 (100%); not narrow, or not confirmed by a ")
+@pytest.mark.parametrize(
+    ("said", "line"),
+    [
+        ({}, "p 99.6%, radius 4.8 mm"),
+        (
+            {"p": 0.6, "hypotheses": {"stands": 0.7, "moved": 0.1, "other": 0.2}},
+            "p 60.0%, radius 4.8 mm; stands 70%, moved 10%, other 20%",
+        ),
+        ({"p": 0.5, "status": Status.AMBIGUOUS}, "p 50.0%, radius 4.8 mm; touch another side"),
+    ],
+)
+def test_p_and_radius_are_told_and_what_else_it_may_be(said: dict[str, Any], line: str) -> None:
+    estimate = documented("/taxeld/estimate")[1] | said
+    assert f"Certainty     : {line}" in lines({"estimate": estimate})

@@ -12,6 +12,7 @@ from taxeld.source import bus_faults
 from taxeld.stream.messages import name_of, reason_of
 
 WIDTH = 14
+STANDS = 0.99  # least probability at which nobody need think of the other hypotheses
 
 
 def lines(answer: dict[str, Any]) -> Iterator[str]:
@@ -34,15 +35,22 @@ def estimate_rows(e: dict[str, Any], reason: str = "") -> Iterator[tuple[str, st
         yield "Not valid", reason or reason_of(e["why"])
     pose, cov = e["map"], e["cov"]
     yield "Pose", f"x {pose['x']:.4f} m, y {pose['y']:.4f} m, yaw {pose['theta']:.3f} rad"
+    yield "Certainty", _certainty(e)
     x, y, yaw = (math.sqrt(max(cov[k][k], 0.0)) for k in range(3))
     yield "Uncertainty", f"x {x * 1e3:.1f} mm, y {y * 1e3:.1f} mm, yaw {yaw:.3f} rad (1 sd)"
     weights = ", ".join(f"{mode['weight']:.0%}" for mode in e["modes"])
-    alone = e["status"] == Status.AMBIGUOUS and len(e["modes"]) == 1
-    why = "; not narrow, or not confirmed by a touch since: touch another side" if alone else ""
-    yield "Modes", f"{len(e['modes'])} ({weights}){why}"
+    yield "Modes", f"{len(e['modes'])} ({weights})"
     yield "Contacts", f"{e['contacts']}, {'touching' if e['contact'] else 'not touching'} now"
     yield "Particles", f"{e['particles']}, {e['ess']:.0f} effective"
     yield "Proposal", name_of(ProposalKind, e["proposal"])
+
+
+def _certainty(e: dict[str, Any]) -> str:
+    """`p` and `radius_m`; the hypotheses where another than `stands` lowers `p`."""
+    line = f"p {e['p']:.1%}, radius {1e3 * e['radius_m']:.1f} mm"
+    if e["hypotheses"]["stands"] < STANDS:
+        line += "; " + ", ".join(f"{name} {p:.0%}" for name, p in e["hypotheses"].items())
+    return line + ("; touch another side" if e["status"] == Status.AMBIGUOUS else "")
 
 
 def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tuple[str, str]]:

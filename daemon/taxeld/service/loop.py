@@ -353,7 +353,8 @@ class Daemon:
         if self.source.waits_for:
             return f"waiting, {self.source.waits_for}"
         estimate = self._estimate(now_s)
-        line = f"{estimate.status.name.lower()}{', not valid' if self._why else ''}"
+        sure = "not valid" if self._why else f"p {estimate.p:.1%}"
+        line = f"{estimate.status.name.lower()}, {sure}"
         return f"{line}, contacts {estimate.contacts}, overruns {self.counters.overruns}"
 
     def state(self) -> dict[str, Any]:

@@ -80,7 +80,8 @@ class Notices:
         x, y, yaw = estimate.map
         line = f"{status.name.lower()}, {'not ' if reason else ''}valid"
         line += f", {estimate.contacts} contacts"
-        line += f": {reason}" if reason else f", x {x:.4f} m, y {y:.4f} m, yaw {yaw:.3f} rad"
+        where = f", x {x:.4f} m, y {y:.4f} m, yaw {yaw:.3f} rad, p {estimate.p:.1%}"
+        line += f": {reason}" if reason else f"{where}, radius {1e3 * estimate.radius_m:.1f} mm"
         line += f" ({left_out} changes before were not logged)" if left_out else ""
         log.log(logging.WARNING if status in GRAVE else logging.INFO, "status: %s", line)
 

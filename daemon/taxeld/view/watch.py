@@ -174,13 +174,13 @@ class SkinMap:
 
 
 def _belief(e: dict[str, Any]) -> list[Text]:
-    """Status, modes and spread of an estimate."""
+    """Status, modes, radius and spread of an estimate."""
     touch = "touching" if e["contact"] else "not touching"
     head = Text("status  ", style="dim")
     colour = COLOURS.get(e["status"], "default")
     head.append(messages.name_of(Status, e["status"]).upper(), style=f"bold {colour}")
     head.append(f", {'valid' if e['valid'] else 'not valid'}, {touch}, ")
-    head.append(f"{e['contacts']} contacts, {e['ess']:.0f} effective particles")
+    head.append(f"{e['contacts']} contacts, p {e['p']:.1%}")
     lines = [head, Text("mode     x [mm]    y [mm]   yaw [°]  weight", style="dim")]
     for number, mode in enumerate(e["modes"][:MODES], 1):
         x_mm, y_mm, yaw = 1e3 * mode["x"], 1e3 * mode["y"], math.degrees(mode["theta"])
@@ -188,10 +188,10 @@ def _belief(e: dict[str, Any]) -> list[Text]:
         lines.append(Text(row).append("█" * round(20 * mode["weight"]), "blue"))
     lines += [Text("")] * (MODES - len(e["modes"]))  # the lines below stay where they are
     x, y, yaw = (math.sqrt(max(e["cov"][k][k], 0.0)) for k in range(3))
-    spread = f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(yaw):.1f}°"
+    spread = f"{1e3 * x:.1f} mm, {1e3 * y:.1f} mm, {math.degrees(yaw):.1f}° (1 sd)"
     if not e["valid"]:
         return [*lines, _row("why not", messages.reason_of(e["why"]))]
-    return [*lines, _row("spread", f"{spread} (1 sd of all particles)")]
+    return [*lines, _row("radius", f"{1e3 * e['radius_m']:.1f} mm; all particles {spread}")]
 
 
 def _places(values: Floats, alike: float, most: int) -> tuple[Index, int]:
