@@ -33,7 +33,7 @@ SESSION = Path(__file__).parent / "session"  # four contacts of a mug
 CONFIG = '[source]\nkind = "can"\nchannel = "can0"\n[scene]\nbundle = "box"\n'
 ALWAYS = (
     "/world/link /world/link/body /world/link/skin /world/object /world/object/slices /world/modes "
-    "/world/particles /status/now /status/log /plot/belief /plot/spread"
+    "/world/radius /world/particles /status/now /status/log /plot/belief /plot/spread"
 )
 
 
@@ -66,7 +66,7 @@ def test_a_session_becomes_the_skin_the_object_the_belief_and_the_plots(tmp_path
     topics = Counter(topic for topic, _ in said)
     assert whole["/world/particles"] == always + topics[messages.PARTICLES] > 4
     valid = sum(m["valid"] for topic, m in said if topic == messages.ESTIMATE)
-    assert whole["/plot/spread"] == always + valid
+    assert whole["/plot/spread"] == whole["/plot/belief"] == always + valid
     assert 2 <= whole["/status/log"] < 50, "changes alone"
     assert "/plot/error" not in whole, "nobody knows the truth of this session"
     assert whole["/plot/latency"] == always, "a replay measures no time"

@@ -5,8 +5,9 @@
 | `world/link`, `world/link/skin` | the link where the robot says it is, its taxels by activation |
 | `world/object`, `world/truth` | the object's slices at the likeliest pose, and at the true one |
 | `world/modes`, `world/particles` | the outline at each mode, an arrow for each particle |
+| `world/radius` | a ring of `radius_m` about the middle of the object at the likeliest pose |
 | `status/now`, `status/log` | the status with what it rests on, and its changes |
-| `plot/belief`, `plot/spread` | the heaviest mode's weight, standard deviations |
+| `plot/belief`, `plot/spread` | `p` and the hypotheses, standard deviations |
 | `plot/error`, `plot/latency` | ADD against the truth, the time of each stage |
 """
 
@@ -36,7 +37,15 @@ FOUND, MODE, PARTICLE, TRUTH = (230, 60, 60), (70, 150, 255), (130, 180, 230), (
 LINK, QUIET, DEAD = (90, 90, 90), (120, 120, 120), (200, 30, 30)
 LEAST = 0.25  # beginning on the colour scale: darker colours do not show on black
 SPREADS = {"x [mm]": (255, 120, 90), "y [mm]": (110, 200, 120), "yaw [°]": (240, 200, 80)}
+BELIEFS = {
+    "p": FOUND,
+    "stands": (110, 200, 120),
+    "moved": (240, 200, 80),
+    "other": (150, 150, 150),
+}
 PER_UNIT = np.array([1e3, 1e3, math.degrees(1.0)])  # mm and degrees in m and rad
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 61)
+CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 
 
 class Picture:
@@ -50,6 +59,7 @@ class Picture:
         self._is_placed = False
         self._slices = slices_of(stage)
         self._outline = max((line[:, :2] for line in self._slices), key=len)
+        self._middle = self._outline.mean(axis=0)
         self._middle_m = float(np.mean([line[0, 2] for line in self._slices]))
         self._arrange(None)
         self._draw_still()
@@ -79,8 +89,10 @@ class Picture:
             "world/link/skin": rr.Points3D.from_fields(positions=stage.position_m),
             "world/object/slices": rr.LineStrips3D(self._slices, colors=FOUND, radii=LINE_M),
             "world/modes": rr.LineStrips3D.from_fields(radii=LINE_M),
+            "world/radius": rr.LineStrips3D.from_fields(colors=FOUND, radii=LINE_M / 2),
             "world/particles": rr.Arrows3D.from_fields(colors=PARTICLE, radii=LINE_M),
             "status/now": rr.TextDocument.from_fields(media_type=rr.MediaType.MARKDOWN),
+            "plot/belief": rr.SeriesLines(names=list(BELIEFS), colors=list(BELIEFS.values())),
             "plot/spread": rr.SeriesLines(names=list(SPREADS), colors=list(SPREADS.values())),
             "plot/latency": rr.SeriesLines(names=[f"{stage} [ms]" for stage in messages.STAGES]),
         }
@@ -115,10 +127,14 @@ class Picture:
         lines = [_at(se2.apply(pose_of(one), self._outline), self._middle_m) for one in modes]
         colours = [(*MODE, round(255 * max(one["weight"], 0.4))) for one in modes]
         self._stream.log("world/modes", rr.LineStrips3D.from_fields(strips=lines, colors=colours))
+        middle = se2.apply(pose_of(e["map"]), self._middle[None])
+        rings = [_at(middle + e["radius_m"] * CIRCLE, self._middle_m)] if valid else []
+        self._stream.log("world/radius", rr.LineStrips3D.from_fields(strips=rings))
         self._say(e, error_mm)
         if valid:
             sd = np.sqrt(np.maximum(np.diag(np.array(e["cov"], dtype=float)), 0.0))
-            self._stream.log("plot/belief", rr.Scalars(e["modes"][0]["weight"]))
+            likely = {"p": e["p"], **e["hypotheses"]}
+            self._stream.log("plot/belief", rr.Scalars([likely[name] for name in BELIEFS]))
             self._stream.log("plot/spread", rr.Scalars(sd * PER_UNIT))
         if error_mm is not None:
             self._stream.log("plot/error", rr.Scalars(error_mm))
@@ -140,8 +156,7 @@ class Picture:
 
     def _particles(self, m: dict[str, Any]) -> None:
         pose = np.array(m["xytheta"], dtype=float).reshape(-1, 3)
-        middle = np.array([*self._outline.mean(axis=0), 0.0])
-        origin = se2.compose(pose, middle)[:, :2]
+        origin = se2.compose(pose, np.array([*self._middle, 0.0]))[:, :2]
         vector = ARROW_M * np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
         at, to = _at(origin, self._middle_m), _at(vector, 0.0)
         self._stream.log("world/particles", rr.Arrows3D.from_fields(origins=at, vectors=to))
@@ -163,7 +178,7 @@ class Picture:
             target = np.array([look_at[0], look_at[1], 0.0])
             eye = rrb.EyeControls3D(position=target + EYE_M, look_target=target)
         has_errors = self._stage.scene is not None and self._stage.truth is not None
-        plots = {"spread": "spread: 1 standard deviation", "belief": "weight of the heaviest mode"}
+        plots = {"spread": "spread: 1 standard deviation", "belief": "p and the hypotheses"}
         if has_errors:
             plots["error"] = "error: ADD [mm]"
         if self._stage.is_live:
@@ -175,7 +190,7 @@ class Picture:
             rrb.TextDocumentView(origin="/status/now", name="status"),
             rrb.TextLogView(origin="/status/log", name="changes"),
         )
-        colours = "red: likeliest pose, blue: modes and particles"
+        colours = "red: likeliest pose and radius, blue: modes and particles"
         colours += ", white: true pose" * has_errors
         scene = rrb.Spatial3DView(origin="/world", name=colours, eye_controls=eye)
         beside = rrb.Vertical(words, *views, row_shares=[2] + [1] * len(views))

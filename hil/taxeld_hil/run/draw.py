@@ -104,7 +104,7 @@ def four(scans: list[DrawnScan]) -> dict[str, DrawnScan]:
 
 
 def _belief(e: Estimate) -> str:
-    likely = f"its likeliest pose: {e.modes[0].weight:.0%}" if e.contacts else "it may be anywhere"
+    likely = f"its likeliest pose: {e.p:.0%}" if e.contacts else "it may be anywhere"
     return f"{e.status.name.lower()}; {likely}"
 
 
