@@ -182,6 +182,9 @@ def diagnostics(t: float, name: str, e: Map, health: Map | None = None, hardware
         values = {
             "valid": e["valid"],
             "why": name_of(Why, e["why"]),
+            "p": e["p"],
+            "radius_m": e["radius_m"],
+            **e["hypotheses"],
             "contact": e["contact"],
             "contacts": e["contacts"],
             "weights": " ".join(f"{mode['weight']:.4f}" for mode in e["modes"]),
