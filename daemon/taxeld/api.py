@@ -14,7 +14,7 @@ from taxeld.config.file import load as load_config
 from taxeld.config.tables import Config, FilterConfig, SkinConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import Estimate, ProposalKind, Status
+from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.layout.layout import Layout
 from taxeld.layout.read import load as load_layout
@@ -38,6 +38,7 @@ __all__ = [
     "Estimate",
     "Estimator",
     "FilterConfig",
+    "Hypotheses",
     "Layout",
     "Mode",
     "ObservationModel",
