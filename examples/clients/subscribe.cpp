@@ -23,9 +23,8 @@ int main(int argc, char** argv) {
         bool usable = estimate["valid"].as<bool>() && estimate["status"].as<int>() == CONVERGED;
         if (touching && !estimate["contact"].as<bool>() && usable) {
             auto pose = estimate["map"].as<std::map<std::string, double>>();
-            auto modes = estimate["modes"].as<std::vector<std::map<std::string, double>>>();
-            std::printf("x %.3f m  y %.3f m  yaw %.2f  (%.0f%%)\n", pose["x"], pose["y"],
-                        pose["theta"], 100.0 * modes.at(0)["weight"]);
+            std::printf("x %.3f m  y %.3f m  yaw %.2f  p %.3f\n", pose["x"], pose["y"],
+                        pose["theta"], estimate["p"].as<double>());
             std::fflush(stdout);
         }
         touching = estimate["contact"].as<bool>();

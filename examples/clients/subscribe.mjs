@@ -13,9 +13,8 @@ for await (const [, body] of socket) {
   const usable = estimate.valid && estimate.status === CONVERGED;
   if (touching && !estimate.contact && usable) {
     const { x, y, theta } = estimate.map;
-    const percent = (100 * estimate.modes[0].weight).toFixed(0);
     const at = `x ${x.toFixed(3)} m  y ${y.toFixed(3)} m  yaw ${theta.toFixed(2)}`;
-    console.log(`${at}  (${percent}%)`);
+    console.log(`${at}  p ${estimate.p.toFixed(3)}`);
   }
   touching = estimate.contact;
 }

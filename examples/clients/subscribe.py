@@ -28,6 +28,6 @@ while True:
     estimate = msgpack.unpackb(body)
     is_usable = estimate["valid"] and estimate["status"] == CONVERGED
     if touching and not estimate["contact"] and is_usable:
-        pose, weight = estimate["map"], estimate["modes"][0]["weight"]
-        print(f"x {pose['x']:.3f} m  y {pose['y']:.3f} m  yaw {pose['theta']:.2f}  ({weight:.0%})")
+        pose, p = estimate["map"], estimate["p"]
+        print(f"x {pose['x']:.3f} m  y {pose['y']:.3f} m  yaw {pose['theta']:.2f}  p {p:.3f}")
     touching = estimate["contact"]
