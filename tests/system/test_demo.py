@@ -30,6 +30,8 @@ def test_the_table_has_a_line_for_each_contact_and_the_latencies(ran: tuple[Path
     lines = ran[1].splitlines()
     assert [line.split()[0] for line in lines[2:4]] == ["1", "2"]
     assert all(int(line.split()[1]) > 0 for line in lines[2:4])
+    p, radius = lines[1].index("  radius"), lines[1].index("]  likeliest") + 1
+    assert all(line[:p].endswith("%") and float(line[p:radius]) > 0.0 for line in lines[2:4])
     assert any(line.startswith("total ") for line in lines)
     assert any(line.startswith("final error ") for line in lines)
     assert lines[-3].split(":")[0] in ("passed", "failed")

@@ -13,8 +13,7 @@ from taxeld.model.symmetry import add_m
 from taxeld.stream import messages
 
 HEADER = (
-    "contact  taxels  modes  heaviest  likeliest x, y, yaw [mm, mm, deg]  mean x, y, yaw"
-    "             error [mm]"
+    "contact  taxels  modes       p  radius [mm]  likeliest x, y, yaw [mm, mm, deg]  error [mm]"
 )
 
 
@@ -42,13 +41,12 @@ class ContactTable:
         self._in_contact = message["contact"]
         if not ended:
             return None
-        share = max((mode["weight"] for mode in message["modes"]), default=0.0)
         line = (
             f"{message['contacts']:7d} {self.most_taxels:7d} {len(message['modes']):6d} "
-            f"{share:8.0%}    {_pose(message['map'])}       {_pose(message['mean'])}"
+            f"{message['p']:7.1%} {1e3 * message['radius_m']:12.1f}    {_pose(message['map'])}"
         )
         self.most_taxels = 0
-        return line if self.truth is None else f"{line} {self.error_mm():12.1f}"
+        return line if self.truth is None else f"{line} {self.error_mm():16.1f}"
 
     def error_mm(self) -> float:
         """Symmetry-aware ADD of the last likeliest pose; not a number where there is none."""
