@@ -14,7 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.pipeline.freshness import Why
 from taxeld_hil import cli
-from taxeld_hil.grade import flags
+from taxeld_hil.grade import flags, report
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.grade.reconcile import laws
@@ -157,7 +157,8 @@ def judged(fault: Fault, estimates: list[tuple[float, Status, float]]) -> Judge:
     for t, status, off_m in estimates:
         at = truth + np.array([off_m, 0.0, 0.0])
         why = Why.NO_SCAN if status is Status.STALE else Why.VALID
-        judge.on_estimate(Sample(t, status, why, 1, at, t, 0.0))
+        p = 0.98 if status is Status.AMBIGUOUS else 0.99
+        judge.on_estimate(Sample(t, status, why, 1, at, p, 0.005, t, 0.0))
     judge.end(estimates[-1][0])
     return judge
 
@@ -184,6 +185,18 @@ def test_a_silent_failure_a_late_flag_and_a_slow_recovery_are_found() -> None:
         "unplugged at 1 s: recovery",
     ]
     assert judge.tally.silent_episodes == 1
+
+
+def test_sure_estimates_that_are_beyond_their_radius_are_counted() -> None:
+    sure, doubted, stale = Status.CONVERGED, Status.AMBIGUOUS, Status.STALE
+    said = [(sure, 0.004), (sure, 0.006), (doubted, 0.006), (stale, 0.006)]
+    judge = judged(
+        Fault("unplugged", 1.0),
+        [(0.1 * k, status, off_m) for k, (status, off_m) in enumerate(said)],
+    )
+    graded = grade(Run("x", 0, "sim", "fake", "slcan"), judge, [], None)
+    assert (graded.figures["sure"], graded.figures["beyond"]) == (2, 1)
+    assert "      beyond radius_m: 1 of 2 sure estimates" in report.lines(graded)
 
 
 def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does_not() -> None:

@@ -25,6 +25,7 @@ DOUBTS = (Status.INCONSISTENT, Status.BLIND)
 STOPPED = (Status.STARTING, Status.STALE)
 AGE_UNIT_S = 1e-4
 EPISODES_KEPT = 100
+SURE_P = 0.99  # least p of a converged estimate
 
 
 class Sample(NamedTuple):
@@ -35,6 +36,8 @@ class Sample(NamedTuple):
     why: Why
     contacts: int
     map: Poses  # (3,)
+    p: float
+    radius_m: float
     scan_t: float  # time of its scan, by whatever clock; 0: there was none yet
     age_s: float  # age of the scan [s]
     total_us: float = 0.0  # time that the tick took
@@ -80,6 +83,8 @@ class Tally:
     silent_episodes: int = 0  # uninterrupted sequences of silent failures
     silent_at_s: list[float] = field(default_factory=list)  # when the first episodes began
     worst_silent_mm: float = 0.0
+    sure: int = 0  # valid estimates with SURE_P
+    beyond: int = 0  # of these, farther off than their `radius_m`
     # ages of each scan's first estimate [AGE_UNIT_S] and the times of those ticks [us], with counts
     ages: Counter[int] = field(default_factory=Counter)
     ticks_us: Counter[int] = field(default_factory=Counter)
@@ -136,6 +141,9 @@ class Judge:
             tally.ages[round(sample.age_s / AGE_UNIT_S)] += 1
             tally.ticks_us[round(sample.total_us)] += 1
         self._count_silent(sample)
+        if sample.valid and sample.p >= SURE_P and self.truth is not None:
+            tally.sure += 1
+            tally.beyond += bool(self.error_mm(sample.map) > 1e3 * sample.radius_m)
         if self._todo or self._live:
             self._advance(sample.t)
             for seen in self._live:

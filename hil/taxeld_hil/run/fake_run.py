@@ -135,7 +135,8 @@ class FakeRun:
         self.daemon.tick(now)
         e = self.daemon.estimate(now)
         why = self.daemon.pipeline.freshness.why(e, now)
-        self.judge.on_estimate(Sample(t, e.status, why, e.contacts, e.map, e.t, now - e.t))
+        told = e.contacts, e.map, e.p, e.radius_m
+        self.judge.on_estimate(Sample(t, e.status, why, *told, e.t, now - e.t))
         if now >= self._next_health_s:
             self._next_health_s = now + HEALTH_S
             self.judge.on_health(t, self.daemon.health(now))

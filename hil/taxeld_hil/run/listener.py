@@ -88,6 +88,8 @@ def sample(message: dict[str, Any], t: float) -> Sample:
         Why(message["why"]),
         message["contacts"],
         np.array([pose["x"], pose["y"], pose["theta"]]),
+        message["p"],
+        message["radius_m"],
         message["t"],
         1e-6 * message["age_us"],
         message["lat_us"]["total"],
