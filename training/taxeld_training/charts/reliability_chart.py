@@ -80,8 +80,8 @@ def _stanford(figure: Figure, axes: Axes, given: Promises) -> None:
         bar.set_label("estimates", fontsize=8)
         bar.ax.tick_params(labelsize=7)
         picture.log_ticks(bar.ax.yaxis, (1.0, 2.0, 5.0))
-    beyond = int((given.sure & given.beyond).sum())
-    text = f"error > radius: {beyond} of {len(error)}"
+    beyond, other = (int((given.sure & rule).sum()) for rule in (given.beyond, ~given.of_object))
+    text = f"error > radius: {beyond} of {len(error)},\n{other} of them wrong objects"
     axes.text(0.97, 0.04, text, transform=axes.transAxes, ha="right", fontsize=8)
     axes.set(xscale="log", yscale="log", xlim=SHOWN_MM, ylim=SHOWN_MM)
     for axis in (axes.xaxis, axes.yaxis):

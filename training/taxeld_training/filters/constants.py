@@ -51,7 +51,7 @@ CONSTANTS = (
     Constant("offsets", "ROBUST", (1.5, 6.0, 1e6)),
     Constant("offsets", "ITERATIONS", (1, 4)),
     Constant("mixture", "MOVES", (0, 1, 4)),
-    Constant("mixture", "REMEMBERED", (8, 32)),
+    Constant("mixture", "REMEMBERED", (4, 32)),
     Constant("mixture", "SILENT_MAX", (0, 8, 64)),
     Constant("mixture", "TELLING", (0.0, 3.0)),
     Constant("mixture", "KLD_ERROR", (0.025, 0.1)),
@@ -65,7 +65,7 @@ def changed(change: Change | None) -> Iterator[None]:
     """The filter with a change, in this process; no change: as it ships.
 
     A module that imported the constant by name has it changed as well. A default argument would
-    keep its value; a test sees that no constant of the table is one.
+    keep its value; a test sees that each constant of the table matters.
 
     Raises:
         SetupError: there is no such constant.

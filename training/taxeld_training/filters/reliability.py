@@ -20,9 +20,9 @@ from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.experiment import cell_of
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
-from taxeld_training.filters.reliability_tables import tables
 from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
+from taxeld_training.jobs.promise_tables import tables
 from taxeld_training.jobs.promises import SURE, Promises, share
 from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import Setting
