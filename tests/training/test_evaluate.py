@@ -124,7 +124,17 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
 
 
 @pytest.mark.parametrize(
-    "name", ["proposals", "proposals --cells skin", "frontier", "filter", "stability", "push"]
+    "name",
+    [
+        "proposals",
+        "proposals --cells skin",
+        "frontier",
+        "filter",
+        "stability",
+        "reliability",
+        "ablation",
+        "push",
+    ],
 )
 def test_without_time_for_anything_an_experiment_says_so_in_one_line(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -146,7 +156,7 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
         ("stability --cells noise,sniff", "--cells: no 'sniff' here; there are as assumed, noise"),
         ("filter --cells moved=3", "--cells: no 'moved=3' here; there are moved=2, moved=5, "),
         ("filter --groups magic", "--groups: no 'magic' here; there are density, table, "),
-        ("push --cells noise", "--cells: only proposals, filter and stability have cells"),
+        ("push --cells noise", "--cells: push has no cells to choose from"),
         ("push --objects 016_pear", "016_pear has no shipped bundle"),
     ],
 )

@@ -23,7 +23,7 @@ DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
 UPRIGHT = "the link's axis must be vertical (within 0.1 rad), and the object stand as its mesh does"
 LONGER = 3.0  # times the effort, as a cure for poor samplers
 QUICK = {"effort": 0.02, "contacts": 30_000, "bank": 50_000, "readings": 10}
-EXPERIMENTS = ("proposals", "frontier", "filter", "stability", "push")
+EXPERIMENTS = ("proposals", "frontier", "filter", "stability", "reliability", "ablation", "push")
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -154,12 +154,12 @@ def _evaluate(args: argparse.Namespace) -> int:
 
     taxeld-train evaluate proposals --quick --out results
     """
-    from taxeld_training.filters import experiment, push, sampled
+    from taxeld_training.filters import ablation, experiment, push, reliability, sampled
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment not in ("proposals", "filter", "stability"):
-        raise SetupError("--cells: only proposals, filter and stability have cells to choose from")
+    if args.cells and args.experiment in ("frontier", "push"):
+        raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
     options = Options(**given, until=time.monotonic() + 60.0 * args.minutes)
     experiments = {
@@ -167,6 +167,8 @@ def _evaluate(args: argparse.Namespace) -> int:
         "frontier": evaluate.frontier,
         "filter": experiment.filter_rows,
         "stability": experiment.stability_rows,
+        "reliability": reliability.reliability_rows,
+        "ablation": ablation.ablation_rows,
         "push": push.run,
     }
     for path in experiments[args.experiment](options):
@@ -230,12 +232,22 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     about = "finished jobs; what was interrupted goes on from them (default %(default)s)"
     add("--memory", type=Path, default=Path(".experiments"), metavar="DIR", help=about)
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
-    about = "default: the paper's ten; of stability, push and cells of proposals, box and mug"
+    about = (
+        "default: box and mug; of filter, frontier and proposals without --cells, the paper's ten"
+    )
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
-    add_renamed(one, "--skin", add("--layout", default="", help="this layout in place of them"))
+    add_renamed(
+        one,
+        "--skin",
+        add(
+            "--layout", default="", help="this layout in place of them; of reliability, beside them"
+        ),
+    )
     add("--workers", type=int, default=2, help="processes of one thread each")
-    about = "of samplers (analytic, paper, …), or of filters (table, shipped, …)"
+    about = (
+        "samplers (analytic, …), filters (table, shipped, …), or of ablation constants (MOVE, …)"
+    )
     add("--groups", type=_names, default=(), metavar="A,B", help=about)
     about = "conditions: factors (noise, skin, 'wrong object', …) or a level of one (moved=5)"
     add("--cells", type=_names, default=(), metavar="A,B", help=about)

@@ -10,10 +10,11 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimate import Hypotheses, Status
 from taxeld_hil.jobs import Job
-from taxeld_training.filters import follow
+from taxeld_training.filters import constants, follow
 from taxeld_training.filters.conditions import TrialConditions
+from taxeld_training.filters.constants import Change
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.options import Options, run_jobs
@@ -38,6 +39,7 @@ class Cell:
     method: Method
     conditions: TrialConditions = field(default_factory=TrialConditions)
     touched: str = ""  # object of the trials; empty: the setting's object, which the filter assumes
+    change: Change | None = None  # a constant of the filter that is not as it ships
 
     @property
     def name(self) -> str:
@@ -108,16 +110,26 @@ def play(cell: Cell, first: int, count: int, file: str) -> list[list[Any]]:
     trials = (
         Trial(touched, seed, TOUCHES, cell.conditions) for seed in range(first, first + count)
     )
-    return [
-        [(round(error_mm, 4), *rest) for error_mm, *rest in touches]
-        for touches in (follow.follow(trial, cell.method, model, proposal) for trial in trials)
-    ]
+    with constants.changed(cell.change):
+        return [
+            [(round(error_mm, 4), *rest) for error_mm, *rest in touches]
+            for touches in (follow.follow(trial, cell.method, model, proposal) for trial in trials)
+        ]
 
 
 def _seed(options: Options, first: int) -> int:
     return SEEDS_APART * options.seed + first
 
 
-def _read(map_mm: float, status: int | None, particles: int) -> TouchResult:
+def _read(
+    map_mm: float,
+    status: int | None,
+    particles: int,
+    p: float,
+    radius_m: float,
+    hypotheses: Sequence[float],
+    cpu_ms: float,
+) -> TouchResult:
     """A touch as `play` has it."""
-    return TouchResult(map_mm, None if status is None else Status(status), particles)
+    known = None if status is None else Status(status)
+    return TouchResult(map_mm, known, particles, p, radius_m, Hypotheses(*hypotheses), cpu_ms)

@@ -91,13 +91,8 @@ def stability_rows(options: Options) -> list[Path]:
     """
     from taxeld_training.charts import trial_charts  # noqa: PLC0415
 
-    table = [level for level in LEVELS if not level.objects or not options.objects]
-    if options.cells:
-        table = levels.chosen(options.cells, table)
-    else:
-        table = [level for level in table if level.factor not in BESIDE_THE_MAP]
-        if options.quick:  # the last level of each factor
-            table = list({level.factor: level for level in table}.values())
+    usual = [level for level in LEVELS if level.factor not in BESIDE_THE_MAP]
+    table = levels.asked_for(options, LEVELS, usual)
     found = rows(STABILITY, table, options.objects or STABILITY.objects, options)
     return _written(options, "stability", found, trial_charts.failures)
 

@@ -1,6 +1,7 @@
 """A filter run through a trial: its estimate after each touch, compared with the truth."""
 
 import math
+import time
 from collections.abc import Sequence
 from itertools import groupby
 from typing import Any
@@ -32,10 +33,14 @@ def follow(
     estimator = Estimator(model, proposal, method.config(OWN_SEEDS + trial.seed))
     found = []
     for _, moments in groupby(trial, key=lambda moment: moment.touch):
+        cpu_s = 0.0
         for moment in moments:
-            estimate = estimator.on_scan(moment.activation, moment.sensor)
-        error_mm = _error_mm(trial, model, moment, estimate.map)
-        found.append(TouchResult(error_mm, estimate.status, estimate.particles))
+            began_s = time.process_time()
+            now = estimator.on_scan(moment.activation, moment.sensor)
+            cpu_s += time.process_time() - began_s
+        error_mm = _error_mm(trial, model, moment, now.map)
+        promised = now.p, now.radius_m, now.hypotheses
+        found.append(TouchResult(error_mm, now.status, now.particles, *promised, 1e3 * cpu_s))
     return found
 
 

@@ -6,7 +6,7 @@ touches that samplers are measured on. `--cells` names factors (noise) or single
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -56,6 +56,7 @@ class Level:
     objects: tuple[str, ...] = ()  # objects of the filter, in place of the experiment's
     seeds: float = 1.0  # factor of a cell's number of trials
     lengths: Lengths | None = None  # lengths of object and skin; no model is trained for them
+    layout: str = ""  # a skin, as `skin.layout` has it, in place of the rings
 
     @property
     def name(self) -> str:
@@ -70,9 +71,10 @@ class Level:
 
     def setting(self, name: str, options: Options) -> Setting:
         """The object `name` on this level's skin."""
-        if self.lengths is None:
-            return setting_of(name, self.columns, options)
-        return self.lengths.of(name, options.seed)
+        if self.lengths is not None:
+            return self.lengths.of(name, options.seed)
+        setting = setting_of(name, self.columns, options)
+        return replace(setting, skin=self.layout, columns=0) if self.layout else setting
 
 
 def _levels(factor: str, key: str, values: Sequence[float], unit: float = 1.0) -> list[Level]:
@@ -139,6 +141,23 @@ LEVELS = (
         }.items()
     ),
 )
+
+
+def asked_for(options: Options, levels: Sequence[Level], usual: Sequence[Level]) -> list[Level]:
+    """The levels of an experiment: what `--cells` names of `levels`, or the `usual` ones, of which
+    a quick run takes the last of each factor. `--objects` leaves out levels of other objects.
+
+    Raises:
+        SetupError: there is no such factor or level.
+    """
+    if options.cells:
+        return chosen(options.cells, [each for each in levels if _is_open(each, options)])
+    usual = [level for level in usual if _is_open(level, options)]
+    return list({level.factor: level for level in usual}.values()) if options.quick else list(usual)
+
+
+def _is_open(level: Level, options: Options) -> bool:
+    return not (level.objects and options.objects)
 
 
 def chosen(names: Sequence[str], levels: Sequence[Level] = LEVELS) -> list[Level]:

@@ -4,11 +4,12 @@ What a method does not name is the configuration that ships, its model of a read
 all: a trial's own noise is a condition of its world, and no filter knows it.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimate import Hypotheses, Status
 from taxeld.estimator.rule import noise_of
 from taxeld.model.symmetry import SILENT_MM
 from taxeld_training.jobs.rows import SUCCESS_MM
@@ -45,13 +46,17 @@ SHIPPED = Method(
 
 
 class TouchResult(NamedTuple):
-    """A filter's estimate after a touch."""
+    """A filter's estimate after a touch; None or nan where the grid filter has nothing to say."""
 
     # Symmetric ADD of the heaviest mode, to the nearer object if there are two of a kind. It is nan
     # where there is no estimate, and where the filter assumes another object than the one touched.
     map_mm: float
-    status: Status | None  # None: the grid filter has none
+    status: Status | None
     particles: int
+    p: float = math.nan
+    radius_m: float = math.nan
+    hypotheses: Hypotheses = Hypotheses(math.nan, math.nan, math.nan)
+    cpu_ms: float = math.nan  # processor time of the filter for all scans of the touch
 
     @property
     def succeeded(self) -> bool:

@@ -1,0 +1,185 @@
+"""What estimates promise, held against the truth: figures, cells and files."""
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld.estimator.estimate import Hypotheses, Status
+from taxeld_training.charts import reliability_chart
+from taxeld_training.filters import cells, reliability
+from taxeld_training.filters.cells import Cell
+from taxeld_training.filters.levels import LEVELS, Level
+from taxeld_training.filters.methods import SHIPPED, TouchResult
+from taxeld_training.jobs import promises
+from taxeld_training.jobs.options import Options
+from taxeld_training.jobs.promises import Promises
+from taxeld_training.objects.setting import Setting, ring
+
+from .rig import evaluate, rows, written_at
+
+ROOT = Path(__file__).parents[2]
+SHARED = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared"))
+PATCH = SHARED / "data" / "layouts" / "ur10e_link1_patch1.json"
+MUG = Setting("025_mug", ring(16), 16)
+Z2 = 1.959964**2  # of an interval of 95 %
+
+
+def touch(
+    mm: float, p: float, radius_mm: float = 5.0, *, moved: float = 0.0, other: float = 0.0
+) -> TouchResult:
+    known = Hypotheses(1.0 - moved - other, moved, other)
+    return TouchResult(mm, Status.AMBIGUOUS, 100, p, 1e-3 * radius_mm, known, 1.0)
+
+
+def given(*touches: TouchResult) -> Promises:
+    return reliability.promised([{0: list(touches)}])
+
+
+def test_the_calibration_error_is_the_gap_between_p_and_the_share_that_is_right() -> None:
+    p = np.array([0.95] * 10 + [0.25] * 4 + [0.05] * 2)
+    right = np.array([True] * 8 + [False] * 2 + [True] + [False] * 3 + [True] * 2)
+    table = promises.reliability(p, right)
+    assert [(row["from"], row["n"], row["mean_p"], row["right"]) for row in table] == [
+        (0.0, 2, 0.05, 1.0),
+        (0.2, 4, 0.25, 0.25),
+        (0.9, 10, 0.95, 0.8),
+    ]
+    expected = (2 * 0.95 + 4 * 0.0 + 10 * 0.15) / 16
+    assert promises.calibration_error(table) == pytest.approx(expected, abs=1e-4)
+    assert promises.calibration_error([]) is None
+
+
+def test_bins_are_a_tenth_wide_and_certainty_is_in_the_last() -> None:
+    p = np.array([0.0, 0.1, 0.19, 0.9, 1.0])
+    table = promises.reliability(p, np.zeros(5, dtype=np.bool_))
+    assert [(row["from"], row["n"]) for row in table] == [(0.0, 1), (0.1, 2), (0.9, 2)]
+
+
+def test_a_bin_in_which_nothing_is_right_has_an_interval_all_the_same() -> None:
+    (row,) = promises.reliability(np.full(30, 0.5), np.zeros(30, dtype=np.bool_))
+    assert row["right_ci"] == pytest.approx([0.0, Z2 / (30 + Z2)], abs=1e-4)
+
+
+def test_an_estimate_is_wrong_beyond_within_m_and_beyond_outside_its_radius() -> None:
+    found = promises.kept(
+        given(
+            touch(10.0, 0.99),  # right, as exactly so near, but farther off than its radius
+            touch(5.0, 1.0),  # right, and exactly at its radius
+            touch(10.1, 0.995, 20.0),  # wrong, and inside its radius
+            touch(30.0, 0.98),  # not sure
+            touch(math.nan, 0.999),  # another object is always wrong and beyond
+        )
+    )
+    assert (found["estimates"], found["sure"], found["wrong"], found["beyond"]) == (5, 4, 2, 2)
+    assert (found["wrong_rate"], found["radius_mm"]) == (0.5, 5.0)
+
+
+def test_shares_after_a_contact_are_of_the_runs_with_the_right_object() -> None:
+    good, bad, other = touch(1.0, 1.0), touch(99.0, 1.0), touch(math.nan, 1.0)
+    runs = {0: [good] * 8, 1: [good] * 5 + [bad] * 3, 2: [other] * 8}
+    found = promises.kept(reliability.promised([runs]))
+    assert [found[f"right_and_sure_{k}"] for k in (4, 6, 8)] == [1.0, 0.5, 0.5]
+    assert [found[f"wrong_and_sure_{k}"] for k in (4, 6, 8)] == [0.0, 0.5, 0.5]
+
+
+def test_a_moved_object_is_noticed_by_status_hypothesis_or_a_low_p() -> None:
+    sure = touch(1.0, 1.0)
+    lost = touch(99.0, 1.0)
+    flagged = lost._replace(status=Status.INCONSISTENT)
+    runs = {
+        0: [sure] * 4 + [lost, lost, lost, flagged],  # too late
+        1: [sure] * 4 + [touch(99.0, 0.9, moved=0.3, other=0.3), *[lost] * 3],
+        2: [sure] * 4 + [lost, flagged, lost, lost],
+        3: [touch(1.0, 0.3)] * 4 + [lost, lost, touch(99.0, 0.4), lost],
+    }
+    found = reliability.noticed(runs, 4)
+    assert found["noticed"] == [0.25, 0.5, 0.75]
+    assert found["sure_before"] == 3
+    assert found["noticed_if_sure"] == pytest.approx([1 / 3, 2 / 3, 2 / 3], abs=1e-4)
+
+
+def test_a_wrong_object_is_told_by_its_hypothesis_after_six_contacts() -> None:
+    doubt, told = touch(math.nan, 1.0), touch(math.nan, 0.0, other=0.95)
+    found = reliability.told({0: [doubt] * 5 + [told] * 3, 1: [doubt] * 6 + [told] * 2})
+    assert (found["told"], found["sure_share"]) == (0.5, 11 / 16)
+
+
+def test_promises_are_remembered_with_the_estimates_that_make_them(tmp_path: Path) -> None:
+    options = Options(tmp_path, tmp_path / "memory", workers=1)
+    first, again = (cells.run([(Cell(MUG, SHIPPED), 1)], options) for _ in range(2))
+    assert first == again
+    ((run,),) = (results.values() for results in first.values())
+    for result in run:
+        assert 0.0 <= result.p <= 1.0 + 1e-9
+        assert result.radius_m > 0.0
+        assert result.cpu_ms > 0.0
+        assert sum(result.hypotheses) == pytest.approx(1.0)
+
+
+def test_the_halves_are_fixed_and_each_object_is_taken_for_others_on_each_skin() -> None:
+    found = reliability.all_levels(Options(Path(), Path(), layout=ring(8)))
+    assert len({level.name for level in found}) == len(found)
+    assert found[: len(LEVELS)] == list(LEVELS)
+    pairs = {(level.touched, level.conditions.skin) for level in found if level.touched}
+    objects = {*reliability.MET, *reliability.UNMET}
+    assert len(objects) == 10
+    assert pairs == {(name, skin) for name in objects for skin in reliability.SKINS}
+    cell = Cell(MUG, SHIPPED)
+    new = {level.factor for level in found if not reliability.is_tuned(level, cell)}
+    assert new == {"lengths", "layout", *(f for f in (x.factor for x in found) if "wrong" in f)}
+    assert reliability.is_tuned(Level("wrong object", "x", touched="024_bowl"), cell)
+    assert not reliability.is_tuned(Level("wrong object", "x", touched="013_apple"), cell)
+
+
+def test_no_object_is_taken_for_itself() -> None:
+    level = Level("wrong object", "016_pear", touched="016_pear")
+    named = Options(Path(), Path(), objects=("016_pear", "025_mug"))
+    ((_, cell),) = reliability.wanted([level], named, 3)
+    assert cell.setting.object == "025_mug"
+
+
+def test_reliability_has_groups_and_cells_and_goes_on_where_it_was_cut(
+    block: Path, tmp_path: Path
+) -> None:
+    few = ("--cells", "as assumed,wrong object=016_pear,moved=kidnapped,lengths=usual")
+    assert evaluate("reliability", block, tmp_path, *few) == 0
+    found = rows(tmp_path, "reliability_cells")
+    over = {row["over"]: row for row in found if "over" in row}
+    single = {row["factor"]: row for row in found if "over" not in row}
+    assert list(single) == ["as assumed", "moved", "lengths", "wrong object"]
+    assert not any(row["tuned"] for row in single.values())  # the block was not tuned on
+    assert over.keys() == {"all", "not tuned", "not tuned, right object", "wrong object"}
+    assert over["all"]["estimates"] == sum(row["estimates"] for row in single.values())
+    assert over["all"]["sure"] == sum(row["sure"] for row in single.values())
+    assert len(single["moved"]["noticed"]) == 3
+    assert single["wrong object"]["right_and_sure_6"] is None
+    table = (tmp_path / "out" / "reliability_cells.md").read_text("utf-8")
+    assert "wrong object: pear | no |" in table
+    picture = (tmp_path / "out" / "reliability_cells.png").stat().st_size
+    assert 10_000 < picture < 300_000
+
+    before = written_at(tmp_path / "memory")
+    assert evaluate("reliability", block, tmp_path, *few, "--minutes", "0") == 0
+    assert rows(tmp_path, "reliability_cells") == found
+    assert written_at(tmp_path / "memory") == before
+
+
+@pytest.mark.skipif(not PATCH.is_file(), reason="the real layouts are not beside this checkout")
+def test_a_real_patch_is_a_cell_on_each_skin(tmp_path: Path) -> None:
+    few = ("--layout", str(PATCH), "--cells", "layout", "--seeds", "1")
+    assert evaluate("reliability", "025_mug", tmp_path, *few) == 0
+    single = [row for row in rows(tmp_path, "reliability_cells") if "over" not in row]
+    assert [row["level"] for row in single] == ["exact", "typical", "poor"]
+    assert all(row["estimates"] == 8 and not row["tuned"] for row in single)
+
+
+def test_the_picture_of_a_hundred_thousand_estimates_is_small(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    n = 100_000
+    error = np.exp(rng.normal(1.0, 2.0, n))
+    every = Promises(rng.beta(5, 0.1, n), np.exp(rng.normal(1.0, 2.0, n)), error, np.full(n, 8))
+    reliability_chart.draw(dict.fromkeys(reliability.CURVES, every), every, tmp_path / "a.png")
+    assert (tmp_path / "a.png").stat().st_size < 300_000

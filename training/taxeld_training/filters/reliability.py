@@ -1,0 +1,204 @@
+"""`taxeld-train evaluate reliability`: whether the published `p` and `radius_m` keep their word.
+
+What ships is run over the whole table of conditions, objects of other lengths, pairs of an object
+and another that is taken for it, and with `--layout` one more skin. Half of the cells were looked
+at while the filter was built (`tuned`). The other half was not: it tells what a user will meet.
+Where no bundle is shipped the table proposes, as nothing is trained for this.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taxeld.estimator.estimate import Status
+from taxeld_training.filters import cells, levels
+from taxeld_training.filters.cells import Cell, Results
+from taxeld_training.filters.conditions import TrialConditions
+from taxeld_training.filters.experiment import cell_of
+from taxeld_training.filters.levels import LEVELS, Level
+from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
+from taxeld_training.jobs import promises
+from taxeld_training.jobs.options import Options, write
+from taxeld_training.jobs.promise_tables import tables
+from taxeld_training.jobs.promises import SURE, Promises, share
+from taxeld_training.objects import meshes
+from taxeld_training.objects.setting import Setting
+from taxeld_training.samplers import trained
+from taxeld_training.samplers.trained import DENSITY
+
+OBJECTS = ("003_cracker_box", "025_mug")
+SEEDS, QUICK_SEEDS = 40, 2
+MET = (  # objects that were taken for others while the filter was built
+    "002_master_chef_can",
+    "016_pear",
+    "024_bowl",
+    "035_power_drill",
+    "061_foam_brick",
+)
+UNMET = (  # never used while it was built
+    "006_mustard_bottle",
+    "011_banana",
+    "013_apple",
+    "019_pitcher_base",
+    "021_bleach_cleanser",
+)
+SKINS = ("", "typical", "poor")  # exact, and soft skins of the harness
+ALL, TUNED, NOT_TUNED, SOFT, WRONG = "all", "tuned", "not tuned", "soft skin", "wrong object"
+CURVES = (TUNED, NOT_TUNED, SOFT, WRONG)  # cells whose estimates have a curve together
+OWN = ", right object"  # of a half: its cells with the object that the filter assumes
+GROUPS = (ALL, *CURVES, TUNED + OWN, NOT_TUNED + OWN)
+OTHER, OTHER_AFTER = 0.9, 6  # least probability, and contacts, by which a wrong object is told
+NOTICED, WAIT = 0.5, 3  # least probability, and contacts, by which a moved object is noticed
+
+
+def reliability_rows(options: Options) -> list[Path]:
+    """Rows, tables and picture of `evaluate reliability`. First figures over many cells: all, each
+    half, soft skins, wrong objects; then those of each cell.
+
+    Raises:
+        SetupError: no such object, layout or cell.
+    """
+    from taxeld_training.charts import reliability_chart  # noqa: PLC0415  # matplotlib is not needed to train
+
+    table = levels.asked_for(options, all_levels(options), all_levels(options))
+    counts = wanted(table, options, QUICK_SEEDS if options.quick else SEEDS)
+    done = cells.run([(cell, count) for (_, cell), count in counts.items()], options)
+    found = {(level, cell): done[cell] for level, cell in counts if cell in done}
+    groups = {
+        name: promised(results for key, results in found.items() if name in groups_of(*key))
+        for name in GROUPS
+    }
+    rows = [_group_row(name, given) for name, given in groups.items() if len(given)]
+    rows += [_cell_row(level, cell, results) for (level, cell), results in found.items()]
+    name = "reliability_cells" if options.cells else "reliability"
+    data = write(options, name, rows, tables(rows))
+    curves = {name: groups[name] for name in CURVES}
+    reliability_chart.draw(curves, groups[ALL], data.with_suffix(".png"))
+    return [data, data.with_suffix(".png")]
+
+
+def all_levels(options: Options) -> list[Level]:
+    """The levels of the table, each wrong object on each skin, and the skin of `--layout`."""
+    found = [*LEVELS]
+    for skin in SKINS:
+        factor = f"{WRONG} on {skin}" if skin else WRONG
+        wrong = (Level(factor, name, _on(skin), touched=name) for name in (*MET, *UNMET))
+        found += [level for level in wrong if level not in found]
+    if options.layout:
+        found += [
+            Level("layout", skin or "exact", _on(skin), layout=options.layout) for skin in SKINS
+        ]
+    return found
+
+
+def wanted(table: Sequence[Level], options: Options, seeds: int) -> dict[tuple[Level, Cell], int]:
+    """The cells of what ships on levels, and how many trials of each: `seeds`, or as `--seeds` has
+    it. No object is taken for itself."""
+    objects = options.objects or OBJECTS
+    for name in objects:
+        meshes.find(name)
+    return {
+        (level, cell_of(level, method_of(setting), setting)): round(
+            level.seeds * (options.seeds or seeds)
+        )
+        for level in table
+        for name in level.objects or objects
+        for setting in [level.setting(name, options)]
+        if level.touched != name
+    }
+
+
+def promised(found: Iterable[Results]) -> Promises:
+    """All estimates of the runs of cells."""
+    each = [
+        (result.p, 1e3 * result.radius_m, result.map_mm, contact)
+        for results in found
+        for run in results.values()
+        for contact, result in enumerate(run, 1)
+    ]
+    p, radius_mm, error_mm, contact = np.array(each).reshape(-1, 4).T
+    return Promises(p, radius_mm, error_mm, contact.astype(np.intp))
+
+
+def method_of(setting: Setting) -> Method:
+    """What ships; the table proposes where no density is shipped."""
+    learned = trained.is_learned(DENSITY, setting)
+    return replace(SHIPPED, proposal="table") if learned else SHIPPED
+
+
+def is_tuned(level: Level, cell: Cell) -> bool:
+    """Whether the cell was looked at while the filter was built. The rule is fixed: whoever tunes
+    on a cell of the other half moves it to this one."""
+    if level.lengths or level.layout or level.touched in UNMET:
+        return False
+    return bool(level.objects) or cell.setting.object in OBJECTS
+
+
+def groups_of(level: Level, cell: Cell) -> list[str]:
+    """The groups that a cell counts in, of `GROUPS`."""
+    half = TUNED if is_tuned(level, cell) else NOT_TUNED
+    if level.touched:
+        return [ALL, half, WRONG]
+    return [ALL, half, half + OWN, *([SOFT] if level.conditions.skin else [])]
+
+
+def noticed(results: Results, contact: int) -> dict[str, Any]:
+    """Shares of runs that noticed, within one contact and more, that the object was put elsewhere
+    after a contact, counted from 1; and of those runs that were right and sure before."""
+    runs = list(results.values())
+    by = np.array([[_notices(each) for each in run[contact : contact + WAIT]] for run in runs])
+    by = np.logical_or.accumulate(by, axis=1)
+    sure = np.array([is_right_and_sure(run[contact - 1]) for run in runs])
+    return {
+        "noticed": [share("in", column)["in"] for column in by.T],
+        "noticed_if_sure": [share("in", column)["in"] for column in by[sure].T],
+        "sure_before": int(sure.sum()),
+    }
+
+
+def told(results: Results) -> dict[str, Any]:
+    """Of runs with a wrong object: the share of estimates that are sure nonetheless, after any
+    contact, and the share of runs that are told by `OTHER_AFTER` contacts."""
+    runs = list(results.values())
+    sure = np.array([each.p >= SURE for run in runs for each in run])
+    other = np.array([run[OTHER_AFTER - 1].hypotheses.other >= OTHER for run in runs])
+    return share("sure_share", sure) | share("told", other)
+
+
+def _notices(result: TouchResult) -> bool:
+    doubt = result.hypotheses.moved + result.hypotheses.other
+    is_inconsistent = result.status is Status.INCONSISTENT
+    return is_inconsistent or doubt > NOTICED or result.p < NOTICED
+
+
+def is_right_and_sure(result: TouchResult) -> bool:
+    return result.p >= SURE and result.map_mm <= promises.WITHIN_MM
+
+
+def _group_row(name: str, given: Promises) -> dict[str, Any]:
+    bins = promises.reliability(given.p, given.right)
+    return {"over": name, **promises.kept(given), "reliability": bins}
+
+
+def _cell_row(level: Level, cell: Cell, results: Results) -> dict[str, Any]:
+    kidnapped = level.conditions.kidnapped_after
+    return {
+        "object": cell.setting.object,
+        "factor": level.factor,
+        "level": level.level,
+        "touched": level.touched,
+        "skin": level.conditions.skin or "exact",
+        "tuned": is_tuned(level, cell),
+        "proposal": cell.method.proposal,
+        **promises.kept(promised([results])),
+        **(told(results) if level.touched else {}),
+        **(noticed(results, kidnapped) if kidnapped else {}),
+        "seeds": len(results),
+    }
+
+
+def _on(skin: str) -> TrialConditions:
+    return TrialConditions(skin=skin)

@@ -1,0 +1,107 @@
+"""What estimates promise, and whether they keep it: `p` and `radius_m` held against the truth.
+
+An estimate is *right* where the object is the one that the filter assumes and no farther off than
+`filter.within_m`, which is what `p` is the probability of. It is *sure* where p ≥ `SURE`. It is
+*beyond* where the object is farther off than its `radius_m`, or another one: what satellite
+navigation calls a loss of integrity.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from taxeld.arrays import Bools, Floats, Index
+from taxeld.config.tables import FilterConfig
+from taxeld_training.jobs.statistics import of_count, rounded
+
+WITHIN_MM = 1e3 * FilterConfig().within_m
+SURE = 0.99
+BINS = 10
+CONTACTS = (4, 6, 8)  # contacts with shares of their own
+
+
+@dataclass(frozen=True)
+class Promises:
+    """Estimates (N,), each after a contact of a run."""
+
+    p: Floats
+    radius_mm: Floats
+    error_mm: Floats  # nan: the object is another one than the filter assumes
+    contact: Index  # counted from 1
+
+    def __len__(self) -> int:
+        return len(self.p)
+
+    @property
+    def right(self) -> Bools:
+        return np.asarray(self.error_mm <= WITHIN_MM)
+
+    @property
+    def sure(self) -> Bools:
+        return np.asarray(self.p >= SURE)
+
+    @property
+    def beyond(self) -> Bools:
+        return ~(self.error_mm <= self.radius_mm)
+
+    @property
+    def of_object(self) -> Bools:
+        """Whether the object is the one that the filter assumes."""
+        return np.isfinite(self.error_mm)
+
+
+def reliability(p: Floats, right: Bools) -> list[dict[str, Any]]:
+    """The reliability table of probabilities p (N,) of what turned out `right` (N,): a row for each
+    of `BINS` equal bins that has any, {from, n, mean_p, right, right_ci}."""
+    at = np.minimum((p * BINS).astype(np.intp), BINS - 1)
+    return [
+        {
+            "from": k / BINS,
+            "n": int(mine.sum()),
+            "mean_p": round(float(p[mine].mean()), 6),
+            **share("right", right[mine]),
+        }
+        for k, mine in ((k, at == k) for k in range(BINS))
+        if mine.any()
+    ]
+
+
+def calibration_error(table: Sequence[dict[str, Any]]) -> float | None:
+    """Expected calibration error (Naeini et al. 2015): the mean gap between p and the share that
+    is right, over the bins of a reliability table, by their counts; None without estimates."""
+    total = sum(row["n"] for row in table)
+    gap = sum(row["n"] * abs(row["mean_p"] - row["right"]) for row in table)
+    return round(gap / total, 4) if total else None
+
+
+def kept(given: Promises) -> dict[str, Any]:
+    """Figures of estimates: the calibration of p, and of those that are sure how many are wrong or
+    beyond, with intervals; of runs with the object that the filter assumes, the shares that are
+    right and sure, and wrong and sure, after `CONTACTS`."""
+    sure, right = given.sure, given.right
+    radius_mm = given.radius_mm[sure]
+    after = {k: given.of_object & (given.contact == k) for k in CONTACTS}
+    return {
+        "estimates": len(given),
+        "ece": calibration_error(reliability(given.p, right)),
+        "sure": int(sure.sum()),
+        "wrong": int((sure & ~right).sum()),
+        **share("wrong", ~right[sure], "_rate"),
+        "beyond": int((sure & given.beyond).sum()),
+        **share("beyond", given.beyond[sure], "_rate"),
+        "radius_mm": round(float(np.median(radius_mm)), 3) if len(radius_mm) else None,
+        **{f"right_and_sure_{k}": _rate((right & sure)[mine]) for k, mine in after.items()},
+        **{f"wrong_and_sure_{k}": _rate((~right & sure)[mine]) for k, mine in after.items()},
+    }
+
+
+def share(name: str, rule: Bools, end: str = "") -> dict[str, Any]:
+    """How many of all obey a rule (N,), with the Wilson interval; None without any."""
+    interval = rounded(of_count(int(rule.sum()), len(rule))) if len(rule) else None
+    return {f"{name}{end}": _rate(rule), f"{name}_ci": interval}
+
+
+def _rate(rule: Bools) -> float | None:
+    return round(float(rule.mean()), 4) if len(rule) else None
