@@ -4,8 +4,6 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
-import numpy as np
-
 from taxeld.arrays import Poses
 from taxeld.estimator import particles as pf
 from taxeld.estimator.particles import Belief
@@ -15,8 +13,7 @@ from taxeld.model.symmetry import Mode, PoseMetric
 MODE_RADIUS_M = 0.02  # root-mean-square displacement of surface points
 MODES_MAX = 5
 MODE_CANDIDATES = 64
-CONVERGED_WEIGHT = 0.9  # least weight of the heaviest mode
-CONVERGED_SD_M = 0.02  # greatest sd, however large the object
+SURE = 0.99  # least p of a converged estimate
 SEARCHING_WEIGHT = 0.2  # least weight of the heaviest mode: a lighter one is not worth reporting
 
 
@@ -60,7 +57,6 @@ class Summary:
     cov: Poses  # (3, 3) about the mean
     ess: float
     particles: int
-    is_narrow: bool  # one mode whose surface points spread over a small part of the object's size
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,8 +86,4 @@ def summarise(belief: Belief, metric: PoseMetric) -> Summary:
     radius_m = MODE_RADIUS_M * metric.scale
     modes = metric.modes(belief.pose, weight, radius_m, MODES_MAX, MODE_CANDIDATES)
     mean, cov = metric.mean(belief.pose, weight, modes[0].pose)
-    spread = float(np.sqrt(cov[0, 0] + cov[1, 1] + metric.arm_m**2 * cov[2, 2]))
-    ess = pf.effective_sample_size(belief)
-    narrow = spread < CONVERGED_SD_M * min(metric.scale, 1.0)
-    is_narrow = modes[0].weight >= CONVERGED_WEIGHT and narrow
-    return Summary(tuple(modes), mean, cov, ess, len(belief), is_narrow)
+    return Summary(tuple(modes), mean, cov, pf.effective_sample_size(belief), len(belief))

@@ -11,14 +11,15 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
-from taxeld.estimator import confidence, injection
+from taxeld.estimator import injection
 from taxeld.estimator.calibration_check import CalibrationCheck, CalibrationDoubt
-from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind
+from taxeld.estimator.estimate import Estimate, ProposalKind
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import News
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.rule import EstimatorCounters, Rule
+from taxeld.estimator.verdict import status
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import Observation, ObservationModel
@@ -117,7 +118,7 @@ class Estimator:
     @property
     def _believed(self) -> Poses:
         """(N, 3) poses of the modes, the best first."""
-        return np.array([mode.pose for mode in self.rule.confidence.summary.modes])
+        return np.array([mode.pose for mode in self.rule.verdict.summary.modes])
 
     def _follow(self, observation: Observation) -> None:
         """Move the belief: the object may have been pushed between two scans of one contact."""
@@ -150,7 +151,7 @@ class Estimator:
             return False
         if not observation.live.any():
             return True
-        best = self.rule.confidence.summary.modes[0].pose
+        best = self.rule.verdict.summary.modes[0].pose
         pressed = self.model.pressed_from(observation.sensor[None], best[None]).taxel
         expected = self._news.contacts > 0 and len(pressed) > 0
         return expected and not bool(observation.live[pressed].any())
@@ -158,19 +159,20 @@ class Estimator:
     def _estimate(
         self, t: float, injected: int = 0, log_evidence: float = 0.0, *, blind: bool = False
     ) -> Estimate:
-        summary = self.rule.confidence.summary
+        verdict = self.rule.verdict
+        summary = verdict.summary
         return Estimate(
             t=t,
-            status=confidence.status(self.rule.confidence, self._news.contacts, blind=blind),
+            status=status(verdict, self._news.contacts, blind=blind),
             contact=self._news.contact,
             contacts=self._news.contacts,
             map=summary.modes[0].pose,
             mean=summary.mean,
             cov=summary.cov,
             modes=summary.modes,
-            p=summary.modes[0].weight,
-            radius_m=float(np.sqrt(np.trace(summary.cov[:2, :2]))),
-            hypotheses=Hypotheses(),
+            p=verdict.p,
+            radius_m=verdict.radius_m,
+            hypotheses=verdict.hypotheses,
             ess=summary.ess,
             particles=summary.particles,
             injected=injected,

@@ -6,17 +6,18 @@ samples are first *annealed* into a second opinion of the whole posterior, which
 belief by its evidence.
 """
 
+from functools import partial
+
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator import particles as pf
-from taxeld.estimator.particles import Belief, Explain
+from taxeld.estimator.particles import Belief, Explain, Support
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
 
 KEPT = 0.25  # share of the samples that remains effective after a stage of annealing
 STAGES_MAX = 6  # the last stage takes all that is left
-FINE = np.array([0.004, 0.004, 0.06])  # m, m, rad: cells that measure the room that a belief takes
 
 
 def paper(belief: Belief, poses: Poses) -> None:
@@ -33,54 +34,48 @@ def paper(belief: Belief, poses: Poses) -> None:
 
 def anneal(
     samples: Belief,
-    own: Floats,
-    share: Floats,
+    own: Support,
+    support: Support,
     explain: Explain,
     rng: np.random.Generator,
     scale: float = 1.0,
 ) -> Belief:
-    """Bring equally weighted samples of ∏ p(z_k | q)^own_k to ∏ p(z_k | q)^share_k. The other scans
-    are added by degrees, and after each step the samples are drawn anew and moved (an SMC sampler,
-    Del Moral et al. 2006). A step is as large as leaves the share KEPT of them effective.
-
-    `own` (terms,) in 0..1: terms that the samples already take into account; `share` (terms,): the
-    weight of each term at the end; `scale`: the object's size over the usual.
+    """Bring equally weighted samples of log-density `own` to `support`. The difference is added by
+    degrees, and after each step the samples are drawn anew and moved (an SMC sampler, Del Moral et
+    al. 2006). A step is as large as leaves the share KEPT of them effective. `scale`: the object's
+    size over the usual.
     """
-    n, rest = len(samples), share - own
-    degree = 0.0
+    n, degree = len(samples), 0.0
     for stage in range(STAGES_MAX):
-        gain = samples.remembered @ rest
+        gain = support(samples.remembered) - own(samples.remembered)
         left = 1.0 - degree
         step = left if stage == STAGES_MAX - 1 else _step(gain, left, KEPT * n)
         samples.log_weight = step * gain
         pf.normalise(samples)
         samples = pf.resample(samples, n, rng)
         degree += step
-        pf.rejuvenate(samples, explain, own + degree * rest, rng, scale)
+        now = partial(_between, own, support, degree)
+        pf.rejuvenate(samples, explain, now, rng, scale)
         if step == left:
             break
     return samples
 
 
-def merge(a: Belief, b: Belief, share: Floats, scale: float = 1.0) -> Belief:
-    """Both beliefs in one, each weighed by its evidence. `share` (terms,): the weight of each
-    term."""
+def _between(own: Support, support: Support, degree: float, explained: Floats) -> Floats:
+    """(N,) log-density between two: explained is (N, terms)."""
+    return np.asarray((1.0 - degree) * own(explained) + degree * support(explained))
+
+
+def merge(a: Belief, evidence_a: float, b: Belief, evidence_b: float) -> Belief:
+    """Both beliefs in one, each weighed by its log evidence."""
     made = Belief(
         np.concatenate([a.pose, b.pose]),
-        np.concatenate([c.log_weight + evidence(c, share, scale) for c in (a, b)]),
+        np.concatenate([a.log_weight + evidence_a, b.log_weight + evidence_b]),
         np.concatenate([a.remembered, b.remembered]),
         np.concatenate([a.ground, b.ground]),
     )
     pf.normalise(made)
     return made
-
-
-def evidence(belief: Belief, share: Floats, scale: float = 1.0) -> float:
-    """log ∫ ∏ p(z_k | q)^share_k dq up to a constant, share (terms,): the mean logarithm of the
-    integrand plus the belief's entropy, measured by the cells that it occupies."""
-    support = belief.remembered @ share
-    cells = pf.occupied(belief.pose, FINE * [scale, scale, 1.0])
-    return float(belief.weight @ support) + float(np.log(cells))
 
 
 def project(model: ObservationModel, poses: Poses) -> Poses:

@@ -15,15 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Grid, Poses
+from taxeld.estimator.anything import Anything
 from taxeld.estimator.compiled import Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
+from taxeld.estimator.runs import HAZARD, Runs
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.symmetry import Mode, PoseMetric
 
 Number = TypeVar("Number", np.intp, np.float64)
 
 FAR = 1e30  # standard deviations: no bound
-LIKELY = np.array([0.0, 0.85, 0.93, 1.0])  # shares of a reading that may explain it best
 LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
 FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
 
@@ -47,7 +48,6 @@ class Told(NamedTuple):
     kept: Grid  # (FIELDS, M)
     untouched: float  # log p(scan | nothing is pressed)
     pressed: int  # number of pressed taxels
-    ceiling: float  # log p(scan | each taxel is pressed just as it reads)
 
 
 class Silence(NamedTuple):
@@ -77,15 +77,22 @@ class Prior:
     of a Gaussian for each mode."""
 
     def __init__(
-        self, metric: PoseMetric, poses: Poses, weight: Floats, modes: Sequence[Mode]
+        self,
+        metric: PoseMetric,
+        poses: Poses,
+        weight: Floats,
+        modes: Sequence[Mode],
+        log_volume: float = 0.0,
     ) -> None:
-        """From a belief of poses (N, 3) with weights (N,), and its modes."""
+        """From a belief of poses (N, 3) with weights (N,), and its modes. Densities are relative to
+        a uniform one over a volume of logarithm `log_volume`."""
         self._metric = metric
         self._modes = []
         for mode in modes:
             mean, cov = metric.mean(poses[mode.members], weight[mode.members], mode.pose)
             inverse = np.linalg.inv(cov + np.diag(LEAST_SD**2))
             height = float(np.log(mode.weight) + 0.5 * np.linalg.slogdet(inverse)[1])
+            height += log_volume - 1.5 * float(np.log(2.0 * np.pi))
             self._modes.append((mean, inverse, height))
         self.ceiling = max(height for *_, height in self._modes)
 
@@ -115,6 +122,7 @@ class Memory:
         self._noise = noise
         self.slack = slack or Slack()
         self._compiled = compiled(model, noise)
+        self._anything = Anything(model, noise)
         self._silence: Silence | None = None  # the last silent scan
         self._forget(prior)
 
@@ -125,9 +133,11 @@ class Memory:
         self.number = np.empty(0, dtype=np.intp)  # (K,) contact; the last one if silent
         self.newest = 0  # number of the newest contact
         self.pressed = np.empty(0, dtype=np.intp)  # (K,) number of pressed taxels
-        self.ceiling = np.empty(0)  # (K,) as in `Told`
+        self.anything = np.empty(0)  # (K,) log p(scan | whatever was pressed, or nothing)
         self._untouched = np.empty(0)
-        self._share: Floats | None = None  # cached `share`
+        self.before: dict[int, float] = {}  # log evidence of all before a step
+        self.known = 0.0  # log evidence of all before the first step
+        self._runs: Runs | None = None  # cached `runs`
         self._for_c: tuple[tuple[int, int, Slack], Scans] | None = None
 
     def __len__(self) -> int:
@@ -157,7 +167,7 @@ class Memory:
     @property
     def contacts(self) -> int:
         """The number of different contacts."""
-        return round(float(self.of_scans(self.share)[self.contact].sum()))
+        return len(np.unique(self.number[self.contact]))
 
     @property
     def oldest(self) -> int:
@@ -167,29 +177,57 @@ class Memory:
 
     @property
     def share(self) -> Floats:
-        """(terms,) weight of each term: a contact counts once, however many scans it has."""
-        if self._share is None:
-            self._share = np.ones(self.terms)
-            touched = self.contact
-            _, which, count = np.unique(
-                self.number[touched], return_inverse=True, return_counts=True
-            )
-            self.of_scans(self._share)[touched] = 1.0 / count[which]
-        return self._share
+        """(K,) share of each scan in its contact, so that a contact counts once, however many scans
+        it has; 1 for a silent one."""
+        share, touched = np.ones(len(self)), self.contact
+        _, which, count = np.unique(self.number[touched], return_inverse=True, return_counts=True)
+        share[touched] = 1.0 / count[which]
+        return share
 
-    def add(self, observation: Observation, number: int = 0) -> None:
-        """Remember a scan of contact `number`, or a silent scan after that contact."""
+    @property
+    def runs(self) -> Runs:
+        """The runs of the remembered scans."""
+        if self._runs is None:
+            self._runs = self._in_steps()
+        return self._runs
+
+    def _in_steps(self) -> Runs:
+        """A silent scan belongs to the next contact: the object may have moved since the last."""
+        steps, which = np.unique(self.number + self.silent, return_inverse=True)
+        k, r, prior = len(self), len(steps), self.terms - len(self)
+        in_step = np.zeros((self.terms, r))
+        in_step[prior:][np.arange(k), which] = self.share
+        silence = in_step.copy()
+        silence[prior:][self.contact] = 0.0
+        if prior and r:
+            silence[0, 0] = 1.0
+        anything = np.append(np.zeros(prior), self.anything)
+        touch = in_step - silence
+        if prior and r:
+            touch[0, 0] = 0.0
+        touched = np.zeros(r, np.bool_)
+        touched[which[self.contact]] = True
+        before = np.array([self.before[step] for step in steps.tolist()])
+        begun = before - before[:1] + np.log(HAZARD)
+        begun[:1] = self.known
+        return Runs(touch, silence, anything @ touch, anything @ silence, touched, begun)
+
+    def add(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> None:
+        """Remember a scan of contact `number`, or a silent scan after that contact. `log_z`: log
+        evidence of all that is remembered so far."""
         told = self._told(observation)
+        self.before = {(number + (not told.pressed)): log_z} | self.before
         self._kept = np.concatenate([self._kept, told.kept[:, None]], axis=1)
         self._sensor = np.concatenate([self._sensor, observation.sensor[None]])
         self.number = _and(self.number, number)
         self.newest = max(self.newest, number)
         self.pressed = _and(self.pressed, told.pressed)
-        self.ceiling = _and(self.ceiling, told.ceiling)
+        any_shape = told.untouched
+        if told.pressed:
+            any_shape = self._anything.log_density(observation)
+        self.anything = _and(self.anything, any_shape)
         self._untouched = _and(self._untouched, told.untouched)
-        self._for_c = None
-        if self._share is not None:  # a silent scan changes no other scan's share
-            self._share = None if told.pressed else np.append(self._share, 1.0)
+        self._for_c = self._runs = None
 
     def _told(self, observation: Observation) -> Told:
         z, live, before = observation.z, observation.live, self._silence
@@ -207,20 +245,18 @@ class Memory:
         """Evidence of activations z, live, floor and residue, each (M,)."""
         pressed = z > 0.0
         count = int(np.count_nonzero(z))
-        explained = (LIKELY if count else LIKELY[:1])[:, None] * z  # silence needs one share
-        density = self._noise.log_density(z, explained, floor, residue)
-        density *= live
+        density = self._noise.log_density(z, np.zeros_like(z), floor, residue) * live
         fields = np.empty((len(Kept), len(z)), np.float32)
         fields[Kept.Z] = z
         fields[Kept.LEVEL] = np.where(pressed, z, floor)
         fields[Kept.RESIDUE] = residue
         fields[Kept.ROOT] = live / np.sqrt(self._noise.variance(z) + residue**2)
-        fields[Kept.SILENT] = density[0]
+        fields[Kept.SILENT] = density
         fields[Kept.LOW] = np.where(z < 1.0, -FAR, 0.0)
         fields[Kept.HIGH] = np.where(pressed, FAR, 0.0)
         fields[Kept.LIVE] = live
         untouched = float(fields[Kept.SILENT].sum(dtype=np.float64))
-        return Told(fields, untouched, count, float(density.max(axis=0).sum()))
+        return Told(fields, untouched, count)
 
     def scan(self, k: int) -> Observation:
         """The k-th scan as an observation."""
@@ -232,13 +268,12 @@ class Memory:
         """A memory of the scans in the mask `kept` (K,), with the prior or without."""
         made = copy.copy(self)
         made.prior = self.prior if prior else None
-        made._share = made._for_c = None
-        if self._share is not None and kept[self.contact].all():  # the other scans' shares stay
-            own = self.terms - len(self) if prior else 0
-            made._share = np.append(self._share[:own], self.of_scans(self._share)[kept])
+        made._runs = made._for_c = None
         made._kept = self._kept.compress(kept, axis=1)  # contiguous, as the C code needs it
-        for name in ("_sensor", "number", "pressed", "ceiling", "_untouched"):
+        for name in ("_sensor", "number", "pressed", "anything", "_untouched"):
             setattr(made, name, getattr(self, name)[kept])
+        steps = set((made.number + made.silent).tolist())
+        made.before = {step: log_z for step, log_z in self.before.items() if step in steps}
         return made
 
     def anew(self, prior: Prior | None = None) -> "Memory":

@@ -4,13 +4,15 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator import consistency, injection
+from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
-from taxeld.estimator.confidence import Confidence, firm
+from taxeld.estimator.estimate import Hypotheses
 from taxeld.estimator.memory import Memory
 from taxeld.estimator.push import assumed, push
 from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
+from taxeld.estimator.verdict import judge
 from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.symmetry import PoseMetric
 
 INJECTED_DECAY = 0.5  # samples of a contact, of those of the contact before
 
@@ -28,7 +30,8 @@ class Paper:
         self._model, self._config, self._rng = model, config, rng
         self._nothing = Memory(model, noise_of(config))
         self.belief = anew(config, rng)
-        self.confidence = Confidence.of(self.belief, model.scene, agreeing=0, enough=0, least=0)
+        self.metric = PoseMetric(model.scene)
+        self._judge()
         self.counters = EstimatorCounters()
 
     @property
@@ -41,7 +44,7 @@ class Paper:
             belief.ground = assumed(len(belief), self._rng)
         belief.pose, pushed = push(
             self._model,
-            self.confidence.metric,
+            self.metric,
             belief.pose,
             belief.ground,
             before.sensor,
@@ -50,14 +53,12 @@ class Paper:
             self._rng,
         )
         if belief.weight @ pushed >= PUSHED_M:
-            self.confidence.moved(belief)
+            self._judge()
 
     def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
-        in_doubt = self.confidence.doubt
         samples = drawn(draw, observation, self._wanted(contacts))
         log_evidence = self.update(observation, samples)
-        contact = firm(observation, contacts)
-        self.confidence.learned(self.belief, len(samples), contact, 0, in_doubt=in_doubt)
+        self._judge()
         return len(samples), log_evidence
 
     def update(self, observation: Observation, samples: Poses) -> float:
@@ -74,15 +75,18 @@ class Paper:
                 new = pf.equal(samples, np.empty((len(samples), 0)))
                 self.belief = pf.resample(new, len(self.belief), self._rng)
             return 0.0
-        self.confidence.doubt = bool(consistency.excess(memory, self.belief)[0] > 0.0)
         if pf.resampling_is_due(self.belief):
             self.belief = pf.resample(self.belief, len(self.belief), self._rng)
-            pf.roughen(self.belief, self._rng, self.confidence.metric.scale)
+            pf.roughen(self.belief, self._rng, self.metric.scale)
         return evidence
 
     def revisit(self, draw: Draw) -> int:  # noqa: ARG002
         """Nothing is remembered."""
         return 0
+
+    def _judge(self) -> None:
+        """The paper knows no other hypothesis."""
+        self.verdict = judge(self.belief, self.metric, self._config, Hypotheses(), 1.0)
 
     def _wanted(self, contacts: int) -> int:
         """Number of samples. It falls with each contact to nothing: the paper's algorithm sets no

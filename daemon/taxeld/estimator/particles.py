@@ -17,6 +17,9 @@ from taxeld.model import se2
 Explain = Callable[[Poses], Floats]
 """How well poses (N, 3) explain the remembered scans: (N, terms) as in `Belief.remembered`."""
 
+Support = Callable[[Floats], Floats]
+"""The log-density of poses by what they explain: (N, terms) → (N,)."""
+
 RESAMPLE_BELOW = 0.5  # share of N: particles are resampled below this effective sample size
 MOVE = np.array([0.002, 0.002, 0.02])  # m, m, rad: sd of a random step, times 2^u
 MOVE_OCTAVES = (-2.5, 1.5)  # range of u: coarse steps separate the copies, fine ones settle them
@@ -126,18 +129,18 @@ def roughen(belief: Belief, rng: np.random.Generator, scale: float = 1.0) -> Non
 def rejuvenate(
     belief: Belief,
     explain: Explain,
-    share: Floats,
+    support: Support,
     rng: np.random.Generator,
     scale: float = 1.0,
     room: Room | None = None,
 ) -> None:
-    """One Metropolis step of every particle; it leaves the posterior ∏ p(z_k | q)^share_k unchanged
-    (resample-move, Gilks & Berzuini 2001).
+    """One Metropolis step of every particle; it leaves the posterior, of log-density `support`,
+    unchanged (resample-move, Gilks & Berzuini 2001).
 
     Half of the steps are random, half along the difference of two other particles, which follows
-    the posterior's own shape (differential evolution, ter Braak 2006). `share` (terms,): the weight
-    of each term; `scale`: the object's size over the usual. Where nothing was touched all poses
-    explain the same, and only `room` keeps particles from straying.
+    the posterior's own shape (differential evolution, ter Braak 2006). `scale`: the object's size
+    over the usual. Where nothing was touched all poses explain the same, and only `room` keeps
+    particles from straying.
     """
     n = len(belief)
     step = _random_steps(n, rng, scale)
@@ -152,7 +155,7 @@ def rejuvenate(
     poses[:, 2] = se2.wrap(poses[:, 2])
     before, least = belief.remembered, np.log(rng.random(n))
     remembered = explain(poses)
-    taken = least < (remembered - before) @ share
+    taken = least < support(remembered) - support(before)
     if room is not None:
         taken &= room.lets(belief.pose, poses)
     belief.pose[taken] = poses[taken]

@@ -9,8 +9,8 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
-from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.particles import Belief
+from taxeld.estimator.verdict import Verdict
 from taxeld.model.observation import Noise, Observation
 
 Draw = Callable[[Observation, int], Poses]
@@ -35,7 +35,7 @@ class Rule(Protocol):
     """A belief, how it learns, and how reliable it is."""
 
     belief: Belief
-    confidence: Confidence
+    verdict: Verdict
     counters: EstimatorCounters
 
     @property

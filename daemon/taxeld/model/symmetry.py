@@ -51,6 +51,14 @@ class PoseMetric:
         at = [centres[..., 0] - c * x + s * y, centres[..., 1] - s * x - c * y, se2.wrap(theta)]
         return np.stack(at, axis=-1)
 
+    def reduced(self, poses: Poses) -> Poses:
+        """Poses (N, 3) → (N, 3), the same for equivalent poses: centre, and turn in [0, 2π/n)."""
+        made = np.zeros((len(poses), 3))
+        made[:, :2] = self.centres(poses)
+        if self.order != CONTINUOUS:
+            made[:, 2] = poses[:, 2] % (2.0 * np.pi / self.order)
+        return made
+
     def turn(self, a: Floats, b: Floats) -> Floats:
         """The smallest turn from b to a, up to symmetry, in (−π/n, π/n]; a and b (…,) broadcast."""
         n = max(self.order, 1)

@@ -1,0 +1,67 @@
+"""How likely a contact's readings are, whatever was touched: the alternative to the known object.
+
+A contact is explained by a local shape alone: a surface of free bend and tilt, pressed from any
+side and to any depth. The density of the readings is its mean over a fixed set of such shapes.
+"""
+
+import math
+
+import numpy as np
+
+from taxeld.model.observation import Noise, Observation, ObservationModel
+
+SHAPES = 512  # shapes, each with a depth and a side: a nat of the mean, about
+SIDE_RAD = math.radians(15.0)  # the side that is pressed is this near the middle of the readings
+NEAR_RAD = math.radians(75.0)  # taxels farther around the link are not reached
+BENDS = (0.0, 200.0)  # 1/m: from a flat side to an edge of 5 mm radius
+SLOPE_SD = 0.15  # sd of the surface's slope along the link
+BOW = 20.0  # 1/m: greatest bend along the link
+
+
+class Anything:
+    """Local shapes pressed against one skin."""
+
+    def __init__(self, model: ObservationModel, noise: Noise) -> None:
+        self._noise = noise
+        layout = model.layout
+        self._place = layout.position_m
+        self._angle = np.arctan2(layout.position_m[:, 1], layout.position_m[:, 0])
+        rng = np.random.default_rng(0)  # the shapes are always the same
+        heights, row = np.unique(layout.position_m[:, 2].round(4), return_inverse=True)
+        self._row = row
+        self._radius_m = layout.radius_m
+        self._depth_max_m = model.depth_max_m
+        self._inside = model.depth_max_m * rng.random((SHAPES, 1))
+        self._turn = SIDE_RAD * rng.uniform(-1.0, 1.0, (SHAPES, 1))
+        bend = rng.uniform(*np.sqrt(BENDS), (SHAPES, 1)) ** 2
+        self._bend = bend
+        middle = rng.uniform(heights[0], heights[-1], (SHAPES, 1))
+        along = heights - middle
+        bow = BOW * rng.random((SHAPES, 1)) * (rng.random((SHAPES, 1)) < 0.5)
+        gap = SLOPE_SD * rng.standard_normal((SHAPES, 1)) * along + 0.5 * bow * along**2
+        self._gap = gap - gap.min(axis=1, keepdims=True)
+        sides = len(np.unique(np.round(np.degrees(self._angle) / 10.0))) * math.radians(10.0)
+        share = 2.0 * SIDE_RAD / min(max(sides, 2.0 * SIDE_RAD), 2.0 * math.pi)
+        self._prior = math.log(share / SHAPES)
+
+    def log_density(self, observation: Observation) -> float:
+        """log p(scan of a contact | something is pressed), over the live taxels."""
+        z, live = observation.z, observation.live
+        side = math.atan2(float(z @ np.sin(self._angle)), float(z @ np.cos(self._angle)))
+        off = self._angle - side
+        near = live & ((z > 0.0) | (np.cos(off) > math.cos(NEAR_RAD)))
+        floor = np.broadcast_to(observation.floor, z.shape)
+        residue = np.broadcast_to(observation.residue, z.shape)
+        reach = np.hypot(*self._place[near, :2].T)
+        turned = off[near] - self._turn
+        across = reach * np.sin(turned)
+        depth = reach * np.cos(turned) - self._radius_m + self._inside
+        depth -= 0.5 * self._bend * across**2 + self._gap[:, self._row[near]]
+        h = np.clip(depth / self._depth_max_m, 0.0, 1.0).astype(np.float32)
+        one = (each.astype(np.float32) for each in (z[near], floor[near], residue[near]))
+        z_near, floor_near, residue_near = one
+        told = self._noise.log_density(z_near, h, floor_near, residue_near).sum(axis=1)
+        far = live & ~near
+        silent = self._noise.log_density(z[far], np.zeros(1), floor[far], residue[far])
+        top = float(told.max())
+        return top + math.log(np.exp(told - top).sum()) + self._prior + float(silent.sum())

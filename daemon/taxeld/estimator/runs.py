@@ -1,0 +1,44 @@
+"""Since which contact the object has stood: the belief's target, summed over all first contacts.
+
+Contacts belong to one pose as long as the object stands. It may have moved between two of them, so
+the newest pose explains the contacts from some *first* one on, its run; the evidence of all before
+it is one number (Bayesian change points, Adams & MacKay 2007). A contact may also mean nothing.
+Everything is in relation to `Anything`: what the readings are worth without this object.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taxeld.arrays import Bools, Floats
+
+HAZARD = 2e-3  # probability that the object moved between two contacts
+MEANINGLESS = 5e-4  # probability that a contact has nothing to do with the object
+
+
+@dataclass(frozen=True, slots=True)
+class Runs:
+    """K remembered scans in R steps: a contact, or the silence since the contact before."""
+
+    touch: Floats  # (terms, R) share of a scan in its step's contact
+    silence: Floats  # (terms, R) share of a silent scan, or of the prior, in its step
+    usual: Floats  # (R,) log-likelihood of a step's contact without this object
+    quiet: Floats  # (R,) the same of a step's silence
+    touched: Bools  # (R,) whether a step has a contact
+    begun: Floats  # (R,) log prior of a run from each step on, with the evidence before it
+
+    def each(self, explained: Floats) -> Floats:
+        """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""
+        met = explained @ self.touch - self.usual
+        told = met[:, self.touched] + np.log1p(-MEANINGLESS)
+        met[:, self.touched] = np.logaddexp(told, np.log(MEANINGLESS))
+        met += explained @ self.silence - self.quiet
+        return np.asarray(np.cumsum(met[:, ::-1], axis=1)[:, ::-1] + self.begun)
+
+    def support(self, explained: Floats) -> Floats:
+        """Log-density of poses, up to the uniform prior's: explained (N, terms) → (N,)."""
+        if not len(self.begun):  # nothing is remembered but a prior, if that
+            return np.asarray(explained.sum(axis=1))
+        each = self.each(explained)
+        top = each.max(axis=1)
+        return np.asarray(top + np.log(np.exp(each - top[:, None]).sum(axis=1)))

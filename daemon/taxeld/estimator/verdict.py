@@ -1,0 +1,52 @@
+"""The verdict: what a belief says of the object, in probabilities, and the status they make."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.estimate import SEARCHING_WEIGHT, SURE, Hypotheses, Status, Summary, summarise
+from taxeld.estimator.particles import Belief
+from taxeld.model.symmetry import PoseMetric
+
+TAIL = 1.5  # factor on the radius of a Gaussian's tail
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The belief in short, and how sure it is."""
+
+    summary: Summary
+    p: float
+    radius_m: float
+    hypotheses: Hypotheses
+
+
+def judge(
+    belief: Belief, metric: PoseMetric, config: FilterConfig, hypotheses: Hypotheses, here: float
+) -> Verdict:
+    """`here`: probability that the belief has the object at all: it is this object, and has not
+    just moved to nobody knows where."""
+    summary = summarise(belief, metric)
+    off = metric.distance(belief.pose, summary.modes[0].pose)
+    weight = belief.weight
+    p = here * float(weight[off <= config.within_m].sum())
+    tail = float(np.sqrt(weight @ off**2 * -np.log(config.risk)))
+    radius_m = max(float(off.max()), TAIL * tail)
+    return Verdict(summary, p, radius_m, hypotheses)
+
+
+def status(verdict: Verdict, contacts: int, *, blind: bool = False) -> Status:
+    """The status after this number of contacts. `blind`: no taxel is live where the best pose
+    expects contact."""
+    if blind:
+        return Status.BLIND
+    if not contacts:
+        return Status.SEARCHING
+    if verdict.p >= SURE:
+        return Status.CONVERGED
+    stands, moved, other = verdict.hypotheses
+    if stands < max(moved, other):
+        return Status.INCONSISTENT
+    weak = verdict.summary.modes[0].weight < SEARCHING_WEIGHT
+    return Status.SEARCHING if weak else Status.AMBIGUOUS
