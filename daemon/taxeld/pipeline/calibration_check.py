@@ -8,6 +8,7 @@ factor or offset is large. Two modules that have changed places are found by rea
 likelier in each other's place.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Self
@@ -20,6 +21,7 @@ from taxeld.estimator.rule import noise_of
 from taxeld.model import se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.response import deviation
+from taxeld.model.symmetry import Mode
 
 TOUCHES = 16  # touches fitted together, at most; fewer on a large skin
 LEAST_TOUCHES = 5
@@ -117,18 +119,19 @@ class Read(NamedTuple):
 class CalibrationCheck:
     """Follows the touches of one belief."""
 
-    def __init__(
-        self, model: ObservationModel, config: FilterConfig, doubt: CalibrationDoubt
-    ) -> None:
-        """`doubt` is updated in place."""
-        self.doubt = doubt
+    def __init__(self, model: ObservationModel, config: FilterConfig) -> None:
+        self.doubt = CalibrationDoubt()
         noise = noise_of(config)
         self._model, self._noise = model, noise
         self._moves = config.motion != "none"  # a pushed object has no single place for all touches
-        self._modules = _Modules(model, noise)
         self._most = max(min(TOUCHES, ROOM // len(model.layout)), LEAST_TOUCHES + 1)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget every touch; the doubt stands until other touches are judged."""
+        self._modules = _Modules(self._model, self._noise)
         self._touches: list[Observation] = []
-        self._read = Read.none(len(model.layout))
+        self._read = Read.none(len(self._model.layout))
         self._x = np.zeros(7)  # log scale, mount, and the object's pose from `_object`
         self._right = np.zeros(7)  # `_x` under a right calibration: only the pose is free
         self._object: Poses = np.zeros(3)  # where the object was believed to be at the first fit
@@ -139,27 +142,32 @@ class CalibrationCheck:
 
     @property
     def is_due(self) -> bool:
-        """Whether fitting goes on with a scan from which nothing was learned."""
-        return self._due > 0 and not self._moves
+        """Whether `step` has something to do."""
+        return self._due > 0
 
-    def on_scan(self, used: Observation | None, believed: Poses, contacts: int) -> None:
-        """Take a scan. `used`: the observation that the belief learned from, None where it learned
-        nothing; `believed` (N, 3): modes of the belief, the best first; `contacts`: contacts begun
-        so far."""
-        if self._moves:
+    def on_scan(self, used: Observation | None, modes: Sequence[Mode], contacts: int) -> None:
+        """Take the scan that the belief learned from, None where it learned nothing. `modes`: of
+        the belief before it, the best first; `contacts`: contacts begun so far."""
+        if used is None or self._moves:
             return
-        if used is not None and used.is_contact:
-            self._take(used, believed[:CANDIDATES], contacts)
-        elif self._due:
-            self._due -= 1
-            if self._due >= ITERATIONS:
-                self._right, gained = self._better(self._right, ALONE)
-            else:
-                self._x, gained = self._better(self._x, TOGETHER)
-            if gained < SETTLED_NATS:
-                self._due = ITERATIONS if self._due >= ITERATIONS else 0
-            if not self._due:
-                self._judge()
+        if used.is_contact:
+            self._take(used, np.array([mode.pose for mode in modes[:CANDIDATES]]), contacts)
+        else:  # silence costs little to learn from
+            self.step()
+
+    def step(self) -> None:
+        """Take a step of the fits, if one is due: a scan without a touch leaves time for one."""
+        if not self._due:
+            return
+        self._due -= 1
+        if self._due >= ITERATIONS:
+            self._right, gained = self._better(self._right, ALONE)
+        else:
+            self._x, gained = self._better(self._x, TOGETHER)
+        if gained < SETTLED_NATS:
+            self._due = ITERATIONS if self._due >= ITERATIONS else 0
+        if not self._due:
+            self._judge()
 
     def _take(self, used: Observation, believed: Poses, contacts: int) -> None:
         strength = float(used.z.sum())
