@@ -5,16 +5,16 @@ import pytest
 
 from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.calibration_check import (
-    ITERATIONS,
+from taxeld.model import se2
+from taxeld.model.activation import FLOOR
+from taxeld.model.observation import Observation
+from taxeld.model.symmetry import Mode
+from taxeld.pipeline.calibration_check import (
     LEAST_TOUCHES,
     CalibrationCheck,
     CalibrationDoubt,
     Suspect,
 )
-from taxeld.model import se2
-from taxeld.model.activation import FLOOR
-from taxeld.model.observation import Observation
 from taxeld.proposals import bundle
 from tests.hil.rig import PLACED, PressedSkin
 from tests.rig.skins import SKIN
@@ -29,8 +29,7 @@ class Touching:
     def __init__(self, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
         self.gain = 1.0 + GAIN_CV * self.rng.standard_normal(len(SKIN))
-        self.doubt = CalibrationDoubt()
-        self.check = CalibrationCheck(MODEL, FilterConfig(), self.doubt)
+        self.check = CalibrationCheck(MODEL, FilterConfig())
         self.sensor = PressedSkin.drawn(MODEL, seed, presses=16).sensor
         self.order = np.arange(len(SKIN))
         self.contacts = 0
@@ -53,18 +52,21 @@ class Touching:
         live = np.ones(len(z), dtype=bool)
         evidence = MODEL.leak.without(z, FLOOR) if self.leaks else (z,)
         self.scan(Observation(told, evidence[0], live, *evidence[1:]))
-        for _ in range(2 * ITERATIONS):
-            self.scan(None)
 
-    def scan(self, used: Observation | None) -> None:
-        self.check.on_scan(used, self.believed[None], self.contacts)
+    def scan(self, used: Observation) -> None:
+        """Take the scan, and all steps that follow it."""
+        modes = [Mode(self.believed, 1.0, np.arange(1))]
+        self.check.on_scan(used, modes, self.contacts)
+        while self.check.is_due:
+            self.check.on_scan(None, modes, self.contacts)
+            self.check.step()
 
     def touches(self, n: int, **wrong: object) -> Suspect:
         """What is suspected first in n touches."""
         for _ in range(n):
             self.touch(**wrong)  # type: ignore[arg-type]
-            if self.doubt.suspect is not Suspect.NONE:
-                return self.doubt.suspect
+            if self.check.doubt.suspect is not Suspect.NONE:
+                return self.check.doubt.suspect
         return Suspect.NONE
 
 
@@ -76,8 +78,7 @@ def test_a_right_skin_is_never_doubted(seed: int, leaks: bool) -> None:
     touching = Touching(seed)
     touching.leaks = leaks
     assert touching.touches(16) is Suspect.NONE
-    assert touching.doubt.raised == 0
-    assert touching.doubt.touches >= LEAST_TOUCHES
+    assert touching.check.doubt != CalibrationDoubt(), "it was judged"
 
 
 @pytest.mark.parametrize(("factor", "leaks"), [(2.5, False), (1 / 2.5, False), (2.5, True)])
@@ -88,8 +89,7 @@ def test_a_full_scale_that_is_wrong_by_two_and_a_half_is_noticed_within_eight_to
         touching = Touching(seed)
         touching.leaks = leaks
         assert touching.touches(8, factor=factor) is Suspect.SCALE
-        assert leaks or touching.doubt.scale == pytest.approx(factor, rel=0.35)
-        assert touching.doubt.raised == 1
+        assert leaks or touching.check.doubt.scale == pytest.approx(factor, rel=0.35)
 
 
 @pytest.mark.parametrize(
@@ -115,9 +115,7 @@ def test_one_touch_of_nothing_raises_no_doubt() -> None:
     ghost = np.where(np.arange(len(SKIN)) % 16 < 3, 0.6, 0.0)
     touching.contacts += 1
     touching.scan(Observation(np.array([0.4, 0.3, 0.1]), ghost, np.ones(len(SKIN), dtype=bool)))
-    for _ in range(2 * ITERATIONS):
-        touching.scan(None)
-    assert touching.doubt.suspect is Suspect.NONE
+    assert touching.check.doubt.suspect is Suspect.NONE
     assert touching.touches(6) is Suspect.NONE
 
 
@@ -135,7 +133,19 @@ def test_an_object_that_was_moved_is_no_wrong_calibration(
     assert touching.touches(8) is Suspect.NONE
 
 
+def test_a_reset_forgets_touches_and_leaves_the_doubt_until_others_are_judged() -> None:
+    touching = Touching(0)
+    assert touching.touches(8, factor=2.5) is Suspect.SCALE
+    doubt = touching.check.doubt
+    touching.check.reset()
+    for _ in range(LEAST_TOUCHES - 1):
+        touching.touch()
+    assert touching.check.doubt is doubt
+    touching.touch()
+    assert touching.check.doubt.suspect is Suspect.NONE
+
+
 def test_an_object_that_gives_way_is_not_judged_by() -> None:
     touching = Touching(0)
-    touching.check = CalibrationCheck(MODEL, FilterConfig(motion="push"), touching.doubt)
+    touching.check = CalibrationCheck(MODEL, FilterConfig(motion="push"))
     assert touching.touches(12, factor=2.5) is Suspect.NONE

@@ -8,11 +8,11 @@ import pytest
 from taxeld.commands.status import lines
 from taxeld.config.file import parse
 from taxeld.config.tables import Config, FilterConfig, SkinConfig
-from taxeld.estimator.calibration_check import CalibrationDoubt, Suspect
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.response import GRID, Inverse, response
 from taxeld.pipeline.calibrated import calibrated, told
+from taxeld.pipeline.calibration_check import CalibrationDoubt, Suspect
 from taxeld.pipeline.poses import PoseTrack
 from taxeld.skin.skin import Skin
 from tests.daemon.test_calibration_file import NOW, of

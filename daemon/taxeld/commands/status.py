@@ -4,8 +4,8 @@ import math
 from collections.abc import Iterator
 from typing import Any
 
-from taxeld.estimator.calibration_check import Suspect
 from taxeld.estimator.estimate import ProposalKind, Status
+from taxeld.pipeline.calibration_check import Suspect
 from taxeld.proposals.ladder import Step
 from taxeld.skin.channels import mismatch
 from taxeld.source import bus_faults

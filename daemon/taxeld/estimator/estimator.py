@@ -12,7 +12,6 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import injection
-from taxeld.estimator.calibration_check import CalibrationCheck, CalibrationDoubt
 from taxeld.estimator.estimate import Estimate, ProposalKind
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.mixture import Mixture
@@ -48,7 +47,6 @@ class Estimator:
         self.proposal = proposal
         self.config = config
         self.counters = EstimatorCounters()
-        self.calibration = CalibrationDoubt()
         self.reset()
 
     def reset(self) -> None:
@@ -62,8 +60,10 @@ class Estimator:
         self._intake = Intake(self.model, self.counters)
         self._news = News(layout.radius_m)
         self._before: Observation | None = None
-        self._unconsidered: Observation | None = None  # the last scan, if `think` may follow it
-        self._check = CalibrationCheck(self.model, config, self.calibration)
+        self.used: Observation | None = None  # the scan that the last call learned from
+        self.unconsidered: Observation | None = (
+            None  # the last scan, until `think`, if it told nothing
+        )
         self.estimate = self._estimate(0.0)
 
     def on_scan(self, activation: Activation, sensor: Poses) -> Estimate:
@@ -77,48 +77,39 @@ class Estimator:
         """Take a scan's activations at the sensor's pose (3,) in the world, and leave it to the
         caller when to `think` about it; never raises."""
         self.counters.scans += 1
-        self._unconsidered = None
+        self.used = self.unconsidered = None
         observation = self._intake.observation(activation, sensor)
         if observation is None:
             self.estimate = self._estimate(max(self.estimate.t, self._intake.t))
             return self.estimate
         self._follow(observation)
         news = self._news
-        used = news.on_scan(self._intake.t, observation) if observation.live.any() else None
-        if used is not None:
-            self._check.on_scan(used, self._believed, news.contacts)
+        if observation.live.any():
+            self.used = news.on_scan(self._intake.t, observation)
+        if self.used is not None:
             self.counters.updates += 1
-            self._conclude(observation, *self.rule.learn(used, news.contacts, self._draw))
+            self._conclude(observation, *self.rule.learn(self.used, news.contacts, self._draw))
         else:
             self._conclude(observation)
-            if self._check.is_due or self.rule.is_open:
-                self._unconsidered = observation
+            self.unconsidered = observation
         return self.estimate
 
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do."""
-        return self._unconsidered is not None
+        return self.unconsidered is not None and self.rule.is_open
 
     def think(self) -> bool:
-        """After a scan that told nothing new, take a step of the calibration's check, and a second
-        opinion about earlier contacts; → whether the estimate has changed."""
-        observation = self._unconsidered
+        """After a scan that told nothing new, take a second opinion about earlier contacts; →
+        whether the estimate has changed."""
+        observation, self.unconsidered = self.unconsidered, None
         if observation is None:
             return False
-        self._unconsidered = None
-        if self._check.is_due:
-            self._check.on_scan(None, self._believed, self._news.contacts)
         samples = self.rule.revisit(self._draw)
         if samples:
             self.counters.thoughts += 1
             self._conclude(observation, samples)
         return samples > 0
-
-    @property
-    def _believed(self) -> Poses:
-        """(N, 3) poses of the modes, the best first."""
-        return np.array([mode.pose for mode in self.rule.verdict.summary.modes])
 
     def _follow(self, observation: Observation) -> None:
         """Move the belief: the object may have been pushed between two scans of one contact."""

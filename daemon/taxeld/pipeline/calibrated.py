@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 from taxeld.config.tables import Config, FilterConfig
-from taxeld.estimator.calibration_check import CalibrationDoubt
+from taxeld.pipeline.calibration_check import CalibrationDoubt
 from taxeld.skin.calibration import DAY_S, Calibration
 
 

@@ -16,6 +16,7 @@ from taxeld.config.tables import Config
 from taxeld.estimator.estimator import Estimator
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.calibrated import calibrated
+from taxeld.pipeline.calibration_check import CalibrationCheck
 from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
@@ -61,6 +62,7 @@ class Pipeline:
             mount = None if calibration is None else calibration.mount
             self.poses = PoseTrack(on_pose, mount, extrapolate_s)
         self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)
+        self.check = CalibrationCheck(model, config.filter)
         square = config.filter.centre_m, config.filter.half_width_m
         self.freshness = Freshness(silent_s, *square, _reach_m(model))
         self.estimate = self.freshness.judged(self.estimator.estimate)
@@ -100,14 +102,15 @@ class Pipeline:
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do, and no scan waits."""
-        return self.estimator.has_thought and not self._waiting
+        is_due = self.check.is_due and self.estimator.unconsidered is not None
+        return (is_due or self.estimator.has_thought) and not self._waiting
 
     def think(self) -> Outcome | None:
-        """Take a second opinion on the belief after the last scan; → its estimate where that has
-        changed, and the time of this work."""
+        """After a scan that told nothing new, take a step of the calibration's check, and a second
+        opinion on the belief; → its estimate where that has changed, and the time of this work."""
         clock = self.ladder.clock
         start, proposed_ns = clock(), self.ladder.spent_ns
-        if not self.estimator.think():
+        if not self._consider():
             return None
         self.estimate = self.freshness.judged(replace(self.estimator.estimate, t=self.estimate.t))
         propose_ns = self.ladder.spent_ns - proposed_ns
@@ -173,6 +176,7 @@ class Pipeline:
         """Forget all touches; samples are tried again as at start."""
         self.ladder.begin_anew()
         self.estimator.reset()
+        self.check.reset()
         self.estimate = self.freshness.judged(self.estimator.estimate)
 
     def _is_due(self, arrived: float, scan: Scan, now: float) -> bool:
@@ -206,12 +210,21 @@ class Pipeline:
             return replace(self._unused(scan, skin_ns), activation=later(activation, by))
         self.freshness.last = Why.VALID
         start, proposed_ns = clock(), self.ladder.spent_ns
-        learn = self.estimator.on_scan if self.thinks_at_once else self.estimator.learn
-        estimate = learn(activation, sensor)
+        believed = self.estimator.estimate.modes
+        estimate = self.estimator.learn(activation, sensor)
+        self.check.on_scan(self.estimator.used, believed, estimate.contacts)
+        if self.thinks_at_once and self._consider():
+            estimate = self.estimator.estimate
         propose_ns = self.ladder.spent_ns - proposed_ns
         filter_ns = clock() - start - propose_ns
         self.estimate = self.freshness.judged(later(estimate, by))
         return Outcome(self.estimate, later(activation, by), sensor, skin_ns, propose_ns, filter_ns)
+
+    def _consider(self) -> bool:
+        """Take a step of the check and a second opinion; → whether the estimate has changed."""
+        if self.estimator.unconsidered is not None:
+            self.check.step()
+        return self.estimator.think()
 
     def _unused(self, scan: Scan, skin_ns: int) -> Outcome:
         """The outcome of a scan that did not reach the estimator."""

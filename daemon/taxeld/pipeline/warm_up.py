@@ -9,6 +9,7 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.calibration_check import CalibrationCheck
 from taxeld.proposals.ladder import ClockNs, Ladder
 
 TOUCHES = 5  # touches on each rung; the first of all are slow, because their code is cold
@@ -35,13 +36,16 @@ def _costs_ns(subject: Estimator, poses: Poses, cpu: ClockNs) -> list[int]:
     model, costs = subject.model, list[int]()
     live = np.ones(len(model.layout), dtype=np.bool_)
     subject.reset()
+    check = CalibrationCheck(model, subject.config)
     for k, pose in enumerate(poses):
         pressed = model.activation(pose[None])[0]
         silent, spent = 0.0 * pressed, list[int]()
         for after_s, z in ((0.0, pressed), (0.05, pressed), (0.1, silent), (0.5, silent)):
-            start = cpu()
+            start, believed = cpu(), subject.estimate.modes
             subject.learn(Activation(k + after_s, z, live), se2.inverse(pose))
+            check.on_scan(subject.used, believed, subject.estimate.contacts)
             spent.append(cpu() - start)
+            check.step()
             subject.think()
         costs.append(max(spent))
     return costs

@@ -42,7 +42,7 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
             "poses_age_s": poses.age_s,
             "poses_offset_s": poses.offset_s,
         },
-        "calibration": told(pipeline.calibration, pipeline.estimator.calibration, t),
+        "calibration": told(pipeline.calibration, pipeline.check.doubt, t),
         "door": {
             "starts": daemon.door.starts,
             "confined": report.confined,

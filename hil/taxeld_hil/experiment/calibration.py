@@ -13,8 +13,8 @@ import numpy as np
 
 from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
-from taxeld.estimator.calibration_check import Suspect
 from taxeld.model import se2
+from taxeld.pipeline.calibration_check import Suspect
 from taxeld.skin.calibration import Calibration
 from taxeld_hil.calibration.calibrate import Result, fitted
 from taxeld_hil.calibration.observer import Observer
@@ -266,7 +266,7 @@ def noticed(
     ends = [IDLE_S + touch.end_s + SEEN_S for touch in plan.touches]
     for k in range(round(ends[-1] * RATE_HZ) + 1):
         run.step(k / RATE_HZ)
-        suspect = daemon.pipeline.estimator.calibration.suspect
+        suspect = daemon.pipeline.check.doubt.suspect
         if suspect is not Suspect.NONE:
             return int(np.searchsorted(ends, k / RATE_HZ)) + 1, suspect.name.lower()
     return 0, ""
