@@ -212,22 +212,22 @@ class Memory:
         begun[:1] = self.known
         return Runs(touch, silence, anything @ touch, anything @ silence, touched, begun)
 
-    def add(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> None:
-        """Remember a scan of contact `number`, or a silent scan after that contact. `log_z`: log
-        evidence of all that is remembered so far."""
+    def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
+        """A memory of one scan more, of contact `number`, or a silent scan after that contact.
+        `log_z`: log evidence of all that is remembered so far."""
         told = self._told(observation)
-        self.before = {(number + (not told.pressed)): log_z} | self.before
-        self._kept = np.concatenate([self._kept, told.kept[:, None]], axis=1)
-        self._sensor = np.concatenate([self._sensor, observation.sensor[None]])
-        self.number = _and(self.number, number)
-        self.newest = max(self.newest, number)
-        self.pressed = _and(self.pressed, told.pressed)
-        any_shape = told.untouched
-        if told.pressed:
-            any_shape = self._anything.log_density(observation)
-        self.anything = _and(self.anything, any_shape)
-        self._untouched = _and(self._untouched, told.untouched)
-        self._for_c = self._runs = None
+        anything = self._anything.log_density(observation) if told.pressed else told.untouched
+        made = copy.copy(self)
+        made._runs = made._for_c = None
+        made._kept = np.concatenate([self._kept, told.kept[:, None]], axis=1)
+        made._sensor = np.concatenate([self._sensor, observation.sensor[None]])
+        made.number = _and(self.number, number)
+        made.newest = max(self.newest, number)
+        made.pressed = _and(self.pressed, told.pressed)
+        made.anything = _and(self.anything, anything)
+        made._untouched = _and(self._untouched, told.untouched)
+        made.before = {number + (not told.pressed): log_z} | self.before
+        return made
 
     def _told(self, observation: Observation) -> Told:
         z, live, before = observation.z, observation.live, self._silence

@@ -9,7 +9,7 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
-from taxeld.estimator.estimate import SURE, Hypotheses, summarise
+from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, Hypotheses, summarise
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.push import STRIDE, Push, assumed, changed, push
@@ -31,6 +31,8 @@ SLACK_FROM = 3  # contacts: fewer agree with any slack
 SLACK_PARTICLES = 32  # particles that estimate the evidence of a slack
 SLACK_NATS = 1.0  # nats of evidence needed to change the slack
 FINE = np.array([0.004, 0.004, 0.06])  # m, m, rad: cells that measure the room that a belief takes
+AGREED = 2
+MISSED = 0.02  # probability that a belief has no particle where the object is, until then
 OTHER = 0.0  # log odds of another object before anything is felt
 REVISITS = 4  # second opinions after a contact, while there is nothing to learn
 
@@ -59,6 +61,7 @@ class Mixture:
         self.counters = EstimatorCounters()
         self.push: Push = push
         self._revisits = 0  # second opinions since the last contact
+        self._agreed = 0  # opinions in a row that left a sure belief in place
         self._fitted = 0  # number of the contact after which the slack was fitted
 
     def follow(self, before: Observation, after: Observation) -> None:
@@ -94,7 +97,7 @@ class Mixture:
         log_evidence = self._update(observation, samples, contacts)
         if log_evidence is None:
             return 0, 0.0
-        self._judge()
+        self._judge(opinions=int(len(samples) > 0))
         return len(samples), log_evidence
 
     def _update(self, observation: Observation, samples: Poses, number: int) -> float | None:
@@ -102,15 +105,14 @@ class Mixture:
         3) of that scan, without judging the result; → log evidence, None where nothing was
         learned."""
         self._age(number)
-        before = self.memory.runs.support(self.belief.remembered)
-        self.memory.add(observation, number, self.log_z)
-        newest = self.memory.explain_newest(self.belief.pose)
-        if not observation.is_contact and self.memory.anything[-1] - newest.min() < TELLING:
-            self.memory = self.memory.only(np.arange(len(self.memory)) < len(self.memory) - 1)
+        belief, before = self.belief, self.memory
+        memory = before.plus(observation, number, self.log_z)
+        newest = memory.explain_newest(belief.pose)
+        if not observation.is_contact and memory.anything[-1] - newest.min() < TELLING:
             return None
-        self.belief.remembered = np.column_stack([self.belief.remembered, newest])
-        now = self.memory.runs.support(self.belief.remembered)
-        evidence = pf.reweight(self.belief, now - before)
+        self.memory, known = memory, before.runs.support(belief.remembered)
+        belief.remembered = np.column_stack([belief.remembered, newest])
+        evidence = pf.reweight(belief, memory.runs.support(belief.remembered) - known)
         if evidence is None:
             self._begin_anew(observation, samples, number)
             return 0.0
@@ -136,7 +138,7 @@ class Mixture:
 
     @property
     def is_open(self) -> bool:
-        few = self._revisits < REVISITS and self.verdict.p < SURE
+        few = self._revisits < REVISITS and self._agreed < AGREED
         return few and int(np.count_nonzero(self.memory.contact)) > 1
 
     def revisit(self, draw: Draw) -> int:
@@ -150,8 +152,9 @@ class Mixture:
         if not len(samples):  # none were asked for, or there is no time
             return 0
         self._revisits += 1
-        self._become(self._merged(self._opinion(samples, scan)), moves=1)
-        self._judge()
+        opinion = self._opinion(samples, scan)
+        self._become(self._merged(opinion), moves=1)
+        self._judge(opinions=1)
         return len(samples)
 
     def _wanted(self) -> int:
@@ -161,7 +164,7 @@ class Mixture:
         size = config.particles_max if unlikely else len(self.belief)
         return round(config.injected * max(size / config.particles, 1.0))
 
-    def _judge(self) -> None:
+    def _judge(self, opinions: int) -> None:
         """Weigh the hypotheses, and find how sure the belief is."""
         belief, runs = self.belief, self.memory.runs
         if not len(self.memory):
@@ -181,7 +184,14 @@ class Mixture:
         stands = here * stood
         moved = here - stands + gone
         hypotheses = Hypotheses(stands, moved, max(1.0 - stands - moved, 0.0))
-        self.verdict = judge(belief, self.metric, self._config, hypotheses, here)
+        before = self.verdict.summary.modes[0].pose
+        verdict = judge(belief, self.metric, self._config, hypotheses, here)
+        apart = self.metric.distance(before, verdict.summary.modes[0].pose)
+        stays = verdict.p >= SURE and apart < MODE_RADIUS_M * self._scale
+        self._agreed = self._agreed + opinions if stays else 0
+        if self._agreed < AGREED:
+            verdict = replace(verdict, p=(1.0 - MISSED) * verdict.p)
+        self.verdict = verdict
 
     def _evidence(self, belief: Belief) -> float:
         """log ∫ ∏ p(z_k | q) dq over the volume where an object can be touched, in relation to
@@ -224,7 +234,7 @@ class Mixture:
         self.log_z = 0.0
         self.belief = anew(self._config, self._rng)
         if len(samples):
-            self.memory.add(observation, number, self.log_z)
+            self.memory = self.memory.plus(observation, number, self.log_z)
             opinion = pf.equal(samples, self.memory.explain(samples))
             self._become(opinion, moves=MOVES)
 

@@ -65,8 +65,7 @@ class Paper:
         """Learn from a scan and samples (S, 3) of it, without judging the result; → log
         evidence."""
         injection.paper(self.belief, samples)
-        memory = self._nothing.anew()
-        memory.add(observation)
+        memory = self._nothing.plus(observation)
         self.belief.remembered = memory.explain(self.belief.pose)
         evidence = pf.reweight(self.belief, self.belief.remembered[:, 0])
         if evidence is None:

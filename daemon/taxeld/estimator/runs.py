@@ -12,8 +12,8 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats
 
-HAZARD = 2e-3  # probability that the object moved between two contacts
-MEANINGLESS = 5e-4  # probability that a contact has nothing to do with the object
+HAZARD = 1e-4  # probability that the object moved between two contacts
+MEANINGLESS = 2e-5  # probability that a contact has nothing to do with the object
 
 
 @dataclass(frozen=True, slots=True)
