@@ -39,7 +39,7 @@ CURES = {  # the reason and its cure, in the width of a terminal (docs/stream.md
     Why.NO_POSE: "no sensor pose near the time of a scan: see Sensor poses",
     Why.MODULES_MISSING: "modules of skin.layout are on no hub: see Modules",
     Why.BLIND: "no live taxel where a touch is expected: turn the skin, see Dead taxels",
-    Why.INCONSISTENT: "another object, or that it moved, is likelier: taxeld reset",
+    Why.INCONSISTENT: "it moved, or is another object: taxeld reset; or poses err: theta, axes?",
     Why.UNTOUCHED: "nothing was touched yet: touch the object",
     Why.VAGUE: f"p is under {LEAST_P:.0%}: touch another side; is it this object?",
     Why.OUTSIDE: "outside filter.centre_m ± filter.half_width_m: widen or move that square",
