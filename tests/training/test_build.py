@@ -25,7 +25,7 @@ from taxeld_training.cli import main
 from taxeld_training.jobs import stages
 from taxeld_training.limits import quality
 from taxeld_training.samplers.candidates import choose
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
 from tests.rig.processes import read_all
 
 from . import rig
@@ -146,7 +146,10 @@ def test_another_depth_is_the_bundles_and_a_daemon_must_have_it(
     assert info["depth_max_m"] == DEPTH_M
     with pytest.raises(SetupError, match=f"was built for {DEPTH_M:g}"):
         bundle.load(str(built), layouts.load(SKIN), 0.005)
-    said = refused("scene", "003_cracker_box", "--depth-mm", 51, main=main)
+    scene = "scene", "003_cracker_box", "--depth-mm"
+    said = printed(*scene, 3, main=main)
+    assert "build 003_cracker_box --height-m 0.04 --depth-mm 3 --quick" in said
+    said = refused(*scene, 51, main=main)
     assert said == "taxeld-train: --depth-mm: must be 0.1..50, not 51\n"
 
 
