@@ -32,7 +32,7 @@ def main(endpoint: str) -> None:
         try:
             socket.bind(endpoint)
         except zmq.ZMQError as error:
-            sys.exit(f"{endpoint}: {error}")
+            sys.exit(f"{endpoint}: {error}; stop the program that has it, or name another")
         while True:
             t = time.time()  # when it was measured: not time.monotonic(), and not milliseconds
             x, y, theta = pose(t)

@@ -246,6 +246,9 @@ def test_remote_and_fd_frames_are_passed_over_and_counted(opened: Opened, bus: b
     assert (foreign(), skin.source.counters.noise) == (5, 0)
 
 
+APART_S = 0.03  # time between the answers to lines that came together
+
+
 class LateAdapter:
     """Lawicel's, on a pseudo-terminal, which answers each line later by the test's clock."""
 
@@ -265,7 +268,9 @@ class LateAdapter:
             lines, self._rest = split(self._rest + os.read(self._master, 4096))
             answers = [(line, self.adapter.host(line)[0]) for line in lines]
             self._answers += [
-                (now_s + self._late_s, a) for line, a in answers if line != self._mute
+                (now_s + self._late_s + k * APART_S, a)
+                for k, (line, a) in enumerate(answers)
+                if line != self._mute
             ]
         while self._answers and self._answers[0][0] <= now_s:
             os.write(self._master, self._answers.pop(0)[1])

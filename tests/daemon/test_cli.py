@@ -9,6 +9,7 @@ import pytest
 
 from taxeld_protocol import cyskin
 from tests.rig.commands import printed, refused
+from tests.rig.configurations import Table
 from tests.rig.recorded import golden, write_golden
 
 from ..firmware_protocol.test_cyskin import GOLDEN_SCAN
@@ -135,13 +136,26 @@ def test_what_is_no_session_is_named_as_such(tmp_path: Path) -> None:
         assert refused("replay", directory).startswith(f"{directory}: is no session (it has no ")
 
 
-def test_a_session_whose_bundle_stayed_elsewhere_says_where_to_name_it(place: Path) -> None:
-    golden(place, scene={"bundle": "objects/bracket"})
+@pytest.mark.parametrize(
+    ("tables", "line"),
+    [
+        (
+            {"scene": {"bundle": "objects/bracket"}},
+            "scene.bundle: no bundle 'objects/bracket'; shipped are box, mug; ",
+        ),
+        ({"skin": {"layout": "skin.json"}}, "skin.layout: skin.json: no such file; "),
+    ],
+    ids=["bundle", "layout"],
+)
+def test_a_session_whose_files_stayed_elsewhere_says_where_to_name_them(
+    place: Path, tables: dict[str, Table], line: str
+) -> None:
+    golden(place, **tables)
     told = refused("replay", place)
-    assert told.startswith("scene.bundle: no bundle 'objects/bracket'; shipped are box, mug; ")
+    assert told.startswith(line)
     assert told.endswith(
-        f"; a session does not hold its bundle: name it in {place}/config.toml, by its whole path, "
-        "or in another file with --config\n"
+        f"; a session does not hold its layout and its bundle: name them in {place}/config.toml, "
+        "by whole paths, or in another file with --config\n"
     )
 
 

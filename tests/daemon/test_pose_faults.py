@@ -131,7 +131,10 @@ def test_status_has_how_the_poses_come_and_what_is_wrong() -> None:
     assert rows()["Pose link     "] == "connected"  # as before the first health
     answer["sensor_pose"] = {"endpoint": ENDPOINT, "topics": [], "fault": watch.fault}
     assert rows()["Pose link     "] == f"connected to {ENDPOINT}"
-    assert rows()["Pose timing   "].startswith("100 a second, the last 0.01 s ago, their time 4.2 ")
+    timing = "100 a second, the last 0.01 s ago, their time 4.2 s "
+    assert rows()["Pose timing   "] == timing + "behind this clock"
+    health["inputs"]["poses_offset_s"] *= -1.0
+    assert rows()["Pose timing   "] == timing + "ahead of this clock"
     assert rows()["Pose fault    "] == watch.fault
     answer["sensor_pose"] = {"endpoint": "", "topics": [], "fault": ""}
     assert rows()["Sensor poses  "] == "sensor_pose.endpoint is empty: the sensor stands still"

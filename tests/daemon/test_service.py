@@ -75,6 +75,19 @@ def test_a_restarted_daemon_feels_what_is_held_from_the_first_scan(
     again.close()
 
 
+def test_a_skin_that_starts_with_the_vendors_pauses_is_not_warned_of(
+    tmp_path: Path, hub: Hub, caplog: pytest.LogCaptureFixture
+) -> None:
+    daemon = daemon_of(tmp_path)
+
+    def between() -> None:
+        hub.serve(time.monotonic(), lambda _: hub.skin.scan().counts)
+        daemon.stopping = hub.scans > 20
+
+    daemon.run(between)
+    assert [line for line in caplog.messages if line.startswith("status: ")] == []
+
+
 def test_doors_that_are_killed_cost_no_scan_and_no_record(tmp_path: Path, hub: Hub) -> None:
     daemon = daemon_of(tmp_path, Recorder(tmp_path / "session", moves=False))
     scans = daemon.pipeline.skin.counters

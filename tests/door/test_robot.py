@@ -152,6 +152,29 @@ def test_an_angle_of_a_turn_and_a_half_is_an_angle_in_radians() -> None:
     assert as_pose(framed(packed(theta=9.42))) == (1.0, 0.0, 0.0, 9.42)
 
 
+def test_a_robot_that_once_sent_degrees_is_not_heard_at_small_angles_until_it_comes_anew(
+    robot: Robot,
+) -> None:
+    def is_refused(**changes: object) -> None:
+        before = robot.line.malformed
+
+        def comes() -> bool:
+            robot.socket.send_multipart(framed(packed(**changes)))
+            return bool(robot.line.malformed > before + 20)
+
+        robot.stand.until(comes)
+
+    is_refused(theta=90.0)
+    is_refused(x=5.0, theta=1.0)
+    assert robot.line.reason.startswith("theta is beyond 1.5 turns")
+    robot.socket.close()
+    robot.stand.until(lambda: not robot.line.connected)
+    again = Robot(robot.stand, robot.endpoint)
+    robot.stand.until_bound(again.socket, robot.endpoint)
+    again.until_heard(6.0)
+    assert 5.0 not in {x for _, x, *_ in robot.stand.poses}
+
+
 @pytest.mark.parametrize(
     ("parts", "reason"),
     [

@@ -98,6 +98,13 @@ def test_the_library_needs_nothing_of_libc_but_memcpy_and_memset(
     assert {line.split()[0] for line in undefined.splitlines()} <= {"memcpy", "memset"}
 
 
+def test_the_pages_program_is_also_a_program_in_cpp(tmp_path: Path) -> None:
+    """As PlatformIO's frameworks compile a sketch."""
+    needed("c++")
+    strict = ["-x", "c++", "-std=c++11", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+    run("c++", *strict, "-c", C / "own_skin.c", "-o", tmp_path / "own_skin.o")
+
+
 @pytest.mark.parametrize(
     "found_by", ["find_package(taxeld_protocol 0.2 REQUIRED)", "add_subdirectory({C} taxeld)"]
 )

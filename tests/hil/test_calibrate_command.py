@@ -107,7 +107,7 @@ def test_a_session_without_a_robot_or_without_rest_is_refused(
     )
     hasty = tmp_path / "hasty"
     write_session(hasty, replace(skin, sensor=skin.sensor[:2]), idle_s=4.0)
-    assert "and its noise takes 10; touch nothing in the first minute" in refused(
+    assert "and to measure its noise takes 10 s; touch nothing in the first minute" in refused(
         "calibrate", hasty, "--out", tmp_path / "c.toml"
     )
     assert not (tmp_path / "c.toml").exists()

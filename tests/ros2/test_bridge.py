@@ -6,6 +6,7 @@ import re
 import signal
 import socket
 import sys
+import threading
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -85,9 +86,13 @@ def seconds(stamp: Any) -> float:
 
 
 def logged(process: Any, part: str) -> str:
-    """The first line on standard error that has `part`, without its time and level."""
+    """The first line on standard error that has `part`, without its time and level. A process that
+    does not say it is ended."""
+    patience = threading.Timer(PATIENCE_S, process.kill)
+    patience.start()
     for line in process.stderr:
         if part in line:
+            patience.cancel()
             return logged_as.messages(line)[0]
     raise AssertionError(f"{part!r} was not said")
 

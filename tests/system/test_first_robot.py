@@ -199,3 +199,13 @@ def test_the_example_publisher_is_heard_as_a_robot(tmp_path: Path) -> None:
     assert abs(x) < 1.0
     assert abs(y) < 1.0
     assert float(parts[2]) == pytest.approx(t, abs=1e-5)
+
+
+def test_a_second_example_publisher_at_a_port_says_so_in_a_line() -> None:
+    with zmq.Context() as context, context.socket(zmq.PUB) as socket:
+        endpoint = f"tcp://127.0.0.1:{socket.bind_to_random_port('tcp://127.0.0.1')}"
+        command = [sys.executable, str(ROOT / "examples" / "publish_pose.py"), endpoint]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr.count("\n")) == (1, 1)
+    assert ended.stderr.startswith(f"{endpoint}: Address already in use")
+    assert ended.stderr.endswith("stop the program that has it, or name another\n")

@@ -25,7 +25,7 @@ from taxeld_training.cli import main
 from taxeld_training.jobs import stages
 from taxeld_training.limits import quality
 from taxeld_training.samplers.candidates import choose
-from tests.rig.commands import refused
+from tests.rig.commands import printed, refused
 from tests.rig.processes import read_all
 
 from . import rig
@@ -45,7 +45,12 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     small = ["--effort", "0.01", "--contacts", "5000", "--bank", "5000", "--readings", "12"]
     small += ["--depth-mm", f"{1e3 * DEPTH_M:g}"]
     out, errors = io.StringIO(), io.StringIO()
-    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+    with (
+        contextlib.redirect_stdout(out),
+        contextlib.redirect_stderr(errors),
+        pytest.MonkeyPatch.context() as patch,
+    ):
+        patch.setattr("taxeld_training.build.FAR", 0.0)  # any samplers are poor
         assert main(arguments + small) == 0
     (place / "out").write_text(out.getvalue(), encoding="utf-8")
     (place / "errors").write_text(errors.getvalue(), encoding="utf-8")
@@ -96,6 +101,9 @@ def test_a_build_ends_with_what_it_made_how_good_and_what_to_do_next(built: Path
     assert heads == ["made", "samplers", "how good", "next", "took"]
     assert f"made       {built}: block on {SKIN}, " in text
     assert f"taxeld-hil run demo --object {built} --layout {SKIN} --out block_demo" in text
+    assert re.search(
+        r"\n +that is poor, .*\n +--effort 0\.03 would take about \d+ min here\n", text
+    )
 
 
 @pytest.mark.parametrize(
@@ -146,7 +154,10 @@ def test_another_depth_is_the_bundles_and_a_daemon_must_have_it(
     assert info["depth_max_m"] == DEPTH_M
     with pytest.raises(SetupError, match=f"was built for {DEPTH_M:g}"):
         bundle.load(str(built), layouts.load(SKIN), 0.005)
-    said = refused("scene", "003_cracker_box", "--depth-mm", 51, main=main)
+    scene = "scene", "003_cracker_box", "--depth-mm"
+    said = printed(*scene, 3, main=main)
+    assert "build 003_cracker_box --height-m 0.04 --depth-mm 3 --quick" in said
+    said = refused(*scene, 51, main=main)
     assert said == "taxeld-train: --depth-mm: must be 0.1..50, not 51\n"
 
 

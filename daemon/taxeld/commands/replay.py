@@ -98,13 +98,13 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     """
     where = str(directory) if session.has_poses(directory) else ""
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
-    skin = layouts.load(config.skin.layout)
     try:
+        skin = layouts.load(config.skin.layout)
         bundle.find(config.scene.bundle)
     except SetupError as error:
         raise SetupError(
-            f"{error}; a session does not hold its bundle: name it in "
-            f"{directory / session.CONFIG}, by its whole path, or in another file with --config"
+            f"{error}; a session does not hold its layout and its bundle: name them in "
+            f"{directory / session.CONFIG}, by whole paths, or in another file with --config"
         ) from None
     loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
     begun = session.begun(directory) if config.skin.calibration else 0.0

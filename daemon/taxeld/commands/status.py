@@ -99,7 +99,9 @@ def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator
     yield "Pose link", f"{link}{f' to {endpoint}' if endpoint else ''}"
     if inputs["poses_age_s"] >= 0.0:
         rate, age_s = inputs["poses_rate_hz"], inputs["poses_age_s"]
-        late = f"their time {inputs['poses_offset_s']:.3g} s behind this clock"
+        offset_s = inputs["poses_offset_s"]
+        side = "ahead of" if offset_s < 0.0 else "behind"
+        late = f"their time {abs(offset_s):.3g} s {side} this clock"
         yield "Pose timing", f"{rate:.4g} a second, the last {age_s:.3g} s ago, {late}"
     if sensor_pose.get("fault"):
         yield "Pose fault", sensor_pose["fault"]

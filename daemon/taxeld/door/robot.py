@@ -24,6 +24,8 @@ QUEUED = 256  # messages, between two looks as well
 POSE_FRAMES = 3
 POSE_KEYS = ("t", "x", "y", "theta")
 THETA_MAX = 3.0 * math.pi  # beyond it an angle is in degrees; smaller ones cannot be told
+DEGREES = "theta is beyond 1.5 turns: send radians from -pi to pi, not degrees"
+DEGREES_S = 30.0  # for so long after such an angle, the smaller ones of this robot are refused too
 NAME = re.compile(rb"[!-~]{0,%d}" % TOPIC_MAX)  # a topic up to where it is no text
 MESSAGE_BYTES = 65_536  # largest message under a topic that begins like ours
 EVENTS_PER_LOOK = 64
@@ -75,6 +77,7 @@ class Robot:
         self._pose_s = now_s  # when the last one came
         self._listens_s: float | None = None  # since when to other topics
         self._pauses_s = -math.inf  # until then not again
+        self._doubted_s = -math.inf  # until then small angles are taken to be in degrees
         self._open()
 
     def poll(self, now_s: float) -> bool:
@@ -146,6 +149,10 @@ class Robot:
                 known.append(name)
             return
         pose = as_pose(parts)
+        if pose == DEGREES:
+            self._doubted_s = now_s + DEGREES_S
+        elif now_s < self._doubted_s and not isinstance(pose, str):
+            pose = DEGREES
         if isinstance(pose, str):
             self.line.malformed += 1
             self.line.reason = pose[:REASON_MAX]
@@ -165,6 +172,7 @@ class Robot:
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
             line.connected, line.refused = True, False
             self._lost_s = self._half_open_s = None
+            self._doubted_s = -math.inf  # another publisher, or this one mended
         elif event == zmq.EVENT_CONNECTED:
             self._half_open_s = now_s if self._half_open_s is None else self._half_open_s
         elif event & FAILED:
@@ -210,5 +218,5 @@ def as_pose(parts: list[bytes]) -> Pose | str:
             return f"{key} is not finite: leave such a pose out"
     t, x, y, theta = (float(message[key]) for key in POSE_KEYS)
     if abs(theta) > THETA_MAX:
-        return "theta is beyond 1.5 turns: send radians from -pi to pi, not degrees"
+        return DEGREES
     return t, x, y, theta

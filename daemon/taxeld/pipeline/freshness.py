@@ -33,13 +33,13 @@ class Why(IntEnum):
 
 CURES = {  # the reason and its cure, in the width of a terminal (docs/stream.md)
     Why.VALID: "",
-    Why.NO_SCAN: "no scan comes from the skin: see Device and Frames",
+    Why.NO_SCAN: "no scan comes from the skin: see Device, Bus and Frames",
     Why.STARTING: "the idle baseline is being learned: leave the skin untouched",
     Why.SCANS_MISTIMED: "scans come too late, or from the future: see to load and clock",
     Why.NO_POSE: "no sensor pose near the time of a scan: see Sensor poses",
     Why.MODULES_MISSING: "modules of skin.layout are on no hub: see Modules",
     Why.BLIND: "no live taxel where a touch is expected: turn the skin, see Dead taxels",
-    Why.INCONSISTENT: "another object, or that it moved, is likelier: taxeld reset",
+    Why.INCONSISTENT: "it moved, or is another object: taxeld reset; or poses err: theta, axes?",
     Why.UNTOUCHED: "nothing was touched yet: touch the object",
     Why.VAGUE: f"p is under {LEAST_P:.0%}: touch another side; is it this object?",
     Why.OUTSIDE: "outside filter.centre_m ± filter.half_width_m: widen or move that square",

@@ -46,6 +46,7 @@ HEALTH_S = 1.0
 GATHER_S = 0.0002  # silence after a whole scan: its frames follow each other more closely
 GATHERS = 20  # looks at the device for further frames, GATHER_S apart
 TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
+START_S = 2.0  # time that a skin may take to start, before the lack of scans is a fault
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
 log = logging.getLogger(__name__)
@@ -150,7 +151,7 @@ class Daemon:
             model, ladder = self.pipeline.estimator.model, self.pipeline.ladder
             limit_ns = self._touch_ns(hubs=1)
             warm_up(model, ladder, self.config.filter, time.thread_time_ns, limit_ns)
-            self.pipeline.freshness.came(time.monotonic())  # as if a scan had come at the start
+            self.pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
             with realtime.thread(self.config.loop.priority) as self.realtime:
                 notifier.ready()
                 self._notices.ready(self.config, self._info, self.source.waits_for)

@@ -81,7 +81,7 @@ def mismatch(lacking: Sequence[int], of_layout: int, foreign: int, match: bool) 
         named = ", ".join(map(str, lacking[:NAMED])) + (", …" if len(lacking) > NAMED else "")
         parts.append(f"{len(lacking)} of its {of_layout} modules are on no hub (SUI {named})")
     if foreign:
-        parts.append(f"the hubs have {foreign} modules that it has not")
+        parts.append(f"the hubs have {foreign} modules that are not in it")
     if not parts:
         return ""
     cure = "; is it the layout of this skin?"

@@ -360,9 +360,8 @@ class BringUp:
         ihb, failed = packet.ihb, fields["failed"]
         sent = (asked for asked in self._sent if asked[0][0] in (ihb, BROADCAST))
         again = {((ihb, body), p): None for (_, body), p in sent if body[:1] == bytes((failed,))}
-        is_new = (
-            again.keys() - self._queue and failed not in VERSIONS
-        )  # asked once, before it sends
+        # versions are asked once: a hub that cannot tell them yet is started without
+        is_new = again.keys() - self._queue and failed not in VERSIONS
         if not is_new or self._now_s > self._step_s + BUSY_MOST_S:
             return
         why = f"{ErrorCode(fields['error']).name} to {Command(failed).name}"

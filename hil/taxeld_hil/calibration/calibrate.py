@@ -88,7 +88,7 @@ def fitted(observed: Observed, config: Config, placed: Poses | None) -> Result:
     if idle.seconds < LEAST_IDLE_S:
         raise SetupError(
             f"calibrate: the skin was left alone for {idle.seconds:.0f} s at the start, and "
-            f"its noise takes {LEAST_IDLE_S:.0f}; touch nothing in the first minute"
+            f"to measure its noise takes {LEAST_IDLE_S:.0f} s; touch nothing in the first minute"
         )
     if not len(presses):
         held = f"; {observed.unheld} were not held still" if observed.unheld else ""

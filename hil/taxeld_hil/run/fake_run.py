@@ -63,9 +63,8 @@ class FakeRun:
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
         self.judge = self.judging()
-        self._record: Callable[[Item], None] = lambda _: (
-            None
-        )  # called with each of the robot's poses
+        # called with each of the robot's poses
+        self._record: Callable[[Item], None] = lambda _: None
         self._seed = seed
         self._began_s = self._next_health_s = 0.0
 
