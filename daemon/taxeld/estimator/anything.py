@@ -10,9 +10,9 @@ import numpy as np
 
 from taxeld.model.observation import Noise, Observation, ObservationModel
 
-SHAPES = 512  # shapes, each with a depth and a side: a nat of the mean, about
+SHAPES = 384  # shapes, each with a depth and a side: a nat of the mean, about
 SIDE_RAD = math.radians(15.0)  # the side that is pressed is this near the middle of the readings
-NEAR_RAD = math.radians(75.0)  # taxels farther around the link are not reached
+NEAR_RAD = math.radians(60.0)  # taxels farther around the link are not reached
 BENDS = (0.0, 200.0)  # 1/m: from a flat side to an edge of 5 mm radius
 SLOPE_SD = 0.15  # sd of the surface's slope along the link
 BOW = 20.0  # 1/m: greatest bend along the link

@@ -12,7 +12,7 @@ from taxeld.model.symmetry import Mode, PoseMetric
 # Lengths are for an object of 0.05 m mean radius; they scale with the object.
 MODE_RADIUS_M = 0.02  # root-mean-square displacement of surface points
 MODES_MAX = 5
-MODE_CANDIDATES = 64
+MODE_CANDIDATES = 32
 SURE = 0.99  # least p of a converged estimate
 SEARCHING_WEIGHT = 0.2  # least weight of the heaviest mode: a lighter one is not worth reporting
 

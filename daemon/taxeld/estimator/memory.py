@@ -194,23 +194,17 @@ class Memory:
     def _in_steps(self) -> Runs:
         """A silent scan belongs to the next contact: the object may have moved since the last."""
         steps, which = np.unique(self.number + self.silent, return_inverse=True)
-        k, r, prior = len(self), len(steps), self.terms - len(self)
-        in_step = np.zeros((self.terms, r))
-        in_step[prior:][np.arange(k), which] = self.share
-        silence = in_step.copy()
-        silence[prior:][self.contact] = 0.0
-        if prior and r:
-            silence[0, 0] = 1.0
-        anything = np.append(np.zeros(prior), self.anything)
-        touch = in_step - silence
-        if prior and r:
-            touch[0, 0] = 0.0
+        prior, r = self.terms - len(self), len(steps)
+        shares = np.zeros((self.terms, 2 * r))
+        shares[:prior, r : r + 1] = 1.0  # what was known before the first step
+        self.of_scans(shares.T).T[np.arange(len(self)), which + r * self.silent] = self.share
+        usual = self.anything @ shares[prior:]
         touched = np.zeros(r, np.bool_)
         touched[which[self.contact]] = True
-        before = np.array([self.before[step] for step in steps.tolist()])
-        begun = before - before[:1] + np.log(HAZARD)
+        begun = np.array([self.before[step] for step in steps.tolist()])
+        begun += np.log(HAZARD) - begun[:1]
         begun[:1] = self.known
-        return Runs(touch, silence, anything @ touch, anything @ silence, touched, begun)
+        return Runs(shares, usual, touched, begun)
 
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
         """A memory of one scan more, of contact `number`, or a silent scan after that contact.

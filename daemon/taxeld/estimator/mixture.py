@@ -33,8 +33,9 @@ SLACK_NATS = 1.0  # nats of evidence needed to change the slack
 FINE = np.array([0.004, 0.004, 0.06])  # m, m, rad: cells that measure the room that a belief takes
 AGREED = 2
 MISSED = 0.02  # probability that a belief has no particle where the object is, until then
-OTHER = 0.0  # log odds of another object before anything is felt
-REVISITS = 4  # second opinions after a contact, while there is nothing to learn
+ALIKE = 3.0  # nats a contact, by which another object explains its own contacts better
+OTHER = -1.0  # log odds of another object before anything is felt
+REVISITS = 3  # second opinions after a contact, while there is nothing to learn
 
 
 class Mixture:
@@ -97,7 +98,9 @@ class Mixture:
         log_evidence = self._update(observation, samples, contacts)
         if log_evidence is None:
             return 0, 0.0
-        self._judge(opinions=int(len(samples) > 0))
+        # silence that the belief expected changes no verdict
+        if len(samples) or abs(log_evidence) > 1.0 - SURE:
+            self._judge(opinions=int(len(samples) > 0))
         return len(samples), log_evidence
 
     def _update(self, observation: Observation, samples: Poses, number: int) -> float | None:
@@ -170,20 +173,21 @@ class Mixture:
         if not len(self.memory):
             self.verdict = judge(belief, self.metric, self._config, Hypotheses(), 1.0)
             return
-        found = self._evidence(belief)
         each = runs.each(belief.remembered)
         each = np.exp(each - each.max(axis=1, keepdims=True))
         stood = float(belief.weight @ (each[:, 0] / each.sum(axis=1)))
-        # nobody knows where it is: something else since some step, or just moved
-        lost = runs.begun + np.append(OTHER, np.zeros(len(runs.begun) - 1))
-        weight = np.exp(np.append(found, lost) - max(found, lost.max()))
-        weight /= weight.sum()
-        gone = float(weight[-1]) if len(lost) > 1 else 0.0
-        here = float(weight[0])
-        self.log_z = float(np.logaddexp(found, lost[-1])) if len(lost) > 1 else found
+        found, lost = self._evidence(belief), runs.begun.copy()
+        self.log_z = float(np.logaddexp(found, lost[-1]))  # one contact alone tells nothing
+        if len(lost) == 1:
+            found = self.log_z
+        lost[0] += OTHER
+        lost += ALIKE * np.maximum(np.cumsum(runs.touched[::-1])[::-1] - 1, 0)
+        weight = np.exp(np.append(lost, found) - max(found, lost.max()))
+        *other, gone, here = (weight / weight.sum()).tolist()
+        if len(lost) == 1:
+            other, gone = [gone], 0.0
         stands = here * stood
-        moved = here - stands + gone
-        hypotheses = Hypotheses(stands, moved, max(1.0 - stands - moved, 0.0))
+        hypotheses = Hypotheses(stands, here - stands + gone, sum(other))
         before = self.verdict.summary.modes[0].pose
         verdict = judge(belief, self.metric, self._config, hypotheses, here)
         apart = self.metric.distance(before, verdict.summary.modes[0].pose)

@@ -12,28 +12,25 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats
 
-HAZARD = 1e-4  # probability that the object moved between two contacts
-MEANINGLESS = 2e-5  # probability that a contact has nothing to do with the object
+HAZARD = 2e-3  # probability that the object moved between two contacts
+MEANINGLESS = 1e-6  # probability that a contact has nothing to do with the object
 
 
 @dataclass(frozen=True, slots=True)
 class Runs:
     """K remembered scans in R steps: a contact, or the silence since the contact before."""
 
-    touch: Floats  # (terms, R) share of a scan in its step's contact
-    silence: Floats  # (terms, R) share of a silent scan, or of the prior, in its step
-    usual: Floats  # (R,) log-likelihood of a step's contact without this object
-    quiet: Floats  # (R,) the same of a step's silence
+    shares: Floats  # (terms, 2 R) a scan's share in its step's contact, then in its step's silence
+    usual: Floats  # (2 R,) log-likelihoods of the same without this object
     touched: Bools  # (R,) whether a step has a contact
     begun: Floats  # (R,) log prior of a run from each step on, with the evidence before it
 
     def each(self, explained: Floats) -> Floats:
         """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""
-        met = explained @ self.touch - self.usual
-        told = met[:, self.touched] + np.log1p(-MEANINGLESS)
-        met[:, self.touched] = np.logaddexp(told, np.log(MEANINGLESS))
-        met += explained @ self.silence - self.quiet
-        return np.asarray(np.cumsum(met[:, ::-1], axis=1)[:, ::-1] + self.begun)
+        touch, silence = np.hsplit(explained @ self.shares - self.usual, 2)
+        least = np.where(self.touched, np.log(MEANINGLESS), -np.inf)
+        met = np.logaddexp(touch, least) + silence
+        return np.asarray(met[:, ::-1].cumsum(axis=1)[:, ::-1] + self.begun)
 
     def support(self, explained: Floats) -> Floats:
         """Log-density of poses, up to the uniform prior's: explained (N, terms) → (N,)."""

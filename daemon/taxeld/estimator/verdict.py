@@ -7,9 +7,10 @@ import numpy as np
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import SEARCHING_WEIGHT, SURE, Hypotheses, Status, Summary, summarise
 from taxeld.estimator.particles import Belief
+from taxeld.model.observation import normal_cdf
 from taxeld.model.symmetry import PoseMetric
 
-TAIL = 1.5  # factor on the radius of a Gaussian's tail
+UNMODELLED_M = 0.0015  # sd of the pose beside the belief's own: robot, foam and shape err unmodelled
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +31,11 @@ def judge(
     summary = summarise(belief, metric)
     off = metric.distance(belief.pose, summary.modes[0].pose)
     weight = belief.weight
-    p = here * float(weight[off <= config.within_m].sum())
-    tail = float(np.sqrt(weight @ off**2 * -np.log(config.risk)))
-    radius_m = max(float(off.max()), TAIL * tail)
+    within = normal_cdf((config.within_m - off) / UNMODELLED_M)
+    tail = float(np.sqrt(-np.log(config.risk)))  # of a Gaussian in the plane, in root-mean-squares
+    spread_m = np.hypot(np.sqrt(weight @ off**2), UNMODELLED_M)
+    radius_m = max(float(off.max()) + tail * UNMODELLED_M, tail * float(spread_m))
+    p = here * float(weight @ within)
     return Verdict(summary, p, radius_m, hypotheses)
 
 
