@@ -130,14 +130,12 @@ class Mixture:
     def _age(self, number: int) -> None:
         """Let the remembered scans age when a contact begins, as the object may have moved."""
         memory, belief = self.memory, self.belief
-        nudge_m = memory.slack.nudge_m * memory.slack.scale
-        if not nudge_m or not len(memory) or number <= memory.newest:
+        if not memory.slack.nudge_m or not len(memory) or number <= memory.newest:
             return
         memory.newest = number
-        step = nudge_m * self._rng.standard_normal((len(belief), 3))
-        step[:, 2] /= max(self.metric.arm_m, nudge_m)
-        belief.pose = belief.pose + step
-        belief.remembered = memory.explain(belief.pose)
+        aged, support = memory.explain(belief.pose), memory.runs.support
+        pf.reweight(belief, support(aged) - support(belief.remembered))
+        belief.remembered = aged
 
     @property
     def is_open(self) -> bool:
