@@ -57,8 +57,7 @@ class PeerScans:
 
     def log_likelihood(self, k: int, poses: np.ndarray) -> np.ndarray:
         """Log likelihood (N,) of poses (N, 3) for scan `k`, as for a new scan."""
-        memory = self.nothing.anew()
-        memory.add(self.observations[k % len(self.observations)])
+        memory = self.nothing.plus(self.observations[k % len(self.observations)])
         return memory.explain(poses)[:, 0]
 
 
@@ -75,7 +74,7 @@ def ours(
         rule.belief = pf.equal(start.copy(), np.empty((n, 0)))
         if isinstance(rule, Mixture):
             for number, observation in enumerate(scans.observations[:TOUCHES], 1):
-                rule.memory.add(observation, number)
+                rule.memory = rule.memory.plus(observation, number)
             rule.belief.remembered = rule.memory.explain(start)
         return rule
 

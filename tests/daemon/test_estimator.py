@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from taxeld.estimator.confidence import Confidence
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import mixture
 from taxeld.estimator import particles as pf
-from taxeld.estimator.confidence import Confidence
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import ROOM, SILENT_MAX, Mixture

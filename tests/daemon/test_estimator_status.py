@@ -3,10 +3,10 @@
 from dataclasses import replace
 
 import numpy as np
+from taxeld.estimator.confidence import LEAST, status
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
-from taxeld.estimator.confidence import LEAST, status
 from taxeld.estimator.estimate import Estimate, Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import REVISITS, Mixture

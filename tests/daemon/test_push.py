@@ -5,9 +5,9 @@ import pytest
 
 from taxeld.arrays import Poses
 from taxeld.estimator import particles as pf
-from taxeld.estimator.push import assumed, changed, push
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
+from taxeld.model.push import assumed, changed, push
 from taxeld.model.symmetry import PoseMetric
 
 DEPTH_M = 0.003

@@ -13,7 +13,7 @@ from taxeld.model.observation import Noise, Observation, ObservationModel
 SHAPES = 384  # shapes, each with a depth and a side: a nat of the mean, about
 SIDE_RAD = math.radians(15.0)  # the side that is pressed is this near the middle of the readings
 NEAR_RAD = math.radians(60.0)  # taxels farther around the link are not reached
-BENDS = (0.0, 200.0)  # 1/m: from a flat side to an edge of 5 mm radius
+BEND = 200.0  # 1/m: sharpest bend, an edge of 5 mm radius; the roots of bends are uniform
 SLOPE_SD = 0.15  # sd of the surface's slope along the link
 BOW = 20.0  # 1/m: greatest bend along the link
 
@@ -33,8 +33,7 @@ class Anything:
         self._depth_max_m = model.depth_max_m
         self._inside = model.depth_max_m * rng.random((SHAPES, 1))
         self._turn = SIDE_RAD * rng.uniform(-1.0, 1.0, (SHAPES, 1))
-        bend = rng.uniform(*np.sqrt(BENDS), (SHAPES, 1)) ** 2
-        self._bend = bend
+        self._bend = BEND * rng.random((SHAPES, 1)) ** 2
         middle = rng.uniform(heights[0], heights[-1], (SHAPES, 1))
         along = heights - middle
         bow = BOW * rng.random((SHAPES, 1)) * (rng.random((SHAPES, 1)) < 0.5)

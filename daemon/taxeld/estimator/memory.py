@@ -270,10 +270,12 @@ class Memory:
         made.before = {step: log_z for step, log_z in self.before.items() if step in steps}
         return made
 
-    def anew(self, prior: Prior | None = None) -> "Memory":
-        """An empty memory of the same model and slack."""
+    def anew(self, prior: Prior | None = None, log_z: float = 0.0) -> "Memory":
+        """An empty memory of the same model and slack, and what was known before, with its log
+        evidence."""
         made = copy.copy(self)
         made._forget(prior)
+        made.known = log_z
         return made
 
     def slack_m(self, k: int) -> float:

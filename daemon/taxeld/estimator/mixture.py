@@ -1,5 +1,5 @@
-"""The rule that remembers: samples are merged with the belief by their evidence, and the past is
-dropped when the object has moved."""
+"""The rule that remembers: samples are brought to explain all that is remembered, and merged with
+the belief by their evidence."""
 
 from dataclasses import replace
 
@@ -10,32 +10,25 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, Hypotheses, summarise
+from taxeld.estimator.evidence import Evidence
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
-from taxeld.estimator.push import STRIDE, Push, assumed, changed, push
 from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
 from taxeld.estimator.verdict import judge
 from taxeld.model.observation import Observation, ObservationModel
-from taxeld.model.scene import CONTINUOUS
+from taxeld.model.push import STRIDE, Push, assumed, changed, push
 from taxeld.model.symmetry import PoseMetric
 
 ROOM = 3.0  # half-widths of the table around the last touch: the whole table, and more
 MOVES = 2  # Metropolis steps a contact
 REMEMBERED = 16  # scans of touches remembered at most
 SILENT_MAX = 32  # silent scans remembered at most
-TELLING = 1.0  # nats of range over the particles; a less telling silent scan is not remembered
-KLD_ERROR = 0.05  # nats between a wide belief and its particles
-KLD_CONFIDENCE = 0.99  # probability of no more than KLD_ERROR
+TELLING = 1.0  # nats that a silent scan must cost some particle to be remembered
 SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # candidate factors on the configured slack
-SLACK_FROM = 3  # contacts: fewer agree with any slack
-SLACK_PARTICLES = 32  # particles that estimate the evidence of a slack
 SLACK_NATS = 1.0  # nats of evidence needed to change the slack
-FINE = np.array([0.004, 0.004, 0.06])  # m, m, rad: cells that measure the room that a belief takes
-AGREED = 2
-MISSED = 0.02  # probability that a belief has no particle where the object is, until then
-ALIKE = 3.0  # nats a contact, by which another object explains its own contacts better
-OTHER = -1.0  # log odds of another object before anything is felt
-REVISITS = 3  # second opinions after a contact, while there is nothing to learn
+REVISITS = 3  # second opinions after a contact, at most
+AGREED = 2  # opinions in a row that leave a sure belief in place are enough
+MISSED = 0.02  # probability, until then, that no particle is where the object is
 
 
 class Mixture:
@@ -56,8 +49,7 @@ class Mixture:
         self.metric = PoseMetric(model.scene)
         self.log_z = 0.0  # log evidence of this object, in relation to readings without it
         self._scale = self.metric.scale
-        self._cell = np.array([self._scale, self._scale, 1.0])
-        self._log_cells = _log_cells(model, FINE * self._cell)
+        self._evidence = Evidence(model, self.metric)
         self.verdict = judge(self.belief, self.metric, config, Hypotheses(), 1.0)
         self.counters = EstimatorCounters()
         self.push: Push = push
@@ -87,10 +79,8 @@ class Mixture:
         strides = pushed_m / (STRIDE * self._model.scene.mean_radius)
         belief.ground = changed(belief.ground, strides, self._rng)
         modes = summarise(belief, metric).modes
-        volume = self._log_cells + float(np.log((FINE * self._cell).prod()))
-        prior = Prior(metric, pose, belief.weight, modes, volume)
-        self.memory = self.memory.anew(prior)
-        self.memory.known = self.log_z
+        prior = Prior(metric, pose, belief.weight, modes, self._evidence.log_volume)
+        self.memory = self.memory.anew(prior, self.log_z)
         belief.remembered = self.memory.explain(pose)
 
     def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
@@ -166,67 +156,40 @@ class Mixture:
         return round(config.injected * max(size / config.particles, 1.0))
 
     def _judge(self, opinions: int) -> None:
-        """Weigh the hypotheses, and find how sure the belief is."""
-        belief, runs = self.belief, self.memory.runs
-        if not len(self.memory):
-            self.verdict = judge(belief, self.metric, self._config, Hypotheses(), 1.0)
-            return
-        each = runs.each(belief.remembered)
-        each = np.exp(each - each.max(axis=1, keepdims=True))
-        stood = float(belief.weight @ (each[:, 0] / each.sum(axis=1)))
-        found, lost = self._evidence(belief), runs.begun.copy()
-        self.log_z = float(np.logaddexp(found, lost[-1]))  # one contact alone tells nothing
-        if len(lost) == 1:
-            found = self.log_z
-        lost[0] += OTHER
-        lost += ALIKE * np.maximum(np.cumsum(runs.touched[::-1])[::-1] - 1, 0)
-        weight = np.exp(np.append(lost, found) - max(found, lost.max()))
-        *other, gone, here = (weight / weight.sum()).tolist()
-        if len(lost) == 1:
-            other, gone = [gone], 0.0
-        stands = here * stood
-        hypotheses = Hypotheses(stands, here - stands + gone, sum(other))
-        before = self.verdict.summary.modes[0].pose
+        """Weigh the hypotheses, and find how sure the belief is, after so many opinions more."""
+        belief, before = self.belief, self.verdict.summary.modes[0].pose
+        hypotheses, here = Hypotheses(), 1.0
+        if len(self.memory):
+            weighed = self._evidence.hypotheses(belief, self.memory.runs)
+            hypotheses, here, self.log_z = weighed
         verdict = judge(belief, self.metric, self._config, hypotheses, here)
         apart = self.metric.distance(before, verdict.summary.modes[0].pose)
         stays = verdict.p >= SURE and apart < MODE_RADIUS_M * self._scale
         self._agreed = self._agreed + opinions if stays else 0
-        if self._agreed < AGREED:
-            verdict = replace(verdict, p=(1.0 - MISSED) * verdict.p)
-        self.verdict = verdict
-
-    def _evidence(self, belief: Belief) -> float:
-        """log ∫ ∏ p(z_k | q) dq over the volume where an object can be touched, in relation to
-        readings without the object: the mean logarithm of the integrand plus the belief's entropy,
-        measured by the cells that it occupies."""
-        support = self.memory.runs.support(belief.remembered)
-        cells = pf.occupied(self.metric.reduced(belief.pose), FINE * self._cell)
-        return float(belief.weight @ support) + float(np.log(cells)) - self._log_cells
+        searched = 1.0 if self._agreed >= AGREED else 1.0 - MISSED
+        self.verdict = replace(verdict, p=searched * verdict.p)
 
     def _fit_slack(self) -> None:
         """Fit the slack to the evidence: contacts that agree exactly are believed exactly, others
         get more room. Each contact moves the slack by one step."""
         memory, belief = self.memory, self.belief
         now = memory.slack
-        if memory.newest == self._fitted or memory.contacts < SLACK_FROM:
-            return
-        if not (now.robot_m or now.nudge_m):
+        if memory.newest == self._fitted or not (now.robot_m or now.nudge_m):
             return
         self._fitted = memory.newest
         support = memory.runs.support
-        some = slice(None, None, -(-len(belief) // SLACK_PARTICLES))
-        pose, usual = belief.pose[some], support(belief.remembered[some])
+        usual = support(belief.remembered)
         at = int(np.flatnonzero(now.scale == SCALES)[0])
         gained = {}
         for scale in SCALES[max(at - 1, 0) : at + 2].tolist():
             if scale != now.scale:
                 memory.slack = replace(now, scale=scale)
-                gained[memory.slack] = _log_mean(support(memory.explain(pose)) - usual)
+                gained[memory.slack] = _log_mean(support(memory.explain(belief.pose)) - usual)
         likeliest = max(gained, key=gained.__getitem__)
         memory.slack = likeliest if gained[likeliest] > SLACK_NATS else now
         if memory.slack is not now:
             remembered = memory.explain(belief.pose)
-            pf.reweight(belief, support(remembered) - support(belief.remembered))
+            pf.reweight(belief, support(remembered) - usual)
             belief.remembered = remembered
             self._become(belief, moves=1)
 
@@ -269,7 +232,10 @@ class Mixture:
         if belief.ground.size:
             apart = self.metric.distance(opinion.pose[:, None], belief.pose[None])
             opinion.ground = belief.ground.take(apart.argmin(axis=1), axis=0)
-        return injection.merge(belief, self._evidence(belief), opinion, self._evidence(opinion))
+        runs, evidence = self.memory.runs, self._evidence
+        return injection.merge(
+            belief, evidence.of(belief, runs), opinion, evidence.of(opinion, runs)
+        )
 
     def _become(self, belief: Belief, moves: int) -> None:
         """Resample to the number of equal particles that this width needs, and separate the
@@ -292,9 +258,7 @@ class Mixture:
             return config.particles
         drawn = pf.resample(belief, config.particles, self._rng)
         wanted = pf.enough(
-            pf.occupied(self.metric.reduced(drawn.pose), pf.CELL * self._cell),
-            KLD_ERROR,
-            KLD_CONFIDENCE,
+            pf.occupied(self.metric.reduced(drawn.pose), pf.CELL * [self._scale, self._scale, 1.0])
         )
         return min(max(wanted, config.particles), config.particles_max)
 
@@ -321,16 +285,6 @@ class Mixture:
         self.memory.of_scans(terms)[:] = kept
         self.memory = self.memory.only(kept)
         self.belief.remembered = self.belief.remembered[:, terms]
-
-
-def _log_cells(model: ObservationModel, cell: Floats) -> float:
-    """Logarithm of the cells (3,) of SE(2) where an object can be touched: the link's axis stands
-    beside its outline, within its width, at any yaw."""
-    scene = model.scene
-    outline_m = float(np.linalg.norm(np.diff(scene.outline, axis=0), axis=1).sum())
-    area = (outline_m + 2.0 * np.pi * model.layout.radius_m) * model.depth_max_m
-    turns = 1.0 if scene.symmetry == CONTINUOUS else 2.0 * np.pi / scene.symmetry / cell[2]
-    return float(np.log(area / cell[:2].prod() * turns))
 
 
 def _log_mean(values: Floats) -> float:

@@ -8,10 +8,10 @@ from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import Hypotheses
 from taxeld.estimator.memory import Memory
-from taxeld.estimator.push import assumed, push
 from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
 from taxeld.estimator.verdict import judge
 from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.push import assumed, push
 from taxeld.model.symmetry import PoseMetric
 
 INJECTED_DECAY = 0.5  # samples of a contact, of those of the contact before

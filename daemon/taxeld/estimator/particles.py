@@ -25,6 +25,7 @@ MOVE = np.array([0.002, 0.002, 0.02])  # m, m, rad: sd of a random step, times 2
 MOVE_OCTAVES = (-2.5, 1.5)  # range of u: coarse steps separate the copies, fine ones settle them
 # factors on the difference of two other particles, for half of the steps
 DIFFERENCES = np.array([0.3, 0.7, 1.0])
+KLD_ERROR = 0.05  # nats between a wide belief and its particles
 CELL = np.array([0.01, 0.01, np.radians(10.0)])  # m, m, rad: cells of SE(2)
 
 
@@ -183,15 +184,15 @@ def occupied(poses: Poses, cell: Floats = CELL) -> int:
     return 1 + int(np.count_nonzero(np.diff(cells)))
 
 
-def enough(cells: int, error: float, confidence: float) -> int:
+def enough(cells: int) -> int:
     """The particles that a belief over `cells` cells needs for a Kullback–Leibler divergence from
-    its own histogram of at most `error`, with probability `confidence` (KLD-sampling, Fox 2003, eq.
+    its own histogram of at most `KLD_ERROR`, with probability 0.99 (KLD-sampling, Fox 2003, eq.
     7)."""
     if cells < 2:
         return 1
     k = cells - 1
-    root = 1.0 - 2.0 / (9.0 * k) + np.sqrt(2.0 / (9.0 * k)) * NormalDist().inv_cdf(confidence)
-    return int(np.ceil(k / (2.0 * error) * root**3))
+    root = 1.0 - 2.0 / (9.0 * k) + np.sqrt(2.0 / (9.0 * k)) * NormalDist().inv_cdf(0.99)
+    return int(np.ceil(k / (2.0 * KLD_ERROR) * root**3))
 
 
 def _log_sum_exp(values: Floats) -> float:

@@ -10,7 +10,7 @@ from taxeld.estimator.particles import Belief
 from taxeld.model.observation import normal_cdf
 from taxeld.model.symmetry import PoseMetric
 
-UNMODELLED_M = 0.0015  # sd of the pose beside the belief's own: robot, foam and shape err unmodelled
+UNMODELLED_M = 0.002  # sd of the pose beside the belief's own: robot, foam and shape err unmodelled
 
 
 @dataclass(frozen=True, slots=True)

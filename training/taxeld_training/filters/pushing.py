@@ -14,9 +14,9 @@ from typing import Self
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
-from taxeld.estimator.push import Push
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
+from taxeld.model.push import Push
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
 from taxeld_training.filters.conditions import TrialConditions, TrialSkin

@@ -16,7 +16,7 @@ import numpy as np
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import MODE_CANDIDATES, MODE_RADIUS_M, MODES_MAX
 from taxeld.estimator.memory import Slack
-from taxeld.estimator.mixture import SCALES, SLACK_FROM
+from taxeld.estimator.mixture import SCALES
 from taxeld.model import contacts, se2
 from taxeld.model.observation import Noise, Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
@@ -28,6 +28,7 @@ COARSE = 0.5  # information in a cell from which it is halved: an extent of 2.4 
 SHARE = 3e-4  # share of the belief; a cell that cannot weigh more may stay coarse
 CELLS = 60_000  # most cells; beyond them none is halved
 TOUCH_SIGMAS = 5.0  # a reading of so many σ is a touch: one of 3·10⁶ silent taxels reads as much
+SLACK_FROM = 3  # contacts: fewer agree with any slack
 PICKED = 32 * MODE_CANDIDATES  # poses among which modes are sought
 RECENT = 3  # contacts; the strongest of their touches is tiled, as a weak one may be noise
 MARGIN_SD = 3.0  # standard deviations of the tiled touch's offset
