@@ -21,7 +21,7 @@ OTHER = -1.0  # log odds of another object before anything is felt
 ALIKE = 3.0  # nats a contact after its first, by which another object explains itself better
 
 
-class Evidence:
+class ModelEvidence:
     """Of beliefs about one object on one skin."""
 
     def __init__(self, model: ObservationModel, metric: PoseMetric) -> None:

@@ -196,7 +196,7 @@ class Memory:
         steps, which = np.unique(self.number + self.silent, return_inverse=True)
         prior, r = self.terms - len(self), len(steps)
         shares = np.zeros((self.terms, 2 * r))
-        shares[:prior, r : r + 1] = 1.0  # what was known before the first step
+        shares[:prior, r : r + 1] = 1.0  # the prior counts in the first step
         self.of_scans(shares.T).T[np.arange(len(self)), which + r * self.silent] = self.share
         usual = self.anything @ shares[prior:]
         touched = np.zeros(r, np.bool_)

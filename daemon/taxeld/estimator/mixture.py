@@ -10,7 +10,7 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, Hypotheses, summarise
-from taxeld.estimator.evidence import Evidence
+from taxeld.estimator.evidence import ModelEvidence
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
@@ -49,7 +49,7 @@ class Mixture:
         self.metric = PoseMetric(model.scene)
         self.log_z = 0.0  # log evidence of this object, in relation to readings without it
         self._scale = self.metric.scale
-        self._evidence = Evidence(model, self.metric)
+        self._evidence = ModelEvidence(model, self.metric)
         self.verdict = judge(self.belief, self.metric, config, Hypotheses(), 1.0)
         self.counters = EstimatorCounters()
         self.push: Push = push
@@ -162,6 +162,7 @@ class Mixture:
         if len(self.memory):
             weighed = self._evidence.hypotheses(belief, self.memory.runs)
             hypotheses, here, self.log_z = weighed
+        self.counters.forgotten += hypotheses.moved > 0.5 >= self.verdict.hypotheses.moved
         verdict = judge(belief, self.metric, self._config, hypotheses, here)
         apart = self.metric.distance(before, verdict.summary.modes[0].pose)
         stays = verdict.p >= SURE and apart < MODE_RADIUS_M * self._scale
