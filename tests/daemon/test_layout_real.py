@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 DATA = Path(os.environ.get("TAXELD_SHARED", ROOT / ".." / "shared")) / "data"
 REAL = DATA / "layouts"
 POSITIONS = DATA / "icub_positions"
-DOCUMENTED = ROOT / "docs" / "configuration.md"
+DOCUMENTED = ROOT / "docs" / "results" / "icub_positions.md"
 
 
 def documented() -> list[tuple[str, list[int], str, bool]]:

@@ -93,11 +93,11 @@ def test_a_change_of_status_is_logged_once(
     stale = replace(estimate, status=Status.STALE)
     told.estimate(stale, Why.NO_SCAN, "no scan comes", 0.1)
     assert logged() == ["WARNING: status: stale, not valid, 0 contacts: no scan comes"]
-    sure = replace(estimate, p=0.9962, radius_m=0.0048)
+    sure = replace(estimate, p=0.9962, radius_m=0.0088)
     told.estimate(sure, Why.VALID, "", 0.2)
     (line,) = logged()
     assert line.startswith("INFO: status: searching, valid, 0 contacts, x ")
-    assert line.endswith(" rad, p 99.6%, radius 4.8 mm")
+    assert line.endswith(" rad, p 99.6%, radius 8.8 mm")
 
 
 def test_a_status_that_flickers_does_not_fill_the_log(

@@ -153,12 +153,12 @@ def test_status_says_why_an_estimate_is_not_valid() -> None:
 @pytest.mark.parametrize(
     ("said", "line"),
     [
-        ({}, "p 99.6%, radius 4.8 mm"),
+        ({}, "p 99.6%, radius 8.8 mm"),
         (
             {"p": 0.6, "hypotheses": {"stands": 0.7, "moved": 0.1, "other": 0.2}},
-            "p 60.0%, radius 4.8 mm; stands 70%, moved 10%, other 20%",
+            "p 60.0%, radius 8.8 mm; stands 70%, moved 10%, other 20%",
         ),
-        ({"p": 0.5, "status": Status.AMBIGUOUS}, "p 50.0%, radius 4.8 mm; touch another side"),
+        ({"p": 0.5, "status": Status.AMBIGUOUS}, "p 50.0%, radius 8.8 mm; touch another side"),
     ],
 )
 def test_p_and_radius_are_told_and_what_else_it_may_be(said: dict[str, Any], line: str) -> None:

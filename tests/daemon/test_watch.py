@@ -100,7 +100,7 @@ def test_modes_rates_latencies_and_the_age_of_the_sensor_pose_are_told() -> None
     assert "20.3 scans/s" in text
     assert "sensor pose 8 ms old" in text
     assert ", p 99.6%" in text
-    assert "radius  4.8 mm; all particles 1.0 mm, 0.9 mm, 0.5° (1 sd)" in text
+    assert "radius  8.8 mm; all particles 1.0 mm, 0.9 mm, 0.5° (1 sd)" in text
     assert "3.90" in text, "what the filter took now, in milliseconds"
     assert "6 frames dropped" not in text
 

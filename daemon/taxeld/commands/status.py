@@ -46,7 +46,7 @@ def estimate_rows(e: dict[str, Any], reason: str = "") -> Iterator[tuple[str, st
 
 
 def _certainty(e: dict[str, Any]) -> str:
-    """`p` and `radius_m`; the hypotheses where another than `stands` lowers `p`."""
+    """`p` and `radius_m`; the hypotheses where another than `stands` need be thought of."""
     line = f"p {e['p']:.1%}, radius {1e3 * e['radius_m']:.1f} mm"
     if e["hypotheses"]["stands"] < STANDS:
         line += "; " + ", ".join(f"{name} {p:.0%}" for name, p in e["hypotheses"].items())

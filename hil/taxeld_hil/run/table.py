@@ -1,4 +1,4 @@
-"""The fault table of docs/harness.md, from the grades of shipped scenarios."""
+"""The fault table of docs/results/faults.md, from the grades of shipped scenarios."""
 
 from collections.abc import Iterable, Iterator
 from typing import Any
