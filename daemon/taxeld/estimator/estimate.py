@@ -23,10 +23,10 @@ class Status(IntEnum):
     STARTING = 0  # the idle baseline is being learned
     SEARCHING = 1  # nothing touched yet, or too little
     AMBIGUOUS = 2  # several modes explain the contacts
-    CONVERGED = 3  # one mode, narrow, and a contact since has confirmed it
+    CONVERGED = 3  # p is at least SURE
     BLIND = 4  # no live taxel, or none where contact is expected
     STALE = 5  # no fresh scan or sensor pose
-    INCONSISTENT = 6  # no pose explains the readings: another object, moved, or a broken skin
+    INCONSISTENT = 6  # another object, or one that has moved, is likelier
 
 
 class ProposalKind(IntEnum):

@@ -1,8 +1,8 @@
 """The estimator: activations and sensor poses in, estimates out. No clock, no socket, no file.
 
 It takes the usable part of a scan (`intake`), picks the scans to learn from (`news`), has the
-belief learn from them by the configured rule (`rule`), and judges the result (`confidence`).
-docs/estimator.md follows a contact through these.
+belief learn from them by the configured rule (`rule`), which also says how sure it is (`verdict`).
+docs/estimator.md is the model behind these.
 """
 
 from collections.abc import Callable
