@@ -136,7 +136,6 @@ class Memory:
         self.anything = np.empty(0)  # (K,) log p(scan | whatever was pressed, or nothing)
         self._untouched = np.empty(0)
         self.before: dict[int, float] = {}  # log evidence of all before a step
-        self.known = 0.0  # log evidence of all before the first step
         self._runs: Runs | None = None  # cached `runs`
         self._for_c: tuple[tuple[int, int, Slack], Scans] | None = None
 
@@ -163,17 +162,6 @@ class Memory:
         """(2,) the sensor's place in the world at the newest contact; None without a contact."""
         touches = np.flatnonzero(self.contact)
         return self._sensor[touches[-1], :2] if len(touches) else None
-
-    @property
-    def contacts(self) -> int:
-        """The number of different contacts."""
-        return len(np.unique(self.number[self.contact]))
-
-    @property
-    def oldest(self) -> int:
-        """The number of the oldest remembered contact; 0 without one."""
-        numbers = self.number[self.contact]
-        return int(numbers[0]) if len(numbers) else 0
 
     @property
     def share(self) -> Floats:
@@ -203,7 +191,7 @@ class Memory:
         touched[which[self.contact]] = True
         begun = np.array([self.before[step] for step in steps.tolist()])
         begun += np.log(HAZARD) - begun[:1]
-        begun[:1] = self.known
+        begun[:1] = 0.0  # what is remembered counts
         return Runs(shares, usual, touched, begun)
 
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
@@ -270,12 +258,10 @@ class Memory:
         made.before = {step: log_z for step, log_z in self.before.items() if step in steps}
         return made
 
-    def anew(self, prior: Prior | None = None, log_z: float = 0.0) -> "Memory":
-        """An empty memory of the same model and slack, and what was known before, with its log
-        evidence."""
+    def anew(self, prior: Prior | None = None) -> "Memory":
+        """An empty memory of the same model and slack, with what was known before."""
         made = copy.copy(self)
         made._forget(prior)
-        made.known = log_z
         return made
 
     def slack_m(self, k: int) -> float:

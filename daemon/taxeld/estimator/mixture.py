@@ -80,7 +80,7 @@ class Mixture:
         belief.ground = changed(belief.ground, strides, self._rng)
         modes = summarise(belief, metric).modes
         prior = Prior(metric, pose, belief.weight, modes, self._evidence.log_volume)
-        self.memory = self.memory.anew(prior, self.log_z)
+        self.memory, self.log_z = self.memory.anew(prior), 0.0
         belief.remembered = self.memory.explain(pose)
 
     def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
