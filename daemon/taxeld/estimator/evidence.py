@@ -48,18 +48,20 @@ class ModelEvidence:
         """→ the hypotheses; the probability that the object is where the belief has it; and the log
         evidence of this object, wherever it is."""
         found, stood = self.of(belief, runs), _stood(belief, runs)
-        log_z = float(np.logaddexp(found, runs.begun[-1]))  # one contact alone tells nothing
-        since = np.cumsum(runs.touched[::-1])[::-1]  # contacts since each step
-        other: Floats = runs.begun + ALIKE * np.maximum(since - 1, 0)
+        other: Floats = runs.begun.copy()
         other[0] += OTHER
-        if len(other) == 1:
-            found, gone = log_z, -np.inf
-        else:  # since the last step nobody knows where this object is
-            other, gone = other[:-1], float(runs.begun[-1])
-        log_weight = np.array([found, gone, *other])
+        if (
+            np.count_nonzero(runs.touched) < 2 and not runs.is_known
+        ):  # a contact alone tells nothing
+            here = 1.0 / (1.0 + float(np.exp(OTHER)))
+            return Hypotheses(here, 0.0, 1.0 - here), here, max(found, 0.0)
+        since = np.cumsum(runs.touched[::-1])[::-1]  # contacts since each step
+        other += ALIKE * np.maximum(since - 1, 0)
+        # since the newest step nobody knows where this object is
+        log_weight = np.array([found, runs.begun[-1], *other[:-1]])
         weight = np.exp(log_weight - log_weight.max())
         here, gone, *others = (weight / weight.sum()).tolist()
-        stands = here * stood
+        stands, log_z = here * stood, float(np.logaddexp(found, runs.begun[-1]))
         return Hypotheses(stands, here - stands + gone, sum(others)), here, log_z
 
 

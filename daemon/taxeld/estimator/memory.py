@@ -192,7 +192,7 @@ class Memory:
         begun = np.array([self.before[step] for step in steps.tolist()])
         begun += np.log(HAZARD) - begun[:1]
         begun[:1] = 0.0  # what is remembered counts
-        return Runs(shares, usual, touched, begun)
+        return Runs(shares, usual, touched, begun, is_known=prior > 0)
 
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
         """A memory of one scan more, of contact `number`, or a silent scan after that contact.

@@ -24,6 +24,7 @@ class Runs:
     usual: Floats  # (2 R,) log-likelihoods of the same without this object
     touched: Bools  # (R,) whether a step has a contact
     begun: Floats  # (R,) log prior of a run from each step on, with the evidence before it
+    is_known: bool = False  # whether a prior tells where the object was before the first step
 
     def each(self, explained: Floats) -> Floats:
         """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""
