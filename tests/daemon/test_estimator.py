@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from taxeld.estimator.confidence import Confidence
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from taxeld.estimator.confidence import LEAST, status
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
@@ -42,7 +41,7 @@ def test_contacts_on_a_rough_skin_are_not_dropped_for_the_last_two(
         doubted += estimate.status is Status.INCONSISTENT
     assert doubted > 1
     assert subject.counters.forgotten == 0
-    assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.005
+    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.005
 
 
 def test_an_object_that_was_moved_is_inconsistent_and_then_found(
@@ -56,7 +55,7 @@ def test_an_object_that_was_moved_is_inconsistent_and_then_found(
         estimate = world.press(subject, angle)
     assert subject.counters.forgotten == 1
     assert estimate.status is Status.CONVERGED
-    assert subject.rule.confidence.metric.distance(estimate.map, world.truth) < 0.003
+    assert subject.rule.metric.distance(estimate.map, world.truth) < 0.003
 
 
 def test_one_touch_of_something_else_does_not_move_the_object(box_model: ObservationModel) -> None:
@@ -66,7 +65,7 @@ def test_one_touch_of_something_else_does_not_move_the_object(box_model: Observa
     world.truth = TRUTH
     estimate = world.press(subject, 3.6)
     assert subject.counters.forgotten == 0
-    assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.003
+    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.003
     assert estimate.status is not Status.INCONSISTENT
 
 
@@ -118,7 +117,7 @@ def test_a_stuck_taxel_does_not_keep_the_object_from_being_found(
     for angle in (0.2, 1.3, 2.9, 4.5, 5.5, 0.7):
         estimate = world.press(subject, angle)
     assert subject.counters.stuck > 0
-    assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.005
+    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.005
 
 
 def test_it_thinks_until_enough_samples_have_left_a_narrow_belief_where_it_was(
@@ -143,7 +142,7 @@ def test_it_thinks_until_enough_samples_have_left_a_narrow_belief_where_it_was(
     thoughts = subject.counters.thoughts
     held(4.5, 20)
     assert subject.counters.thoughts == thoughts
-    assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.003
+    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.003
 
 
 def test_where_only_dead_taxels_would_feel_it_is_blind(box_model: ObservationModel) -> None:
