@@ -34,7 +34,7 @@ def touched(model: ObservationModel, noise: Noise, slack: Slack, seed: int) -> M
         live = rng.random(len(z)) < 0.9
         residue = 0.1 * rng.random(len(z))
         z = np.where(live & (z >= floor), z, 0.0)
-        memory.add(Observation(sensor, z, live, floor, residue), number)
+        memory = memory.plus(Observation(sensor, z, live, floor, residue), number)
     return memory
 
 

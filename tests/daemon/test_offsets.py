@@ -35,8 +35,7 @@ def integral(model: ObservationModel, scan: Observation, pose: Poses) -> float:
     x, y = (a.ravel() for a in np.meshgrid(step, step))
     weight = np.exp(-0.5 * (x * x + y * y))
     moved = np.stack([SD_M * x, SD_M * y, np.zeros(len(x))], axis=1)
-    one = Memory(model, NOISE)
-    one.add(replace(scan, sensor=np.zeros(3)))
+    one = Memory(model, NOISE).plus(replace(scan, sensor=np.zeros(3)))
     seen = se2.compose(se2.inverse(scan.sensor + moved), pose[None])
     likely = one.explain(seen)[:, 0]
     return float(np.log(np.exp(likely - likely.max()) @ weight / weight.sum()) + likely.max())
@@ -47,8 +46,7 @@ def test_the_likelihood_is_the_integral_over_all_offsets(box_model: ObservationM
     off = []
     for press in presses(box_model, 12):
         scan = read(box_model, press, SD_M * rng.standard_normal(2))
-        memory = Memory(box_model, NOISE, slack=Slack(SD_M))
-        memory.add(scan)
+        memory = Memory(box_model, NOISE, slack=Slack(SD_M)).plus(scan)
         pose = 5e-4 * rng.standard_normal(3)
         off.append(memory.explain(pose[None])[0, 0] - integral(box_model, scan, pose))
     assert np.median(np.abs(off)) < 0.3
@@ -61,8 +59,7 @@ def test_a_touch_that_is_two_millimetres_off_is_explained_with_slack_alone(
     exact, about = Memory(box_model, NOISE), Memory(box_model, NOISE, slack=Slack(0.002))
     for press in presses(box_model, 6):
         scan = read(box_model, press, np.array([0.002, 0.0]))
-        exact.add(scan)
-        about.add(scan)
+        exact, about = exact.plus(scan), about.plus(scan)
     truth = np.zeros((1, 3))
     assert about.explain(truth).sum() > exact.explain(truth).sum() + 20.0
 
@@ -70,19 +67,19 @@ def test_a_touch_that_is_two_millimetres_off_is_explained_with_slack_alone(
 def test_without_slack_nothing_changes(box_model: ObservationModel) -> None:
     exact, none = Memory(box_model, NOISE), Memory(box_model, NOISE, slack=Slack(SD_M, SD_M, 0.0))
     for press in presses(box_model, 3):
-        for memory in (exact, none):
-            memory.add(read(box_model, press, np.zeros(2)))
+        scan = read(box_model, press, np.zeros(2))
+        exact, none = exact.plus(scan), none.plus(scan)
     poses = 0.002 * np.random.default_rng(0).standard_normal((20, 3))
     assert np.array_equal(exact.explain(poses), none.explain(poses))
 
 
 def test_an_old_touch_fades_by_what_has_happened_since(box_model: ObservationModel) -> None:
     """An object that gives way at each touch: the same reading says less of where it is now."""
-    memory = Memory(box_model, NOISE, slack=Slack(0.0, SD_M))
     press = presses(box_model, 1)[0]
+    memory = Memory(box_model, NOISE, slack=Slack(0.0, SD_M))
     poses = np.linspace(-0.004, 0.004, 9)[:, None] * np.eye(3)[0]
     spread = []
-    memory.add(read(box_model, press, np.zeros(2)), number=1)
+    memory = memory.plus(read(box_model, press, np.zeros(2)), number=1)
     for newest in (1, 3, 9):
         memory.newest = newest
         spread.append(float(np.ptp(memory.explain(poses))))
@@ -96,8 +93,8 @@ def test_a_contact_counts_once_however_many_scans_are_of_it(
     memory = Memory(box_model, NOISE)
     first, other = (read(box_model, press, np.zeros(2)) for press in presses(box_model, 2))
     for _ in range(scans):
-        memory.add(first, number=1)
-    memory.add(other, number=2)
+        memory = memory.plus(first, number=1)
+    memory = memory.plus(other, number=2)
     assert memory.contacts == 2
     assert np.allclose(memory.share, [1.0 / scans] * scans + [1.0])
     assert np.isclose(memory.share.sum(), 2.0)
@@ -107,7 +104,7 @@ def test_a_silent_scan_counts_by_itself(box_model: ObservationModel) -> None:
     memory = Memory(box_model, NOISE)
     press = presses(box_model, 1)[0]
     touch = read(box_model, press, np.zeros(2))
-    memory.add(touch, number=1)
-    memory.add(replace(touch, z=np.zeros_like(touch.z)), number=1)
+    memory = memory.plus(touch, number=1)
+    memory = memory.plus(replace(touch, z=np.zeros_like(touch.z)), number=1)
     assert memory.contacts == 1
     assert np.array_equal(memory.share, [1.0, 1.0])

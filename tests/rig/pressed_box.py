@@ -90,5 +90,5 @@ def settled(model: ObservationModel) -> tuple[World, Estimator]:
     for angle in (0.2, 1.3, 2.9, 4.5):
         estimate = world.press(subject, angle)
     assert estimate.status is Status.CONVERGED
-    assert subject.rule.confidence.metric.distance(estimate.map, TRUTH) < 0.003
+    assert subject.rule.metric.distance(estimate.map, TRUTH) < 0.003
     return world, subject

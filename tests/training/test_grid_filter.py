@@ -103,11 +103,11 @@ def test_a_small_cell_has_the_likelihood_that_the_filters_memory_has(
         z = NOISE.draw(model.activation(seen)[0], rng)
         live = rng.random(len(SKIN)) < 0.8
         scan = Observation(sensor, np.where(z < floor, 0.0, z), live, floor, residue)
-        known.add(scan, contact)
+        known = known.plus(scan, contact)
         variance = float(slack.variance(np.array(2 - contact)))
         evidence.append(Evidence(scan, share, variance, touched=True))
     silent = Observation(se2.compose(SENSOR, beside[1]), np.zeros(len(SKIN)), LIVE, floor, residue)
-    known.add(silent, 2)
+    known = known.plus(silent, 2)
     evidence.append(Evidence(silent, 1.0, float(slack.variance(np.array(0))), touched=False))
     ax, ay = contacts.axis_in_object(poses)
     mid = np.column_stack([ax, ay, poses[:, 2]])
@@ -129,7 +129,7 @@ def test_no_pose_explains_more_than_the_best_of_its_cell(model: ObservationModel
     scans = [Observation(np.zeros(3), z, LIVE), Observation(beside, np.zeros(len(SKIN)), LIVE)]
     likelihood, known = CellLikelihood(model, NOISE), Memory(model, NOISE)
     for scan in scans:
-        known.add(scan)
+        known = known.plus(scan)
     cells = tile(model)
     for _ in range(6):
         cells = cells[rng.random(len(cells)) < 2000 / len(cells)]
@@ -157,7 +157,7 @@ def test_all_scans_count_as_in_a_brute_force_posterior(model: ObservationModel) 
         h = model.activation(se2.compose(se2.inverse(sensor), se2.compose(SENSOR, truth))[None])[0]
         z = noise.draw(h, rng)
         belief.update(Observation(sensor, z, LIVE), touched=k == 1)
-        scans.add(Observation(sensor, z, LIVE))
+        scans = scans.plus(Observation(sensor, z, LIVE))
     poses = se2.compose(sensors[1], band(model, 60_000, rng))
     log_w = scans.explain(poses).sum(axis=1)
     w = np.exp(log_w - log_w.max())
@@ -274,7 +274,7 @@ def test_offsets_residues_floors_and_shares_count_as_by_brute_force(
         scans.append((contact, Observation(sensor, z, LIVE, floor, residue)))
     known = Memory(model, noise, slack=Slack(sd_m))
     for contact, scan in scans:
-        known.add(scan, contact)
+        known = known.plus(scan, contact)
 
     # all poses at the strongest touch, less those that are out of the question
     strongest = max((scan for _, scan in scans), key=lambda scan: scan.z.sum())

@@ -69,4 +69,4 @@ def _stood(belief: Belief, runs: Runs) -> float:
     """The share of the belief whose run goes back to the first step."""
     each = runs.each(belief.remembered)
     each = np.exp(each - each.max(axis=1, keepdims=True))
-    return float(belief.weight @ (each[:, 0] / each.sum(axis=1)))
+    return min(float(belief.weight @ (each[:, 0] / each.sum(axis=1))), 1.0)

@@ -1,6 +1,7 @@
 """Constants of the filter that an ablation changes, one at a time, and how."""
 
 import importlib
+import math
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -43,20 +44,36 @@ class Constant:
 
 
 CONSTANTS = (
+    Constant("anything", "SHAPES", (96, 1536)),
+    Constant("anything", "SIDE_RAD", (math.radians(5.0), math.radians(30.0))),
+    Constant("anything", "NEAR_RAD", (math.radians(45.0), math.radians(90.0))),
+    Constant("anything", "BEND", (100.0, 400.0)),
+    Constant("anything", "SLOPE_SD", (0.05, 0.45)),
+    Constant("anything", "BOW", (0.0, 40.0)),
+    Constant("evidence", "FINE", ((0.002, 0.002, 0.03), (0.008, 0.008, 0.12))),
+    Constant("evidence", "OTHER", (-3.0, 1.0)),
+    Constant("evidence", "ALIKE", (0.0, 1.5, 6.0)),
+    Constant("runs", "HAZARD", (2e-4, 2e-2)),
+    Constant("runs", "MEANINGLESS", (1e-9, 1e-4)),
+    Constant("verdict", "UNMODELLED_M", (0.001, 0.004)),
+    Constant("estimate", "MODE_RADIUS_M", (0.01, 0.04)),
     Constant("particles", "MOVE", ((0.0005, 0.0005, 0.005), (0.008, 0.008, 0.08))),
     Constant("particles", "RESAMPLE_BELOW", (0.25, 0.9)),
+    Constant("particles", "KLD_ERROR", (0.025, 0.1)),
     Constant("injection", "KEPT", (0.1, 0.5)),
-    Constant("injection", "STAGES_MAX", (1, 3, 12)),
+    Constant("injection", "STAGES_MAX", (1, 3)),
     Constant("offsets", "HIDDEN", (0.0, 0.75, 3.0)),
     Constant("offsets", "ROBUST", (1.5, 6.0, 1e6)),
     Constant("offsets", "ITERATIONS", (1, 4)),
     Constant("mixture", "MOVES", (0, 1, 4)),
-    Constant("mixture", "REMEMBERED", (4, 32)),
-    Constant("mixture", "SILENT_MAX", (0, 8, 64)),
+    Constant("mixture", "REMEMBERED", (2, 4)),
+    Constant("mixture", "SILENT_MAX", (0, 8)),
     Constant("mixture", "TELLING", (0.0, 3.0)),
-    Constant("mixture", "KLD_ERROR", (0.025, 0.1)),
     Constant("mixture", "SCALES", ((0.0, 1.0), (0.0, 0.5, 1.0, 2.0, 4.0))),
-    Constant("mixture", "SLACK_FROM", (99,)),  # SCALES are not used
+    Constant("mixture", "SLACK_NATS", (0.0, 3.0, 1e9)),  # at last SCALES are not used
+    Constant("mixture", "REVISITS", (0, 1, 6)),
+    Constant("mixture", "AGREED", (1, 4)),
+    Constant("mixture", "MISSED", (0.0, 0.1)),
 )
 
 
