@@ -202,7 +202,7 @@ def test_a_pushed_object_of_which_the_place_was_known_is_found_by_fewer_contacts
             rule.push = lambda _, __, pose, *___: (pose + SHIFT, np.full(len(pose), 0.01))
             nothing = Observation(np.zeros(3), np.zeros(32), np.ones(32, dtype=np.bool_))
             rule.follow(nothing, nothing)
-            assert rule.memory.contacts == 0
+            assert not len(rule.memory)
             world.truth = TRUTH + SHIFT
         for angle in (0.2, 2.9):
             estimate = world.press(subject, angle)
