@@ -190,7 +190,7 @@ def gave_way(
 
 
 def by_ground(ground: Ground) -> Push:
-    """`estimator.push.push` by the world's own ground: the limit of what can be known of a push, as
+    """`model.push.push` by the world's own ground: the limit of what can be known of a push, as
     no filter knows what the object rests on."""
 
     def push(
@@ -203,7 +203,7 @@ def by_ground(ground: Ground) -> Push:
         depth_m: float,
         rng: np.random.Generator,
     ) -> tuple[Poses, Floats]:
-        """Like `estimator.push.push`: poses (N, 3), sensor poses `before` (3,) and `after` (3,) →
+        """Like `model.push.push`: poses (N, 3), sensor poses `before` (3,) and `after` (3,) →
         poses (N, 3), and how far each was pushed (N,) [m]; `assumed` (N, 4) is not used."""
         del assumed
         poses, pushed = gave_way(model, ground, poses, before, after, depth_m, limited=True)
