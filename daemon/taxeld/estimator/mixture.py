@@ -53,6 +53,7 @@ class Mixture:
         self.verdict = judge(self.belief, self.metric, config, Hypotheses(), 1.0)
         self.counters = EstimatorCounters()
         self.push: Push = push
+        self._here = 1.0  # probability that the object is where the belief has it
         self._revisits = 0  # second opinions since the last contact
         self._agreed = 0  # opinions in a row that left a sure belief in place
         self._fitted = 0  # number of the contact after which the slack was fitted
@@ -82,6 +83,7 @@ class Mixture:
         prior = Prior(metric, pose, belief.weight, modes, self._evidence.log_volume)
         self.memory, self.log_z = self.memory.anew(prior), 0.0
         belief.remembered = self.memory.explain(pose)
+        self.verdict = judge(belief, metric, self._config, self.verdict.hypotheses, self._here)
 
     def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
         samples = drawn(draw, observation, self._wanted())
@@ -158,12 +160,12 @@ class Mixture:
     def _judge(self, opinions: int) -> None:
         """Weigh the hypotheses, and find how sure the belief is, after so many opinions more."""
         belief, before = self.belief, self.verdict.summary.modes[0].pose
-        hypotheses, here = Hypotheses(), 1.0
+        hypotheses, self._here = Hypotheses(), 1.0
         if len(self.memory):
             weighed = self._evidence.hypotheses(belief, self.memory.runs)
-            hypotheses, here, self.log_z = weighed
+            hypotheses, self._here, self.log_z = weighed
         self.counters.forgotten += hypotheses.moved > 0.5 >= self.verdict.hypotheses.moved
-        verdict = judge(belief, self.metric, self._config, hypotheses, here)
+        verdict = judge(belief, self.metric, self._config, hypotheses, self._here)
         apart = self.metric.distance(before, verdict.summary.modes[0].pose)
         stays = verdict.p >= SURE and apart < MODE_RADIUS_M * self._scale
         self._agreed = self._agreed + opinions if stays else 0
@@ -216,14 +218,19 @@ class Mixture:
     def _opinion(self, samples: Poses, scan: int) -> Belief:
         """Samples (S, 3) of scan number `scan`, brought to explain the whole memory."""
         memory = self.memory
-        own = np.zeros(memory.terms)
-        memory.of_scans(own)[scan] = 1.0
+        alone = memory.only(np.arange(len(memory)) == scan, prior=False)
+        own = np.zeros((memory.terms, 1))
+        memory.of_scans(own.T)[0, scan] = 1.0
+
+        def own_contact(explained: Floats) -> Floats:
+            """Log-density (N,) of poses by their own contact: explained is (N, terms)."""
+            return alone.runs.support(explained @ own)
+
         samples = samples.copy()
         samples[:, :2] += memory.slack_m(scan) * self._rng.standard_normal((len(samples), 2))
         opinion = pf.equal(samples, memory.explain(samples))
-        support = memory.runs.support
         return injection.anneal(
-            opinion, lambda told: told @ own, support, memory.explain, self._rng, self._scale
+            opinion, own_contact, memory.runs.support, memory.explain, self._rng, self._scale
         )
 
     def _merged(self, opinion: Belief) -> Belief:

@@ -13,7 +13,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats
 
 HAZARD = 2e-3  # probability that the object moved between two contacts
-MEANINGLESS = 1e-6  # probability that a contact has nothing to do with the object
+MEANINGLESS = 1e-3  # probability that a contact has nothing to do with the object
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,12 +26,18 @@ class Runs:
     begun: Floats  # (R,) log prior of a run from each step on, with the evidence before it
     is_known: bool = False  # whether a prior tells where the object was before the first step
 
+    @property
+    def open(self) -> Floats:
+        """(R,) `begun` of the runs that poses may belong to: silence alone tells no new pose."""
+        first = np.arange(len(self.begun)) == 0
+        return np.where(self.touched | first, self.begun, -np.inf)
+
     def each(self, explained: Floats) -> Floats:
         """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""
         touch, silence = np.hsplit(explained @ self.shares - self.usual, 2)
         least = np.where(self.touched, np.log(MEANINGLESS), -np.inf)
         met = np.logaddexp(touch, least) + silence
-        return np.asarray(met[:, ::-1].cumsum(axis=1)[:, ::-1] + self.begun)
+        return np.asarray(met[:, ::-1].cumsum(axis=1)[:, ::-1] + self.open)
 
     def support(self, explained: Floats) -> Floats:
         """Log-density of poses, up to the uniform prior's: explained (N, terms) → (N,)."""

@@ -251,4 +251,4 @@ def _best(rule: Mixture, pose: Poses) -> float:
 
 def _log_posterior(rule: Mixture, poses: Poses) -> Floats:
     """(N,) log posterior [nats] of poses (N, 3), up to a constant."""
-    return np.asarray(rule.memory.explain(poses) @ rule.memory.share)
+    return rule.memory.runs.support(rule.memory.explain(poses))
