@@ -22,10 +22,10 @@ FIXED = {
     "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
-    'proposal = "table"': "70f4dfec5eba035f",
-    'proposal = "manifold"\ninjection = "paper"': "e16a87b014c213e8",
-    'proposal = "table"\nmotion = "push"': "7074c9f09ce4486f",
-    'proposal = "manifold"\nparticles = 300': "d0a8260c8ca240dd",
+    'proposal = "table"': "990c933ddf252bea",
+    'proposal = "manifold"\ninjection = "paper"': "ec3cc8c35c26021d",
+    'proposal = "table"\nmotion = "push"': "532aecf304d1b3b5",
+    'proposal = "manifold"\nparticles = 300': "1888a1f0b5f9c283",
 }
 
 

@@ -191,7 +191,7 @@ class Memory:
         touched[which[self.contact]] = True
         begun = np.array([self.before[step] for step in steps.tolist()])
         begun += np.log(HAZARD) - begun[:1]
-        begun[:1] = 0.0  # what is remembered counts
+        begun[:1] = 0.0  # evidence is of the remembered scans alone
         return Runs(shares, usual, touched, begun, is_known=prior > 0)
 
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":

@@ -54,7 +54,7 @@ CONSTANTS = (
     Constant("evidence", "OTHER", (-3.0, 1.0)),
     Constant("evidence", "ALIKE", (0.0, 1.5, 6.0)),
     Constant("runs", "HAZARD", (2e-4, 2e-2)),
-    Constant("runs", "MEANINGLESS", (1e-9, 1e-4)),
+    Constant("runs", "MEANINGLESS", (1e-6, 1e-2)),
     Constant("verdict", "UNMODELLED_M", (0.001, 0.004)),
     Constant("estimate", "MODE_RADIUS_M", (0.01, 0.04)),
     Constant("particles", "MOVE", ((0.0005, 0.0005, 0.005), (0.008, 0.008, 0.08))),
