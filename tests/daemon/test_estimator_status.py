@@ -14,7 +14,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import Observation, ObservationModel
-from taxeld.proposals.analytic import Manifold
+from taxeld.proposals.analytic import ANALYTIC, Manifold
 from tests.rig.pressed_box import TRUTH, Knowing, World, approach, box_side, estimator, settled
 from tests.rig.scenes import Distance, box, disc, scene_of
 
@@ -117,8 +117,8 @@ def test_an_object_taken_away_is_missed(box_model: ObservationModel) -> None:
 
 
 def test_a_wide_belief_has_more_particles(box_model: ObservationModel) -> None:
-    world = World(box_model)
-    wide = world.press(Estimator(box_model, Knowing(world), FilterConfig()), 0.2).particles
+    any_side = ANALYTIC["manifold"](box_model)
+    wide = World(box_model).press(Estimator(box_model, any_side, FilterConfig()), 0.2).particles
     _, narrow = settled(box_model)
     assert wide > 1.5 * narrow.estimate.particles
 
