@@ -33,17 +33,17 @@ OBJECTS = ("003_cracker_box", "025_mug")
 SEEDS, QUICK_SEEDS = 40, 2
 MET = (  # objects that were taken for others while the filter was built
     "002_master_chef_can",
+    "006_mustard_bottle",
     "016_pear",
+    "019_pitcher_base",
+    "021_bleach_cleanser",
     "024_bowl",
     "035_power_drill",
     "061_foam_brick",
 )
 UNMET = (  # never used while it was built
-    "006_mustard_bottle",
     "011_banana",
     "013_apple",
-    "019_pitcher_base",
-    "021_bleach_cleanser",
 )
 SKINS = ("", "typical", "poor")  # exact, and soft skins of the harness
 ALL, TUNED, NOT_TUNED, SOFT, WRONG = "all", "tuned", "not tuned", "soft skin", "wrong object"
