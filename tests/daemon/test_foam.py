@@ -47,6 +47,15 @@ def test_what_foam_keeps_of_a_press_is_no_touch(foam: Foam, kept: float) -> None
     assert not any(activation.z.any() for activation in foam.release(kept, 20.0))
 
 
+def test_noise_about_what_foam_keeps_is_no_touch() -> None:
+    rng, kept, threshold = np.random.default_rng(1), 170.0, np.full(50, 200.0)
+    foam = Residue(50)
+    for over in (FIRM, 0.3 * FIRM, *[kept] * 1000):
+        foam.on_scan(over + 30.0 * rng.standard_normal(50), threshold)
+        assert over > kept or not foam.pressed.any()
+    assert foam.level == pytest.approx(kept, abs=100.0)
+
+
 def test_a_light_touch_where_foam_still_recovers_is_felt_at_once(
     foam: Foam,
 ) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from taxeld.arrays import Floats
 
 KEPT = 0.4  # share of a press's peak: a lower reading is of a released press
+FRESH = 0.1  # share of a scan in the mean reading after a release: a single one is noisy
 
 
 class Residue:
@@ -20,6 +21,7 @@ class Residue:
         self.pressed = np.zeros(taxels, dtype=np.bool_)  # (M,)
         self.is_none = True  # no taxel is pressed, and no press has left anything
         self._peak = np.zeros(taxels)  # (M,) peak of the press under way [counts]
+        self._mean = np.zeros(taxels)  # (M,) mean reading since the release [counts]
 
     def on_scan(self, over: Floats, threshold: Floats) -> None:
         """Take counts (M,) over baseline; a rise by `threshold` (M,) is a press."""
@@ -27,10 +29,13 @@ class Residue:
         if self.is_none and not (over > threshold).any():
             self._peak = over
             return
-        level = np.where(pressed, level, np.minimum(np.maximum(over, 0.0), level))
+        mean = self._mean + FRESH * (over - self._mean)
+        mean = np.where(over < mean - threshold, over, mean)  # a fall, and no noise
+        level = np.where(pressed, level, np.minimum(np.maximum(mean, 0.0), level))
         peak = np.where(pressed, np.maximum(self._peak, over), over)
         pressed = pressed | (over > level + threshold)
         ended = pressed & (over <= level + KEPT * (peak - level))
         self.level = np.where(ended, np.maximum(over, 0.0), level)
+        self._mean = np.where(ended, over, mean)
         self.pressed, self._peak = pressed & ~ended, peak
         self.is_none = not (self.pressed.any() or self.level.any())
