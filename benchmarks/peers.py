@@ -27,7 +27,8 @@ from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.paper import Paper
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld.proposals import scene_file
 
 SIZES = {  # particles: rounds, steps of each, budget [ms]

@@ -9,7 +9,8 @@ from taxeld.estimator.anything import Anything
 from taxeld.estimator.memory import Memory
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 
 from ..rig.scenes import DEPTH_MAX_M, box, scene_of
 

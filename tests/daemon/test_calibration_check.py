@@ -6,7 +6,7 @@ import pytest
 from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.model import se2
-from taxeld.model.activation import FLOOR
+from taxeld.model.noise import FLOOR
 from taxeld.model.observation import Observation
 from taxeld.model.symmetry import Mode
 from taxeld.pipeline.calibration_check import (

@@ -1,6 +1,5 @@
 """The C code explains what numpy explains."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +8,9 @@ import pytest
 from taxeld import native
 from taxeld.estimator.memory import Memory, Slack
 from taxeld.model import contacts
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 
-from ..rig.processes import replayed
-
-SESSION = Path(__file__).parent / "session"
 EXPLAIN = "estimator/explain"
 RING = "cylinder:columns=16,radius_m=0.04,pitch_m=0.01"
 needed = pytest.mark.skipif(
@@ -78,15 +75,25 @@ def test_a_library_of_other_code_is_left_alone(
         assert native.library.__wrapped__("explain") is not None
 
 
+LEAST, MOST = np.array([[0.02, 0.05, 0.0, 0.1], [0.05, 0.2, 0.005, 1.0]])[:, :, None]
+UNEVEN = np.random.default_rng(7).uniform(LEAST, MOST, (4, 32))  # of a ring's taxels
+
+
 @needed
-def test_a_session_ends_at_the_same_pose_with_and_without_c(tmp_path: Path) -> None:
-    config = tmp_path / "config.toml"
-    text = (SESSION / "config.toml").read_text(encoding="utf-8")
-    config.write_text(f'{text}proposal = "table"\n', encoding="utf-8")
-    last = []
-    for switch in ("0", "1"):
-        printed = replayed(SESSION, "--config", config, env={native.SWITCH: switch})
-        last.append(json.loads(printed.splitlines()[-1]))
-    assert last[0]["status"] == last[1]["status"]
-    poses = [[end["map"][axis] for axis in ("x", "y", "theta")] for end in last]
-    assert np.allclose(*poses, atol=[0.002, 0.002, 0.02])
+@pytest.mark.parametrize("slack", [Slack(), Slack(0.001, 0.001)])
+@pytest.mark.parametrize(
+    "noise",
+    [Noise(), Noise(0.04, sag_m=0.002, sag_sd=0.9), Noise(*UNEVEN[:2], 0.01, *UNEVEN[2:])],
+    ids=["no sag", "sag", "each taxel its own"],
+)
+def test_c_explains_what_numpy_explains(
+    box_model: ObservationModel, monkeypatch: pytest.MonkeyPatch, noise: Noise, slack: Slack
+) -> None:
+    poses = np.random.default_rng(1).normal(size=(400, 3)) * [0.06, 0.06, 2.0]
+    by_c = touched(box_model, noise, slack, 0).explain(poses)
+    monkeypatch.setenv(native.SWITCH, "0")
+    native.library.cache_clear()
+    by_numpy = touched(box_model, noise, slack, 0).explain(poses)
+    native.library.cache_clear()
+    assert (by_c != by_numpy).any()
+    assert np.allclose(by_c, by_numpy, atol=0.01)

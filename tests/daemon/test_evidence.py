@@ -11,7 +11,8 @@ from taxeld.estimator.estimate import Hypotheses
 from taxeld.estimator.evidence import ModelEvidence
 from taxeld.estimator.memory import Memory
 from taxeld.model import contacts, se2
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
 
 from ..rig.pressed_box import box_side

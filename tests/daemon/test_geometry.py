@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from taxeld.estimator.memory import Memory
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
-from taxeld.model.activation import FLOOR
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import FLOOR, Noise
+from taxeld.model.observation import Observation, ObservationModel
 
 from ..rig.scenes import DEPTH_MAX_M
 

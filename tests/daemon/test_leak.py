@@ -7,8 +7,9 @@ from taxeld.estimator.intake import Intake
 from taxeld.estimator.rule import EstimatorCounters
 from taxeld.layout.layout import Layout
 from taxeld.model.activation import Activation
-from taxeld.model.leak import CROSS_TALK, SAG, Leak
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.leak import CROSS_TALK, REACH_M, Leak
+from taxeld.model.noise import Noise
+from taxeld.model.observation import ObservationModel
 
 
 def one_pressed(taxels: int) -> np.ndarray:
@@ -26,8 +27,14 @@ def test_a_press_leaks_into_its_module_and_beside_it(skin: Layout) -> None:
     assert leak[0] == 0.0
     assert np.allclose(leak[coupled], CROSS_TALK * 0.8)
     assert (leak[far_away] == 0.0).all()
-    beside = (apart > 0.0) & (apart < 0.016)
-    assert (leak[beside] >= SAG * 0.8 - 1e-12).all()
+    height = abs(skin.position_m[:, 2] - skin.position_m[0, 2])
+    above = (apart > 0.0) & np.isclose(apart, height)
+    sag = np.exp(-apart[above] / REACH_M) * 0.8
+    assert np.allclose(
+        leak[above],
+        np.where(sag < 0.008, 0.0, sag) + CROSS_TALK * 0.8 * (module == module[0])[above],
+    )
+    assert (leak[above & (apart < 0.016)] > 0.05).all()
 
 
 def test_a_reading_that_may_be_leaked_is_none_and_raises_what_is_felt(
@@ -43,7 +50,7 @@ def test_a_reading_that_may_be_leaked_is_none_and_raises_what_is_felt(
     assert seen is not None
     assert seen.z[beside] == 0.0
     assert seen.z[0] == 0.8
-    assert np.broadcast_to(seen.floor, taxels)[beside] >= SAG * 0.8
+    assert np.broadcast_to(seen.floor, taxels)[beside] >= box_model.leak.of(z)[beside] > 0.03
 
 
 def test_training_takes_readings_for_what_the_estimator_takes_them(

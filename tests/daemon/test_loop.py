@@ -379,6 +379,7 @@ def test_health_counts_and_names_the_dead(daemon: Daemon, tmp_path: Path) -> Non
         "realtime",
         "source",
         "skin",
+        "skin_fit",
         "estimator",
         "inputs",
         "calibration",

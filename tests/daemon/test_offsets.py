@@ -8,7 +8,8 @@ import pytest
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator.memory import Memory, Slack
 from taxeld.model import contacts, se2
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 
 SD_M = 0.001
 NOISE = Noise(sigma=0.04, gain_cv=0.17)

@@ -22,10 +22,10 @@ FIXED = {
     "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
-    'proposal = "table"': "990c933ddf252bea",
-    'proposal = "manifold"\ninjection = "paper"': "ec3cc8c35c26021d",
-    'proposal = "table"\nmotion = "push"': "532aecf304d1b3b5",
-    'proposal = "manifold"\nparticles = 300': "1888a1f0b5f9c283",
+    'proposal = "table"': "348b2955596c017d",
+    'proposal = "manifold"\ninjection = "paper"': "26cb34dc09d33edc",
+    'proposal = "table"\nmotion = "push"': "cc76dbb951cb7bd7",
+    'proposal = "manifold"\nparticles = 300': "4638e04bf0ad750c",
 }
 
 

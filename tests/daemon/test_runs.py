@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from taxeld.arrays import Floats
 from taxeld.estimator.memory import Memory, Prior
 from taxeld.estimator.runs import HAZARD, MEANINGLESS, Runs
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
 
 EVIDENCE = 5.0  # of all before the newest contact [nats]

@@ -18,7 +18,8 @@ from taxeld.config.tables import FilterConfig, SkinConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.rule import noise_of
 from taxeld.layout import read as layouts
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import ObservationModel
 from taxeld.proposals import bundle
 from taxeld_training.build import summary
 from taxeld_training.cli import main

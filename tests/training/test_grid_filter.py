@@ -10,7 +10,8 @@ from taxeld.arrays import Poses
 from taxeld.estimator.memory import Memory, Slack
 from taxeld.layout import read as layouts
 from taxeld.model import contacts, se2, symmetry
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld_training.limits import grid_cells
 from taxeld_training.limits.grid_cells import Cells, tile
 from taxeld_training.limits.grid_filter import DROP_NATS, GridFilter

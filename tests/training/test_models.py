@@ -9,7 +9,8 @@ import onnxruntime as ort
 import pytest
 import torch
 
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Projection
 from taxeld.proposals.sampler import Sampler
 from taxeld_training.limits import quality

@@ -9,8 +9,8 @@ import torch
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld.model.activation import FLOOR
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import FLOOR, Noise
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld_training.limits import quality
 from taxeld_training.limits.dense import Dense
 from taxeld_training.limits.posterior import ExactPosterior, energy_distance

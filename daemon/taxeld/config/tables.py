@@ -73,6 +73,7 @@ class SkinConfig:
     missing_modules: int = key(
         0, between(0, 65535), "modules of the layout that the hubs may lack; with more, not valid"
     )
+    learn: bool = key(True, doc="whether sure estimates teach how each taxel responds")
     calibration: str = key(
         "", doc="what taxeld calibrate wrote, relative to this file; empty: none is used"
     )

@@ -8,7 +8,10 @@ import math
 
 import numpy as np
 
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
+from taxeld.model.sag import LEAST as LEAST_RATE
+from taxeld.model.sag import sagging
 
 SHAPES = 384  # shapes, each with a depth and a side: a nat of the mean, about
 SIDE_RAD = math.radians(15.0)  # the side that is pressed is this near the middle of the readings
@@ -46,6 +49,7 @@ class Anything:
     def log_density(self, observation: Observation) -> float:
         """log p(scan of a contact | something is pressed), over the live taxels."""
         z, live = observation.z, observation.live
+        noise = observation.noise or self._noise
         side = math.atan2(float(z @ np.sin(self._angle)), float(z @ np.cos(self._angle)))
         off = self._angle - side
         near = live & ((z > 0.0) | (np.cos(off) > math.cos(NEAR_RAD)))
@@ -56,11 +60,21 @@ class Anything:
         across = reach * np.sin(turned)
         depth = reach * np.cos(turned) - self._radius_m + self._inside
         depth -= 0.5 * self._bend * across**2 + self._gap[:, self._row[near]]
-        h = np.clip(depth / self._depth_max_m, 0.0, 1.0).astype(np.float32)
+        along = np.abs(np.sin(turned) + self._bend * across * np.cos(turned)) / self._depth_max_m
+        of = noise.of(near)
+        rate, most = (
+            np.maximum(along * length, LEAST_RATE).astype(np.float32)
+            for length in (of.sag_m, of.sag_m * np.exp(of.sag_sd))
+        )
+        depth = (depth / self._depth_max_m).astype(np.float32)
+        h = np.minimum(sagging(depth, rate), 1.0)
+        more = np.minimum(sagging(depth, most), 1.0) - h
         one = (each.astype(np.float32) for each in (z[near], floor[near], residue[near]))
         z_near, floor_near, residue_near = one
-        told = self._noise.log_density(z_near, h, floor_near, residue_near).sum(axis=1)
+        spread = of.variance(h) + residue_near**2 + more * more
+        excess = (np.where(z_near > 0.0, z_near, floor_near) - h) / np.sqrt(spread)
+        told = of.log_of(z_near, excess, spread).sum(axis=1)
         far = live & ~near
-        silent = self._noise.log_density(z[far], np.zeros(1), floor[far], residue[far])
+        silent = noise.of(far).log_density(z[far], np.zeros(1), floor[far], residue[far])
         top = float(told.max())
         return top + math.log(np.exp(told - top).sum()) + self._prior + float(silent.sum())

@@ -14,15 +14,11 @@ import numpy as np
 from taxeld import native
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses
 from taxeld.estimator import offsets
-from taxeld.model.observation import (
-    BAND_M,
-    BOWLING,
-    FARTHEST_SD,
-    Noise,
-    ObservationModel,
-)
+from taxeld.model import sag
+from taxeld.model.noise import BOWLING, FARTHEST_SD, Noise
+from taxeld.model.observation import BAND_M, ObservationModel
 
-FIELDS = 5  # fields of `memory.Kept` that the C code reads
+FIELDS = 8  # fields of `memory.Kept` that the C code reads
 LANES = 8  # lanes of the C code's vectors
 
 
@@ -33,15 +29,15 @@ class _Model(ctypes.Structure):
         *((name, c_int64) for name in ("nx", "ny", "heights", "runs", "taxels")),
         *((name, c_double) for name in ("x", "y", "cell", "depth_max", "band", "hidden", "robust")),
         *((name, c_double) for name in ("least_variance", "iterations")),
-        *((name, c_double) for name in ("sigma", "gain_cv", "outliers", "least", "farthest")),
-        *((name, c_double) for name in ("bowling1", "bowling3")),
+        *((name, c_double) for name in ("outliers", "least", "farthest", "bowling1", "bowling3")),
+        *((name, c_double) for name in ("least_rate", "farthest_rates")),
     ]
 
 
 class _Scans(ctypes.Structure):
     _fields_ = [
         *((name, c_void_p) for name in ("kept", "sensor", "variance", "silent")),
-        *((name, c_int64) for name in ("scans", "about")),
+        ("scans", c_int64),
     ]
 
 
@@ -111,13 +107,13 @@ class Compiled:
             robust=offsets.ROBUST,
             least_variance=offsets.LEAST_M2,
             iterations=offsets.ITERATIONS,
-            sigma=noise.sigma,
-            gain_cv=noise.gain_cv,
             outliers=noise.outliers,
             least=noise.least,
             farthest=FARTHEST_SD,
             bowling1=BOWLING[0],
             bowling3=BOWLING[1],
+            least_rate=sag.LEAST,
+            farthest_rates=sag.FARTHEST,
         )
 
     def scans(self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools) -> Scans:
@@ -133,7 +129,6 @@ class Compiled:
             variance.ctypes.data,
             silent.ctypes.data,
             len(sensor),
-            bool(variance.any()),
         )
         return Scans(told, (laid, sensor, variance, silent))
 

@@ -12,8 +12,9 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import injection
-from taxeld.estimator.estimate import Estimate, ProposalKind
+from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.estimator.intake import Intake
+from taxeld.estimator.memory import Expected
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import News
 from taxeld.estimator.paper import Paper
@@ -60,6 +61,7 @@ class Estimator:
         self._intake = Intake(self.model, self.counters)
         self._news = News(layout.radius_m)
         self._before: Observation | None = None
+        self._taught = 0  # number of the last contact that `taught` has told of
         self.used: Observation | None = None  # the scan that the last call learned from
         self.unconsidered: Observation | None = (
             None  # the last scan, until `think`, if it told nothing
@@ -93,6 +95,16 @@ class Estimator:
             self._conclude(observation)
             self.unconsidered = observation
         return self.estimate
+
+    def taught(self, least: int) -> Expected | None:
+        """Contacts that a sure belief has not told of yet, beside the depths that it expects; None
+        where they are less than `least`."""
+        number, rule = self.estimate.contacts, self.rule
+        if self.estimate.status != Status.CONVERGED or number - self._taught < least:
+            return None
+        found = rule.expected(self._taught)
+        self._taught = number
+        return found
 
     @property
     def has_thought(self) -> bool:

@@ -19,7 +19,10 @@ from taxeld.estimator.anything import Anything
 from taxeld.estimator.compiled import Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.runs import HAZARD, Runs
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Nearby, Observation, ObservationModel
+from taxeld.model.sag import LEAST as LEAST_RATE
+from taxeld.model.sag import sagging
 from taxeld.model.symmetry import Mode, PoseMetric
 
 Number = TypeVar("Number", np.intp, np.float64)
@@ -34,12 +37,16 @@ class Kept(IntEnum):
 
     Z = 0
     LEVEL = 1  # the reading, or the floor where it is 0
-    RESIDUE = 2
-    ROOT = 3  # 1 / standard deviation of the reading, 0 where not live
-    SILENT = 4  # log p(z | h = 0)
-    LOW = 5  # lower bound on the reading's excess over the expected [standard deviations]
-    HIGH = 6  # upper bound on the reading's excess over the expected [standard deviations]
-    LIVE = 7
+    ROOT = 2  # 1 / standard deviation of the reading, 0 where not live
+    SILENT = 3  # log p(z | h = 0)
+    SIGMA2 = 4  # variance of the reading at rest, with what earlier presses may have left
+    GAIN2 = 5  # variance of the gain
+    SAG = 6  # length of the cover's sag beside the taxel [m]
+    MOST = 7  # the same, one standard deviation more
+    RESIDUE = 8
+    LOW = 9  # lower bound on the reading's excess over the expected [standard deviations]
+    HIGH = 10  # upper bound on the reading's excess over the expected [standard deviations]
+    LIVE = 11
 
 
 class Told(NamedTuple):
@@ -50,12 +57,34 @@ class Told(NamedTuple):
     pressed: int  # number of pressed taxels
 
 
+class Pressed(NamedTuple):
+    """Depths (P,) that taxels about a press read, at the best offset of each row."""
+
+    h: Grid  # share of full scale
+    more: Grid  # what they read more where the cover sags farther by a standard deviation
+    by_sag: Grid  # slope of h over the logarithm of the sag's length
+    added: Floats  # (rows,) what the integral over the offset adds to the log-likelihood
+
+
+class Expected(NamedTuple):
+    """Readings of K contacts beside the depths that a belief expects, (K, M) each."""
+
+    number: NDArray[np.intp]  # (K,) of the contact
+    z: Floats
+    live: Bools
+    floor: Floats  # of readings of 0
+    h: Floats  # expected depth, share of full scale
+    by_sag: Floats  # its slope over the logarithm of the sag's length
+    variance: Floats  # of the depth about `h`, by pose, and of what earlier presses may have left
+
+
 class Silence(NamedTuple):
     """The evidence of a silent scan, kept for others with the same taxels and floors."""
 
     live: Bools
     floor: Floats
     residue: Floats
+    noise: Noise
     told: Told
 
 
@@ -215,24 +244,34 @@ class Memory:
         z, live, before = observation.z, observation.live, self._silence
         floor = np.broadcast_to(observation.floor, len(z))
         residue = np.broadcast_to(observation.residue, len(z))
+        noise = observation.noise or self._noise
         if observation.is_contact:
-            return self._read(z, live, floor, residue)
+            return self._read(z, live, floor, residue, noise)
         now = live, floor, residue
-        if before is None or not all(map(np.array_equal, now, before[:3])):
-            told = self._read(z, live, floor, residue)
-            before = self._silence = Silence(live.copy(), floor.copy(), residue.copy(), told)
+        if (
+            before is None
+            or before.noise is not noise
+            or not all(map(np.array_equal, now, before[:3]))
+        ):
+            told = self._read(z, live, floor, residue, noise)
+            now = live.copy(), floor.copy(), residue.copy()
+            before = self._silence = Silence(*now, noise, told)
         return before.told
 
-    def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats) -> Told:
+    def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats, noise: Noise) -> Told:
         """Evidence of activations z, live, floor and residue, each (M,)."""
         pressed = z > 0.0
         count = int(np.count_nonzero(z))
-        density = self._noise.log_density(z, np.zeros_like(z), floor, residue) * live
+        density = noise.log_density(z, np.zeros_like(z), floor, residue) * live
         fields = np.empty((len(Kept), len(z)), np.float32)
         fields[Kept.Z] = z
         fields[Kept.LEVEL] = np.where(pressed, z, floor)
         fields[Kept.RESIDUE] = residue
-        fields[Kept.ROOT] = live / np.sqrt(self._noise.variance(z) + residue**2)
+        fields[Kept.ROOT] = live / np.sqrt(noise.variance(z) + residue**2)
+        fields[Kept.SIGMA2] = np.square(noise.sigma) + residue**2
+        fields[Kept.GAIN2] = np.square(noise.gain_cv)
+        fields[Kept.SAG] = noise.sag_m
+        fields[Kept.MOST] = noise.sag_m * np.exp(noise.sag_sd)
         fields[Kept.SILENT] = density
         fields[Kept.LOW] = np.where(z < 1.0, -FAR, 0.0)
         fields[Kept.HIGH] = np.where(pressed, FAR, 0.0)
@@ -314,32 +353,56 @@ class Memory:
         """`Compiled.explain` in numpy: what pressed taxels add to log p(scan | pose), (N, K)."""
         n, k, taxels = len(poses), len(sensor), len(self._model.layout)
         order = np.argsort(silent, kind="stable")  # contacts first
-        about = k - int(np.count_nonzero(silent)) if variance.any() else 0
+        about = k - int(np.count_nonzero(silent))
         near = self._model.pressed_from(sensor[order], poses, about)
         scan = order.take(near.row // max(n, 1))
         fields = kept.reshape(len(Kept), -1).take(scan * taxels + near.taxel, axis=1)
-        z, level, residue, root, untouched, low, high, live = fields
-        depth, added, pairs = near.depth, np.zeros(k * n), len(near.gx)
-        if pairs:
-            readings = Readings(
-                near.row[:pairs],
-                level[:pairs],
-                low[:pairs],
-                high[:pairs],
-                depth[:pairs],
-                near.gx,
-                near.gy,
-                root[:pairs],
-            )
-            offset = readings.offset(np.repeat(variance[order[:about]], n))
-            depth[:pairs], added[: about * n], _ = offset
+        z, level, _, untouched, sigma2, gain2, _, _, _, _, _, live = fields
+        first, added = slice(0, len(near.gx)), np.zeros(k * n)
+        met = self._pressed(near, fields[:, first], np.repeat(variance[order[:about]], n))
         hidden = (HIDDEN / self._model.depth_max_m) * np.sqrt(variance)
-        depth[pairs:] -= hidden.astype(np.float32).take(scan[pairs:])
+        depth = near.depth - hidden.astype(np.float32).take(scan)
         h = np.minimum(np.maximum(depth, 0.0), 1.0)
-        gain = (self._noise.log_density(z, h, level, residue) - untouched) * live
-        met = np.empty((n, k))
-        met[:, order] = (np.bincount(near.row, gain, k * n) + added).reshape(k, n).T
-        return met
+        h[first], added[: about * n] = met.h, met.added
+        sigma2[first] += met.more * met.more
+        spread = sigma2 + gain2 * h * h
+        gain = (self._noise.log_of(z, (level - h) / np.sqrt(spread), spread) - untouched) * live
+        out = np.empty((n, k))
+        out[:, order] = (np.bincount(near.row, gain, k * n) + added).reshape(k, n).T
+        return out
+
+    def _pressed(self, near: Nearby, fields: Grid, variance: Floats) -> Pressed:
+        """The taxels about presses (P,) with their fields (len(Kept), P), where the offsets of
+        their rows, of `variance` (rows,), explain the readings best."""
+        _, level, root, _, _, _, sag, most, _, low, high, _ = fields
+        rate, farther = (np.maximum(near.along * each, LEAST_RATE) for each in (sag, most))
+        row, depth = near.row[: len(rate)], near.depth[: len(rate)]
+        readings = Readings(row, level, low, high, depth, near.gx, near.gy, root, rate)
+        depth, added, _ = readings.offset(variance)
+        h = np.minimum(sagging(depth, rate), 1.0)
+        more = np.minimum(sagging(depth, farther), 1.0) - h
+        return Pressed(h, more, h * np.maximum(1.0 - depth / rate, 0.0), added)
+
+    def contacts_at(self, poses: Poses) -> "Expected":
+        """The remembered contacts, and the depths expected of an object at equally likely poses
+        (N, 3)."""
+        scans, n, taxels = np.flatnonzero(self.contact), len(poses), len(self._model.layout)
+        near = self._model.pressed_from(self._sensor[scans], poses, len(scans))
+        at = near.row // n * taxels + near.taxel
+        kept = self._kept[:, scans]
+        variance = self.slack.variance(self.newest - self.number[scans])
+        fields = kept.reshape(len(Kept), -1).take(at, axis=1)
+        met = self._pressed(near, fields, np.repeat(variance, n))
+
+        def mean(values: Grid) -> Floats:
+            total = np.bincount(at, values, len(scans) * taxels)
+            return np.asarray(total.reshape(len(scans), taxels) / n)
+
+        h, square = mean(met.h), mean(met.h * met.h)
+        z, live = kept[Kept.Z].astype(np.float64), kept[Kept.LIVE] > 0.0
+        floor = np.where(z > 0.0, 0.0, kept[Kept.LEVEL])
+        added = square - h * h + kept[Kept.RESIDUE] ** 2
+        return Expected(self.number[scans], z, live, floor, h, mean(met.by_sag), added)
 
 
 def _and(values: NDArray[Number], last: float) -> NDArray[Number]:

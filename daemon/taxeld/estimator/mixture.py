@@ -11,7 +11,7 @@ from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, Hypotheses, summarise
 from taxeld.estimator.evidence import ModelEvidence
-from taxeld.estimator.memory import Memory, Prior, Slack
+from taxeld.estimator.memory import Expected, Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
 from taxeld.estimator.verdict import judge
@@ -25,6 +25,7 @@ REMEMBERED = 16  # scans of touches remembered at most
 SILENT_MAX = 32  # silent scans remembered at most
 TELLING = 1.0  # nats that a silent scan must cost some particle to be remembered
 SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # candidate factors on the configured slack
+EXPECTING = 32  # poses by which a belief tells what it expects
 SLACK_NATS = 1.0  # nats of evidence needed to change the slack
 REVISITS = 3  # second opinions after a contact, at most
 AGREED = 2  # opinions in a row that leave a sure belief in place are enough
@@ -149,6 +150,14 @@ class Mixture:
         self._become(self._merged(opinion), moves=1)
         self._judge(opinions=1)
         return len(samples)
+
+    def expected(self, after: int, /) -> Expected | None:
+        told = self.memory.contact & (self.memory.number > after)
+        memory = self.memory.only(told, prior=False)
+        if not told.any():
+            return None
+        drawn = pf.resample(self.belief, EXPECTING, np.random.default_rng(0))
+        return memory.contacts_at(drawn.pose)
 
     def _wanted(self) -> int:
         """Number of samples: as configured, and more while the belief is wide or unlikely."""

@@ -3,7 +3,8 @@
 The sensor's pose at a touch is known only to about a millimetre, and each later touch may have
 moved the object as much. So p(z | q) = ∫ p(z | q, e) N(e; 0, s²) de over an offset e of the sensor
 in the plane, common to all taxels of the scan. The depth is linear in e, by the gradient of the
-distance field; the integral is Laplace's, about the e that explains the reading best.
+distance field; what is read of it sags (`model.sag`). The integral is Laplace's, about the e that
+explains the reading best.
 """
 
 from dataclasses import dataclass
@@ -11,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from taxeld.arrays import Floats, Grid, Index
+from taxeld.model.sag import sagging
 
 ITERATIONS = 2  # Gauss-Newton steps: taxels come into touch, and leave it, once
 HIDDEN = 1.5  # standard deviations of its offset by which a silent scan may be off
-LEAST_M2 = 1e-12  # least variance of an offset, for one that has none
+LEAST_M2 = 1e-14  # least variance of an offset, for one that has none
 ROBUST = 3.0  # standard deviations beyond which a reading pulls no harder (Huber 1964)
 
 
@@ -31,6 +33,7 @@ class Readings:
     gx: Grid  # slope of the depth over the offset [1/m]
     gy: Grid
     root: Grid  # 1 / standard deviation of the reading; 0 where it cannot be believed
+    rate: Grid  # depth below which the cover's sag is read, as of `sagging`
 
     def offset(self, variance: Floats) -> tuple[Grid, Floats, Floats]:
         """Fit the offsets, of variance (R,) [m²] for each row; → the depths (P,) there, what the
@@ -42,27 +45,23 @@ class Readings:
         rows = self.row[begins]
         pairs = np.diff(begins, append=len(self.row))
         precision = 1.0 / np.maximum(variance[rows], LEAST_M2)
-        away = (self.level - self.depth) * self.root  # misfit without an offset [sd]
-        slope = np.array([self.gx, self.gy])
-        slope *= self.root
-        ax, ay = slope
-        squares = np.array([ax * ax, ax * ay, ay * ay])
-        sums = np.empty((5, len(away)), np.float32)
         x = y = np.zeros(len(rows))
-        off = away
+        depth = self.depth
         for _ in range(ITERATIONS):
+            read = sagging(depth, self.rate)
+            move = np.where(depth < self.rate, read / self.rate, np.float32(1.0)) * self.root
+            ax, ay = self.gx * move, self.gy * move
+            off = (self.level - read) * self.root
             off = np.minimum(np.maximum(off, self.low), self.high)
-            size = np.maximum(np.abs(off), ROBUST)
-            weight = (off != 0.0) * ROBUST / size
-            np.multiply(squares, weight, out=sums[:3])
-            np.multiply(slope, off * weight, out=sums[3:])
+            weight = (off != 0.0) * ROBUST / np.maximum(np.abs(off), ROBUST)
+            sums = np.array([ax * ax, ax * ay, ay * ay, ax * off, ay * off]) * weight
             xx, xy, yy, bx, by = np.add.reduceat(sums, begins, axis=1).astype(np.float64)
             xx, yy = xx + precision, yy + precision
             bx, by = bx - precision * x, by - precision * y
             det = xx * yy - xy * xy
             x, y = x + (yy * bx - xy * by) / det, y + (xx * by - xy * bx) / det
             along = np.repeat(np.stack([x, y]).astype(np.float32), pairs, axis=1)
-            off = away - ax * along[0] - ay * along[1]
+            depth = self.depth + self.gx * along[0] + self.gy * along[1]
         added[rows] = -0.5 * ((x * x + y * y) * precision + np.log(det / precision**2))
         size_m[rows] = np.hypot(x, y)
-        return self.depth + self.gx * along[0] + self.gy * along[1], added, size_m
+        return depth, added, size_m

@@ -7,7 +7,7 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import Hypotheses
-from taxeld.estimator.memory import Memory
+from taxeld.estimator.memory import Expected, Memory
 from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
 from taxeld.estimator.verdict import judge
 from taxeld.model.observation import Observation, ObservationModel
@@ -78,6 +78,9 @@ class Paper:
             self.belief = pf.resample(self.belief, len(self.belief), self._rng)
             pf.roughen(self.belief, self._rng, self.metric.scale)
         return evidence
+
+    def expected(self, _after: int) -> Expected | None:
+        return None
 
     def revisit(self, draw: Draw) -> int:  # noqa: ARG002
         """Nothing is remembered."""

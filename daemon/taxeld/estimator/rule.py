@@ -9,9 +9,12 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
+from taxeld.estimator.memory import Expected
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.verdict import Verdict
-from taxeld.model.observation import Noise, Observation
+from taxeld.model import sag
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation
 
 Draw = Callable[[Observation, int], Poses]
 """Poses (≤ n, 3) in the world that explain an observation by itself."""
@@ -52,6 +55,11 @@ class Rule(Protocol):
         samples injected, and the scan's log evidence."""
         ...
 
+    def expected(self, after: int, /) -> Expected | None:
+        """The remembered contacts after number `after`, and the depths that the belief expects of
+        them; None where nothing is remembered."""
+        ...
+
     def revisit(self, draw: Draw) -> int:
         """While there is nothing to learn, take a second opinion: look for poses that explain all
         contacts better; → the number of samples used."""
@@ -64,7 +72,8 @@ def drawn(draw: Draw, observation: Observation, n: int) -> Poses:
 
 
 def noise_of(config: FilterConfig) -> Noise:
-    return Noise(config.noise_sigma, config.gain_cv)
+    """Errors of a skin of which no more is known than its kind."""
+    return Noise(config.noise_sigma, config.gain_cv, sag_m=sag.LENGTH_M, sag_sd=sag.LENGTH_SD)
 
 
 def anew(config: FilterConfig, rng: np.random.Generator) -> Belief:

@@ -7,7 +7,7 @@ import numpy as np
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import SEARCHING_WEIGHT, SURE, Hypotheses, Status, Summary, summarise
 from taxeld.estimator.particles import Belief
-from taxeld.model.observation import normal_cdf
+from taxeld.model.noise import normal_cdf
 from taxeld.model.symmetry import PoseMetric
 
 UNMODELLED_M = 0.002  # sd of the pose beside the belief's own: robot, foam and shape err unmodelled

@@ -3,8 +3,7 @@
 from dataclasses import dataclass
 
 from taxeld.arrays import Bools, Floats
-
-FLOOR = 0.01  # share of full scale: a lighter touch does not constrain the pose
+from taxeld.model.noise import FLOOR, Noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,3 +15,4 @@ class Activation:
     live: Bools  # (M,) whether the taxel has answered and can be believed
     floor: Floats | float = FLOOR  # (M,) readings below it are 0: noise, and foam's remains
     residue: Floats | float = 0.0  # (M,) part of a reading that earlier presses may have left
+    noise: Noise | None = None  # errors of each taxel, where they are known

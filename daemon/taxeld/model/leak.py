@@ -1,13 +1,17 @@
-"""The leak of a press into taxels beside it: cross-talk of its module, and skin that sags."""
+"""The leak of a press into taxels beside it: cross-talk of its module, and skin that sags.
+
+Sag around the link is a part of the observation model (`sag`). An object may also end along the
+link, which the model does not follow: so what taxels above and below may add is held back here.
+"""
 
 import numpy as np
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Floats, Index
 from taxeld.layout.layout import Layout
 
 CROSS_TALK = 0.05  # share of the sum over the other taxels of the module (docs/physics.md)
-SAG = 0.1  # share of the strongest taxel beside it
-BESIDE = 1.5  # median nearest distances: taxels this near are beside each other
+REACH_M = 0.006  # m: the cover sags by 1/e so far beside one press in ten (docs/physics.md)
+LEAST = 0.01  # smaller shares of a press leave nothing
 
 
 class Leak:
@@ -21,28 +25,33 @@ class Leak:
         np.fill_diagonal(apart, np.inf)
         self._coupled = CROSS_TALK * (module[:, None] == module)
         np.fill_diagonal(self._coupled, 0.0)
-        beside = apart <= BESIDE * np.median(apart.min(axis=1))
-        most = int(beside.sum(axis=1).max(initial=1))
-        order = np.argsort(apart, axis=1)[:, :most]
-        self._beside = order.T.copy()  # (neighbours, M)
-        self._share = SAG * np.take_along_axis(beside, order, axis=1).T.copy()
+        sag = np.exp(-apart / REACH_M)
+        height = place[:, None, 2] - place[:, 2]
+        self._along = _strongest(sag * (height / apart) ** 2)
+        self._all = _strongest(sag)
 
     def of(self, z: Floats) -> Floats:
-        """Activations (M,) or (n, M) → about the most that each taxel may read from elsewhere, in
-        the same shape."""
+        """Activations (M,) or (n, M) → about the most that each taxel may read from elsewhere and
+        the observation model does not follow, in the same shape."""
         if z.ndim > 1:
-            return self._of_many(z)
-        sag = (self._share * z.take(self._beside)).max(axis=0)
+            return self._of_many(z, *self._along)
+        share, beside = self._along
+        sag = (share * z.take(beside)).max(axis=0)
         return np.asarray(z @ self._coupled.T + sag)
 
-    def _of_many(self, z: Floats) -> Floats:
+    def drawn(self, z: Floats) -> Floats:
+        """Activations (n, M) → about the most that each taxel may read from elsewhere, followed by
+        the model or not, in the same shape: samplers are trained with it."""
+        return self._of_many(z, *self._all)
+
+    def _of_many(self, z: Floats, shares: Floats, besides: Index) -> Floats:
         """`of` for activations (n, M), within rounding, in a tenth of the time: training calls it
         for every batch."""
         of_taxel = np.ascontiguousarray(z.T)
         member = self._member.astype(z.dtype)
         others = member @ (member.T @ of_taxel) - of_taxel  # other taxels of the module
         sag = np.zeros_like(of_taxel)
-        for share, beside in zip(self._share.astype(z.dtype), self._beside, strict=True):
+        for share, beside in zip(shares.astype(z.dtype), besides, strict=True):
             np.maximum(sag, share[:, None] * of_taxel.take(beside, axis=0), out=sag)
         return np.asarray((CROSS_TALK * np.maximum(others, 0.0) + sag).T)
 
@@ -58,3 +67,12 @@ class Leak:
         leak = self.of(z)
         raised = np.maximum(floor, leak)
         return np.where(z < raised, 0.0, z), raised, np.hypot(residue, leak)
+
+
+def _strongest(share: Floats) -> tuple[Floats, Index]:
+    """Shares (M, M) of each column's press that each row reads → the greatest of each row, and
+    their columns: (neighbours, M) each."""
+    share = np.where(share < LEAST, 0.0, share)
+    most = max(int(np.count_nonzero(share, axis=1).max(initial=1)), 1)
+    order = np.argsort(-share, axis=1)[:, :most]
+    return np.take_along_axis(share, order, axis=1).T.copy(), order.T.copy()

@@ -1,8 +1,6 @@
-"""The observation model: how deep an object at a pose presses each taxel, and how likely readings
-are.
+"""The observation model: how deep an object at a pose presses each taxel.
 
-h(q)_i = clip(−σ_k(i)(q⁻¹ p_i) / δ_max, 0, 1); a reading is h, times the taxel's gain error, plus
-noise. Under the taxel's floor it is reported as 0, and over full scale as 1.
+h(q)_i = clip(−σ_k(i)(q⁻¹ p_i) / δ_max, 0, 1); `noise` says how readings err about it.
 """
 
 from dataclasses import dataclass
@@ -13,14 +11,11 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses, Reals
 from taxeld.layout.layout import Layout
-from taxeld.model.activation import FLOOR
 from taxeld.model.contacts import axis_in_object
 from taxeld.model.leak import Leak
+from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.scene import Scene
 
-LEAST = 1e-37  # least probability, so that its logarithm is finite
-FARTHEST_SD = 8.0  # standard deviations: a reading that is farther off changes nothing more
-BOWLING = 1.5976, 0.07056  # coefficients of a logistic function near to the normal distribution's
 NONE = np.empty(0, np.float32)  # slopes where none are asked for
 
 
@@ -33,73 +28,12 @@ class Observation:
     live: Bools  # (M,)
     floor: Floats | float = FLOOR  # (M,) a reading below it is 0
     residue: Floats | float = 0.0  # (M,) part of a reading that earlier presses may have left
+    noise: Noise | None = None  # errors of each taxel, where they are known
 
     @property
     def is_contact(self) -> bool:
         """Whether any taxel was pressed; else the scan is silent."""
         return bool(self.z.max() > 0.0)
-
-
-@dataclass(frozen=True, slots=True)
-class Noise:
-    """Errors of a reading z around h(q); dimensionless like activations."""
-
-    sigma: float = 0.02  # sd of the additive noise
-    gain_cv: float = 0.17  # sd of a taxel's relative gain error, measured on such a skin
-    outliers: float = 0.01  # probability that a reading has nothing to do with the pose
-
-    @property
-    def least(self) -> float:
-        """The least density that any reading can have."""
-        return max(self.outliers / 3.0, LEAST)
-
-    def draw(self, h: Floats, rng: np.random.Generator) -> Floats:
-        """Readings of true activations `h` (any shape)."""
-        gain = 1.0 + self.gain_cv * rng.standard_normal(h.shape)
-        z = np.minimum(gain * h + self.sigma * rng.standard_normal(h.shape), 1.0)
-        return np.where(z < FLOOR, 0.0, z)
-
-    def log_density(
-        self, z: Reals, h: Reals, floor: Reals | float = FLOOR, residue: Reals | float = 0.0
-    ) -> Floats:
-        """log p(z | h) of each taxel. All of z, h, floor and residue are of any shapes that
-        broadcast, such as (M,) and (N, M), and the result has their common shape; single precision
-        is kept.
-
-        Between floor and full scale it is a Gaussian's density. A reading of 0 is censored, and one
-        of 1 saturated: their terms are the probabilities of less than the floor, or of more than
-        full scale (a tobit model). With probability `outliers` a reading means nothing, and is 0, 1
-        or anything between alike, so a single broken taxel costs a pose a bounded amount.
-        """
-        variance = self.variance(h) + residue * residue
-        off = (np.where(z > 0.0, z, floor) - h) / np.sqrt(variance)
-        return self.log_of(z, off, variance)
-
-    def variance(self, h: Reals) -> Floats:
-        """Variance of a reading about its true activation `h` (any shape); → the same shape."""
-        return np.asarray(self.sigma**2 + (self.gain_cv * h) ** 2)
-
-    def log_of(self, z: Reals, off: Reals, variance: Reals) -> Floats:
-        """`log_density` for readings z that lie `off` standard deviations over the expected; a
-        reading of 0 has its floor in its place. All three have shapes that broadcast, as (P,)."""
-        off = np.minimum(np.maximum(off, -FARTHEST_SD), FARTHEST_SD)
-        square = off * off
-        told = (z > 0.0) & (z < 1.0)
-        sign = np.where(z > 0.0, off, -off)  # positive above full scale or under the floor
-        power = np.exp(np.where(told, -0.5 * square, sign * (BOWLING[0] + BOWLING[1] * square)))
-        likely = np.where(told, power / np.sqrt(2.0 * np.pi * variance), 1.0 / (1.0 + power))
-        return np.asarray(np.log((1.0 - self.outliers) * likely + self.least))
-
-    def log_likelihood(self, z: Floats, live: Bools, h: Floats) -> Floats:
-        """log p(z | h) summed over live taxels: z (M,), live (M,), h (N, M) → (N,)."""
-        return np.asarray(self.log_density(z, h) @ live.astype(np.float64))
-
-
-def normal_cdf(x: Floats) -> Floats:
-    """The standard normal distribution function of x (any shape), to 1.5e-4 (Bowling et al. 2009,
-    eq. 10)."""
-    x = np.clip(x, -FARTHEST_SD, FARTHEST_SD)
-    return np.asarray(1.0 / (1.0 + np.exp(-x * (BOWLING[0] + BOWLING[1] * x * x))))
 
 
 BLOCK = 65_536  # points looked up at once: they stay in the cache
@@ -116,6 +50,7 @@ class Nearby(NamedTuple):
     # looked up about a press
     gx: Grid
     gy: Grid  # slope of the depth over the sensor's y, for the same taxels [1/m]
+    along: Grid  # slope of the depth around the link, for the same taxels [1/m]
 
 
 class GridTables(NamedTuple):
@@ -212,6 +147,7 @@ class ObservationModel:
         about = int(np.searchsorted(row, about))
         u = np.minimum(np.maximum(u.take(at), 0.0), nx - 1.001)[:, None]
         v = np.minimum(np.maximum(v.take(at), 0.0), ny - 1.001)[:, None]
+        ux, uy = u - x.take(row)[:, None], v - y.take(row)[:, None]  # the taxel from the axis
         u -= np.floor(u)
         v -= np.floor(v)
         cell = cell.take(at)[:, None] + self.grid.offset.take(place, axis=0)
@@ -230,14 +166,17 @@ class ObservationModel:
         row, taxel = rows.take(row.take(kept // most)), taxel.take(kept)
         depth = d00.take(kept) * (-1.0 / self.depth_max_m)
         if not about:
-            return Nearby(row, taxel, depth, NONE, NONE)
+            return Nearby(row, taxel, depth, NONE, NONE, NONE)
         kept = kept[: np.searchsorted(kept, about * most)]
         d01, d11 = d01[:about], d11[:about]
         d11 -= d01
         d11 *= v[:about]
         d01 += d11
         rate = -1.0 / (scene.cell * self.depth_max_m)
-        return Nearby(row, taxel, depth, d01.take(kept) * rate, d10.take(kept) * rate)
+        gx, gy = d01.take(kept) * rate, d10.take(kept) * rate
+        ux, uy = (side.take(kept // most).astype(np.float32) for side in (ux, uy))
+        along = np.abs(gy * ux - gx * uy) / np.sqrt(ux * ux + uy * uy)
+        return Nearby(row, taxel, depth, gx, gy, along)
 
 
 def _in_object(sensors: Floats, poses: Floats) -> tuple[Floats, Floats, Floats]:

@@ -19,7 +19,8 @@ from taxeld.arrays import Bools, Floats, Index, Poses, Reals
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.rule import noise_of
 from taxeld.model import se2
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.response import deviation
 from taxeld.model.symmetry import Mode
 
@@ -243,7 +244,8 @@ class CalibrationCheck:
 def _stacked(touches: Iterable[Observation]) -> Observation:
     """K touches as one observation, with a row for each in its arrays: (K, 3) and (K, M)."""
     rows = ((t.sensor, t.z, t.live, t.floor + 0.0 * t.z, t.residue + 0.0 * t.z) for t in touches)
-    return Observation(*map(np.stack, zip(*rows, strict=True)))
+    sensor, z, live, floor, residue = map(np.stack, zip(*rows, strict=True))
+    return Observation(sensor, z, live, floor, residue)
 
 
 def _prior(x: Floats) -> Floats:

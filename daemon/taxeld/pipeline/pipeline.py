@@ -14,6 +14,7 @@ import numpy as np
 
 from taxeld.config.tables import Config
 from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.rule import noise_of
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.calibration_check import CalibrationCheck
@@ -22,6 +23,7 @@ from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
 from taxeld.proposals.ladder import Ladder
 from taxeld.skin.calibration import Calibration
+from taxeld.skin.fit import Lesson
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
@@ -29,6 +31,7 @@ from taxeld_protocol.decoder import Scan
 FUTURE_S = 0.1  # a scan stamped farther in the future was stamped wrongly
 SCAN_AGE_S = 0.5  # a scan that is older when it arrives is not used
 WAITING_MAX = 64  # scans that may wait; beyond, the oldest wait no longer
+CONTACTS, LEAST_CONTACTS = 12, 4  # contacts of a lesson, and of one before all is forgotten
 SILENT_PERIODS = 3.0  # scan periods without a scan: a hub is silent, all is stale
 
 
@@ -56,13 +59,16 @@ class Pipeline:
         self.ladder = ladder
         period_s = config.source.period_ms / 1000.0
         silent_s = max(SCAN_AGE_S, SILENT_PERIODS * period_s)
-        self.skin = Skin(model.layout, config.skin, silent_s, calibration)
+        self.skin = Skin(
+            model.layout, config.skin, silent_s, calibration, noise=noise_of(config.filter)
+        )
         self.poses: PoseTrack | StandingStill = StandingStill()
         if config.sensor_pose.endpoint:
             mount = None if calibration is None else calibration.mount
             self.poses = PoseTrack(on_pose, mount, extrapolate_s)
         self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)
         self.check = CalibrationCheck(model, config.filter)
+        self._learns = config.skin.learn and config.filter.motion == "none"
         square = config.filter.centre_m, config.filter.half_width_m
         self.freshness = Freshness(silent_s, *square, _reach_m(model))
         self.estimate = self.freshness.judged(self.estimator.estimate)
@@ -157,6 +163,7 @@ class Pipeline:
                 "foreign": len(self.skin.wiring.foreign),
                 "match": self.freshness.is_whole,
             },
+            "skin_fit": self.skin.fit.told(),
             **self.skin.faults(),
         }
 
@@ -174,6 +181,7 @@ class Pipeline:
 
     def reset(self) -> None:
         """Forget all touches; samples are tried again as at start."""
+        self._learn(LEAST_CONTACTS)
         self.ladder.begin_anew()
         self.estimator.reset()
         self.check.reset()
@@ -217,8 +225,17 @@ class Pipeline:
             estimate = self.estimator.estimate
         propose_ns = self.ladder.spent_ns - proposed_ns
         filter_ns = clock() - start - propose_ns
+        if not estimate.contact:
+            self._learn(CONTACTS)
         self.estimate = self.freshness.judged(later(estimate, by))
         return Outcome(self.estimate, later(activation, by), sensor, skin_ns, propose_ns, filter_ns)
+
+    def _learn(self, least: int) -> None:
+        """Have a sure belief teach the skin, once it can tell of so many contacts more."""
+        told = self.estimator.taught(least) if self._learns else None
+        if told is None:
+            return
+        self.skin.teach(Lesson(told.z, told.floor, told.h, told.by_sag, told.variance, told.live))
 
     def _consider(self) -> bool:
         """Take a step of the check and a second opinion; → whether the estimate has changed."""

@@ -1,4 +1,4 @@
-"""The file that a skin's state is kept in: JSON of less than 50 kB, read at the start, written
+"""The file that a skin's state is kept in: JSON of some 100 kB, read at the start, written
 seldom, each time by a thread of its own.
 
 It is written beside, synced and then renamed, so that a power cut leaves the old one or the new
@@ -20,10 +20,10 @@ from taxeld.arrays import Floats
 from taxeld.config.file import opened
 from taxeld.config.tables import Config
 from taxeld.skin.skin import Skin
-from taxeld.skin.state import SkinState
+from taxeld.skin.state import RESPONSE, SkinState
 
 NAME = "skin.json"
-VERSION = 1
+VERSION = 2
 EVERY_S = 300.0  # between two writings out of contact
 MAX_AGE_S = 43_200.0  # a state that was stored longer ago is not used
 FUTURE_S = 3600.0  # a state from farther ahead was stored by a wrong clock, or is read by one
@@ -36,8 +36,14 @@ ARRAYS = {  # digits, least, most, whether nan is allowed (null in the file)
     "coefficient": (5, -100.0, 100.0, False),
     "leak": (5, 0.0, 1.0, False),
     "t0": (2, -COUNT_MAX, COUNT_MAX, True),
+    "gain": (4, 0.1, 10.0, False),
+    "onset": (4, -1.0, 10.0, False),
+    "log_sag": (3, -12.0, 0.0, False),
+    "gain_sd": (4, 1e-4, 10.0, False),
+    "onset_sd": (4, 1e-4, 10.0, False),
+    "log_sag_sd": (3, 1e-3, 10.0, False),
 }
-OF_TAXELS = ("baseline", "noise")  # the others are of modules
+OF_TAXELS = ("baseline", "noise", *RESPONSE)  # the others are of modules
 
 log = logging.getLogger(__name__)
 
@@ -102,22 +108,23 @@ class StateFile:
         self._writer: threading.Thread | None = None
 
     def restore(self, now: float) -> None:
-        """Give the skin what is stored; `now` is Unix time."""
+        """Give the skin what is stored; `now` is Unix time. The taxels' responses last longer than
+        the baseline."""
         if self._path is None:
             return
         skin = self._skin
         try:
             with opened(self._path, MAX_BYTES) as file:
                 state = parse(file.read(MAX_BYTES), skin.digest, len(skin.layout), skin.modules)
-            if not -FUTURE_S <= now - state.t <= MAX_AGE_S:
+            is_fresh = -FUTURE_S <= now - state.t <= MAX_AGE_S
+            skin.restore(state, baseline=is_fresh)
+            if not is_fresh:
                 raise ValueError(f"it is {(now - state.t) / 3600.0:.1f} h old")
         except FileNotFoundError:
             return
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else error
             log.warning("%s: not used, %s; the idle baseline is learned again", self._path, reason)
-        else:
-            skin.restore(state)
 
     def keep(self, now_s: float) -> None:
         """Have the state written if it is time to, and the disk has taken the last one; `now_s` is

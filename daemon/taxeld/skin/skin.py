@@ -14,12 +14,15 @@ import numpy as np
 from taxeld.arrays import Bools, Floats, Index
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
-from taxeld.model.activation import FLOOR, Activation
+from taxeld.model.activation import Activation
+from taxeld.model.noise import FLOOR, Noise
+from taxeld.model.response import Inverse
 from taxeld.skin import state as skin_state
 from taxeld.skin.calibration import Calibration, Scale
 from taxeld.skin.capture import Idle
 from taxeld.skin.channels import Wired, Wiring
 from taxeld.skin.drift import Drift, Slice
+from taxeld.skin.fit import Lesson, SkinFit
 from taxeld.skin.foam import Residue
 from taxeld.skin.rest import Rest
 from taxeld.skin.state import SkinState
@@ -65,10 +68,11 @@ class Skin:
         silent_s: float = SILENT_S,
         calibration: Calibration | None = None,
         baseline_scans: int = BASELINE_SCANS,
+        noise: Noise | None = None,
     ) -> None:
         """`silent_s`: time for which a hub's readings hold without a new scan. `calibration`
         replaces the configured full scale. `baseline_scans`: untouched scans that make a
-        baseline."""
+        baseline. `noise`: errors of readings before anything is learned of them."""
         taxels = len(layout)
         self.layout = layout
         self.config = config
@@ -79,9 +83,14 @@ class Skin:
         self.touched = False  # whether the last activation is a touch
         self.threshold: Floats = np.zeros(taxels)
         self.over: Floats = np.zeros(taxels)  # (M,) counts over baseline of the last activation
+        self._calibrated_t = -np.inf if calibration is None else calibration.t
         self._silent_s = silent_s
         self._baseline_scans = baseline_scans
         self._scale = Scale.used(config.full_scale_counts, calibration)
+        self.fit = SkinFit(taxels, noise or Noise(), calibration)
+        self.noise: Noise | None = None  # errors of each taxel about its curve, where known
+        if noise is not None and calibration is not None:
+            self.noise = self.fit.noise
         self._floor = FLOOR * self._scale.full_scale_counts
         self.wiring = Wiring(layout)
         self._counts: Floats = np.zeros(taxels)  # (M,) of each taxel's last scan, 0 where not valid
@@ -136,6 +145,17 @@ class Skin:
         """Whether any taxel has a baseline."""
         return bool(self._idle.known.any())
 
+    def teach(self, lesson: Lesson) -> None:
+        """Learn how taxels respond, from contacts of a sure belief."""
+        if self.fit.teach(lesson):
+            self._use_fit()
+
+    def _use_fit(self) -> None:
+        gain, onset, _ = self.fit.fit.mean
+        full = self._scale.full_scale_counts
+        self._scale = Scale(full, full * gain, Inverse(self.fit.bend, onset))
+        self.noise, self._marks = self.fit.noise, None
+
     def on_scan(self, scan: Scan) -> Activation | None:
         """The activation after this scan; None while the baseline is being learned."""
         self.counters.scans += 1
@@ -166,8 +186,14 @@ class Skin:
             self._settle()
         return activation
 
-    def restore(self, state: SkinState) -> None:
-        """Use a state from before a restart, where the first scans confirm it."""
+    def restore(self, state: SkinState, *, baseline: bool = True) -> None:
+        """Use a state from before a restart: the responses that were learned, unless a calibration
+        is newer, and the `baseline`, where the first scans confirm it."""
+        if self.config.learn and state.t > self._calibrated_t:
+            self.fit.restore(np.stack([getattr(state, name) for name in skin_state.RESPONSE]))
+            self._use_fit()
+        if not baseline:
+            return
         self._state = state
         self._pending = ~np.isnan(state.baseline)
         self._drift.temperature.coefficient = state.coefficient.copy()
@@ -186,6 +212,7 @@ class Skin:
             coefficient=temperature.coefficient.copy(),
             leak=temperature.leak.copy(),
             t0=temperature.level,
+            **dict(zip(skin_state.RESPONSE, self.fit.values, strict=True)),
         )
 
     def faults(self) -> dict[str, list[int]]:
@@ -276,7 +303,7 @@ class Skin:
         residue.on_scan(np.where(live, over, 0.0), self.threshold)
         if residue.is_none:
             self.touched = False
-            return Activation(self._t, np.zeros(len(live)), live, *self._unmarked())
+            return Activation(self._t, np.zeros(len(live)), live, *self._unmarked(), self.noise)
         pressed = live & residue.pressed
         self.touched = bool(pressed.any())
         if not residue.level.any():  # the first press for a long time
@@ -286,7 +313,8 @@ class Skin:
             self._drift.touched(self._t, pressed | (residue.level > self.threshold))
             left = scale.activation(residue.level)
             marks = Marks(scale.activation(self.threshold + residue.level), left)
-        return Activation(self._t, np.where(pressed, scale.activation(over), 0.0), live, *marks)
+        z = np.where(pressed, scale.activation(over), 0.0)
+        return Activation(self._t, z, live, *marks, self.noise)
 
     def _unmarked(self) -> Marks:
         """Marks where presses have left nothing."""

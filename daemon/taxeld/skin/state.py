@@ -13,6 +13,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats
 from taxeld.layout.layout import Layout
 
+RESPONSE = "gain", "onset", "log_sag", "gain_sd", "onset_sd", "log_sag_sd"  # as `SkinFit.values`
 CONFIRMING = 0.5  # share of answering taxels that must read within their thresholds
 
 
@@ -27,6 +28,12 @@ class SkinState:
     coefficient: Floats  # (K,) counts of drift a count of T0
     leak: Floats  # (K,) counts of T0 a count of press: the part of a press that T0 reads
     t0: Floats  # (K,) counts, nan where there is none
+    gain: Floats  # (M,) of each taxel's response (`skin.fit`), and so on
+    onset: Floats
+    log_sag: Floats  # logarithm of its length [m]
+    gain_sd: Floats
+    onset_sd: Floats
+    log_sag_sd: Floats
 
 
 def digest(layout: Layout) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
-from taxeld.model.activation import FLOOR
+from taxeld.model.noise import FLOOR
 from taxeld.skin.capture import NOISE_MAX, SD_OF_STEP
 from taxeld.skin.channels import TEMPERATURE
 from taxeld.skin.rest import NOISE_TELLS

@@ -16,8 +16,8 @@ from taxeld.commands.replay import open_pipeline, outcomes
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.model import se2
-from taxeld.model.activation import FLOOR
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.noise import FLOOR, Noise
+from taxeld.model.observation import ObservationModel
 from taxeld.model.response import Inverse
 from taxeld.skin import state
 from taxeld.skin.calibration import Calibration, Scale
@@ -115,8 +115,8 @@ def fitted(observed: Observed, config: Config, placed: Poses | None) -> Result:
         bend_sd=float(sd.bend[0]),
         mount=value.mount,
         mount_sd=sd.mount,
-        noise_sigma=noise.sigma,
-        gain_cv=noise.gain_cv,
+        noise_sigma=float(noise.sigma),
+        gain_cv=float(noise.gain_cv),
         gain=np.exp(value.log_gain),
         gain_sd=sd.log_gain,
         onset=value.onset,

@@ -14,7 +14,8 @@ from scipy.spatial import cKDTree
 
 from taxeld.arrays import Floats, Poses
 from taxeld.model import contacts, se2
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld_training.limits.posterior import (
     Draws,
     ExactPosterior,

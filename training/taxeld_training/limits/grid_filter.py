@@ -18,7 +18,8 @@ from taxeld.estimator.estimate import MODE_CANDIDATES, MODE_RADIUS_M, MODES_MAX
 from taxeld.estimator.memory import Slack
 from taxeld.estimator.mixture import SCALES
 from taxeld.model import contacts, se2
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld_training.limits.grid_cells import Cells, tile
 from taxeld_training.limits.grid_likelihood import CellLikelihood, Evidence

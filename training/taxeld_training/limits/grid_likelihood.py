@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.estimator.offsets import HIDDEN, Readings
-from taxeld.model import se2
-from taxeld.model.observation import BAND_M, Noise, Observation, ObservationModel, normal_cdf
+from taxeld.model import sag, se2
+from taxeld.model.noise import Noise, normal_cdf
+from taxeld.model.observation import BAND_M, Observation, ObservationModel
 from taxeld_training.limits.grid_cells import Cells
 
 BLOCK = 1024  # cells weighed at once: their taxels stay in the cache
@@ -155,6 +156,7 @@ class CellLikelihood:
                     pairs.depth,
                     *pairs.slope,
                     1.0 / np.sqrt(self._noise.variance(z) + residue**2 + extent),
+                    np.full(len(z), sag.LEAST),  # the grid's skin does not sag
                 )
             ),
         )

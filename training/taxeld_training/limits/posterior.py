@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from taxeld.arrays import Floats, Grid, Poses, Reals
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
-from taxeld.model.observation import Noise, Observation
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation
 from taxeld_training.models.dataset import SimulatedTouches
 
 BLOCK = 16_384  # presses weighed at once: they stay in the cache

@@ -12,10 +12,10 @@ from torch import Tensor
 from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.rule import noise_of
-from taxeld.model.activation import FLOOR
 from taxeld.model.contacts import synthesise
 from taxeld.model.leak import Leak
-from taxeld.model.observation import Noise, Observation, ObservationModel
+from taxeld.model.noise import FLOOR, Noise
+from taxeld.model.observation import Observation, ObservationModel
 
 MIN_ACTIVATION = 0.05  # least of the strongest taxel: weaker contacts are not learned or sampled
 SILENT = 5.0  # standard deviations of noise under which a reading is 0: noise is no touch
@@ -80,16 +80,16 @@ class SkinReader:
 
     def __init__(self, leak: Leak, noise: Noise, seed: int, device: torch.device) -> None:
         self.generator = torch.Generator(device).manual_seed(seed)
-        self._leak, self._noise = leak, noise
-        self._sigma = torch.tensor(noise.sigma, device=device)
+        self._leak, self._gain_cv = leak, float(noise.gain_cv)
+        self._sigma = torch.tensor(float(noise.sigma), device=device)
 
     def read(self, h: Tensor, live: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Activations h (n, M), live (n, M) as 0 or 1 → readings, floors and residues (n, M)."""
         floor = self._floor(h * live)
-        own = torch.clamp(floor / SILENT, max=self._noise.sigma)
-        sd = torch.where(h > 0.0, torch.hypot(self._sigma, self._noise.gain_cv * h), own)
+        own = torch.clamp(floor / SILENT, max=float(self._sigma))
+        sd = torch.where(h > 0.0, torch.hypot(self._sigma, self._gain_cv * h), own)
         z = h + sd * self._normal(h)  # one deviation for gain and noise
-        leak = self._leak.of((z * live).clamp(0.0, 1.0).cpu().numpy())
+        leak = self._leak.drawn((z * live).clamp(0.0, 1.0).cpu().numpy())
         z = ((z + torch.from_numpy(leak).to(z) * self._normal(h)) * live).clamp(0.0, 1.0)
         floor = _felt(z, floor)
         z = torch.where(z >= floor, z, 0.0)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from taxeld.model.leak import Leak
-from taxeld.model.observation import Noise
+from taxeld.model.noise import Noise
 from taxeld_training.models.base import Model
 from taxeld_training.models.dataset import Batches, SimulatedTouches
 

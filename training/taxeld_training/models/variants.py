@@ -5,7 +5,8 @@ from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.noise import Noise
+from taxeld.model.observation import ObservationModel
 from taxeld_training.models import views
 from taxeld_training.models.base import AnyFrame, AnyView, Model, NetworkConfig
 from taxeld_training.models.dataset import SimulatedTouches

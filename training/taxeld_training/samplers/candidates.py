@@ -15,8 +15,8 @@ import joblib
 import numpy as np
 import torch
 
-from taxeld.model.activation import FLOOR
-from taxeld.model.observation import Noise, ObservationModel
+from taxeld.model.noise import FLOOR, Noise
+from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.proposals.analytic import ANALYTIC
 from taxeld.proposals.sampler import Sampler

@@ -1,0 +1,171 @@
+"""What touches teach about each taxel: its gain, the onset of its response, and its sag.
+
+A sure belief says how deep each taxel was pressed, so its readings say how it responds. Each taxel
+has a Gaussian over three numbers (`model.response`, `model.sag`): the relative gain, the onset of
+its own curve, and the logarithm of the length by which the cover sags beside it. A reading is one
+step of an extended Kalman filter. A lesson is a trial first: it stays only where it foretells the
+readings of the next lesson better than what was known before (prequential; Dawid 1984).
+"""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from taxeld.arrays import Bools, Floats
+from taxeld.model import sag
+from taxeld.model.noise import Noise
+from taxeld.model.response import deviation, response
+from taxeld.skin.calibration import Calibration
+
+STEP = 1e-3  # of depth, for the slope of a response
+LEAST_RISE = 0.2  # least slope of a response: a flatter one tells no depth
+ONSET_SD = 0.5  # sd of a taxel's onset before anything is learned
+WITHIN = 0.25  # share of the variance of readings that no knowledge of the curve explains
+KNOWN = 0.7  # share of the usual sd: a taxel whose gain is known better was learned
+LEAST_SD = 0.02  # least sd of a gain or onset
+GAIN_WITHIN = 0.05  # sd of a reading in proportion to it, however well the gain is known
+OWN = 0.5  # share of the sag's variance that is the taxel's own; the rest is a press's
+ROBUST = 2.0  # standard deviations beyond which a reading teaches less (Huber 1964)
+LEAST = np.array([0.4, -0.9, np.log(2e-4)])  # least gain, onset, log length
+MOST = np.array([2.5, 3.0, np.log(0.012)])
+
+
+class Lesson(NamedTuple):
+    """Readings of K contacts, and the depths at which a sure belief expects them, (K, M) each, in
+    shares of full scale."""
+
+    z: Floats  # by the curves in use; 0 under the floor
+    floor: Floats  # of readings of 0
+    h: Floats  # with sag
+    by_sag: Floats  # slope of h over the logarithm of the sag's length
+    variance: Floats  # of the depth about h
+    tells: Bools  # whether the taxel is live
+
+
+class Readings(NamedTuple):
+    """A lesson as linear readings about the curves in use."""
+
+    off: Floats  # (K, M) reading less the expected; 0 where it tells nothing
+    slope: Floats  # (3, K, M) over gain, onset and log length
+    variance: Floats  # (K, M) of the reading; infinite where it tells nothing
+
+
+@dataclass(frozen=True, slots=True)
+class TaxelFit:
+    """The Gaussians of M taxels."""
+
+    mean: Floats  # (3, M) relative gain, onset, logarithm of the sag's length [m]
+    cov: Floats  # (3, 3, M)
+
+    def learned(self, seen: Readings, about: "TaxelFit") -> "TaxelFit":
+        """After the readings, which are linear about another fit."""
+        mean, cov = self.mean.copy(), self.cov.copy()
+        for off, slope, variance in zip(
+            seen.off, np.moveaxis(seen.slope, 1, 0), seen.variance, strict=True
+        ):
+            across = np.einsum("ijm,jm->im", cov, slope)
+            spread = np.einsum("im,im->m", slope, across)
+            left = off - np.einsum("im,im->m", slope, mean - about.mean)
+            sd = np.sqrt(spread + variance)
+            weight = np.minimum(ROBUST * sd / np.maximum(np.abs(left), 1e-9), 1.0)
+            gain = across / (spread + variance / weight**2)
+            mean = np.clip(mean + gain * left, LEAST[:, None], MOST[:, None])
+            cov = cov - gain[:, None] * across[None]
+        return replace(self, mean=mean, cov=cov)
+
+    def log_density(self, seen: Readings, about: "TaxelFit") -> float:
+        """Of the readings, which are linear about another fit; each counts within bounds."""
+        left = seen.off - np.einsum("ikm,im->km", seen.slope, self.mean - about.mean)
+        spread = np.einsum("ikm,ijm,jkm->km", seen.slope, self.cov, seen.slope) + seen.variance
+        told = np.isfinite(spread)
+        square = np.minimum(left[told] ** 2 / spread[told], ROBUST**2 * 4.0)
+        return float(-0.5 * (square + np.log(spread[told])).sum())
+
+
+def _diagonal(sd: Floats) -> Floats:
+    """Standard deviations (3, M) → covariances (3, 3, M)."""
+    return np.asarray(np.eye(3)[:, :, None] * np.square(sd)[None])
+
+
+class SkinFit:
+    """The responses of one skin, as far as they are known."""
+
+    def __init__(self, taxels: int, noise: Noise, calibration: Calibration | None = None) -> None:
+        """Of M taxels whose readings have the errors `noise` until more is known; from a
+        calibration, or of a skin of which no more is known than its kind."""
+        ones = np.ones(taxels)
+        gain, onset, self.bend = ones, 0.0 * ones, 0.0
+        sd = np.stack([float(noise.gain_cv) * ones, ONSET_SD * ones])
+        if calibration is not None:
+            gain, onset, self.bend = calibration.gain, calibration.onset, calibration.bend
+            sd = np.stack([calibration.gain_sd, calibration.onset_sd])
+        sd = np.vstack([np.maximum(sd, LEAST_SD), np.sqrt(OWN) * sag.LENGTH_SD * ones])
+        self.fit = TaxelFit(np.stack([gain, onset, np.log(sag.LENGTH_M) * ones]), _diagonal(sd))
+        self.lessons = 0  # lessons that were kept
+        self.refused = 0
+        self._noise, self._usual = noise, np.median(sd**2, axis=1)
+        self._trial: TaxelFit | None = None
+
+    @property
+    def values(self) -> Floats:
+        """(6, M) means of gain, onset and the logarithm of the sag's length, then their sds."""
+        return np.vstack([self.fit.mean, np.sqrt(self.fit.cov[np.arange(3), np.arange(3)])])
+
+    def restore(self, values: Floats) -> None:
+        """Go on from `values` of before a restart."""
+        self.fit, self._trial = TaxelFit(values[:3].copy(), _diagonal(values[3:])), None
+
+    def told(self) -> dict[str, float]:
+        """Its part of health."""
+        gain, _, length, gain_sd, *_ = self.values
+        known = gain_sd < KNOWN * np.sqrt(self._usual[0])
+        return {
+            "lessons": self.lessons,
+            "refused": self.refused,
+            "known": float(known.mean()),
+            "gain": float(np.median(gain[known])) if known.any() else 1.0,
+            "sag_m": float(np.exp(np.median(length[known]))) if known.any() else sag.LENGTH_M,
+        }
+
+    @property
+    def noise(self) -> Noise:
+        """The errors of each taxel's readings about its curve, (M,)."""
+        now, usual = self.fit.cov, self._noise
+        left = WITHIN + (1.0 - WITHIN) * now[1, 1] / self._usual[1]
+        gain = np.square(usual.gain_cv) * now[0, 0] / self._usual[0]
+        of_press = (1.0 - OWN) * sag.LENGTH_SD**2
+        return Noise(
+            sigma=usual.sigma * np.sqrt(left),
+            gain_cv=np.maximum(np.sqrt(gain), np.minimum(GAIN_WITHIN, usual.gain_cv)),
+            outliers=usual.outliers,
+            sag_m=np.exp(self.fit.mean[2]),
+            sag_sd=np.sqrt(now[2, 2] + of_press),
+        )
+
+    def teach(self, lesson: Lesson) -> bool:
+        """Take a lesson; → whether the one before stays, so that the fit has changed."""
+        about, trial, seen = self.fit, self._trial, self._read(lesson)
+        kept = trial is not None and trial.log_density(seen, about) > about.log_density(seen, about)
+        if trial is not None:
+            self.lessons += kept
+            self.refused += not kept
+        base = trial if trial is not None and kept else about
+        self.fit, self._trial = base, base.learned(seen, about)
+        return kept
+
+    def _read(self, lesson: Lesson) -> Readings:
+        """The lesson, linear about the curves in use."""
+        z, h = lesson.z, np.clip(lesson.h, 0.0, 1.0)
+        gain, onset, _ = self.fit.mean
+        reads = response(h, self.bend, onset)
+        beyond = response(h + STEP, self.bend, onset)
+        rise = np.maximum((beyond - reads) / STEP, LEAST_RISE)
+        felt = (z > 0.0) & (z < 1.0) & (h > 0.0)
+        unfelt = (z == 0.0) & (h > lesson.floor)
+        off = np.where(felt, z - h, np.where(unfelt, lesson.floor - h, 0.0))
+        slope = np.stack([reads / (gain * rise), deviation(h) / rise, lesson.by_sag])
+        own = WITHIN * np.square(self._noise.sigma) + np.square(GAIN_WITHIN * h)
+        of_press = (1.0 - OWN) * np.square(sag.LENGTH_SD * lesson.by_sag)
+        variance = own / rise**2 + lesson.variance + of_press
+        return Readings(off, slope, np.where(lesson.tells & (felt | unfelt), variance, np.inf))

@@ -1,0 +1,142 @@
+"""What touches teach about taxels: learned from sure beliefs, and never against the evidence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from taxeld.arrays import Floats
+from taxeld.config.tables import SkinConfig
+from taxeld.layout.layout import Layout
+from taxeld.model import sag
+from taxeld.model.noise import Noise
+from taxeld.model.response import Inverse, response
+from taxeld.model.sag import sagging
+from taxeld.proposals import bundle
+from taxeld.skin.fit import Lesson, SkinFit
+from taxeld.skin.skin import Skin
+from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.scenario import scenario
+
+TAXELS = 60
+NOISE = Noise(0.04, 0.17, sag_m=sag.LENGTH_M, sag_sd=sag.LENGTH_SD)
+
+
+class Taught:
+    """Taxels of true gains and onsets, read by the curves that have been learned."""
+
+    def __init__(self, seed: int = 0) -> None:
+        self.rng = np.random.default_rng(seed)
+        self.gain = 1.0 + 0.17 * self.rng.standard_normal(TAXELS)
+        self.onset = self.rng.uniform(-0.4, 0.9, TAXELS)
+        self.fit = SkinFit(TAXELS, NOISE)
+
+    def lesson(self, contacts: int = 8, wrong: float = 1.0) -> Lesson:
+        """Contacts at depths that the belief takes for `wrong` times as deep."""
+        depth = self.rng.uniform(0.05, 0.9, (contacts, TAXELS))
+        reading = self.gain * response(depth, 0.0, self.onset)
+        reading += 0.01 * self.rng.standard_normal(depth.shape)
+        gain, onset, _ = self.fit.fit.mean
+        inverse = Inverse(self.fit.bend, onset)
+        z = np.stack([inverse(np.clip(row / gain, 0.0, 1.0)) for row in reading])
+        none = np.zeros(depth.shape)
+        return Lesson(z, none + 0.01, wrong * depth, none, none + 1e-5, none == 0.0)
+
+    @property
+    def error(self) -> float:
+        """Of the curves, in shares of full scale."""
+        gain, onset, _ = self.fit.fit.mean
+        h = np.linspace(0.05, 0.8, 20)[:, None]
+        learned = gain * response(h, 0.0, onset)
+        return float(np.sqrt(np.mean((learned - self.gain * response(h, 0.0, self.onset)) ** 2)))
+
+
+def test_gains_and_onsets_are_learned_and_readings_believed_more() -> None:
+    taught = Taught()
+    before, noise = taught.error, taught.fit.noise
+    for _ in range(6):
+        taught.fit.teach(taught.lesson())
+    assert taught.error < 0.3 * before
+    assert (taught.fit.noise.sigma < noise.sigma).all()
+    assert (taught.fit.noise.gain_cv < noise.gain_cv).all()
+    assert taught.fit.told()["known"] == 1.0
+
+
+def test_a_lesson_that_foretells_the_next_one_worse_is_refused() -> None:
+    taught = Taught()
+    for _ in range(4):
+        taught.fit.teach(taught.lesson())
+    kept = taught.fit.fit
+    taught.fit.teach(taught.lesson(wrong=0.6))  # of a wrong belief; now on trial
+    assert taught.fit.teach(taught.lesson()) is False
+    assert taught.fit.refused > 0
+    assert np.abs(taught.fit.fit.mean - kept.mean).max() < 0.1
+
+
+def test_a_lesson_of_untouched_and_saturated_taxels_teaches_nothing() -> None:
+    fit = SkinFit(TAXELS, NOISE)
+    flat = np.zeros((3, TAXELS))
+    for z, h in ((0.0, 0.0), (1.0, 1.0), (0.3, 0.0)):
+        before = fit.values
+        for _ in range(2):
+            fit.teach(Lesson(flat + z, flat + 0.01, flat + h, flat, flat, flat == 0.0))
+        assert (fit.values == before).all()
+
+
+def test_the_length_of_the_sag_is_learned_where_the_cover_sags() -> None:
+    rng, fit = np.random.default_rng(0), SkinFit(TAXELS, NOISE)
+    for _ in range(8):
+        depth, slope = rng.uniform(-0.3, 0.2, (8, TAXELS)), rng.uniform(40.0, 90.0, (8, TAXELS))
+        true = sagging(depth, 0.005 * slope)
+        rate = np.exp(fit.fit.mean[2]) * slope
+        h = sagging(depth, rate)
+        z = np.where(true < 0.01, 0.0, true)
+        by_sag = h * np.maximum(1.0 - depth / rate, 0.0)
+        fit.teach(Lesson(z, 0.01 + 0.0 * z, h, by_sag, 1e-5 + 0.0 * z, z >= 0.0))
+    learned = np.exp(fit.fit.mean[2])
+    assert np.median(learned) == pytest.approx(0.005, rel=0.2)
+
+
+def lived(laps: int, seed: int, of: str = "", **skin: bool) -> tuple[FakeRun, Floats]:
+    """A daemon that touches the mug again and again, and takes it for `of`; → it, and the sds of
+    its taxels before."""
+    asked = replace(scenario.load("demo").touching("mug").on("typical"), contacts=8)
+    run = FakeRun(asked, seed, rate_hz=40.0)
+    run.config = replace(run.config, skin=replace(run.config.skin, **skin))
+    run.scene = bundle.load(of or "mug", run.skin)
+    run.daemon = run._born()
+    for lap in range(laps):
+        if lap:
+            run.lap(asked, seed + lap)
+        run.run()
+    assert run.daemon is not None
+    run.daemon.pipeline.reset()
+    return run, SkinFit(len(run.skin), NOISE).values[3:]
+
+
+def test_a_skin_learns_while_it_works_unless_it_is_told_not_to() -> None:
+    (run, _), (frozen, _) = (lived(4, 5, learn=learns) for learns in (True, False))
+    assert run.daemon is not None
+    assert frozen.daemon is not None
+    assert run.daemon.pipeline.health()["skin_fit"]["lessons"] > 0
+    assert frozen.daemon.pipeline.health()["skin_fit"]["lessons"] == 0
+
+
+def test_touches_of_another_object_move_no_response_by_more_than_its_own_sd() -> None:
+    run, sd = lived(4, 5, of="box")
+    assert run.daemon is not None
+    fit = run.daemon.pipeline.skin.fit
+    before = SkinFit(len(run.skin), NOISE)
+    assert (np.abs(fit.fit.mean - before.fit.mean) <= sd).all()
+
+
+def test_what_was_learned_outlasts_a_restart_and_an_old_baseline(skin: Layout) -> None:
+    config = SkinConfig()
+    subject, taught = Skin(skin, config, noise=NOISE), Taught()
+    state_of = SkinFit(len(skin), NOISE).values
+    state_of[0] *= 1.3
+    subject.fit.restore(state_of)
+    again = SkinFit(TAXELS, NOISE)
+    again.restore(taught.fit.values)
+    assert (again.values == taught.fit.values).all()
+    assert subject.fit.told()["gain"] == 1.0  # nothing is known better than before
