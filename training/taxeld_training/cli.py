@@ -38,10 +38,10 @@ def _build(args: argparse.Namespace) -> int:
     taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --quick --out bracket
     """
     from taxeld.layout import read as layouts
+    from taxeld_hil.world import sections
     from taxeld_training.build import STAGES, build, summary
     from taxeld_training.jobs import stages
     from taxeld_training.models.variants import trained_with
-    from taxeld_training.objects import meshes
     from taxeld_training.samplers.candidates import CONTACTS, TRAINING, VARIANTS, Candidates
 
     full = {"effort": 1.0, "contacts": 300_000}
@@ -56,7 +56,7 @@ def _build(args: argparse.Namespace) -> int:
         seed=args.seed,
     )
     depth_m, skin = _depth_m(args), layouts.load(args.layout)
-    _doubt(args, meshes.load(meshes.find(args.object)[0]), skin)
+    _doubt(args, sections.load(sections.find(args.object)[0]), skin)
     began_s, ended_s = time.monotonic(), dict[str, float]()
     with stages.shown(STAGES, sys.stderr) as tell:
 
@@ -106,11 +106,11 @@ def _scene(args: argparse.Namespace) -> int:
     """
     from taxeld.layout import read as layouts
     from taxeld.model.scene import CONTINUOUS
+    from taxeld_hil.world import scenes, sections
     from taxeld_training.build import command
-    from taxeld_training.objects import meshes, scenes
 
     depth_m, skin = _depth_m(args), layouts.load(args.layout)
-    mesh = meshes.load(meshes.find(args.object)[0])
+    mesh = sections.load(sections.find(args.object)[0])
     scene = scenes.build(mesh, skin, args.height_m)
     error = scenes.grid_error(scene, mesh, skin, args.height_m, depth_m)
     heights = (args.height_m + scene.heights) * 1e3

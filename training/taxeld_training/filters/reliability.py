@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.estimator.estimate import Status
+from taxeld_hil.world import sections
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.conditions import TrialConditions
@@ -24,7 +25,6 @@ from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.promise_tables import tables
 from taxeld_training.jobs.promises import SURE, Promises, share
-from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
@@ -99,7 +99,7 @@ def wanted(table: Sequence[Level], options: Options, seeds: int) -> dict[tuple[L
     it. No object is taken for itself."""
     objects = options.objects or OBJECTS
     for name in objects:
-        meshes.find(name)
+        sections.find(name)
     return {
         (level, cell_of(level, method_of(setting), setting)): round(
             level.seeds * (options.seeds or seeds)

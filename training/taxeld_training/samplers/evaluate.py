@@ -8,9 +8,9 @@ from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import Job
+from taxeld_hil.world import sections
 from taxeld_training.jobs.options import Options, run_jobs, with_file, write
 from taxeld_training.jobs.rows import EXACT, sampler_table
-from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import OBJECTS, ring
 from taxeld_training.samplers import costs, measured, trained
 from taxeld_training.samplers.measured import ALL_ANALYTIC, GROUPS, LEARNED, Measurement
@@ -91,7 +91,7 @@ def rows(
         if group not in GROUPS:
             raise SetupError(f"--groups: no '{group}'; there are {', '.join(GROUPS)}")
     for mesh in {cell.object for cell in cells}:
-        meshes.find(mesh)
+        sections.find(mesh)
     exact = {
         cell: with_file(
             Job(f"reference-{cell.name}", measured.make_reference, (cell,)),
