@@ -12,6 +12,7 @@ from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld_hil import cli
 from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.processes import Processes
 from taxeld_hil.scenario import scenario
 from tests.rig.skins import table_of
 
@@ -84,4 +85,4 @@ def test_a_bundle_of_a_layout_file_asks_for_that_file(tmp_path: Path) -> None:
     run += ["--memory", str(tmp_path / "memory"), "--out", str(tmp_path), "--workers", "1"]
     assert cli.main(run) == 0
     with pytest.raises(SetupError, match=r"is for the layout own .*name that layout .*--layout"):
-        FakeRun(demo.on("", RING.replace("12", "16")), seed=0)
+        Processes(tmp_path / "x.toml", "", demo.on("", RING.replace("12", "16")), "error")

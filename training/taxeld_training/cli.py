@@ -12,6 +12,7 @@ from taxeld import command_line
 from taxeld.command_line import add_renamed, documented
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
+from taxeld_hil import jobs
 from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M
 
 if TYPE_CHECKING:
@@ -161,6 +162,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     if args.cells and args.experiment in ("frontier", "push"):
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
+    given["layouts"] = _layouts(args)
     options = Options(**given, until=time.monotonic() + 60.0 * args.minutes)
     experiments = {
         "proposals": sampled.run if args.cells else evaluate.proposals,
@@ -174,6 +176,26 @@ def _evaluate(args: argparse.Namespace) -> int:
     for path in experiments[args.experiment](options):
         print(path)
     return 0
+
+
+def _layouts(args: argparse.Namespace) -> tuple[str, ...]:
+    """The layouts of an experiment.
+
+    Raises:
+        SetupError: they cannot be read, or the experiment has no room for them.
+    """
+    from taxeld.layout import read as layouts
+
+    found = tuple(jobs.layouts(args.layout))
+    if args.experiment in ("proposals", "frontier") and len(found) > 1:
+        raise SetupError(f"--layout: {args.experiment} has room for one; run it for each")
+    if found != ("",) and (
+        args.experiment == "push" or (args.experiment, bool(args.cells)) == ("proposals", True)
+    ):
+        raise SetupError(f"--layout: {args.experiment} is of the shipped bundles' own layout here")
+    for spec in filter(None, found):
+        layouts.load(spec)
+    return found
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -237,13 +259,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     )
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
-    add_renamed(
-        one,
-        "--skin",
-        add(
-            "--layout", default="", help="this layout in place of them; of reliability, beside them"
-        ),
-    )
+    add_renamed(one, "--skin", jobs.add_layouts(one, "those skins"))
     add("--workers", type=int, default=2, help="processes of one thread each")
     about = (
         "samplers (analytic, …), filters (table, shipped, …), or of ablation constants (MOVE, …)"

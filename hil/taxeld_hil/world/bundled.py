@@ -48,9 +48,7 @@ def _cut_anew(name: str, spec: str) -> Bundle:
 
     layout, built = layouts.load(spec), bundle.manifest_of(name)
     mesh = sections.load(sections.find(_mesh(name, built))[0])
-    model = ObservationModel(
-        scenes.build(mesh, layout, built.height_m), layout, built.depth_max_m
-    )
+    model = ObservationModel(scenes.build(mesh, layout, built.height_m), layout, built.depth_max_m)
     check_contacts(model)
     own = BuiltFor(layout.name, layout.digest)
     found = replace(built, layout=own, samplers=[], auto=[Table.name])

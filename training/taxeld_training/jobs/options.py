@@ -40,7 +40,7 @@ class Options:
     memory: Path
     objects: tuple[str, ...] = ()
     columns: tuple[int, ...] = ()
-    layout: str = ""  # another layout instead of the rings
+    layouts: tuple[str, ...] = ("",)  # "": the rings
     quick: bool = False
     workers: int = 2
     dask: str = ""
@@ -50,6 +50,16 @@ class Options:
     effort: float = 1.0  # share of each model's own training
     seeds: int = 0  # trials a cell of the filter's experiments
     seed: int = 0
+
+    @property
+    def on_rings(self) -> bool:
+        """Whether rows of the generated rings are asked for."""
+        return "" in self.layouts
+
+    @property
+    def others(self) -> list[str]:
+        """The layouts beside the rings."""
+        return [layout for layout in self.layouts if layout]
 
     @property
     def measured(self) -> Path:
