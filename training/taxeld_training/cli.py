@@ -179,19 +179,14 @@ def _evaluate(args: argparse.Namespace) -> int:
 
 
 def _layouts(args: argparse.Namespace) -> tuple[str, ...]:
-    """The layouts of an experiment.
-
-    Raises:
-        SetupError: they cannot be read, or the experiment has no room for them.
-    """
+    """Raises SetupError where a layout cannot be read, or the experiment has no room for it."""
     from taxeld.layout import read as layouts
 
     found = tuple(jobs.layouts(args.layout))
     if args.experiment in ("proposals", "frontier") and len(found) > 1:
         raise SetupError(f"--layout: {args.experiment} has room for one; run it for each")
-    if found != ("",) and (
-        args.experiment == "push" or (args.experiment, bool(args.cells)) == ("proposals", True)
-    ):
+    of_shipped = args.experiment == "push" or (args.experiment == "proposals" and args.cells)
+    if of_shipped and found != ("",):
         raise SetupError(f"--layout: {args.experiment} is of the shipped bundles' own layout here")
     for spec in filter(None, found):
         layouts.load(spec)

@@ -5,7 +5,6 @@ one of them alone.
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -48,7 +47,7 @@ class Fingertip:
 
 
 @dataclass(frozen=True)
-class Readings:
+class PressReadings:
     """What N taxels read of presses."""
 
     apart_mm: Floats  # (N,) from the middle of the press
@@ -78,7 +77,7 @@ def draw(foam: str, out: Path) -> None:
     figure.savefig(out, dpi=90, format="png")
 
 
-def readings(layout: Layout, foam: str, presses: int = PRESSES, seed: int = 0) -> Readings:
+def readings(layout: Layout, foam: str, presses: int = PRESSES, seed: int = 0) -> PressReadings:
     """Presses at random places, each on another skin of this foam."""
     config, rng = SKINS[foam], np.random.default_rng(seed)
     depth_max_m, tip, leak = SkinConfig().full_scale_depth_m, Fingertip(), Leak(layout)
@@ -92,16 +91,16 @@ def readings(layout: Layout, foam: str, presses: int = PRESSES, seed: int = 0) -
         angle, tip.z_m = rng.uniform(-np.pi, np.pi), rng.uniform(-z_max, z_max)
         side = np.array([np.cos(angle), np.sin(angle)])
         seen = np.array([*((layout.radius_m + TIP_M - rng.uniform(*DEPTHS_M)) * side), 0.0])
-        z = np.minimum(physics.press(seen, 0.0), 1.0)
-        z = np.where(z < FLOOR, 0.0, z)
+        read = np.minimum(physics.press(seen, 0.0), 1.0)
+        z = np.where(read < FLOOR, 0.0, read)
         at = np.array([*(layout.radius_m * side), tip.z_m])
         apart_mm = 1e3 * np.linalg.norm(layout.position_m - at, axis=1)
         found.append((apart_mm, z, leak.of(z), skin.indentation(seen, hard) > 0.0))
     apart_mm, z, bound, pressed = map(np.concatenate, zip(*found, strict=True))
-    return Readings(apart_mm, z, bound, pressed)
+    return PressReadings(apart_mm, z, bound, pressed)
 
 
-def _panel(axes: Axes, seen: Readings, title: str) -> None:
+def _panel(axes: Axes, seen: PressReadings, title: str) -> None:
     near = seen.apart_mm <= FARTHEST_MM
     beside = near & ~seen.pressed & (seen.z > 0.0)
     for mask, colour, label in (
@@ -111,12 +110,9 @@ def _panel(axes: Axes, seen: Readings, title: str) -> None:
     ):
         axes.plot(seen.apart_mm[mask], seen.z[mask], ".", ms=2, color=colour, label=label)
     edges = np.linspace(0.0, FARTHEST_MM, 16)
-    middle, level = [], []
-    for low, high in pairwise(edges):
-        bound = seen.bound[(seen.apart_mm >= low) & (seen.apart_mm < high) & ~seen.pressed]
-        if len(bound):
-            middle.append(0.5 * (low + high))
-            level.append(float(np.median(bound)))
+    bin_of = np.where(seen.pressed, 0, np.digitize(seen.apart_mm, edges))
+    level = [np.median(seen.bound[bin_of == k]) for k in range(1, len(edges)) if k in bin_of]
+    middle = [np.mean(edges[k - 1 : k + 1]) for k in range(1, len(edges)) if k in bin_of]
     axes.plot(middle, level, "k-", lw=1.4, label="the bound, median beside a press")
     axes.axhline(FLOOR, color="0.6", lw=0.8, ls=":")
     share = (beside & seen.mistaken).sum() / max(int(beside.sum()), 1)

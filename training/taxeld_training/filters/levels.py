@@ -154,11 +154,11 @@ def asked_for(options: Options, levels: Sequence[Level], usual: Sequence[Level])
     Raises:
         SetupError: there is no such factor or level.
     """
-    others = [on_layout(layout, foam) for layout in options.others for foam in FOAMS]
+    others = [on_layout(each, foam) for each in options.layouts if each for foam in FOAMS]
     if options.cells:
-        known = [*levels, *others]
-        return chosen(options.cells, [each for each in known if _is_open(each, options)])
-    usual = [level for level in usual if options.on_rings and _is_open(level, options)]
+        known = [each for each in levels if _is_open(each, options)]
+        return chosen(options.cells, [*known, *others])
+    usual = [each for each in usual if "" in options.layouts and _is_open(each, options)]
     asked = [*usual, *others]
     if options.quick:
         return list({(level.factor, level.layout): level for level in asked}.values())

@@ -52,16 +52,6 @@ class Options:
     seed: int = 0
 
     @property
-    def on_rings(self) -> bool:
-        """Whether rows of the generated rings are asked for."""
-        return "" in self.layouts
-
-    @property
-    def others(self) -> list[str]:
-        """The layouts beside the rings."""
-        return [layout for layout in self.layouts if layout]
-
-    @property
     def measured(self) -> Path:
         """The part of the memory that holds results of today's code and bundles. Trained models
         stand beside it, in `memory` itself: they outlast a change of the code."""
