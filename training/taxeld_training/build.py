@@ -15,8 +15,8 @@ import trimesh
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
+from taxeld_hil.world import scenes, sections
 from taxeld_training import bundles
-from taxeld_training.objects import meshes, scenes
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
 
@@ -49,8 +49,8 @@ def build(
         SetupError: the object or skin cannot be used, or `out` holds something else.
     """
     bundles.check_place(out)
-    path, attribution = meshes.find(name)
-    mesh = meshes.load(path)
+    path, attribution = sections.find(name)
+    mesh = sections.load(path)
     model = ObservationModel(scenes.build(mesh, layout, height_m), layout, depth_m)
     info: dict[str, Any] = {"object": path.stem, "attribution": attribution}
     if Path(name).suffix:  # the harness has the meshes of YCB objects

@@ -3,13 +3,12 @@
 import argparse
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from taxeld.command_line import Commands, add_renamed, command
 from taxeld.errors import SetupError
-
-if TYPE_CHECKING:
-    from taxeld_hil.jobs import Job
+from taxeld_hil import jobs
+from taxeld_hil.jobs import Job
 
 OBJECTS = ("box", "mug")  # bundles
 SOFT = ("typical", "poor")  # foams
@@ -42,6 +41,8 @@ def add(commands: Commands) -> None:
     )
     _add_objects(touches)
     _add_runs(touches, SOFT, seeds=30)
+    about = "instead: draw presses on skins of three pitches, beside the model of their leak"
+    touches.add_argument("--picture", type=Path, metavar="FILE", help=about)
 
     calibration = command(
         commands,
@@ -62,7 +63,7 @@ def add(commands: Commands) -> None:
 def _add_objects(one: argparse.ArgumentParser) -> None:
     about = f"default: {', '.join(OBJECTS)}"
     one.add_argument("--object", action="append", metavar="BUNDLE", help=about)
-    one.add_argument("--layout", default="", help="default: what each was built for")
+    jobs.add_layouts(one, "what each object's bundle was built for")
 
 
 def _add_runs(one: argparse.ArgumentParser, foams: tuple[str, ...], seeds: int) -> None:
@@ -95,7 +96,8 @@ def _matrix(args: argparse.Namespace) -> int:
 
     names = args.scenario or list(scenarios.shipped())
     objects, foams = args.object or OBJECTS, args.foam or args.foams
-    todo = matrix.jobs(names, objects, foams, args.seeds, real=args.real, layout=args.layout)
+    layouts = jobs.layouts(args.layout)
+    todo = matrix.jobs(names, objects, foams, args.seeds, real=args.real, layouts=layouts)
     runs = _run(todo, args, matrix.described, "scenarios.json")
     for line in matrix.lines(runs):
         print(line)
@@ -103,9 +105,18 @@ def _matrix(args: argparse.Namespace) -> int:
 
 
 def _touches(args: argparse.Namespace) -> int:
-    from taxeld_hil.experiment import touches
+    from taxeld_hil.experiment import measurement, touches
 
-    todo = touches.jobs(args.object or OBJECTS, args.foam or args.foams, args.seeds, args.layout)
+    if args.picture:
+        from taxeld_hil.experiment import pitches
+
+        foam = (args.foam or args.foams)[0]
+        measurement.require((), [foam], 1, soft=True)
+        pitches.draw(foam, args.picture)
+        print(args.picture)
+        return 0
+    objects, layouts = args.object or OBJECTS, jobs.layouts(args.layout)
+    todo = touches.jobs(objects, args.foam or args.foams, args.seeds, layouts)
     runs = _run(todo, args, touches.described, "touches.json")
     for line in touches.lines(runs):
         print(line)
@@ -113,10 +124,9 @@ def _touches(args: argparse.Namespace) -> int:
 
 
 def _run(
-    todo: "list[Job]", args: argparse.Namespace, describe: Callable[[Any], str], name: str
+    todo: list[Job], args: argparse.Namespace, describe: Callable[[Any], str], name: str
 ) -> list[dict[str, Any]]:
     """The jobs' results, which are also saved under this name in the directory `--out`."""
-    from taxeld_hil import jobs
     from taxeld_hil.experiment import measurement
 
     if args.out is None:

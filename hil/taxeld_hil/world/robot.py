@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import SkinConfig
+from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.scenario.scenario import Scenario
@@ -17,6 +18,7 @@ PRESS_M_S = 0.02
 STANDOFF_M = 0.03  # between the skin and the object's farthest reach, while travelling
 SLOW_FROM_M = 0.01  # before the touch
 YAW_SPREAD_RAD = 0.5
+BARE_RAD = 0.5 * np.pi  # a skin that leaves a wider arc of its link bare is turned to the object
 ARC_STEP_RAD = 0.1
 MARCH_M = 0.0005
 TOUCH = 0.1  # least activation of a press: a corner between two columns may give none,
@@ -58,11 +60,11 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
     start = rng.uniform(-np.pi, np.pi)
     poses: list[list[float]] = []
     times: list[float] = []
-    now, yaw, before = 0.0, 0.0, start
+    now, yaw, before = 0.0, first_yaw(model.layout, start), start
     step = 2.0 * np.pi / min(scenario.contacts, AROUND)
     for k in range(scenario.contacts):
         angle = start + step * (k + rng.uniform(-0.3, 0.3))
-        yaw_to = yaw + rng.uniform(-YAW_SPREAD_RAD, YAW_SPREAD_RAD)
+        yaw_to = next_yaw(model.layout, angle, yaw, rng)
         for _ in range(TRIES):
             depth = share * rng.uniform(scenario.press_min_m, scenario.press_max_m)
             offset = rng.uniform(-0.7, 0.7) * scene.size
@@ -88,6 +90,29 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
             times.append(now)
         yaw, before = yaw_to, angle
     return RobotPath(np.array(times), np.array(poses))
+
+
+def first_yaw(layout: Layout, angle: float) -> float:
+    """The yaw with which a path begins, at this angle around the object."""
+    side = _side(layout)
+    return 0.0 if side is None else angle + np.pi - side
+
+
+def next_yaw(layout: Layout, angle: float, yaw: float, rng: np.random.Generator) -> float:
+    """The yaw, not wrapped, of a touch from this angle around the object, after `yaw`. A skin all
+    around its link drifts; one on a side of it turns that side to the object."""
+    spread, side = rng.uniform(-YAW_SPREAD_RAD, YAW_SPREAD_RAD), _side(layout)
+    if side is None:
+        return float(yaw + spread)
+    return float(yaw + se2.wrap(np.float64(angle + np.pi - side + spread - yaw)))
+
+
+def _side(layout: Layout) -> float | None:
+    """The middle [rad] of the arc that the taxels cover; None if they are all around the link."""
+    angle = np.sort(np.arctan2(layout.position_m[:, 1], layout.position_m[:, 0]))
+    bare = np.diff(angle, append=angle[0] + 2.0 * np.pi)
+    widest = int(bare.argmax())
+    return None if bare[widest] <= BARE_RAD else angle[widest] + 0.5 * bare[widest] - np.pi
 
 
 def depth_share(model: ObservationModel) -> float:

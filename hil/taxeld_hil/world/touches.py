@@ -75,14 +75,15 @@ def plan(
     rng, scene = np.random.default_rng(seed), model.scene
     centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
     circle = scene.size + model.layout.radius_m + robot.STANDOFF_M
-    angle, yaw = rng.uniform(-np.pi, np.pi), 0.0
+    angle = rng.uniform(-np.pi, np.pi)
+    yaw = robot.first_yaw(model.layout, angle)
     track = Track(np.array([*_around(centre, circle, angle), yaw]))
     touches: list[Touch] = []
     out = track.poses[0][None]
     step, share = 2.0 * np.pi / max(presses, 1), robot.depth_share(model)
     for k in range(presses + pairs):
         before, angle = angle, angle + step * rng.uniform(0.7, 1.3)
-        yaw_to = yaw + rng.uniform(-robot.YAW_SPREAD_RAD, robot.YAW_SPREAD_RAD)
+        yaw_to = robot.next_yaw(model.layout, angle, yaw, rng)
         for _ in range(robot.TRIES):
             depth = 1e-3 * share * rng.uniform(*PRESS_MM)
             offset = rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size

@@ -40,7 +40,7 @@ class Options:
     memory: Path
     objects: tuple[str, ...] = ()
     columns: tuple[int, ...] = ()
-    layout: str = ""  # another layout instead of the rings
+    layouts: tuple[str, ...] = ("",)  # "": the rings
     quick: bool = False
     workers: int = 2
     dask: str = ""

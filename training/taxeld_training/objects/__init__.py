@@ -1,4 +1,4 @@
-"""Objects: meshes, the scenes cut from them, and a scene's error against its mesh.
+"""Objects on skins: how the two stand to each other, and doubts about how a mesh lies and is cut.
 
 A setting names an object and a skin. Nothing here imports another room of training.
 """
