@@ -12,7 +12,8 @@ from taxeld import command_line
 from taxeld.command_line import add_renamed, documented
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M
+from taxeld_hil.objects import HEIGHT_M
+from taxeld_training.objects import DEPTH_MAX_M
 
 if TYPE_CHECKING:
     import trimesh
@@ -38,10 +39,10 @@ def _build(args: argparse.Namespace) -> int:
     taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --quick --out bracket
     """
     from taxeld.layout import read as layouts
+    from taxeld_hil.objects import meshes
     from taxeld_training.build import STAGES, build, summary
     from taxeld_training.jobs import stages
     from taxeld_training.models.variants import trained_with
-    from taxeld_training.objects import meshes
     from taxeld_training.samplers.candidates import CONTACTS, TRAINING, VARIANTS, Candidates
 
     full = {"effort": 1.0, "contacts": 300_000}
@@ -91,7 +92,7 @@ def _seal(args: argparse.Namespace) -> int:
 
     taxeld-train seal bracket
     """
-    from taxeld_training import bundles
+    from taxeld_hil.objects import bundles
 
     bundles.seal(args.bundle)
     print(f"{args.bundle}: sealed")
@@ -106,8 +107,8 @@ def _scene(args: argparse.Namespace) -> int:
     """
     from taxeld.layout import read as layouts
     from taxeld.model.scene import CONTINUOUS
+    from taxeld_hil.objects import meshes, scenes
     from taxeld_training.build import command
-    from taxeld_training.objects import meshes, scenes
 
     depth_m, skin = _depth_m(args), layouts.load(args.layout)
     mesh = meshes.load(meshes.find(args.object)[0])

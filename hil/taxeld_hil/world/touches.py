@@ -80,8 +80,11 @@ def plan(
     touches: list[Touch] = []
     out = track.poses[0][None]
     step, share = 2.0 * np.pi / max(presses, 1), robot.depth_share(model)
+    facing = robot.facing(model.layout)
     for k in range(presses + pairs):
-        before, angle = angle, angle + step * rng.uniform(0.7, 1.3)
+        was, before, angle = yaw, angle, angle + step * rng.uniform(0.7, 1.3)
+        if facing is not None:  # the skin is turned to the object
+            yaw = angle + np.pi - facing
         yaw_to = yaw + rng.uniform(-robot.YAW_SPREAD_RAD, robot.YAW_SPREAD_RAD)
         for _ in range(robot.TRIES):
             depth = 1e-3 * share * rng.uniform(*PRESS_MM)
@@ -91,7 +94,7 @@ def plan(
             if robot.strongest(model, truth, line[2]) > robot.TOUCH:
                 break
         arc = np.linspace(before, angle, 2 + int(abs(angle - before) / robot.ARC_STEP_RAD))
-        way = np.column_stack([_around(centre, circle, arc), np.linspace(yaw, yaw_to, len(arc))])
+        way = np.column_stack([_around(centre, circle, arc), np.linspace(was, yaw_to, len(arc))])
         gone = track.now - touches[-1].begin_s if touches else 0.0
         track.go(np.vstack([out, way, line[:2]]), max(rng.uniform(*APART_S) - gone, 0.5))
         out = line[:1]  # the way out is the way in
@@ -103,7 +106,9 @@ def plan(
         yaw = yaw_to
     track.go(np.vstack([out, [*_around(centre, circle, angle), yaw]]), 0.5)
     track.go(track.poses[-1][None], REST_S)
-    return TouchPlan(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
+    touched = np.array([(touch.begin_s, touch.end_s) for touch in touches])
+    path = RobotPath(np.array(track.times), np.array(track.poses), touched)
+    return TouchPlan(path, tuple(touches))
 
 
 def _around(centre: Floats, circle: float, angle: float | Floats) -> Floats:

@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell, Results
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
@@ -20,7 +21,6 @@ from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID, SUCCESS_MM, Row, trial_table
 from taxeld_training.jobs.statistics import of_median, of_share, p_share, quantiles, rounded
-from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import OBJECTS, Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY, PAPER

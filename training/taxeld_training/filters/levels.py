@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 
 from taxeld.errors import SetupError
+from taxeld_hil.objects import meshes
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, setting_of
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.jobs.options import Options
-from taxeld_training.objects import DEPTH_MAX_M, meshes
+from taxeld_training.objects import DEPTH_MAX_M
 from taxeld_training.objects.setting import Setting, ring
 
 SYMMETRIC = ("002_master_chef_can", "024_bowl", "061_foam_brick")

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.estimator.estimate import Status
+from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.conditions import TrialConditions
@@ -24,7 +25,6 @@ from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.promise_tables import tables
 from taxeld_training.jobs.promises import SURE, Promises, share
-from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY

@@ -8,9 +8,9 @@ from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import Job
+from taxeld_hil.objects import meshes
 from taxeld_training.jobs.options import Options, run_jobs, with_file, write
 from taxeld_training.jobs.rows import EXACT, sampler_table
-from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import OBJECTS, ring
 from taxeld_training.samplers import costs, measured, trained
 from taxeld_training.samplers.measured import ALL_ANALYTIC, GROUPS, LEARNED, Measurement
