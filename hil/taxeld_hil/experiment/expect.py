@@ -1,4 +1,4 @@
-"""`taxeld-hil expect`: how well an object is found with a skin, touch by touch, before it is bought.
+"""`taxeld-hil expect`: how well an object will be found with a skin, touch by touch.
 
 Touches go around the object once. What is noted of each comes shortly after its end. *Found* is an
 error under 10 mm; *sure* is valid and `converged` as well; *misleading* is `converged` and not
@@ -31,7 +31,7 @@ AS_IS, BY_TABLE, CALIBRATED = "as it is", "as it is, by table", "calibration"
 TABLE = 'proposal = "table"'
 SIDES = 8  # around the object, or around what its symmetry leaves
 HALF = 0.5  # share of trials that are sure, at which what would help is compared
-CHANCE = 2.0  # standard errors: a smaller difference is none
+CHANCE = 2.0  # standard errors that chance alone may make
 
 
 class Touched(NamedTuple):
@@ -56,6 +56,13 @@ class Told(NamedTuple):
     made_sure: float  # share of them after which a trial that was not sure is
 
 
+class Gain(NamedTuple):
+    """What one touch told."""
+
+    halvings: float  # of the error
+    made_sure: bool
+
+
 class Help(NamedTuple):
     """What a change does to the trials of the same seeds."""
 
@@ -64,7 +71,7 @@ class Help(NamedTuple):
     after: int  # touches
     found: tuple[float, float]  # without and with it
     sure: tuple[float, float]
-    verdict: str
+    verdict: str  # by the share of the touches after which a trial is sure, against chance
 
 
 def jobs(subjects: dict[str, Scenario], seeds: int, touches: int) -> list[Job]:
@@ -98,7 +105,7 @@ def play(name: str, subject: Scenario, seed: int, touches: int, keys: str) -> Ru
         if k / RATE_HZ >= notes[len(after)]:
             after.append(_noted(run))
     pressed = [plan.path.at(float(np.mean(touch.held_s))) for touch in plan.touches]
-    where = _where(model.scene, model.layout.radius_m, truth, np.array(pressed))
+    where = _where(model.scene, truth, np.array(pressed))
     for noted, at in zip(after[1:], where, strict=True):
         noted["at_mm"] = np.round(1e3 * at, 1).tolist()
     return {"name": name, "seed": seed, "before_mm": after[0]["error_mm"], "after": after[1:]}
@@ -118,7 +125,7 @@ def _noted(run: FakeRun) -> dict[str, Any]:
     }
 
 
-def _where(scene: Scene, radius_m: float, truth: Poses, sensor: Poses) -> Floats:
+def _where(scene: Scene, truth: Poses, sensor: Poses) -> Floats:
     """(n, 2) points of the object's outline, in its frame, that the sensor at poses (n, 3) in the
     world presses first."""
     x, y = contacts.axis_in_object(se2.compose(se2.inverse(sensor), truth[None]))
@@ -149,50 +156,56 @@ def table(runs: Sequence[RunRow]) -> list[Touched]:
 
 def told_by_number(runs: Sequence[RunRow]) -> list[Told]:
     """How much the first, second, … touch told."""
-    each = [list(_gains(run)) for run in runs]
-    return [_told(f"touch {k + 1}", gains) for k, gains in enumerate(zip(*each, strict=True))]
+    each = [list(gains(run)) for run in runs]
+    return [_told(f"touch {k + 1}", found) for k, found in enumerate(zip(*each, strict=True))]
 
 
 def told_by_side(runs: Sequence[RunRow], scene: Scene) -> list[Told]:
     """How much touches of each side of the object told, most first; none of a round one."""
     if scene.symmetry == CONTINUOUS:
         return []
-    sides: dict[str, list[tuple[float, float, bool]]] = {}
+    sides: dict[str, list[Gain]] = {}
     for run in runs:
-        for k, gain in enumerate(_gains(run)):
-            if k and not run["after"][k - 1]["sure"]:
-                at = 1e-3 * np.array(run["after"][k]["at_mm"])
-                sides.setdefault(side_of(at, scene), []).append(gain)
+        for at_m, gain in open_gains(run):
+            sides.setdefault(side_of(at_m, scene), []).append(gain)
     found = [_told(name, gains) for name, gains in sides.items()]
     return sorted(found, key=lambda told: -told.halvings)
 
 
 def side_of(at: Floats, scene: Scene) -> str:
-    """The side of the object that has a point (2,), as angles about its centre [°]; sides that its
-    symmetry makes alike are one."""
+    """The side of the object that has a point (2,), by its angle about the centre [°]; sides that
+    the symmetry makes alike are one."""
     fold = 360.0 / scene.symmetry
     wide = min(360.0 / SIDES, fold / 2.0)
     angle = np.degrees(np.arctan2(*(at - scene.centre)[::-1]))
     middle = round(float(angle % fold) / wide) % round(fold / wide) * wide
-    return " and ".join(f"{(middle + k * fold):.0f}°" for k in range(min(scene.symmetry, 2)))
+    return f"{middle:.0f}°" + f" and every {fold:.0f}°" * (scene.symmetry > 1)
 
 
-def _gains(run: RunRow) -> Iterator[tuple[float, float, bool]]:
-    """Of each touch: halvings of the error, and whether the trial was not sure and now is."""
+def gains(run: RunRow) -> Iterator[Gain]:
+    """Of each touch of a trial."""
     error_mm, sure = run["before_mm"], False
     for noted in run["after"]:
         halvings = math.log2((error_mm + 1.0) / (noted["error_mm"] + 1.0))  # a mm is as good as 0
-        yield halvings, float(not sure), noted["sure"]
+        yield Gain(halvings, not sure and noted["sure"])
         error_mm, sure = noted["error_mm"], noted["sure"]
 
 
-def _told(name: str, gains: Sequence[tuple[float, float, bool]]) -> Told:
-    halvings, unsure, sure = np.array(gains, dtype=float).T
-    return Told(name, len(gains), float(halvings.mean()), float(np.mean(unsure * sure)))
+def open_gains(run: RunRow) -> Iterator[tuple[Floats, Gain]]:
+    """Of the touches from the second on that find a trial not yet sure, and their places (2,) [m]
+    on the object: those before and after tell little of a place."""
+    for k, gain in enumerate(gains(run)):
+        if k and not run["after"][k - 1]["sure"]:
+            yield 1e-3 * np.array(run["after"][k]["at_mm"]), gain
+
+
+def _told(name: str, found: Sequence[Gain]) -> Told:
+    halvings, made_sure = np.array(found, dtype=float).mean(axis=0).tolist()
+    return Told(name, len(found), halvings, made_sure)
 
 
 def helps(runs: Sequence[RunRow]) -> list[Help]:
-    """What each change does, by trials of the same seeds, most helpful first. They are compared
+    """What each change does, by trials of the same seeds, most helpful first. Shares are those
     after the first touch after which half of the trials are sure without it, or the last."""
     names = dict.fromkeys(run["name"] for run in runs)
     base = {run["seed"]: run for run in runs if run["name"] == AS_IS}
@@ -204,55 +217,24 @@ def helps(runs: Sequence[RunRow]) -> list[Help]:
     after = next((row.touches for row in rows if row.sure >= HALF), rows[-1].touches)
     found = []
     for name in [name for name in names if name not in (AS_IS, BY_TABLE)]:
-        pairs = [
-            [one["after"][after - 1] for one in (base[run["seed"]], run)]
-            for run in runs
-            if run["name"] == name and run["seed"] in base
-        ]
+        mine = [run for run in runs if run["name"] == name and run["seed"] in base]
+        pairs = [(base[run["seed"]], run) for run in mine]
         if pairs:
             found.append(_help(name, after, pairs))
     return sorted(found, key=lambda each: each.sure[0] - each.sure[1])
 
 
-def _help(name: str, after: int, pairs: Sequence[Sequence[dict[str, Any]]]) -> Help:
-    sure = np.array([[each["sure"] for each in pair] for pair in pairs], dtype=float)  # (n, 2)
-    found = np.array([[each["error_mm"] < FOUND_MM for each in pair] for pair in pairs])
-    gain = sure[:, 1] - sure[:, 0]
-    least = CHANCE * max(float(gain.std()), 0.5 / len(gain)) / math.sqrt(len(gain))
+def _help(name: str, after: int, pairs: Sequence[tuple[RunRow, RunRow]]) -> Help:
+    """Compare pairs of trials, without the change and with it."""
+    sure = np.array([[[noted["sure"] for noted in run["after"]] for run in pair] for pair in pairs])
+    error_mm = np.array([[run["after"][after - 1]["error_mm"] for run in pair] for pair in pairs])
+    share = sure.mean(axis=2)  # (n, 2) of the touches: how soon a trial is sure, and stays so
+    gain = share[:, 1] - share[:, 0]
+    touches = sure.shape[2]
+    least = CHANCE * math.sqrt((gain.var() + 1.0 / touches**2) / len(gain))
     verdict = "no difference seen"
     if abs(gain.mean()) > least:
-        verdict = "would help" if gain.mean() > 0.0 else "would not help"
-    without, with_it = found.mean(axis=0).tolist(), sure.mean(axis=0).tolist()
-    return Help(name, len(pairs), after, tuple(without), tuple(with_it), verdict)
-
-
-def lines(
-    rows: Sequence[Touched], by_number: Sequence[Told], by_side: Sequence[Told], help_: Sequence[Help]
-) -> Iterator[str]:
-    """All of it as text: a Markdown table, then a line on each thing."""
-    head = ["touches", "median mm", "90 % mm", f"found (< {FOUND_MM:.0f} mm)", "found and sure"]
-    yield "| " + " | ".join([*head, "misleading"]) + " |"
-    yield "|---" * (len(head) + 1) + "|"
-    for row in rows:
-        shares = [f"{share:.0%}" for share in (row.found, row.sure, row.misleading)]
-        errors = [f"{mm:.1f}" for mm in (row.median_mm, row.p90_mm)]
-        yield "| " + " | ".join([str(row.touches), *errors, *shares]) + " |"
-    yield ""
-    most = sorted(by_number, key=lambda told: -told.made_sure)[:2]
-    yield "told most: " + ", then ".join(_said(told) for told in most)
-    if len(by_side) > 1:
-        yield f"best side: {_said(by_side[0])} (n = {by_side[0].touches})"
-        yield f"worst side: {_said(by_side[-1])} (n = {by_side[-1].touches})"
-    for each in help_:
-        found, sure = (
-            f"{100 * a:.0f} -> {100 * b:.0f} %" for a, b in (each.found, each.sure)
-        )
-        yield (
-            f"{each.verdict}: {each.name} {found} found, {sure} found and sure "
-            f"after {each.after} ({each.trials} seeds)"
-        )
-
-
-def _said(told: Told) -> str:
-    halved = f"halves the error {told.halvings:.1f} times"
-    return f"{told.name}, which {halved} and makes {told.made_sure:.0%} sure"
+        verdict = "would help" if gain.mean() > 0.0 else "would hurt"
+    found = (error_mm < FOUND_MM).mean(axis=0).tolist()
+    became = sure[:, :, after - 1].mean(axis=0).tolist()
+    return Help(name, len(pairs), after, tuple(found), tuple(became), verdict)

@@ -75,8 +75,8 @@ def subjects(asked: Asked, place: Path) -> dict[str, Scenario]:
     demo = replace(scenarios.load("demo").on(asked.foam), robot_m=asked.robot_m)
     found = _found(asked)
     layout = layouts.load(found.layout)
-    height_m = asked.height_m or _height_m(found, layout)
-    depth_m = asked.depth_m or found.depth_m
+    height_m = _height_m(found, layout) if asked.height_m is None else asked.height_m
+    depth_m = found.depth_m if asked.depth_m is None else asked.depth_m
     if not DEPTHS_M[0] <= depth_m <= DEPTHS_M[1]:
         raise SetupError(f"--depth-mm: must be 0.1..50, not {1e3 * depth_m:g}")
     if found.bundle and _is_of(found, layout, height_m, depth_m):
@@ -179,8 +179,9 @@ def _written(layout: Layout, copies: int, place: Path) -> str:
     lines = [",".join([*COLUMNS, "uid"])]
     for k in range(copies):
         uid = (sui + 1 - sui.min() + k * (np.ptp(sui) + 1)) << 4 | name
-        for at, normal, own in zip(position + [0.0, 0.0, k * step_m], layout.normal, uid):
-            lines.append(",".join([*(f"{v:.7f}" for v in (*at, *normal)), str(own)]))
+        rows = np.hstack([position + np.array([0.0, 0.0, k * step_m]), layout.normal])
+        for row, own in zip(rows, uid, strict=True):
+            lines.append(",".join([*(f"{v:.7f}" for v in row), str(own)]))
     text = "\n".join([*lines, ""])
     place.mkdir(parents=True, exist_ok=True)
     stem = Path(layout.name.split(":")[0]).stem

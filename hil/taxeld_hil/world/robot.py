@@ -55,7 +55,7 @@ class RobotPath:
     def stated(self, t: float) -> Poses:
         """The pose (3,) that the robot takes for its own."""
         off = [np.interp(t, self.off_t, column) for column in self.off_m.T]
-        return self.at(t) + np.array([*off, 0.0])
+        return np.asarray(self.at(t) + np.array([*off, 0.0]))
 
     def erring(self, sd_m: float, seed: int) -> "RobotPath":
         """The same path of a robot whose error is drawn for each touch, and lasts through it."""
