@@ -56,7 +56,7 @@ def test_sides_that_the_symmetry_makes_alike_are_one() -> None:
     assert scene.symmetry == 2
     there, back = (scene.centre + sign * np.array([0.0, 0.05]) for sign in (1.0, -1.0))
     assert expect.side_of(there, scene) == expect.side_of(back, scene) == "90° and every 180°"
-    assert expect.side_of(scene.centre + [0.05, 0.001], scene).startswith("0°")
+    assert expect.side_of(scene.centre + np.array([0.05, 0.001]), scene).startswith("0°")
 
 
 def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance() -> None:

@@ -46,7 +46,7 @@ class Touched(NamedTuple):
     misleading: float
 
 
-class Told(NamedTuple):
+class Worth(NamedTuple):
     """How much touches told: those of one number, or from one side. Of a side, touches from the
     second on in trials that are not yet sure."""
 
@@ -154,13 +154,13 @@ def table(runs: Sequence[RunRow]) -> list[Touched]:
     return rows
 
 
-def told_by_number(runs: Sequence[RunRow]) -> list[Told]:
+def told_by_number(runs: Sequence[RunRow]) -> list[Worth]:
     """How much the first, second, … touch told."""
     each = [list(gains(run)) for run in runs]
     return [_told(f"touch {k + 1}", found) for k, found in enumerate(zip(*each, strict=True))]
 
 
-def told_by_side(runs: Sequence[RunRow], scene: Scene) -> list[Told]:
+def told_by_side(runs: Sequence[RunRow], scene: Scene) -> list[Worth]:
     """How much touches of each side of the object told, most first; none of a round one."""
     if scene.symmetry == CONTINUOUS:
         return []
@@ -199,9 +199,9 @@ def open_gains(run: RunRow) -> Iterator[tuple[Floats, Gain]]:
             yield 1e-3 * np.array(run["after"][k]["at_mm"]), gain
 
 
-def _told(name: str, found: Sequence[Gain]) -> Told:
+def _told(name: str, found: Sequence[Gain]) -> Worth:
     halvings, made_sure = np.array(found, dtype=float).mean(axis=0).tolist()
-    return Told(name, len(found), halvings, made_sure)
+    return Worth(name, len(found), halvings, made_sure)
 
 
 def helps(runs: Sequence[RunRow]) -> list[Help]:

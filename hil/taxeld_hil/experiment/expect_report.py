@@ -9,7 +9,7 @@ import numpy as np
 from taxeld.errors import SetupError
 from taxeld.model.scene import Scene
 from taxeld_hil.experiment import expect, measurement
-from taxeld_hil.experiment.expect import Help, Told, Touched
+from taxeld_hil.experiment.expect import Help, Worth, Touched
 from taxeld_hil.experiment.expect_subjects import Asked
 from taxeld_hil.experiment.measurement import RunRow
 from taxeld_hil.experiment.touches import FOUND_MM
@@ -55,8 +55,8 @@ def written(asked: Asked, own: Scenario, runs: Sequence[RunRow], out: Path) -> I
 
 def lines(
     rows: Sequence[Touched],
-    by_number: Sequence[Told],
-    by_side: Sequence[Told],
+    by_number: Sequence[Worth],
+    by_side: Sequence[Worth],
     changes: Sequence[Help],
 ) -> Iterator[str]:
     """A Markdown table, then a line on each thing."""
@@ -81,7 +81,7 @@ def lines(
         )
 
 
-def _said(told: Told) -> str:
+def _said(told: Worth) -> str:
     return (
         f"{told.name} halves the error {told.halvings:.1f} times, {told.made_sure:.0%} become sure"
     )
