@@ -9,7 +9,7 @@ import numpy as np
 from taxeld.errors import SetupError
 from taxeld.model.scene import Scene
 from taxeld_hil.experiment import expect, measurement
-from taxeld_hil.experiment.expect import Help, Worth, Touched
+from taxeld_hil.experiment.expect import Help, Touched, Worth
 from taxeld_hil.experiment.expect_subjects import Asked
 from taxeld_hil.experiment.measurement import RunRow
 from taxeld_hil.experiment.touches import FOUND_MM
