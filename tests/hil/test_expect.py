@@ -47,8 +47,9 @@ def test_a_touch_tells_by_how_often_it_halves_the_error_and_whether_it_makes_sur
     first, second = expect.told_by_number([GOOD, BAD])
     assert (first.halvings, first.made_sure) == (1.5, 0.0)  # 128 → 32, 128 → 64
     assert (second.halvings, second.made_sure) == (3.0, 0.5)  # 32 → 2, 64 → 16
-    (side,) = expect.told_by_side([GOOD, BAD], MODEL.scene)
-    assert (side.touches, side.halvings) == (2, 3.0)  # the first touch of a trial is of no side
+    assert expect.told_by_side([GOOD, BAD], MODEL.scene) == []
+    (side,) = expect.told_by_side([GOOD, BAD] * 4, MODEL.scene)
+    assert (side.touches, side.halvings) == (8, 3.0)  # the first touch of a trial is of no side
 
 
 def test_sides_that_the_symmetry_makes_alike_are_one() -> None:
@@ -60,12 +61,15 @@ def test_sides_that_the_symmetry_makes_alike_are_one() -> None:
 
 
 def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance() -> None:
-    def many(name: str, sure_from: int, seeds: int) -> list[RunRow]:
+    def one(seed: int, name: str, sure_from: int) -> RunRow:
         after = [(5.0 if k >= sure_from else 20.0, k >= sure_from, False) for k in range(6)]
-        return [trial(seed, name, *after) for seed in range(seeds)]
+        return trial(seed, name, *after)
 
-    runs = [*many(AS_IS, 0, 20), *many(BY_TABLE, 3, 10), *many("deeper foam", 5, 10)]
-    runs += [*many(CALIBRATED, 1, 10), *many("larger patch", 3, 10)]
+    def many(name: str, seeds: int, *sure_from: int) -> list[RunRow]:
+        return [one(seed, name, sure_from[seed % len(sure_from)]) for seed in range(seeds)]
+
+    runs = [*many(AS_IS, 20, 0), *many(BY_TABLE, 10, 3, 9), *many("deeper foam", 10, 5)]
+    runs += [*many(CALIBRATED, 10, 1), *many("larger patch", 10, 3, 9)]
     best, none, worst = expect.helps(runs)
     assert [each.name for each in (best, none, worst)] == [
         CALIBRATED,
@@ -73,13 +77,13 @@ def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance
         "deeper foam",
     ]
     # by what is looked up in the same way, after the fourth touch
-    assert (best.trials, best.after, best.found, best.sure) == (10, 4, (1.0, 1.0), (1.0, 1.0))
+    assert (best.trials, best.after, best.found, best.sure) == (10, 4, (0.5, 1.0), (0.5, 1.0))
     assert (best.verdict, none.verdict, worst.verdict) == (
         "would help",
         "no difference seen",
         "would hurt",
     )
-    assert expect.helps(runs[:20] + many(CALIBRATED, 1, 1))[0].verdict == "no difference seen"
+    assert expect.helps(runs[:20] + many(CALIBRATED, 7, 1))[0].verdict == "too few seeds to tell"
 
 
 def test_a_robot_errs_alike_throughout_a_touch_and_otherwise_in_the_next() -> None:

@@ -31,6 +31,7 @@ AS_IS, BY_TABLE, CALIBRATED = "as it is", "as it is, by table", "calibration"
 TABLE = 'proposal = "table"'
 SIDES = 8  # around the object, or around what its symmetry leaves
 HALF = 0.5  # share of trials that are sure, at which what would help is compared
+LEAST = 8  # seeds, or touches of a side, of which something is said
 CHANCE = 2.0  # standard errors that chance alone may make
 
 
@@ -71,7 +72,7 @@ class Help(NamedTuple):
     after: int  # touches
     found: tuple[float, float]  # without and with it
     sure: tuple[float, float]
-    verdict: str  # by the share of the touches after which a trial is sure, against chance
+    verdict: str  # by the trials that are sure, against chance
 
 
 def jobs(subjects: dict[str, Scenario], seeds: int, touches: int) -> list[Job]:
@@ -161,14 +162,15 @@ def told_by_number(runs: Sequence[RunRow]) -> list[Worth]:
 
 
 def told_by_side(runs: Sequence[RunRow], scene: Scene) -> list[Worth]:
-    """How much touches of each side of the object told, most first; none of a round one."""
+    """How much touches of each side of the object told, most first; none of a round one, and
+    none of a side with few touches."""
     if scene.symmetry == CONTINUOUS:
         return []
     sides: dict[str, list[Gain]] = {}
     for run in runs:
         for at_m, gain in open_gains(run):
             sides.setdefault(side_of(at_m, scene), []).append(gain)
-    found = [_told(name, gains) for name, gains in sides.items()]
+    found = [_told(name, each) for name, each in sides.items() if len(each) >= LEAST]
     return sorted(found, key=lambda told: -told.halvings)
 
 
@@ -226,15 +228,15 @@ def helps(runs: Sequence[RunRow]) -> list[Help]:
 
 def _help(name: str, after: int, pairs: Sequence[tuple[RunRow, RunRow]]) -> Help:
     """Compare pairs of trials, without the change and with it."""
-    sure = np.array([[[noted["sure"] for noted in run["after"]] for run in pair] for pair in pairs])
-    error_mm = np.array([[run["after"][after - 1]["error_mm"] for run in pair] for pair in pairs])
-    share = sure.mean(axis=2)  # (n, 2) of the touches: how soon a trial is sure, and stays so
-    gain = share[:, 1] - share[:, 0]
-    touches = sure.shape[2]
-    least = CHANCE * math.sqrt((gain.var() + 1.0 / touches**2) / len(gain))
+    noted = [[run["after"][after - 1] for run in pair] for pair in pairs]
+    sure = np.array([[each["sure"] for each in pair] for pair in noted], dtype=float)  # (n, 2)
+    found = np.array([[each["error_mm"] < FOUND_MM for each in pair] for pair in noted])
+    gain = sure[:, 1] - sure[:, 0]
+    least = CHANCE * math.sqrt((gain.var() + 1.0 / len(gain)) / len(gain))
     verdict = "no difference seen"
-    if abs(gain.mean()) > least:
+    if len(gain) < LEAST:
+        verdict = "too few seeds to tell"
+    elif abs(gain.mean()) > least:
         verdict = "would help" if gain.mean() > 0.0 else "would hurt"
-    found = (error_mm < FOUND_MM).mean(axis=0).tolist()
-    became = sure[:, :, after - 1].mean(axis=0).tolist()
-    return Help(name, len(pairs), after, tuple(found), tuple(became), verdict)
+    was, became = (tuple(each.mean(axis=0).tolist()) for each in (found, sure))
+    return Help(name, len(pairs), after, was, became, verdict)
