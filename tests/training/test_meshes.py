@@ -13,10 +13,10 @@ from shapely.geometry.base import BaseGeometry
 from taxeld.arrays import Bools
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld_hil.world import scenes, sections
+from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.cli import main
 from taxeld_training.objects.doubts import TURNS, doubts
-from taxeld_training.objects.setting import HEIGHT_M, OBJECTS
+from taxeld_training.objects.setting import OBJECTS
 from tests.rig.commands import printed, refused
 
 from .rig import PAPER_RING, THREE_ROWS, can, handle
@@ -78,13 +78,13 @@ def prism(corners: NDArray[np.float64]) -> trimesh.Trimesh:
 
 
 def cut(mesh: trimesh.Trimesh, z_m: float) -> BaseGeometry:
-    return sections.outline(mesh, z_m).shape
+    return meshes.outline(mesh, z_m).shape
 
 
 def load(mesh: trimesh.Trimesh, place: Path, suffix: str = ".stl") -> trimesh.Trimesh:
     path = (place / "broken").with_suffix(suffix)
     mesh.export(path)
-    return sections.load(path)
+    return meshes.load(path)
 
 
 def test_a_sound_mesh_needs_no_repair(tmp_path: Path) -> None:
@@ -216,7 +216,7 @@ def test_a_file_that_is_no_mesh_is_refused_in_one_line(
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(SetupError, match=f"{name}: .*{fault}") as caught:
-        sections.load(path)
+        meshes.load(path)
     assert "\n" not in str(caught.value)
 
 
@@ -245,7 +245,7 @@ def test_the_scene_command_refuses_in_one_line(tmp_path: Path) -> None:
 
 @functools.cache
 def loaded(name: str) -> trimesh.Trimesh:
-    return sections.load(sections.find(name)[0])
+    return meshes.load(meshes.find(name)[0])
 
 
 def turned(mesh: trimesh.Trimesh, turn: np.ndarray) -> trimesh.Trimesh:

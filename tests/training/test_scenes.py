@@ -11,8 +11,8 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.proposals import scene_file
-from taxeld_hil.world import scenes, sections
-from taxeld_hil.world.scenes import GridError, grid_error
+from taxeld_hil.objects import meshes, scenes
+from taxeld_hil.objects.scenes import GridError, grid_error
 
 from .rig import PAPER_RING, THREE_ROWS, box, can, handle
 
@@ -72,7 +72,7 @@ def test_a_hollow_object_is_filled() -> None:
     """A skin is pressed from outside: a mug's inside cannot be touched through its wall."""
     mesh = trimesh.creation.annulus(0.045, 0.05, 0.1)
     mesh.apply_translation([0.0, 0.0, 0.05])
-    shape = sections.outline(mesh, 0.05).shape
+    shape = meshes.outline(mesh, 0.05).shape
     assert np.isclose(shape.area, np.pi * 0.05**2, rtol=0.01)
 
 
@@ -111,7 +111,7 @@ def test_a_scene_survives_its_file(tmp_path: Path) -> None:
 )
 def test_a_missing_object_is_refused_in_one_line(name: str, fault: str) -> None:
     with pytest.raises(SetupError, match=fault):
-        sections.find(name)
+        meshes.find(name)
 
 
 TEN = {  # as a ring of five rows feels them, 10 to 70 mm above their lowest point
@@ -131,10 +131,10 @@ TEN = {  # as a ring of five rows feels them, 10 to 70 mm above their lowest poi
 @pytest.mark.parametrize(("name", "order"), TEN.items())
 def test_the_papers_objects_have_their_symmetry_and_exact_grids(name: str, order: int) -> None:
     skin = layouts.load(PAPER_RING)
-    path, attribution = sections.find(name)
+    path, attribution = meshes.find(name)
     assert attribution is not None
     assert "CC BY 4.0" in attribution
-    mesh = sections.load(path)
+    mesh = meshes.load(path)
     scene = scenes.build(mesh, skin, 0.04)
     assert scene.symmetry == order
     error = grid_error(scene, mesh, skin, 0.04, 0.005, points=300)

@@ -13,7 +13,8 @@ from taxeld.command_line import add_renamed, documented
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
 from taxeld_hil import jobs
-from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M
+from taxeld_hil.objects import HEIGHT_M
+from taxeld_training.objects import DEPTH_MAX_M
 
 if TYPE_CHECKING:
     import trimesh
@@ -39,7 +40,7 @@ def _build(args: argparse.Namespace) -> int:
     taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --quick --out bracket
     """
     from taxeld.layout import read as layouts
-    from taxeld_hil.world import sections
+    from taxeld_hil.objects import meshes
     from taxeld_training.build import STAGES, build, summary
     from taxeld_training.jobs import stages
     from taxeld_training.models.variants import trained_with
@@ -57,7 +58,7 @@ def _build(args: argparse.Namespace) -> int:
         seed=args.seed,
     )
     depth_m, skin = _depth_m(args), layouts.load(args.layout)
-    _doubt(args, sections.load(sections.find(args.object)[0]), skin)
+    _doubt(args, meshes.load(meshes.find(args.object)[0]), skin)
     began_s, ended_s = time.monotonic(), dict[str, float]()
     with stages.shown(STAGES, sys.stderr) as tell:
 
@@ -92,7 +93,7 @@ def _seal(args: argparse.Namespace) -> int:
 
     taxeld-train seal bracket
     """
-    from taxeld_training import bundles
+    from taxeld_hil.objects import bundles
 
     bundles.seal(args.bundle)
     print(f"{args.bundle}: sealed")
@@ -107,11 +108,11 @@ def _scene(args: argparse.Namespace) -> int:
     """
     from taxeld.layout import read as layouts
     from taxeld.model.scene import CONTINUOUS
-    from taxeld_hil.world import scenes, sections
+    from taxeld_hil.objects import meshes, scenes
     from taxeld_training.build import command
 
     depth_m, skin = _depth_m(args), layouts.load(args.layout)
-    mesh = sections.load(sections.find(args.object)[0])
+    mesh = meshes.load(meshes.find(args.object)[0])
     scene = scenes.build(mesh, skin, args.height_m)
     error = scenes.grid_error(scene, mesh, skin, args.height_m, depth_m)
     heights = (args.height_m + scene.heights) * 1e3

@@ -59,11 +59,13 @@ def digest(subject: Scenario) -> str:
     return hashlib.sha256(text.encode() + info).hexdigest()[:16]
 
 
-def save(path: Path, runs: Sequence[RunRow]) -> None:
-    """Write runs as JSON, a run a line: a diff can be read."""
+def save(path: Path, runs: Sequence[RunRow], **about: Any) -> None:
+    """Write runs as JSON, a run a line: a diff can be read; before them what is said `about` them,
+    a value a line."""
     path.parent.mkdir(parents=True, exist_ok=True)
     lines = ",\n".join(map(json.dumps, runs))
-    path.write_text(f'{{"runs": [\n{lines}\n]}}\n', encoding="utf-8")
+    head = "".join(f"{json.dumps(key)}: {json.dumps(value)},\n" for key, value in about.items())
+    path.write_text(f'{{{head}"runs": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
 def read(path: Path) -> list[RunRow]:

@@ -26,7 +26,7 @@ def solid_of(name: str, layout: Layout) -> Solid:
     """
     built = bundle.manifest_of(name)
     reach = float(np.abs(layout.position_m[:, 2]).max()) + MARGIN_M + LAYER_M
-    return meshes.load(_mesh(name, built), built.height_m, reach)
+    return meshes.load(mesh_of(name, built), built.height_m, reach)
 
 
 def on_layout(name: str, spec: str) -> Bundle:
@@ -44,17 +44,17 @@ def on_layout(name: str, spec: str) -> Bundle:
 
 @lru_cache(maxsize=4)  # a scene takes seconds, and a worker's runs have few objects and layouts
 def _cut_anew(name: str, spec: str) -> Bundle:
-    from taxeld_hil.world import scenes, sections  # noqa: PLC0415  (an extra)
+    from taxeld_hil.objects import scenes  # noqa: PLC0415  (an extra)
 
     layout, built = layouts.load(spec), bundle.manifest_of(name)
-    mesh = sections.load(sections.find(_mesh(name, built))[0])
-    model = ObservationModel(scenes.build(mesh, layout, built.height_m), layout, built.depth_max_m)
+    scene = scenes.cut(mesh_of(name, built), layout, built.height_m)
+    model = ObservationModel(scene, layout, built.depth_max_m)
     check_contacts(model)
     own = BuiltFor(layout.name, layout.digest)
     found = replace(built, layout=own, samplers=[], auto=[Table.name])
     return Bundle(bundle.find(name), found, {"object": built.object}, {}, model)
 
 
-def _mesh(name: str, built: Manifest) -> str:
+def mesh_of(name: str, built: Manifest) -> str:
     """A YCB id, or the path of the bundle's own mesh."""
     return str(bundle.find(name) / built.mesh) if built.mesh else built.object

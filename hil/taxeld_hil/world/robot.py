@@ -1,11 +1,11 @@
 """The robot's path: around the object, in to a press, out again; poses by linear interpolation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Poses
+from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
@@ -28,10 +28,14 @@ AROUND = 8  # contacts, at most, to once around the object: any so many in turn 
 
 @dataclass(frozen=True, slots=True)
 class RobotPath:
-    """Waypoints of the sensor in the world; the yaw is not wrapped."""
+    """Waypoints of the sensor in the world, the yaw not wrapped; and how far off the robot takes
+    itself to be at some times, in between by linear interpolation."""
 
     t: NDArray[np.float64]  # (W,) seconds from the start
     pose: Poses  # (W, 3)
+    touched: Floats = field(default_factory=lambda: np.empty((0, 2)))  # (N, 2) begins and ends [s]
+    off_m: Floats = field(default_factory=lambda: np.zeros((1, 2)))  # (K, 2) error in x and y
+    off_t: Floats = field(default_factory=lambda: np.zeros(1))  # (K,)
 
     @property
     def end(self) -> Poses:
@@ -48,6 +52,18 @@ class RobotPath:
         x, y, theta = (np.interp(t, self.t, column) for column in self.pose.T)
         return np.array([x, y, se2.wrap(np.float64(theta))])
 
+    def stated(self, t: float) -> Poses:
+        """The pose (3,) that the robot takes for its own."""
+        off = [np.interp(t, self.off_t, column) for column in self.off_m.T]
+        return np.asarray(self.at(t) + np.array([*off, 0.0]))
+
+    def erring(self, sd_m: float, seed: int) -> "RobotPath":
+        """The same path of a robot whose error is drawn for each touch, and lasts through it."""
+        if not sd_m or not len(self.touched):
+            return self
+        off = np.random.default_rng([seed, 11]).normal(0.0, sd_m, (len(self.touched), 2))
+        return replace(self, off_m=np.repeat(off, 2, axis=0), off_t=self.touched.ravel())
+
 
 def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -> RobotPath:
     """A path that touches the object from all sides, in turn, at random offsets and depths; the
@@ -61,6 +77,7 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
     poses: list[list[float]] = []
     times: list[float] = []
     now, yaw, before = 0.0, first_yaw(model.layout, start), start
+    touched: list[tuple[float, float]] = []
     step = 2.0 * np.pi / min(scenario.contacts, AROUND)
     for k in range(scenario.contacts):
         angle = start + step * (k + rng.uniform(-0.3, 0.3))
@@ -88,8 +105,9 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
             turned = yaw + (yaw_to - yaw) * min(1.0, i / len(arc))
             poses.append([*point, turned])
             times.append(now)
+        touched.append((times[-6], times[-3]))  # from where it slows, in and out again
         yaw, before = yaw_to, angle
-    return RobotPath(np.array(times), np.array(poses))
+    return RobotPath(np.array(times), np.array(poses), np.array(touched))
 
 
 def first_yaw(layout: Layout, angle: float) -> float:

@@ -104,7 +104,9 @@ def plan(
         yaw = yaw_to
     track.go(np.vstack([out, [*_around(centre, circle, angle), yaw]]), 0.5)
     track.go(track.poses[-1][None], REST_S)
-    return TouchPlan(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
+    touched = np.array([(touch.begin_s, touch.end_s) for touch in touches])
+    path = RobotPath(np.array(track.times), np.array(track.poses), touched)
+    return TouchPlan(path, tuple(touches))
 
 
 def _around(centre: Floats, circle: float, angle: float | Floats) -> Floats:

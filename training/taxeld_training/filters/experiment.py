@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from taxeld_hil.world import sections
+from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell, Results
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
@@ -111,7 +111,7 @@ def rows(
 ) -> list[dict[str, Any]]:
     """A row an object, level, method and contact."""
     for name in objects:
-        sections.find(name)
+        meshes.find(name)
     methods = cells.chosen(experiment.methods, options.groups)
     seeds = options.seeds or (experiment.quick_seeds if options.quick else experiment.seeds)
     wanted = dict.fromkeys(  # methods may differ in nothing but particles, which a level may set

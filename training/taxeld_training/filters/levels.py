@@ -13,7 +13,7 @@ import numpy as np
 
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import layout_name
-from taxeld_hil.world import sections
+from taxeld_hil.objects import meshes
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, setting_of
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.jobs.options import Options
@@ -40,7 +40,7 @@ class Lengths:
         """The object `name` with these lengths."""
         scale = self.scale
         if self.across_m:
-            scale *= self.across_m / float(sections.load(sections.find(name)[0]).extents[:2].max())
+            scale *= self.across_m / float(meshes.load(meshes.find(name)[0]).extents[:2].max())
         skin = ring(self.columns, self.scale * self.radius_m, self.scale * self.pitch_m)
         depth_max_m = self.scale * self.depth_max_m
         return Setting(name, skin, 0, seed=seed, scale=scale, depth_max_m=depth_max_m)

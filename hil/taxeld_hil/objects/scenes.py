@@ -14,7 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.model.symmetry import USUAL_RADIUS_M
-from taxeld_hil.world import sections
+from taxeld_hil.objects import meshes
 
 CELL_M = 0.002  # cell of an object of half the usual size or more; halved with each half of that
 GRAIN_M = 2.0**-16  # distances are kept to 15 µm: finer digits are noise and do not compress
@@ -32,6 +32,15 @@ ERROR_POINTS = 1000  # a grid, the same ones at every call
 SYMMETRY_ORDERS = (12, 10, 9, 8, 7, 6, 5, 4, 3, 2)
 
 
+def cut(name: str, layout: Layout, height_m: float) -> Scene:
+    """The scene of a YCB id or a mesh file, as `build` has it.
+
+    Raises:
+        SetupError: there is no such object, or its mesh cannot be used.
+    """
+    return build(meshes.load(meshes.find(name)[0]), layout, height_m)
+
+
 def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
     """The scene of `mesh` on `layout`, whose frame's origin is `height_m` above its lowest point.
 
@@ -40,7 +49,7 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
     """
     heights = _heights(layout)
     shapes = [outline.shape for outline in outlines(mesh, layout, height_m)]
-    union = sections.fill(shapely.union_all(shapes))
+    union = meshes.fill(shapely.union_all(shapes))
     if union.is_empty:
         raise SetupError(
             f"no taxel is at a height of the object: its {mesh.extents[2] * 1e3:.0f} mm lie "
@@ -63,10 +72,10 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
     )
 
 
-def outlines(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[sections.Outline]:
+def outlines(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[meshes.Outline]:
     """The mesh's outline at each of the skin's heights."""
     bottom = float(mesh.bounds[0][2])
-    return [sections.outline(mesh, bottom + height_m + z) for z in _heights(layout)]
+    return [meshes.outline(mesh, bottom + height_m + z) for z in _heights(layout)]
 
 
 def repairs(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[str]:
@@ -148,7 +157,7 @@ def _distance(
 ) -> NDArray[np.float32]:
     if shape.is_empty:
         return np.full(x.shape, FAR_M, dtype=np.float32)
-    distance = sections.signed_distance(shape, x, y)
+    distance = meshes.signed_distance(shape, x, y)
     return np.round(distance / GRAIN_M).astype(np.float32) * np.float32(GRAIN_M)
 
 
@@ -198,8 +207,8 @@ def grid_error(
     rng = np.random.default_rng(0)
     band = depth_max_m + scene.cell
     bottom = float(mesh.bounds[0][2]) + height_m
-    shapes = [sections.outline(mesh, bottom + z).shape for z in scene.heights]
-    union = sections.fill(shapely.union_all(shapes))
+    shapes = [meshes.outline(mesh, bottom + z).shape for z in scene.heights]
+    union = meshes.fill(shapely.union_all(shapes))
     measured = [(grid, shape, 0.0) for grid, shape in zip(scene.slices, shapes, strict=True)]
     measured.append((scene.silhouette, union, layout.radius_m))
     errors = []
@@ -207,7 +216,7 @@ def grid_error(
         if shape.is_empty:
             continue
         at = _near(shape, max(away_m - band, 0.0), away_m + band, points, rng)
-        exact = sections.signed_distance(shape, *at.T)
+        exact = meshes.signed_distance(shape, *at.T)
         use = np.abs(exact - away_m) <= band
         errors.append(_lookup(scene, grid, at[use]) - exact[use])
     error = np.abs(np.concatenate(errors)) * 1e3
