@@ -19,6 +19,7 @@ from taxeld.command_line import Commands, command
 from taxeld.config import endpoints
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
+from taxeld_hil import jobs
 from taxeld_hil.experiment import cli as measurements
 from taxeld_hil.scenario.mesh_config import FOAMS
 
@@ -99,20 +100,25 @@ def _soak(args: argparse.Namespace) -> int:
         for line in table(args.table):
             _say(line)
         return 0
-    base, real = _scenario(args), args.real_minutes is not None
-    if args.lap is not None:
-        if args.lap < 0:
-            raise SetupError("--lap: must be at least 0")
-        grade = lap_alone(base, args.seed, args.lap)
-        for line in report.lines(grade):
-            _say(line)
-        return 0 if grade.passed else 1
+    real, passed = args.real_minutes is not None, True
     hours = args.real_minutes / 60.0 if real else args.hours
-    soak = resumed(args.out, base, args.seed, "real" if real else "fake", hours)
-    soak = (soak_live if real else soak_fake)(base, soak, args.out, _say)
-    _say(soak.line())
-    _say("passed" if soak.passed else "failed; see failures in " + str(args.out))
-    return 0 if soak.passed else 1
+    if args.lap is not None and args.lap < 0:
+        raise SetupError("--lap: must be at least 0")
+    for layout in jobs.layouts(args.layout):
+        base, name = _scenario(args, layout), jobs.layout_name(layout)
+        if args.lap is not None:
+            grade = lap_alone(base, args.seed, args.lap)
+            for line in report.lines(grade):
+                _say(line)
+            passed &= grade.passed
+            continue
+        out = args.out.with_stem(f"{args.out.stem}_{name}") if name else args.out
+        soak = resumed(out, base, args.seed, "real" if real else "fake", hours)
+        soak = (soak_live if real else soak_fake)(base, soak, out, _say)
+        _say(soak.line())
+        _say("passed" if soak.passed else f"failed; see failures in {out}")
+        passed &= soak.passed
+    return 0 if passed else 1
 
 
 def _table(args: argparse.Namespace) -> int:
@@ -221,15 +227,16 @@ def _say(line: str) -> None:
     print(line, flush=True)
 
 
-def _scenario(args: argparse.Namespace) -> "Scenario":
-    """The scenario that the arguments name, with their object, foam and layout.
+def _scenario(args: argparse.Namespace, layout: str | None = None) -> "Scenario":
+    """The scenario that the arguments name, with their object, foam and layout, or another layout.
 
     Raises:
         SetupError: there is no such scenario or foam.
     """
     from taxeld_hil.scenario import scenario as scenarios
 
-    return scenarios.load(args.scenario).touching(args.object).on(args.foam, args.layout)
+    layout = args.layout if layout is None else layout
+    return scenarios.load(args.scenario).touching(args.object).on(args.foam, layout)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -250,11 +257,15 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_world(command: argparse.ArgumentParser) -> None:
+def _add_world(command: argparse.ArgumentParser, *, has_rows: bool = False) -> None:
+    """What replaces parts of a scenario; `has_rows`: the command has a row a layout."""
     about = "in place of the scenario's object: box, mug, or a path"
     command.add_argument("--object", default="", metavar="BUNDLE", help=about)
-    about = "in place of the scenario's, as skin.layout"
-    command.add_argument("--layout", default="", help=about)
+    if has_rows:
+        jobs.add_layouts(command, "the scenario's")
+    else:
+        about = "in place of the scenario's, as skin.layout"
+        command.add_argument("--layout", default="", help=about)
     about = f"in place of the scenario's: {', '.join(FOAMS)}"
     foam = command.add_argument("--foam", default="", help=about)
     command_line.add_renamed(command, "--skin", foam)
@@ -314,7 +325,8 @@ def _add_many(commands: Commands) -> None:
         "--out",
         type=Path,
         default=Path("soak.json"),
-        help="the report; a soak that was cut short goes on from it",
+        help="the report, of another layout with its name at the end; a soak that was cut short "
+        "goes on from it",
     )
     long.add_argument("--lap", type=int, metavar="N", help="instead: this lap alone")
     long.add_argument(
@@ -324,7 +336,7 @@ def _add_many(commands: Commands) -> None:
         metavar="REPORT",
         help="instead: print these reports as a Markdown table",
     )
-    _add_world(soak)
+    _add_world(soak, has_rows=True)
 
     table = command(
         commands,

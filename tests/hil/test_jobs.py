@@ -154,3 +154,21 @@ def test_a_missing_scheduler_is_refused_in_one_line(
     monkeypatch.setattr(jobs, "PATIENCE", "300ms")
     with pytest.raises(SetupError, match=r"--dask: no scheduler answers at tcp://127.0.0.1:9"):
         jobs.run(three(tmp_path), tmp_path / "memory", dask="tcp://127.0.0.1:9")
+
+
+def test_layouts_have_rows_in_turn_and_an_absent_file_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    line, here = "wrap:modules=12,radius_m=0.04", tmp_path / "here.csv"
+    here.touch()
+    assert jobs.layouts(None) == [""]
+    given = ["own", str(tmp_path / "gone.json"), line, str(here), str(here)]
+    assert jobs.layouts(given) == ["", line, str(here)]
+    assert [jobs.layout_name(each) for each in ("", line, str(here))] == ["", line, "here"]
+    said = capsys.readouterr().err.splitlines()
+    assert said == [f"--layout: there is no file {tmp_path / 'gone.json'}: its rows are left out"]
+    with pytest.raises(SetupError, match="none of these files is there"):
+        jobs.layouts([str(tmp_path / "gone.json")])
+    (tmp_path / "here.json").touch()
+    with pytest.raises(SetupError, match="two are called here"):
+        jobs.layouts([str(here), str(tmp_path / "here.json")])

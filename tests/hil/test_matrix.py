@@ -7,10 +7,12 @@ from typing import Any
 
 import pytest
 
+from taxeld.layout import read as layouts
 from taxeld_hil import cli
 from taxeld_hil.experiment import matrix, measurement, touches
 from taxeld_hil.experiment.measurement import RunRow
-from tests.hil.rig import DEMO
+from tests.hil.rig import DEMO, SKIN
+from tests.rig.skins import table_of
 
 SHORT = """\
 bundle = "box"
@@ -45,6 +47,18 @@ def test_a_table_says_how_often_each_object_is_found_what_else_failed_and_what_w
     ]
 
 
+def test_each_layout_has_rows_of_its_own() -> None:
+    runs = [run("demo", "poor"), run("demo", "poor", layout="patch", found=False)]
+    assert list(matrix.lines(runs)) == [
+        "| scenario | poor, box |",
+        "|---|---|",
+        "| demo | 1 of 1 |",
+        "| **all** | 1 of 1 |",
+        "| demo, patch | 0 of 1 |",
+        "| **all**, patch | 0 of 1 |",
+    ]
+
+
 def test_a_run_of_other_code_another_scenario_or_another_bundle_is_not_remembered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -57,6 +71,12 @@ def test_a_run_of_other_code_another_scenario_or_another_bundle_is_not_remembere
     codes.append(measurement.digest(mine))
     assert len(set(codes)) == len(codes)
     assert measurement.digest(DEMO) == codes[0]
+    own, found = tmp_path / "own.csv", set()
+    for layout in (SKIN, layouts.load("wrap:modules=12,radius_m=0.04")):
+        own.write_text(table_of(layout), encoding="ascii")
+        found.add(measurement.digest(DEMO.on("", str(own))))
+        measurement.content.cache_clear()  # another process
+    assert len(found) == 2, "nor one of a layout file that was changed"
     monkeypatch.setattr(measurement, "code", lambda: "of other code")
     assert measurement.digest(DEMO) not in codes
 

@@ -81,7 +81,7 @@ def test_each_command_has_a_sentence_and_examples_that_its_parser_takes(
 RENAMED = [  # a line with an option's earlier name, its present one, and the value
     ("taxeld-train scene x --skin a.json", "layout", "a.json"),
     ("taxeld-train build x --out y --skin a.json", "layout", "a.json"),
-    ("taxeld-train evaluate filter --skin a.json", "layout", "a.json"),
+    ("taxeld-train evaluate filter --skin a.json", "layout", ["a.json"]),
     ("taxeld-hil run demo --skin poor", "foam", "poor"),
     ("taxeld-hil emulate demo --can vcan0 --poses ipc://x --out y --skin poor", "foam", "poor"),
     ("taxeld-hil touches --skin poor --skin stiff", "foam", ["poor", "stiff"]),

@@ -12,8 +12,8 @@ from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import contacts
 from taxeld.model.observation import ObservationModel
+from taxeld_hil.objects import scenes
 from taxeld_training.cli import main
-from taxeld_training.objects import scenes
 
 RING = "cylinder:rows=2,columns=16,radius_m=0.04,pitch_m=0.015"
 THREE_ROWS = "cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.015"

@@ -13,10 +13,10 @@ from shapely.geometry.base import BaseGeometry
 from taxeld.arrays import Bools
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
+from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.cli import main
-from taxeld_training.objects import meshes, scenes
 from taxeld_training.objects.doubts import TURNS, doubts
-from taxeld_training.objects.setting import HEIGHT_M, OBJECTS
+from taxeld_training.objects.setting import OBJECTS
 from tests.rig.commands import printed, refused
 
 from .rig import PAPER_RING, THREE_ROWS, can, handle

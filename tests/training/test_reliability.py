@@ -9,7 +9,7 @@ import pytest
 
 from taxeld.estimator.estimate import Hypotheses, Status
 from taxeld_training.charts import reliability_chart
-from taxeld_training.filters import cells, reliability
+from taxeld_training.filters import cells, levels, reliability
 from taxeld_training.filters.cells import Cell
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, TouchResult
@@ -120,13 +120,14 @@ def test_promises_are_remembered_with_the_estimates_that_make_them(tmp_path: Pat
 
 
 def test_the_halves_are_fixed_and_each_object_is_taken_for_others_on_each_skin() -> None:
-    found = reliability.all_levels(Options(Path(), Path(), layout=ring(8)))
+    every, options = reliability.all_levels(), Options(Path(), Path(), layouts=("", ring(8)))
+    found = levels.asked_for(options, every, every)
     assert len({level.name for level in found}) == len(found)
     assert found[: len(LEVELS)] == list(LEVELS)
     pairs = {(level.touched, level.conditions.skin) for level in found if level.touched}
     objects = {*reliability.MET, *reliability.UNMET}
     assert len(objects) == 10
-    assert pairs == {(name, skin) for name in objects for skin in reliability.SKINS}
+    assert pairs == {(name, skin) for name in objects for skin in levels.FOAMS}
     cell = Cell(MUG, SHIPPED)
     new = {level.factor for level in found if not reliability.is_tuned(level, cell)}
     assert new == {"lengths", "layout", *(f for f in (x.factor for x in found) if "wrong" in f)}
@@ -168,12 +169,40 @@ def test_reliability_has_groups_and_cells_and_goes_on_where_it_was_cut(
 
 
 @pytest.mark.skipif(not PATCH.is_file(), reason="the real layouts are not beside this checkout")
-def test_a_real_patch_is_a_cell_on_each_skin(tmp_path: Path) -> None:
-    few = ("--layout", str(PATCH), "--cells", "layout", "--seeds", "1")
-    assert evaluate("reliability", "025_mug", tmp_path, *few) == 0
+def test_a_real_patch_is_a_cell_on_each_foam_and_one_that_is_absent_is_left_out(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = ("--layout", str(PATCH), "--layout", "absent.json", "--seeds", "1")
+    assert evaluate("reliability", "025_mug", tmp_path, *few, "--cells", "layout") == 0
+    assert "no file absent.json: its rows are left out" in capsys.readouterr().err
     single = [row for row in rows(tmp_path, "reliability_cells") if "over" not in row]
-    assert [row["level"] for row in single] == ["exact", "typical", "poor"]
+    assert [row["level"] for row in single] == [
+        f"{PATCH.stem}, {foam}" for foam in ("exact", "typical", "poor")
+    ]
     assert all(row["estimates"] == 8 and not row["tuned"] for row in single)
+    assert {row["proposal"] for row in single} == {"table"}
+
+
+def test_stability_has_rows_of_each_layout_with_samples_from_the_table(
+    block: Path, tmp_path: Path
+) -> None:
+    other = ring(8, radius_m=0.05)
+    few = ("--layout", "own", "--layout", other, "--cells", "as assumed,layout", "--seeds", "1")
+    assert evaluate("stability", block, tmp_path, *few, "--groups", "table,shipped") == 0
+    found = rows(tmp_path, "stability_cells")
+    assert [row["factor"] for row in found if row["proposal"] == "table"] == [
+        "as assumed",
+        *["layout"] * 3,
+    ]
+    assert {row["proposal"] for row in found if row["factor"] == "layout"} == {"table"}
+
+
+@pytest.mark.parametrize("name", ["proposals", "frontier", "push"])
+def test_what_has_no_rows_for_layouts_refuses_them_in_one_line(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(name, "025_mug", tmp_path, "--layout", ring(4), "--layout", ring(8)) == 2
+    assert capsys.readouterr().err.startswith("taxeld-train: --layout: ")
 
 
 def test_the_picture_of_a_hundred_thousand_estimates_is_small(tmp_path: Path) -> None:

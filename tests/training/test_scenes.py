@@ -11,8 +11,8 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.proposals import scene_file
-from taxeld_training.objects import meshes, scenes
-from taxeld_training.objects.scenes import GridError, grid_error
+from taxeld_hil.objects import meshes, scenes
+from taxeld_hil.objects.scenes import GridError, grid_error
 
 from .rig import PAPER_RING, THREE_ROWS, box, can, handle
 

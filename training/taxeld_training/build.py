@@ -15,12 +15,10 @@ import trimesh
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
-from taxeld_training import bundles
-from taxeld_training.objects import meshes, scenes
+from taxeld_hil.objects import bundles, meshes, scenes
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
 
-MESH = "mesh"  # name, before its suffix, of the copy of a mesh file for the harness
 SCENE = "scene"
 STAGES = (SCENE, *candidates.STAGES)  # stages of a build, in order
 FAR = 2.0  # a sampler is poor beyond so many times the distance of two sets of exact draws
@@ -54,7 +52,7 @@ def build(
     model = ObservationModel(scenes.build(mesh, layout, height_m), layout, depth_m)
     info: dict[str, Any] = {"object": path.stem, "attribution": attribution}
     if Path(name).suffix:  # the harness has the meshes of YCB objects
-        info["mesh"] = MESH + path.suffix
+        info["mesh"] = bundles.MESH + path.suffix
     info |= _describe(mesh, model, height_m)
     progress(SCENE, 1.0)
     out.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,9 @@ from taxeld import command_line
 from taxeld.command_line import add_renamed, documented
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M
+from taxeld_hil import jobs
+from taxeld_hil.objects import HEIGHT_M
+from taxeld_training.objects import DEPTH_MAX_M
 
 if TYPE_CHECKING:
     import trimesh
@@ -38,10 +40,10 @@ def _build(args: argparse.Namespace) -> int:
     taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --quick --out bracket
     """
     from taxeld.layout import read as layouts
+    from taxeld_hil.objects import meshes
     from taxeld_training.build import STAGES, build, summary
     from taxeld_training.jobs import stages
     from taxeld_training.models.variants import trained_with
-    from taxeld_training.objects import meshes
     from taxeld_training.samplers.candidates import CONTACTS, TRAINING, VARIANTS, Candidates
 
     full = {"effort": 1.0, "contacts": 300_000}
@@ -91,7 +93,7 @@ def _seal(args: argparse.Namespace) -> int:
 
     taxeld-train seal bracket
     """
-    from taxeld_training import bundles
+    from taxeld_hil.objects import bundles
 
     bundles.seal(args.bundle)
     print(f"{args.bundle}: sealed")
@@ -106,8 +108,8 @@ def _scene(args: argparse.Namespace) -> int:
     """
     from taxeld.layout import read as layouts
     from taxeld.model.scene import CONTINUOUS
+    from taxeld_hil.objects import meshes, scenes
     from taxeld_training.build import command
-    from taxeld_training.objects import meshes, scenes
 
     depth_m, skin = _depth_m(args), layouts.load(args.layout)
     mesh = meshes.load(meshes.find(args.object)[0])
@@ -161,6 +163,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     if args.cells and args.experiment in ("frontier", "push"):
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
+    given["layouts"] = _layouts(args)
     options = Options(**given, until=time.monotonic() + 60.0 * args.minutes)
     experiments = {
         "proposals": sampled.run if args.cells else evaluate.proposals,
@@ -174,6 +177,21 @@ def _evaluate(args: argparse.Namespace) -> int:
     for path in experiments[args.experiment](options):
         print(path)
     return 0
+
+
+def _layouts(args: argparse.Namespace) -> tuple[str, ...]:
+    """Raises SetupError where a layout cannot be read, or the experiment has no room for it."""
+    from taxeld.layout import read as layouts
+
+    found = tuple(jobs.layouts(args.layout))
+    if args.experiment in ("proposals", "frontier") and len(found) > 1:
+        raise SetupError(f"--layout: {args.experiment} has room for one; run it for each")
+    of_shipped = args.experiment == "push" or (args.experiment == "proposals" and args.cells)
+    if of_shipped and found != ("",):
+        raise SetupError(f"--layout: {args.experiment} is of the shipped bundles' own layout here")
+    for spec in filter(None, found):
+        layouts.load(spec)
+    return found
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -237,13 +255,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     )
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
-    add_renamed(
-        one,
-        "--skin",
-        add(
-            "--layout", default="", help="this layout in place of them; of reliability, beside them"
-        ),
-    )
+    add_renamed(one, "--skin", jobs.add_layouts(one, "those skins"))
     add("--workers", type=int, default=2, help="processes of one thread each")
     about = (
         "samplers (analytic, …), filters (table, shipped, …), or of ablation constants (MOVE, …)"

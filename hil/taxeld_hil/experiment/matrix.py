@@ -2,10 +2,11 @@
 
 import tempfile
 from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 
 from taxeld_hil.experiment.measurement import RunRow, digest, require
-from taxeld_hil.jobs import Job
+from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.run.fake_run import NOT_INJECTED, FakeRun
 from taxeld_hil.run.live import LiveRun
 from taxeld_hil.scenario import scenario
@@ -19,28 +20,28 @@ def jobs(
     seeds: int,
     *,
     real: bool,
-    layout: str = "",
+    layouts: Sequence[str] = ("",),
 ) -> list[Job]:
-    """A job for each run of scenarios with bundles and skins, seed by seed, so that a part of them
-    is as fair as all. With `real`, a scenario with a fault that no fake clock can inject runs in
-    real time.
+    """A job for each run of scenarios with bundles, skins and layouts, seed by seed, so that a part
+    of them is as fair as all. With `real`, a scenario with a fault that no fake clock can inject
+    runs in real time.
 
     Raises:
         SetupError: there is no such scenario, object or skin, an object has no mesh here, or there
             are no seeds.
     """
-    require(objects, skins, seeds, layout, soft=False)
+    require(objects, skins, seeds, layouts, soft=False)
     found = []
     for seed in range(seeds):
         for name in scenarios:
             asked = scenario.load(name)
             in_real_time = real and any(fault.kind in NOT_INJECTED for fault in asked.fault)
-            for skin in skins:
-                for bundle in objects:
-                    subject = asked.touching(bundle).on(skin, layout)
-                    title = f"{name}, {bundle}, {skin}, seed {seed}{', real time' * in_real_time}"
-                    arguments = (name, subject, seed, in_real_time)
-                    found.append(Job(title, play, arguments, code=digest(subject)))
+            for skin, bundle, layout in product(skins, objects, layouts):
+                subject = asked.touching(bundle).on(skin, layout)
+                words = [bundle, skin, *filter(None, [layout_name(layout)]), f"seed {seed}"]
+                title = ", ".join([name, *words, *["real time"] * in_real_time])
+                arguments = (name, subject, seed, in_real_time)
+                found.append(Job(title, play, arguments, code=digest(subject)))
     return found
 
 
@@ -59,6 +60,7 @@ def play(name: str, subject: Scenario, seed: int, in_real_time: bool) -> RunRow:
         "scenario": name,
         "bundle": subject.bundle,
         "skin": subject.physics,
+        "layout": layout_name(subject.layout),  # empty: what the bundle was built for
         "seed": seed,
         "real": in_real_time,
         "passed": grade.passed,  # all checks
@@ -79,18 +81,22 @@ def described(run: RunRow) -> str:
 
 
 def lines(runs: Sequence[RunRow]) -> Iterator[str]:
-    """How often each scenario's object was found, as a Markdown table: a column a skin and object;
-    with the runs in which a check failed though it was found, and those that failed silently."""
+    """How often each scenario's object was found, as a Markdown table: a row a scenario and layout,
+    a column a skin and object; with the runs in which a check failed though it was found, and those
+    that failed silently."""
     columns: dict[str, list[RunRow]] = {}
     for run in runs:
         name = Path(run["bundle"]).name  # the directory's name of a bundle that is not shipped
         columns.setdefault(f"{run['skin']}, {name}", []).append(run)
     yield "| scenario | " + " | ".join(columns) + " |"
     yield "|---" * (len(columns) + 1) + "|"
-    for name in dict.fromkeys(run["scenario"] for run in runs):
-        cells = [_cell([r for r in mine if r["scenario"] == name]) for mine in columns.values()]
-        yield f"| {name} | " + " | ".join(cells) + " |"
-    yield "| **all** | " + " | ".join(map(_cell, columns.values())) + " |"
+    for layout in dict.fromkeys(run.get("layout", "") for run in runs):
+        on = [[r for r in mine if r.get("layout", "") == layout] for mine in columns.values()]
+        there = f", {layout}" if layout else ""
+        for name in dict.fromkeys(run["scenario"] for run in runs):
+            cells = [_cell([r for r in mine if r["scenario"] == name]) for mine in on]
+            yield f"| {name}{there} | " + " | ".join(cells) + " |"
+        yield f"| **all**{there} | " + " | ".join(map(_cell, on)) + " |"
 
 
 def _cell(runs: Sequence[RunRow]) -> str:

@@ -17,7 +17,7 @@ from taxeld.estimator.mixture import Mixture
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld_hil.experiment.measurement import RunRow, digest, require
-from taxeld_hil.jobs import Job
+from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario as scenarios
@@ -41,21 +41,33 @@ SHARES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)  # the sd of each round, as shares o
 TRIED = 400  # poses a round
 
 
-def jobs(objects: Sequence[str], skins: Sequence[str], seeds: int, layout: str = "") -> list[Job]:
-    """A job for each run with bundles and skins, seed by seed.
+def jobs(
+    objects: Sequence[str], skins: Sequence[str], seeds: int, layouts: Sequence[str] = ("",)
+) -> list[Job]:
+    """A job for each run with bundles, skins and layouts, seed by seed.
 
     Raises:
         SetupError: there is no such object or skin, an object has no mesh here, or there are no
             seeds.
     """
-    require(objects, skins, seeds, layout, soft=True)
+    require(objects, skins, seeds, layouts, soft=True)
     demo = scenarios.load("demo")
-    subjects = [demo.touching(name).on(skin, layout) for skin in skins for name in objects]
+    subjects = [
+        demo.touching(name).on(skin, layout)
+        for layout in layouts
+        for skin in skins
+        for name in objects
+    ]
     return [
-        Job(f"{s.bundle}, {s.physics}, seed {seed}", figures, (s, seed), code=digest(s))
+        Job(f"{_what(s)}, seed {seed}", figures, (s, seed), code=digest(s))
         for seed in range(seeds)
         for s in subjects
     ]
+
+
+def _what(subject: Scenario) -> str:
+    words = [subject.bundle, subject.physics, layout_name(subject.layout)]
+    return ", ".join(filter(None, words))
 
 
 def figures(subject: Scenario, seed: int) -> RunRow:
@@ -69,7 +81,7 @@ def described(run: RunRow) -> str:
 
 
 def lines(runs: Sequence[RunRow]) -> Iterator[str]:
-    """Errors and failures as a Markdown table: a row a skin and object."""
+    """Errors and failures as a Markdown table: a row a skin, object and layout."""
     head = [
         "skin, object",
         *(f"median (p90) mm, < 5 mm after {n}" for n in AFTER),
@@ -80,8 +92,11 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
     ]
     yield "| " + " | ".join(head) + " |"
     yield "|---" * len(head) + "|"
-    for skin, name in dict.fromkeys((run["skin"], run["object"]) for run in runs):
-        mine = [run for run in runs if (run["skin"], run["object"]) == (skin, name)]
+    rows: dict[str, list[RunRow]] = {}
+    for run in runs:
+        words = [run["skin"], run["object"], run.get("layout", "")]
+        rows.setdefault(", ".join(filter(None, words)), []).append(run)
+    for name, mine in rows.items():
         errors = np.array([run["error_mm"] for run in mine])  # (runs, len(AFTER))
         nats = np.array([run["truth_nats"] for run in mine], dtype=float)  # nan: found
         lost = (errors >= FOUND_MM).sum(axis=0)
@@ -90,7 +105,7 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
             sum(run[key] for run in mine) for key in ("scans", "felt_in_air", "light", "missed")
         )
         cells = [
-            f"{skin}, {name}",
+            name,
             *map(_errors, errors.T),
             *(f"{lost[k]}, {overlooked[k]}" for k in (-2, -1)),
             f"{felt / scans:.1%}",
@@ -128,6 +143,7 @@ class TouchRun:
     silent_episodes: int = 0  # valid, converged and more than 20 mm off
     light: int = 0
     missed: int = 0  # light touches: no pressed taxel was felt in any scan of the hold
+    layout: str = ""  # its name; empty: what the bundle was built for
 
 
 @dataclass(slots=True)
@@ -164,7 +180,8 @@ def play(scenario: Scenario, seed: int) -> TouchRun:
     witness = rig.world.physics = _Witness(rig.world.physics)
     plan = planned(scenario, run, seed)
     rig.path = plan.path
-    found = TouchRun(scenario.bundle, scenario.physics, seed)
+    layout = layout_name(scenario.layout)
+    found = TouchRun(scenario.bundle, scenario.physics, seed, layout=layout)
     notes = [IDLE_S + plan.touches[n].begin_s for n in AFTER if n < len(plan.touches)]
     last_s = IDLE_S + plan.touches[PRESSES].begin_s
     light = {touch: False for touch in plan.touches if touch.is_light}

@@ -57,7 +57,8 @@ class Rig:
 
     def _begin(self, scenario: Scenario, seed: int) -> None:
         self.scenario = scenario
-        self.path = robot.plan(scenario, self.model, self.world.truth, seed)
+        plan = robot.plan(scenario, self.model, self.world.truth, seed)
+        self.path = plan.erring(scenario.robot_m, seed)
         self._injector = self._injecting(scenario, seed)
 
     def _check(self, fault: Fault, number: int) -> None:
@@ -136,7 +137,7 @@ class Rig:
         if now < self._next_pose_s:
             return []
         self._next_pose_s = max(self._next_pose_s + POSE_PERIOD_S, now)
-        x, y, theta = self.pose(t - POSE_AGE_S).tolist()
+        x, y, theta = self.path.stated(t - POSE_AGE_S - IDLE_S).tolist()
         rows = self._injector.poses((wall - POSE_AGE_S, x, y, theta), t)
         self.ledger.poses_sent += len(rows)
         return rows

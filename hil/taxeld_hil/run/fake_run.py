@@ -7,8 +7,6 @@ from typing import NamedTuple
 
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate
-from taxeld.layout import read as layouts
-from taxeld.proposals import bundle
 from taxeld.skin.calibration import Calibration
 from taxeld.source import session
 from taxeld.source.recorder import HEADERS, Item
@@ -22,6 +20,7 @@ from taxeld_hil.run.fake import FakeDaemon
 from taxeld_hil.run.memory import MemoryLine
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.world import bundled
 from taxeld_protocol.frames import Frame, format_log_line
 
 NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
@@ -57,8 +56,8 @@ class FakeRun:
         self._file = settings.without_devices(scenario, seed, filter_keys)
         parsed = config_file.parse(self._file)
         self.config = replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))
-        self.skin = layouts.load(scenario.skin_layout)
-        self.scene = bundle.load(scenario.bundle, self.skin)
+        self.scene = bundled.on_layout(scenario.bundle, scenario.skin_layout)
+        self.skin = self.scene.model.layout
         self._calibration = calibration
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()

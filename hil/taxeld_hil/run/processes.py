@@ -10,6 +10,8 @@ from pathlib import Path
 from typing import IO
 
 from taxeld.errors import SetupError
+from taxeld.layout import read as layouts
+from taxeld.proposals import bundle
 from taxeld.stream import client
 from taxeld_hil.scenario.scenario import Scenario
 
@@ -67,7 +69,12 @@ class Processes:
     """The daemon, and a subscriber that shows by printing that it works; either may be killed."""
 
     def __init__(self, config: Path, endpoint: str, scenario: Scenario, log_level: str) -> None:
-        """`config`: the daemon's file; `endpoint`: where it publishes; `log_level`: its log's."""
+        """`config`: the daemon's file; `endpoint`: where it publishes; `log_level`: its log's.
+
+        Raises:
+            SetupError: the daemon would refuse the bundle on this layout.
+        """
+        bundle.load(scenario.bundle, layouts.load(scenario.skin_layout))
         run = ("run", "--log-level", log_level, str(config))
         watch = ("watch", "--endpoint", endpoint, "--bundle", scenario.bundle)
         skin = ("--layout", scenario.skin_layout)

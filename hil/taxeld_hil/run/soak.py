@@ -17,6 +17,7 @@ from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld_hil.grade.grade import Grade
+from taxeld_hil.jobs import layout_name
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.run.listener import Say
 from taxeld_hil.run.live import LiveRun
@@ -40,6 +41,7 @@ class Soak:
     object: str  # bundle
     physics: str  # name of the skin
     hours: float  # asked for
+    layout: str = ""  # its name; empty: what the bundle was built for
     laps: int = 0
     hours_done: float = 0.0
     daemons: int = 0  # number of daemons started
@@ -159,17 +161,19 @@ class Soak:
 
 
 def resumed(path: Path, base: Scenario, seed: int, clock: str, hours: float) -> Soak:
-    """The soak that a report holds, if it is one of this seed, clock, object and skin that is not
-    over; else a new one.
+    """The soak that a report holds, if it is one of this seed, clock, object, skin and layout that
+    is not over; else a new one.
 
     Raises:
         SetupError: there is a file that is no report, or one of an older kind.
     """
-    new = Soak(seed, clock, base.bundle, base.physics, hours)
+    layout = layout_name(base.layout)
+    new = Soak(seed, clock, base.bundle, base.physics, hours, layout)
     if not path.is_file():
         return new
     data = _read(path)
     asked = {"seed": seed, "clock": clock, "object": base.bundle, "physics": base.physics}
+    asked["layout"] = layout
     if any(data[key] != value for key, value in asked.items()) or data["hours_done"] >= hours:
         return new
     kept = {spec.name: data[spec.name] for spec in fields(Soak)}
@@ -181,11 +185,11 @@ def resumed(path: Path, base: Scenario, seed: int, clock: str, hours: float) -> 
 def _read(path: Path) -> dict[str, Any]:
     """A report. Raises SetupError where it has not all that a report has."""
     try:
-        report: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        report: dict[str, Any] = {"layout": ""} | json.loads(path.read_text(encoding="utf-8"))
         missing = {spec.name for spec in fields(Soak)} - report.keys()
     except OSError as error:
         raise SetupError(f"{path}: {error.strerror}") from None
-    except (ValueError, AttributeError):
+    except (ValueError, TypeError):
         raise SetupError(f"{path}: is no report of a soak; name another file") from None
     if missing:
         raise SetupError(
@@ -298,7 +302,10 @@ def _of_full(report: dict[str, Any], key: str) -> str:
 
 
 ROWS: dict[str, Callable[[dict[str, Any]], str]] = {
-    "object, skin, clock": lambda r: f"{Path(r['object']).name}, `{r['physics']}`, {r['clock']}",
+    "object, skin, clock": lambda r: (
+        f"{Path(r['object']).name}, `{r['physics']}`, {r['clock']}"
+        + (f", {r['layout']}" if r["layout"] else "")
+    ),
     "hours of scans": lambda r: f"{r['hours_done']:.1f}",
     "laps": lambda r: f"{r['laps']}",
     "scans sent": lambda r: f"{r['scans_sent']:,}".replace(",", " "),

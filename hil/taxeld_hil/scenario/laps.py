@@ -1,9 +1,11 @@
 """The laps of a soak: random scenarios, each from the soak's seed and its number alone."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
+from taxeld.layout import read as layouts
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Expect, Fault, Scenario
 
 CONTACTS = 8
@@ -24,6 +26,7 @@ MISLEADING = ("baseline_jump", "pose_late", "pose_jumping")  # look like a touch
 def lap(base: Scenario, seed: int, number: int, kinds: tuple[str, ...] = KINDS) -> Scenario:
     """The scenario of a lap; a fault begins when those before it are over and recovered from."""
     rng = np.random.default_rng([seed, number])
+    modules, taxels = _sizes(base.skin_layout)
     hold_s = float(rng.choice(HOLDS_S))
     faults: list[Fault] = []
     at_s = FIRST_S
@@ -31,7 +34,8 @@ def lap(base: Scenario, seed: int, number: int, kinds: tuple[str, ...] = KINDS) 
         at_s += float(rng.exponential(6.0))
         if at_s > LAST_S:
             break
-        faults.append(_fault(rng, str(rng.choice(kinds)), round(at_s, 2)))
+        kind = str(rng.choice(kinds))
+        faults.append(_fault(rng, kind, round(at_s, 2), modules, taxels))
         at_s = faults[-1].end_s + base.expect.recovery_s + 1.0
     rest_s = max(LAP_S - CONTACTS * (3.0 + hold_s), 1.0)
     return replace(
@@ -44,7 +48,14 @@ def lap(base: Scenario, seed: int, number: int, kinds: tuple[str, ...] = KINDS) 
     )
 
 
-def _fault(rng: np.random.Generator, kind: str, at_s: float) -> Fault:
+@cache
+def _sizes(layout: str) -> tuple[int, int]:
+    """How many modules and taxels a skin has."""
+    uid = layouts.load(layout).uid
+    return len(np.unique(uid >> 4)), len(uid)
+
+
+def _fault(rng: np.random.Generator, kind: str, at_s: float, modules: int, taxels: int) -> Fault:
     shortest, longest = STUCK_S if kind == "taxel_stuck" else FOR_S
     if kind in (*FRAMES, *SKIN_KINDS) and kind != "taxel_stuck":
         shortest = 3.0  # long enough to hit something, and for the daemon to show it
@@ -55,8 +66,8 @@ def _fault(rng: np.random.Generator, kind: str, at_s: float) -> Fault:
         share=round(float(rng.uniform(0.02, 0.3)), 3),
         delay_s=round(float(rng.uniform(0.02, 0.6)), 3),
         per_s=float(rng.integers(100, 4000)),
-        module=int(rng.integers(8)),
-        taxels=tuple(sorted(rng.choice(80, 2, replace=False).tolist()))
+        module=int(rng.integers(modules)),
+        taxels=tuple(sorted(rng.choice(taxels, 2, replace=False).tolist()))
         if kind in ("taxel_stuck", "saturated")
         else (),
         counts=float(rng.choice([-3000.0, 3000.0])),

@@ -76,6 +76,7 @@ class Scenario:
     press_max_m: float = key(0.0045, between(0.0005, 0.005), "most")
     hold_s: float = key(0.3, between(0, 3600), "how long a press is held")
     rest_s: float = key(0.5, between(0.5, 3600), "at the end, untouched")
+    robot_m: float = key(0.0, between(0, 0.05), "sd of the robot's error, drawn for each touch")
     place_m: float = key(0.15, between(0.0, 10.0), "the object stands within ± this, any yaw")
     baseline_counts: float = key(10_247.0, between(100, 40_000), "idle reading")
     baseline_spread: float = key(286.0, between(0, 10_000), "sd between taxels")

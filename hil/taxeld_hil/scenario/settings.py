@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from taxeld.config.tables import SensorPoseConfig
 from taxeld.proposals import bundle
 from taxeld_hil.scenario.scenario import Scenario
 
@@ -23,6 +24,7 @@ state_dir = "{place}/state"
 bundle = "{bundle}"
 [sensor_pose]
 endpoint = "{poses}"
+sigma_m = {sigma_m}
 [filter]
 seed = {seed}
 {filter_keys}
@@ -45,6 +47,7 @@ def text(
         source=SOURCES[scenario.transport].format(channel=channel),
         bundle=scenario.bundle,
         poses=poses,
+        sigma_m=scenario.robot_m or SensorPoseConfig().sigma_m,  # the daemon is told
         seed=seed,
         filter_keys=filter_keys,
         place=place,

@@ -40,11 +40,11 @@ class Response:
         room = np.diff(mean_response(GRID, config.bend)) - LEAST_SLOPE * np.diff(GRID)
         turn = np.diff(deviation(GRID))
         least, most = -(room / turn)[turn > 0.0].min(), (room / -turn)[turn < 0.0].min()
-        self._steeper = np.clip(onset - 1.0, min(least, 0.0), max(most, 0.0))
+        self.steeper = np.clip(onset - 1.0, min(least, 0.0), max(most, 0.0))
 
     def __call__(self, h: Floats) -> Floats:
         """Readings (…, M) at depths h (…, M), both in shares of full scale."""
-        return np.asarray(mean_response(h, self._bend) + self._steeper * deviation(h))
+        return np.asarray(mean_response(h, self._bend) + self.steeper * deviation(h))
 
 
 class CrossTalk:

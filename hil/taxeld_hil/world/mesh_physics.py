@@ -50,7 +50,7 @@ class MeshPhysics:
         self.depth_m: Floats = np.zeros(taxels)  # (M,) the solid's last press, sag included
         self._skin = skin
         self._sag_m = PerPress(config.sag_m, taxels, own)
-        self._response = Response(config, taxels, own)
+        self.response = Response(config, taxels, own)
         self._foam = Foam(config, taxels, own)
         self._cross_talk = CrossTalk(layout, config.cross_talk, own)
         self._drift = ThermalDrift(
@@ -66,7 +66,7 @@ class MeshPhysics:
         if was_pressed and not self.depth_m.any():
             self._sag_m.draw()
             self._foam.end()
-        reading = self._foam.press(self._response(self.depth_m / self._depth_max_m), t)
+        reading = self._foam.press(self.response(self.depth_m / self._depth_max_m), t)
         return self._cross_talk.add(self.full_scale * reading)
 
     def drift(self, t: float) -> tuple[Floats | float, float]:

@@ -30,7 +30,7 @@ class ScenePhysics:
     def __init__(self, model: ObservationModel, full_scale: Floats) -> None:
         """`full_scale` (M,): counts of each taxel at full activation."""
         self._model = model
-        self._full_scale = full_scale
+        self.full_scale = full_scale
         # the farthest that a taxel touches; a mug's handle is no part of its outline
         corner = np.abs(model.scene.extent).max(axis=0)
         self._reach_m = float(np.hypot(*corner)) + model.layout.radius_m
@@ -38,8 +38,8 @@ class ScenePhysics:
     def press(self, seen: Poses, _t: float) -> Floats:
         """Like `Physics.press`: `seen` (3,) → counts (M,)."""
         if np.hypot(seen[0], seen[1]) > self._reach_m:  # most of a path: the model is not asked
-            return np.zeros(len(self._full_scale))
-        return np.asarray(self._full_scale * self._model.activation(seen[None])[0])
+            return np.zeros(len(self.full_scale))
+        return np.asarray(self.full_scale * self._model.activation(seen[None])[0])
 
     def drift(self, _t: float) -> tuple[Floats | float, float]:
         return 0.0, 0.0

@@ -1,12 +1,13 @@
 """The robot's path: around the object, in to a press, out again; poses by linear interpolation."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Poses
+from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import SkinConfig
+from taxeld.layout.layout import Layout
 from taxeld.model import contacts, se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.scenario.scenario import Scenario
@@ -17,6 +18,7 @@ PRESS_M_S = 0.02
 STANDOFF_M = 0.03  # between the skin and the object's farthest reach, while travelling
 SLOW_FROM_M = 0.01  # before the touch
 YAW_SPREAD_RAD = 0.5
+BARE_RAD = 0.5 * np.pi  # a skin that leaves a wider arc of its link bare is turned to the object
 ARC_STEP_RAD = 0.1
 MARCH_M = 0.0005
 TOUCH = 0.1  # least activation of a press: a corner between two columns may give none,
@@ -26,10 +28,14 @@ AROUND = 8  # contacts, at most, to once around the object: any so many in turn 
 
 @dataclass(frozen=True, slots=True)
 class RobotPath:
-    """Waypoints of the sensor in the world; the yaw is not wrapped."""
+    """Waypoints of the sensor in the world, the yaw not wrapped; and how far off the robot takes
+    itself to be at some times, in between by linear interpolation."""
 
     t: NDArray[np.float64]  # (W,) seconds from the start
     pose: Poses  # (W, 3)
+    touched: Floats = field(default_factory=lambda: np.empty((0, 2)))  # (N, 2) begins and ends [s]
+    off_m: Floats = field(default_factory=lambda: np.zeros((1, 2)))  # (K, 2) error in x and y
+    off_t: Floats = field(default_factory=lambda: np.zeros(1))  # (K,)
 
     @property
     def end(self) -> Poses:
@@ -46,6 +52,18 @@ class RobotPath:
         x, y, theta = (np.interp(t, self.t, column) for column in self.pose.T)
         return np.array([x, y, se2.wrap(np.float64(theta))])
 
+    def stated(self, t: float) -> Poses:
+        """The pose (3,) that the robot takes for its own."""
+        off = [np.interp(t, self.off_t, column) for column in self.off_m.T]
+        return np.asarray(self.at(t) + np.array([*off, 0.0]))
+
+    def erring(self, sd_m: float, seed: int) -> "RobotPath":
+        """The same path of a robot whose error is drawn for each touch, and lasts through it."""
+        if not sd_m or not len(self.touched):
+            return self
+        off = np.random.default_rng([seed, 11]).normal(0.0, sd_m, (len(self.touched), 2))
+        return replace(self, off_m=np.repeat(off, 2, axis=0), off_t=self.touched.ravel())
+
 
 def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -> RobotPath:
     """A path that touches the object from all sides, in turn, at random offsets and depths; the
@@ -58,11 +76,12 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
     start = rng.uniform(-np.pi, np.pi)
     poses: list[list[float]] = []
     times: list[float] = []
-    now, yaw, before = 0.0, 0.0, start
+    now, yaw, before = 0.0, first_yaw(model.layout, start), start
+    touched: list[tuple[float, float]] = []
     step = 2.0 * np.pi / min(scenario.contacts, AROUND)
     for k in range(scenario.contacts):
         angle = start + step * (k + rng.uniform(-0.3, 0.3))
-        yaw_to = yaw + rng.uniform(-YAW_SPREAD_RAD, YAW_SPREAD_RAD)
+        yaw_to = next_yaw(model.layout, angle, yaw, rng)
         for _ in range(TRIES):
             depth = share * rng.uniform(scenario.press_min_m, scenario.press_max_m)
             offset = rng.uniform(-0.7, 0.7) * scene.size
@@ -86,8 +105,32 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
             turned = yaw + (yaw_to - yaw) * min(1.0, i / len(arc))
             poses.append([*point, turned])
             times.append(now)
+        touched.append((times[-6], times[-3]))  # from where it slows, in and out again
         yaw, before = yaw_to, angle
-    return RobotPath(np.array(times), np.array(poses))
+    return RobotPath(np.array(times), np.array(poses), np.array(touched))
+
+
+def first_yaw(layout: Layout, angle: float) -> float:
+    """The yaw with which a path begins, at this angle around the object."""
+    side = _side(layout)
+    return 0.0 if side is None else angle + np.pi - side
+
+
+def next_yaw(layout: Layout, angle: float, yaw: float, rng: np.random.Generator) -> float:
+    """The yaw, not wrapped, of a touch from this angle around the object, after `yaw`. A skin all
+    around its link drifts; one on a side of it turns that side to the object."""
+    spread, side = rng.uniform(-YAW_SPREAD_RAD, YAW_SPREAD_RAD), _side(layout)
+    if side is None:
+        return float(yaw + spread)
+    return float(yaw + se2.wrap(np.float64(angle + np.pi - side + spread - yaw)))
+
+
+def _side(layout: Layout) -> float | None:
+    """The middle [rad] of the arc that the taxels cover; None if they are all around the link."""
+    angle = np.sort(np.arctan2(layout.position_m[:, 1], layout.position_m[:, 0]))
+    bare = np.diff(angle, append=angle[0] + 2.0 * np.pi)
+    widest = int(bare.argmax())
+    return None if bare[widest] <= BARE_RAD else angle[widest] + 0.5 * bare[widest] - np.pi
 
 
 def depth_share(model: ObservationModel) -> float:

@@ -75,14 +75,15 @@ def plan(
     rng, scene = np.random.default_rng(seed), model.scene
     centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
     circle = scene.size + model.layout.radius_m + robot.STANDOFF_M
-    angle, yaw = rng.uniform(-np.pi, np.pi), 0.0
+    angle = rng.uniform(-np.pi, np.pi)
+    yaw = robot.first_yaw(model.layout, angle)
     track = Track(np.array([*_around(centre, circle, angle), yaw]))
     touches: list[Touch] = []
     out = track.poses[0][None]
     step, share = 2.0 * np.pi / max(presses, 1), robot.depth_share(model)
     for k in range(presses + pairs):
         before, angle = angle, angle + step * rng.uniform(0.7, 1.3)
-        yaw_to = yaw + rng.uniform(-robot.YAW_SPREAD_RAD, robot.YAW_SPREAD_RAD)
+        yaw_to = robot.next_yaw(model.layout, angle, yaw, rng)
         for _ in range(robot.TRIES):
             depth = 1e-3 * share * rng.uniform(*PRESS_MM)
             offset = rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
@@ -103,7 +104,9 @@ def plan(
         yaw = yaw_to
     track.go(np.vstack([out, [*_around(centre, circle, angle), yaw]]), 0.5)
     track.go(track.poses[-1][None], REST_S)
-    return TouchPlan(RobotPath(np.array(track.times), np.array(track.poses)), tuple(touches))
+    touched = np.array([(touch.begin_s, touch.end_s) for touch in touches])
+    path = RobotPath(np.array(track.times), np.array(track.poses), touched)
+    return TouchPlan(path, tuple(touches))
 
 
 def _around(centre: Floats, circle: float, angle: float | Floats) -> Floats:

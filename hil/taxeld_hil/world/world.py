@@ -7,13 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Floats, Poses
-from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
-from taxeld.proposals import bundle
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_hil.world import mesh_physics
+from taxeld_hil.world import bundled, mesh_physics
 from taxeld_hil.world.physics import Physics, ScenePhysics
 from taxeld_hil.world.spread import drawn
 from taxeld_protocol.modules import Module
@@ -29,7 +27,7 @@ def load_model(scenario: Scenario) -> ObservationModel:
     Raises:
         SetupError: either cannot be loaded.
     """
-    return bundle.load(scenario.bundle, layouts.load(scenario.skin_layout)).model
+    return bundled.on_layout(scenario.bundle, scenario.skin_layout).model
 
 
 class Channels:

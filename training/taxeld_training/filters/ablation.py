@@ -38,7 +38,8 @@ def ablation_rows(options: Options) -> list[Path]:
     Raises:
         SetupError: no such object, cell or constant.
     """
-    found = levels.chosen(options.cells or CELLS, reliability.all_levels(options))
+    known = reliability.all_levels()
+    found = levels.asked_for(options, known, levels.chosen(CELLS, known))
     wanted = reliability.wanted(found, options, QUICK_SEEDS if options.quick else SEEDS)
     changes = [None, *(change for each in _chosen(options.groups) for change in each.changes)]
     for change in filter(None, changes):

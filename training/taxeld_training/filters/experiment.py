@@ -13,6 +13,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell, Results
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
@@ -20,7 +21,6 @@ from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID, SUCCESS_MM, Row, trial_table
 from taxeld_training.jobs.statistics import of_median, of_share, p_share, quantiles, rounded
-from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import OBJECTS, Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY, PAPER
@@ -79,7 +79,8 @@ def filter_rows(options: Options) -> list[Path]:
     from taxeld_training.charts import trial_charts  # noqa: PLC0415  # matplotlib is not needed to train
 
     objects = (options.objects or FILTER.objects)[: 2 if options.quick else None]
-    found = rows(FILTER, levels.chosen(options.cells or ("as assumed",)), objects, options)
+    table = levels.asked_for(options, LEVELS, LEVELS[:1])
+    found = rows(FILTER, table, objects, options)
     return _written(options, "filter", found, trial_charts.by_contact)
 
 
@@ -114,7 +115,7 @@ def rows(
     methods = cells.chosen(experiment.methods, options.groups)
     seeds = options.seeds or (experiment.quick_seeds if options.quick else experiment.seeds)
     wanted = dict.fromkeys(  # methods may differ in nothing but particles, which a level may set
-        (level, cell_of(level, method, setting))
+        (level, cell_of(level, placed(method, setting, level), setting))
         for level in table
         for name in level.objects or objects
         for setting in [level.setting(name, options)]
@@ -123,12 +124,20 @@ def rows(
     )
     found = cells.run([(cell, round(level.seeds * seeds)) for level, cell in wanted], options)
     return [
-        _row(level, cell, contact, found[cell], found.get(cell_of(level, SHIPPED, cell.setting)))
+        _row(level, cell, contact, found[cell], found.get(shipped))
         for level, cell in wanted
         if cell in found
+        for shipped in [cell_of(level, placed(SHIPPED, cell.setting, level), cell.setting)]
         for contact in experiment.contacts
         if contact in (cell.method.touches or experiment.contacts)
     ]
+
+
+def placed(method: Method, setting: Setting, level: Level) -> Method:
+    """A method on a level: nothing is trained for the layouts of `--layout`, so the table proposes
+    where no bundle is shipped."""
+    untrained = level.layout and trained.is_learned(method.proposal, setting)
+    return replace(method, proposal="table") if untrained else method
 
 
 def cell_of(level: Level, method: Method, setting: Setting) -> Cell:

@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 
 from taxeld.errors import SetupError
+from taxeld_hil.jobs import layout_name
+from taxeld_hil.objects import meshes
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, setting_of
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.jobs.options import Options
-from taxeld_training.objects import DEPTH_MAX_M, meshes
+from taxeld_training.objects import DEPTH_MAX_M
 from taxeld_training.objects.setting import Setting, ring
 
 SYMMETRIC = ("002_master_chef_can", "024_bowl", "061_foam_brick")
+FOAMS = ("", "typical", "poor")  # exact, and soft skins of the harness
 BESIDE_THE_MAP = ("nudged mm", "lengths")  # factors that run only where --cells names them
 
 
@@ -145,15 +148,27 @@ LEVELS = (
 
 def asked_for(options: Options, levels: Sequence[Level], usual: Sequence[Level]) -> list[Level]:
     """The levels of an experiment: what `--cells` names of `levels`, or the `usual` ones, of which
-    a quick run takes the last of each factor. `--objects` leaves out levels of other objects.
+    a quick run takes the last of each factor; each with those of `--layout`. `--objects` leaves out
+    levels of other objects.
 
     Raises:
         SetupError: there is no such factor or level.
     """
+    others = [on_layout(each, foam) for each in options.layouts if each for foam in FOAMS]
     if options.cells:
-        return chosen(options.cells, [each for each in levels if _is_open(each, options)])
-    usual = [level for level in usual if _is_open(level, options)]
-    return list({level.factor: level for level in usual}.values()) if options.quick else list(usual)
+        known = [each for each in levels if _is_open(each, options)]
+        return chosen(options.cells, [*known, *others])
+    usual = [each for each in usual if "" in options.layouts and _is_open(each, options)]
+    asked = [*usual, *others]
+    if options.quick:
+        return list({(level.factor, level.layout): level for level in asked}.values())
+    return asked
+
+
+def on_layout(layout: str, foam: str) -> Level:
+    """A layout in place of the rings, with a foam of the harness or, if it is "", exact."""
+    name = f"{layout_name(layout)}, {foam or 'exact'}"
+    return Level("layout", name, TrialConditions(skin=foam), layout=layout)
 
 
 def _is_open(level: Level, options: Options) -> bool:

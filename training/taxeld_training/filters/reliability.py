@@ -1,7 +1,7 @@
 """`taxeld-train evaluate reliability`: whether the published `p` and `radius_m` keep their word.
 
 What ships is run over the whole table of conditions, objects of other lengths, pairs of an object
-and another that is taken for it, and with `--layout` one more skin. Half of the cells were looked
+and another that is taken for it, and other layouts. Half of the cells were looked
 at while the filter was built (`tuned`). The other half was not: it tells what a user will meet.
 Where no bundle is shipped the table proposes, as nothing is trained for this.
 """
@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.estimator.estimate import Status
+from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.conditions import TrialConditions
@@ -24,7 +25,6 @@ from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.promise_tables import tables
 from taxeld_training.jobs.promises import SURE, Promises, share
-from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
@@ -45,7 +45,6 @@ UNMET = (  # never used while it was built
     "011_banana",
     "013_apple",
 )
-SKINS = ("", "typical", "poor")  # exact, and soft skins of the harness
 ALL, TUNED, NOT_TUNED, SOFT, WRONG = "all", "tuned", "not tuned", "soft skin", "wrong object"
 CURVES = (TUNED, NOT_TUNED, SOFT, WRONG)  # cells whose estimates have a curve together
 OWN = ", right object"  # of a half: its cells with the object that the filter assumes
@@ -63,7 +62,7 @@ def reliability_rows(options: Options) -> list[Path]:
     """
     from taxeld_training.charts import reliability_chart  # noqa: PLC0415  # matplotlib is not needed to train
 
-    table = levels.asked_for(options, all_levels(options), all_levels(options))
+    table = levels.asked_for(options, all_levels(), all_levels())
     counts = wanted(table, options, QUICK_SEEDS if options.quick else SEEDS)
     done = cells.run([(cell, count) for (_, cell), count in counts.items()], options)
     found = {(level, cell): done[cell] for level, cell in counts if cell in done}
@@ -80,17 +79,13 @@ def reliability_rows(options: Options) -> list[Path]:
     return [data, data.with_suffix(".png")]
 
 
-def all_levels(options: Options) -> list[Level]:
-    """The levels of the table, each wrong object on each skin, and the skin of `--layout`."""
+def all_levels() -> list[Level]:
+    """The levels of the table, and each wrong object on each foam."""
     found = [*LEVELS]
-    for skin in SKINS:
+    for skin in levels.FOAMS:
         factor = f"{WRONG} on {skin}" if skin else WRONG
         wrong = (Level(factor, name, _on(skin), touched=name) for name in (*MET, *UNMET))
         found += [level for level in wrong if level not in found]
-    if options.layout:
-        found += [
-            Level("layout", skin or "exact", _on(skin), layout=options.layout) for skin in SKINS
-        ]
     return found
 
 

@@ -25,6 +25,7 @@ DECIDES = (  # code and bundles that decide the results of jobs
     "taxeld/estimator/*.py",
     "taxeld/bundles/*/bundle.json",  # each names the SHA-256 of all files beside it
     "taxeld_hil/scenario/mesh_config.py",
+    "taxeld_hil/objects/*.py",
     "taxeld_hil/world/*.py",
     "taxeld_training/models/*.py",
     "taxeld_training/limits/*.py",
@@ -40,7 +41,7 @@ class Options:
     memory: Path
     objects: tuple[str, ...] = ()
     columns: tuple[int, ...] = ()
-    layout: str = ""  # another layout instead of the rings
+    layouts: tuple[str, ...] = ("",)  # "": the rings
     quick: bool = False
     workers: int = 2
     dask: str = ""

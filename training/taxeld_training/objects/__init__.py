@@ -1,9 +1,8 @@
-"""Objects: meshes, the scenes cut from them, and a scene's error against its mesh.
+"""Objects on skins: how the two stand to each other, and doubts about how a mesh lies and is cut.
 
 A setting names an object and a skin. Nothing here imports another room of training.
 """
 
 from taxeld.config.tables import SkinConfig
 
-HEIGHT_M = 0.04  # the sensor frame's origin above the object's lowest point
 DEPTH_MAX_M = SkinConfig().full_scale_depth_m

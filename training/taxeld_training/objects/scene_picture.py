@@ -17,7 +17,7 @@ from shapely.plotting import patch_from_polygon
 
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS, Scene
-from taxeld_training.objects import scenes
+from taxeld_hil.objects import scenes
 
 MM = 1e3
 ROOM = 0.25  # share of the object's width that is left beside it for the heights' labels

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
-from taxeld_training.objects import DEPTH_MAX_M, HEIGHT_M, meshes, scenes
+from taxeld_hil.objects import HEIGHT_M, meshes, scenes
+from taxeld_training.objects import DEPTH_MAX_M
 
 OBJECTS = (  # the paper's ten
     "002_master_chef_can",

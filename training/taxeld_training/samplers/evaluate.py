@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from taxeld.errors import SetupError
-from taxeld_hil.jobs import Job
+from taxeld_hil.jobs import Job, layout_name
+from taxeld_hil.objects import meshes
 from taxeld_training.jobs.options import Options, run_jobs, with_file, write
 from taxeld_training.jobs.rows import EXACT, sampler_table
-from taxeld_training.objects import meshes
 from taxeld_training.objects.setting import OBJECTS, ring
 from taxeld_training.samplers import costs, measured, trained
 from taxeld_training.samplers.measured import ALL_ANALYTIC, GROUPS, LEARNED, Measurement
@@ -61,9 +61,8 @@ def frontier(options: Options) -> list[Path]:
 def settings(options: Options, columns: Sequence[int]) -> list[Measurement]:
     """The cells of an experiment, column by column, so that a run cut short has whole columns."""
     objects = options.objects or OBJECTS
-    skins = [(c, ring(c)) for c in options.columns or columns]
-    if options.layout:
-        skins = [(0, options.layout)]
+    (layout,) = options.layouts
+    skins = [(0, layout)] if layout else [(c, ring(c)) for c in options.columns or columns]
     if options.quick:
         objects, skins = objects[:2], skins[:1]
     made = [
@@ -157,4 +156,5 @@ def _with_cost(row: dict[str, Any], ms: Costs) -> dict[str, Any]:
 
 def _of_skin(options: Options) -> str:
     """The end of a file's name: rows of another skin stand beside those of the rings."""
-    return f"_{Path(options.layout).stem}" if options.layout else ""
+    (layout,) = options.layouts
+    return f"_{layout_name(layout)}" if layout else ""

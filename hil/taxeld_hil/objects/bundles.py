@@ -1,12 +1,19 @@
 """A bundle's directory: written, sealed, and put in an older one's place."""
 
 import json
+import shutil
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from taxeld.errors import SetupError
+from taxeld.layout.layout import Layout
 from taxeld.model.scene import Scene
 from taxeld.proposals import manifest, scene_file
+from taxeld.proposals.analytic import Table
+from taxeld_hil.objects import meshes, scenes
+
+MESH = "mesh"  # name, before its suffix, of the copy of a mesh file for the harness
 
 
 def check_place(out: Path) -> None:
@@ -19,6 +26,29 @@ def write(scene: Scene, info: dict[str, Any], directory: Path) -> None:
     """Write `scene.npz`, then `bundle.json` about it and the samplers that are there."""
     scene_file.save(scene, directory / manifest.SCENE)
     _write(info, directory)
+
+
+def bare(name: str, layout: Layout, height_m: float, depth_m: float, out: Path) -> None:
+    """Write a bundle without samplers, with which the daemon looks up simulated contacts, of a YCB
+    id or a mesh file; `height_m` is as in `scenes.build`, `depth_m` of a press at full scale.
+
+    Raises:
+        SetupError: the object cannot be used, or the skin misses it.
+    """
+    path, attribution = meshes.find(name)
+    scene = scenes.cut(name, layout, height_m)
+    info: dict[str, Any] = {"object": path.stem, "attribution": attribution}
+    info |= {"layout": {"name": layout.name, "digest": layout.digest}, "height_m": height_m}
+    info |= {"depth_max_m": depth_m, "samplers": [], "auto": [Table.name]}
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent) as temporary:
+        made = Path(temporary) / "bundle"
+        made.mkdir()
+        if Path(name).suffix:  # the harness has the meshes of YCB objects
+            info["mesh"] = MESH + path.suffix
+            shutil.copyfile(path, made / info["mesh"])
+        write(scene, info, made)
+        replace(made, out)
 
 
 def replace(made: Path, out: Path) -> None:

@@ -14,7 +14,7 @@ from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.model.symmetry import USUAL_RADIUS_M
-from taxeld_training.objects import meshes
+from taxeld_hil.objects import meshes
 
 CELL_M = 0.002  # cell of an object of half the usual size or more; halved with each half of that
 GRAIN_M = 2.0**-16  # distances are kept to 15 µm: finer digits are noise and do not compress
@@ -30,6 +30,15 @@ SYMMETRY_RMS_M = 0.0015
 SYMMETRY_MAX_M = 0.005
 ERROR_POINTS = 1000  # a grid, the same ones at every call
 SYMMETRY_ORDERS = (12, 10, 9, 8, 7, 6, 5, 4, 3, 2)
+
+
+def cut(name: str, layout: Layout, height_m: float) -> Scene:
+    """The scene of a YCB id or a mesh file, as `build` has it.
+
+    Raises:
+        SetupError: there is no such object, or its mesh cannot be used.
+    """
+    return build(meshes.load(meshes.find(name)[0]), layout, height_m)
 
 
 def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:

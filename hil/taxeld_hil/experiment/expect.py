@@ -1,0 +1,243 @@
+"""`taxeld-hil expect`: how well an object will be found with a skin, touch by touch.
+
+Touches go around the object once. What is noted of each comes shortly after its end. *Found* is an
+error under 10 mm; *sure* is valid and `converged` as well; *misleading* is `converged` and not
+found, or farther off than `radius_m`.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from taxeld.arrays import Floats, Poses
+from taxeld.estimator.estimate import Status
+from taxeld.model import contacts, se2
+from taxeld.model.scene import CONTINUOUS, Scene
+from taxeld.proposals.analytic import Table
+from taxeld_hil.experiment.expect_subjects import known_responses
+from taxeld_hil.experiment.measurement import RunRow, digest
+from taxeld_hil.experiment.touches import FOUND_MM
+from taxeld_hil.jobs import Job
+from taxeld_hil.rig.rig import IDLE_S
+from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.world import touches as paths
+from taxeld_hil.world.bundled import on_layout
+
+RATE_HZ = 40.0
+SEEN_S = 0.4  # after the end of a touch, by when the daemon has learned from it
+AS_IS, BY_TABLE, CALIBRATED = "as it is", "as it is, by table", "calibration"
+TABLE = 'proposal = "table"'
+SIDES = 8  # around the object, or around what its symmetry leaves
+HALF = 0.5  # share of trials that are sure, at which what would help is compared
+LEAST = 8  # seeds, or touches of a side, of which something is said
+CHANCE = 2.0  # standard errors that chance alone may make
+
+
+class Touched(NamedTuple):
+    """A row of the table: all trials after so many touches."""
+
+    touches: int
+    trials: int
+    median_mm: float
+    p90_mm: float
+    found: float  # shares of the trials
+    sure: float
+    misleading: float
+
+
+class Worth(NamedTuple):
+    """How much touches told: those of one number, or from one side. Of a side, touches from the
+    second on in trials that are not yet sure."""
+
+    name: str
+    touches: int
+    halvings: float  # of the error, on average
+    made_sure: float  # share of them after which a trial that was not sure is
+
+
+class Gain(NamedTuple):
+    """What one touch told."""
+
+    halvings: float  # of the error
+    made_sure: bool
+
+
+class Help(NamedTuple):
+    """What a change does to the trials of the same seeds."""
+
+    name: str
+    trials: int
+    after: int  # touches
+    found: tuple[float, float]  # without and with it
+    sure: tuple[float, float]
+    verdict: str  # by the trials that are sure, against chance
+
+
+def jobs(subjects: dict[str, Scenario], seeds: int, touches: int) -> list[Job]:
+    """A job for each trial, seed by seed, so that a part of them is as fair as all. Every other
+    seed also tries what would help; all of that by the same proposal, looked-up contacts."""
+    own = subjects[AS_IS]
+    by_table = on_layout(own.bundle, own.skin_layout).order == [Table.name]
+    changed = {} if by_table else {BY_TABLE: own}
+    changed |= {CALIBRATED: own} | {k: v for k, v in subjects.items() if k != AS_IS}
+    found = []
+    for seed in range(seeds):
+        todo = {AS_IS: own} | (changed if seed % 2 == 0 else {})
+        for name, subject in todo.items():
+            keys = "" if name == AS_IS else TABLE
+            arguments = (name, subject, seed, touches, keys)
+            found.append(Job(f"{name}, seed {seed}", play, arguments, code=digest(subject)))
+    return found
+
+
+def play(name: str, subject: Scenario, seed: int, touches: int, keys: str) -> RunRow:
+    """One trial, as JSON has it; `keys`: of the daemon's table [filter]."""
+    calibration = known_responses(subject, seed) if name == CALIBRATED else None
+    run = FakeRun(subject, seed, RATE_HZ, keys, calibration)
+    model, truth = run.rig.model, run.rig.world.truth
+    plan = paths.plan(model, truth, lambda _: 0.0, seed, touches, 0)
+    run.rig.path = plan.path.erring(subject.robot_m, seed)
+    notes = [IDLE_S, *(IDLE_S + touch.end_s + SEEN_S for touch in plan.touches)]
+    after: list[dict[str, Any]] = []
+    for k in range(math.ceil(notes[-1] * RATE_HZ) + 1):
+        run.step(k / RATE_HZ)
+        if k / RATE_HZ >= notes[len(after)]:
+            after.append(_noted(run))
+    pressed = [plan.path.at(float(np.mean(touch.held_s))) for touch in plan.touches]
+    where = _where(model.scene, truth, np.array(pressed))
+    for noted, at in zip(after[1:], where, strict=True):
+        noted["at_mm"] = np.round(1e3 * at, 1).tolist()
+    return {"name": name, "seed": seed, "before_mm": after[0]["error_mm"], "after": after[1:]}
+
+
+def _noted(run: FakeRun) -> dict[str, Any]:
+    last = run.judge.last
+    assert last is not None  # noqa: S101  (there is an estimate after each tick)
+    error_mm = run.judge.error_mm(last.map)
+    claimed = last.valid and last.status is Status.CONVERGED
+    found = error_mm < FOUND_MM
+    return {
+        "error_mm": round(error_mm, 3),
+        "p": round(last.p, 4),
+        "sure": claimed and found,
+        "misleading": claimed and not (found and error_mm <= 1e3 * last.radius_m),
+    }
+
+
+def _where(scene: Scene, truth: Poses, sensor: Poses) -> Floats:
+    """(n, 2) points of the object's outline, in its frame, that the sensor at poses (n, 3) in the
+    world presses first."""
+    x, y = contacts.axis_in_object(se2.compose(se2.inverse(sensor), truth[None]))
+    gap, gx, gy = scene.clearance(x, y)
+    return np.column_stack([x - gap * gx, y - gap * gy])
+
+
+def described(run: RunRow) -> str:
+    """A trial's errors in short."""
+    errors = ", ".join(f"{noted['error_mm']:.1f}" for noted in run["after"])
+    return f"{errors} mm{', sure' * run['after'][-1]['sure']}"
+
+
+def table(runs: Sequence[RunRow]) -> list[Touched]:
+    """A row for each number of touches."""
+    rows = []
+    for k in range(len(runs[0]["after"])):
+        noted = [run["after"][k] for run in runs]
+        error = np.array([each["error_mm"] for each in noted])
+        median, p90 = np.quantile(error, (0.5, 0.9)).tolist()
+        sure, misleading = (
+            float(np.mean([each[key] for each in noted])) for key in ("sure", "misleading")
+        )
+        found = float(np.mean(error < FOUND_MM))
+        rows.append(Touched(k + 1, len(runs), median, p90, found, sure, misleading))
+    return rows
+
+
+def told_by_number(runs: Sequence[RunRow]) -> list[Worth]:
+    """How much the first, second, … touch told."""
+    each = [list(gains(run)) for run in runs]
+    return [_told(f"touch {k + 1}", found) for k, found in enumerate(zip(*each, strict=True))]
+
+
+def told_by_side(runs: Sequence[RunRow], scene: Scene) -> list[Worth]:
+    """How much touches of each side of the object told, most first; none of a round one, and
+    none of a side with few touches."""
+    if scene.symmetry == CONTINUOUS:
+        return []
+    sides: dict[str, list[Gain]] = {}
+    for run in runs:
+        for at_m, gain in open_gains(run):
+            sides.setdefault(side_of(at_m, scene), []).append(gain)
+    found = [_told(name, each) for name, each in sides.items() if len(each) >= LEAST]
+    return sorted(found, key=lambda told: -told.halvings)
+
+
+def side_of(at: Floats, scene: Scene) -> str:
+    """The side of the object that has a point (2,), by its angle about the centre [°]; sides that
+    the symmetry makes alike are one."""
+    fold = 360.0 / scene.symmetry
+    wide = min(360.0 / SIDES, fold / 2.0)
+    angle = np.degrees(np.arctan2(*(at - scene.centre)[::-1]))
+    middle = round(float(angle % fold) / wide) % round(fold / wide) * wide
+    return f"{middle:.0f}°" + f" and every {fold:.0f}°" * (scene.symmetry > 1)
+
+
+def gains(run: RunRow) -> Iterator[Gain]:
+    """Of each touch of a trial."""
+    error_mm, sure = run["before_mm"], False
+    for noted in run["after"]:
+        halvings = math.log2((error_mm + 1.0) / (noted["error_mm"] + 1.0))  # a mm is as good as 0
+        yield Gain(halvings, not sure and noted["sure"])
+        error_mm, sure = noted["error_mm"], noted["sure"]
+
+
+def open_gains(run: RunRow) -> Iterator[tuple[Floats, Gain]]:
+    """Of the touches from the second on that find a trial not yet sure, and their places (2,) [m]
+    on the object: those before and after tell little of a place."""
+    for k, gain in enumerate(gains(run)):
+        if k and not run["after"][k - 1]["sure"]:
+            yield 1e-3 * np.array(run["after"][k]["at_mm"]), gain
+
+
+def _told(name: str, found: Sequence[Gain]) -> Worth:
+    halvings, made_sure = np.array(found, dtype=float).mean(axis=0).tolist()
+    return Worth(name, len(found), halvings, made_sure)
+
+
+def helps(runs: Sequence[RunRow]) -> list[Help]:
+    """What each change does, by trials of the same seeds, most helpful first. Shares are those
+    after the first touch after which half of the trials are sure without it, or the last."""
+    names = dict.fromkeys(run["name"] for run in runs)
+    base = {run["seed"]: run for run in runs if run["name"] == AS_IS}
+    if BY_TABLE in names:
+        base = {run["seed"]: run for run in runs if run["name"] == BY_TABLE}
+    if not base:
+        return []
+    rows = table(list(base.values()))
+    after = next((row.touches for row in rows if row.sure >= HALF), rows[-1].touches)
+    found = []
+    for name in [name for name in names if name not in (AS_IS, BY_TABLE)]:
+        mine = [run for run in runs if run["name"] == name and run["seed"] in base]
+        pairs = [(base[run["seed"]], run) for run in mine]
+        if pairs:
+            found.append(_help(name, after, pairs))
+    return sorted(found, key=lambda each: each.sure[0] - each.sure[1])
+
+
+def _help(name: str, after: int, pairs: Sequence[tuple[RunRow, RunRow]]) -> Help:
+    """Compare pairs of trials, without the change and with it."""
+    noted = [[run["after"][after - 1] for run in pair] for pair in pairs]
+    sure = np.array([[each["sure"] for each in pair] for pair in noted], dtype=float)  # (n, 2)
+    found = np.array([[each["error_mm"] < FOUND_MM for each in pair] for pair in noted])
+    gain = sure[:, 1] - sure[:, 0]
+    least = CHANCE * math.sqrt((gain.var() + 1.0 / len(gain)) / len(gain))
+    verdict = "no difference seen"
+    if len(gain) < LEAST:
+        verdict = "too few seeds to tell"
+    elif abs(gain.mean()) > least:
+        verdict = "would help" if gain.mean() > 0.0 else "would hurt"
+    was, became = (tuple(each.mean(axis=0).tolist()) for each in (found, sure))
+    return Help(name, len(pairs), after, was, became, verdict)

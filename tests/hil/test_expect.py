@@ -1,0 +1,184 @@
+"""What is expected of a skin before it is bought: the table, what told most, what would help."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld.layout import read as layouts
+from taxeld.model import se2
+from taxeld_hil import cli
+from taxeld_hil.experiment import expect
+from taxeld_hil.experiment.expect import AS_IS, BY_TABLE, CALIBRATED, Touched
+from taxeld_hil.experiment.expect_subjects import Asked, known_responses, subjects
+from taxeld_hil.experiment.measurement import RunRow
+from taxeld_hil.rig.rig import IDLE_S, Rig
+from taxeld_hil.world import touches
+from tests.hil.rig import DEMO, MODEL, TRUTH
+from tests.rig.commands import refused
+from tests.rig.skins import table_of
+
+PATCH = "cylinder:rows=2,columns=40,radius_m=0.07,pitch_m=0.015"
+
+
+def trial(seed: int, name: str, *after: tuple[float, bool, bool]) -> RunRow:
+    """A trial with these errors [mm], whether it is sure, and whether it misleads."""
+    noted = [
+        {"error_mm": mm, "p": 1.0, "sure": sure, "misleading": wrong, "at_mm": [mm, 0.0]}
+        for mm, sure, wrong in after
+    ]
+    return {"name": name, "seed": seed, "before_mm": 127.0, "after": noted}
+
+
+GOOD = trial(0, AS_IS, (31.0, False, False), (1.0, True, False))
+BAD = trial(1, AS_IS, (63.0, False, True), (15.0, False, False))
+
+
+def test_the_table_has_the_errors_and_shares_of_all_trials_after_each_touch() -> None:
+    assert expect.table([GOOD, BAD]) == [
+        Touched(1, 2, 47.0, pytest.approx(59.8), 0.0, 0.0, 0.5),
+        Touched(2, 2, 8.0, pytest.approx(13.6), 0.5, 0.5, 0.0),
+    ]
+
+
+def test_a_touch_tells_by_how_often_it_halves_the_error_and_whether_it_makes_sure() -> None:
+    first, second = expect.told_by_number([GOOD, BAD])
+    assert (first.halvings, first.made_sure) == (1.5, 0.0)  # 128 → 32, 128 → 64
+    assert (second.halvings, second.made_sure) == (3.0, 0.5)  # 32 → 2, 64 → 16
+    assert expect.told_by_side([GOOD, BAD], MODEL.scene) == []
+    (side,) = expect.told_by_side([GOOD, BAD] * 4, MODEL.scene)
+    assert (side.touches, side.halvings) == (8, 3.0)  # the first touch of a trial is of no side
+
+
+def test_sides_that_the_symmetry_makes_alike_are_one() -> None:
+    scene = MODEL.scene
+    assert scene.symmetry == 2
+    there, back = (scene.centre + sign * np.array([0.0, 0.05]) for sign in (1.0, -1.0))
+    assert expect.side_of(there, scene) == expect.side_of(back, scene) == "90° and every 180°"
+    assert expect.side_of(scene.centre + np.array([0.05, 0.001]), scene).startswith("0°")
+
+
+def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance() -> None:
+    def one(seed: int, name: str, sure_from: int) -> RunRow:
+        after = [(5.0 if k >= sure_from else 20.0, k >= sure_from, False) for k in range(6)]
+        return trial(seed, name, *after)
+
+    def many(name: str, seeds: int, *sure_from: int) -> list[RunRow]:
+        return [one(seed, name, sure_from[seed % len(sure_from)]) for seed in range(seeds)]
+
+    runs = [*many(AS_IS, 20, 0), *many(BY_TABLE, 10, 3, 9), *many("deeper foam", 10, 5)]
+    runs += [*many(CALIBRATED, 10, 1), *many("larger patch", 10, 3, 9)]
+    best, none, worst = expect.helps(runs)
+    assert [each.name for each in (best, none, worst)] == [
+        CALIBRATED,
+        "larger patch",
+        "deeper foam",
+    ]
+    # by what is looked up in the same way, after the fourth touch
+    assert (best.trials, best.after, best.found, best.sure) == (10, 4, (0.5, 1.0), (0.5, 1.0))
+    assert (best.verdict, none.verdict, worst.verdict) == (
+        "would help",
+        "no difference seen",
+        "would hurt",
+    )
+    assert expect.helps(runs[:20] + many(CALIBRATED, 7, 1))[0].verdict == "too few seeds to tell"
+
+
+def test_a_robot_errs_alike_throughout_a_touch_and_otherwise_in_the_next() -> None:
+    plan = touches.plan(MODEL, TRUTH, lambda _: 0.0, 0, 40, 0)
+    path = plan.path.erring(0.002, seed=1)
+    off = [
+        [path.stated(t)[:2] - path.at(t)[:2] for t in (touch.begin_s, *touch.held_s, touch.end_s)]
+        for touch in plan.touches
+    ]
+    np.testing.assert_allclose(np.ptp(off, axis=1), 0.0, atol=1e-12)
+    assert 0.0015 < np.std(np.array(off)[:, 0]) < 0.0025
+    assert (path.stated(1.0) != path.erring(0.002, seed=2).stated(1.0)).any()
+    np.testing.assert_array_equal(plan.path.stated(1.0), plan.path.at(1.0))
+
+
+def test_the_daemon_hears_the_poses_of_a_robot_that_errs() -> None:
+    rig = Rig(replace(DEMO, robot_m=0.003), 0)
+    begin, end = rig.path.touched[0]
+    (row,) = rig.poses(IDLE_S + 0.5 * (begin + end), 100.0, 100.0)
+    true = rig.path.at(0.5 * (begin + end) - 0.004)
+    off = np.array(row[1:]) - true
+    assert np.abs(off[:2]).max() > 1e-4
+    assert off[2] == 0.0
+
+
+def test_a_skin_that_leaves_half_of_its_link_bare_is_turned_to_the_object(tmp_path: Path) -> None:
+    ring, half = layouts.load(PATCH), tmp_path / "half.csv"
+    head, *rows = table_of(ring).splitlines()
+    kept = [row for row in rows if float(row.split(",")[0]) > 0.0]
+    half.write_text("\n".join([head, *kept, ""]), encoding="ascii")
+    own = subjects(Asked("box", str(half), "scene"), tmp_path)[AS_IS]
+    assert own.bundle == "box", "on another layout it is cut anew, and none is written for it"
+    assert BY_TABLE not in {job.arguments[0] for job in expect.jobs({AS_IS: own}, 1, 1)}
+    rig = Rig(own, 0)
+    plan = touches.plan(rig.model, rig.world.truth, lambda _: 0.0, 0, 8, 0)
+    for touch in plan.touches:
+        at = plan.path.at(float(np.mean(touch.held_s)))
+        seen = se2.compose(se2.inverse(at), rig.world.truth)
+        assert rig.model.activation(seen[None]).max() > 0.0
+
+
+def test_a_larger_patch_has_all_taxels_twice_and_stands_on_the_same_height(tmp_path: Path) -> None:
+    made = subjects(Asked("box", foam="scene"), tmp_path)
+    own, larger = (
+        layouts.load(made[name].skin_layout).position_m for name in (AS_IS, "larger patch")
+    )
+    assert len(larger) == 2 * len(own)
+    assert (
+        Rig(made["deeper foam"], 0).model.depth_max_m == 2.0 * Rig(made[AS_IS], 0).model.depth_max_m
+    )
+    rise_m = np.array(Rig(made["larger patch"], 0).model.scene.heights).max()
+    assert rise_m == pytest.approx(larger[:, 2].max(), abs=0.006)
+    assert made[AS_IS].bundle == "box"  # with its samplers
+
+
+def test_known_responses_undo_those_of_the_very_skin() -> None:
+    typical = DEMO.on("typical")
+    known, rig = known_responses(typical, 3), Rig(typical, 3)
+    own = known.full_scale_counts * known.gain
+    np.testing.assert_allclose(own, rig.world.physics.full_scale)  # type: ignore[attr-defined]
+    assert known.onset.std() > 0.1
+
+
+def test_a_small_run_prints_its_table_writes_its_files_and_is_remembered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["expect", "--object", "box", "--foam", "scene", "--quick", "--workers", "1"]
+    command += ["--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
+    assert cli.main(command) == 0
+    first = capsys.readouterr()
+    assert "2 trials" in first.out
+    assert "| 3 | " in first.out
+    assert "calibration" in first.out
+    found = json.loads((tmp_path / "expect.json").read_text(encoding="utf-8"))
+    assert [row["touches"] for row in found["touches"]] == [1, 2, 3]
+    assert len(found["runs"]) == 6
+    assert (tmp_path / "expect.png").stat().st_size > 10_000
+    assert cli.main(command) == 0
+    again = capsys.readouterr()
+    assert again.out == first.out
+    assert again.err == ""
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["--object", "nothing"], "--object: nothing: no such YCB object"),
+        (["--object", "box", "--robot-mm", "99"], "--robot-mm: must be 0..50, not 99"),
+        (["--object", "box", "--depth-mm", "0"], "--depth-mm: must be 0.1..50, not 0"),
+        (["--object", "box", "--height-m", "5"], "no taxel is at a height of the object"),
+        (["--object", "box", "--seeds", "0"], "--seeds must be at least 1"),
+        (["--object", "box", "--minutes", "0"], "--minutes: no run was done; give more"),
+        (["--object", "box", "--foam", "wet"], "no foam 'wet'"),
+    ],
+)
+def test_a_fault_of_the_arguments_is_one_line(given: list[str], said: str, tmp_path: Path) -> None:
+    command = ["expect", *given, "--memory", str(tmp_path / "m"), "--out", str(tmp_path)]
+    assert said in refused(*command, main=cli.main)
