@@ -24,9 +24,6 @@ REAL = (
     SHARED / "layouts" / "ur10e_link2_patch1.json",
     SHARED / "icub_positions" / "right_forearm_nomesh.txt",
 )
-FINE = pytest.param(
-    6.5, marks=pytest.mark.xfail(reason="the model of the leak is in pitches (model.leak.BESIDE)")
-)
 
 
 def side(skin: Layout, about_rad: float) -> Layout:
@@ -73,7 +70,7 @@ def test_a_box_is_found_on_real_layouts_by_touches_that_are_all_felt(path: Path)
     assert figures["error_mm"] < 10.0
 
 
-@pytest.mark.parametrize("pitch_mm", [FINE, 15.0, 25.0])
+@pytest.mark.parametrize("pitch_mm", [6.5, 15.0, 25.0])
 def test_no_length_of_the_filter_holds_for_one_pitch_alone(pitch_mm: float) -> None:
     """One set of constants, three pitches, the same link: the box is found on each."""
     subject = scenario.load("demo").on("typical", pitches.LAYOUTS[pitch_mm])
