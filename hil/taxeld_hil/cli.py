@@ -94,7 +94,7 @@ def _say_next(args: argparse.Namespace, scenario: "Scenario", out: Path) -> None
 
 def _soak(args: argparse.Namespace) -> int:
     from taxeld_hil.grade import report
-    from taxeld_hil.run.soak import lap_alone, resumed, soak_fake, soak_live, table
+    from taxeld_hil.run.soak import Soak, lap_alone, resumed, soak_fake, soak_live, table
 
     if args.table:
         for line in table(args.table):
@@ -113,7 +113,9 @@ def _soak(args: argparse.Namespace) -> int:
             passed &= grade.passed
             continue
         out = args.out.with_stem(f"{args.out.stem}_{name}") if name else args.out
-        soak = resumed(out, base, args.seed, "real" if real else "fake", hours)
+        clock = "real" if real else "fake"
+        asked = Soak(args.seed, clock, hours, faultless=args.no_faults, learns=not args.frozen)
+        soak = resumed(out, base, asked)
         soak = (soak_live if real else soak_fake)(base, soak, out, _say)
         _say(soak.line())
         _say("passed" if soak.passed else f"failed; see failures in {out}")
@@ -318,6 +320,8 @@ def _add_many(commands: Commands) -> None:
     )
     soak.add_argument("scenario", nargs="?", default="demo", metavar="SCENARIO")
     soak.add_argument("--seed", type=int, default=0)
+    soak.add_argument("--no-faults", action="store_true", help="touches alone; on the fake clock")
+    soak.add_argument("--frozen", action="store_true", help="the skin learns nothing; as above")
     long = soak.add_mutually_exclusive_group()
     long.add_argument("--hours", type=float, default=1.0, help="hours of scans, on the fake clock")
     long.add_argument("--real-minutes", type=float, help="minutes over the transport, in real time")

@@ -97,12 +97,11 @@ def test_the_length_of_the_sag_is_learned_where_the_cover_sags() -> None:
     assert np.median(learned) == pytest.approx(0.005, rel=0.2)
 
 
-def lived(laps: int, seed: int, of: str = "", **skin: bool) -> tuple[FakeRun, Floats]:
+def lived(laps: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[FakeRun, Floats]:
     """A daemon that touches the mug again and again, and takes it for `of`; → it, and the sds of
     its taxels before."""
     asked = replace(scenario.load("demo").touching("mug").on("typical"), contacts=8)
-    run = FakeRun(asked, seed, rate_hz=40.0)
-    run.config = replace(run.config, skin=replace(run.config.skin, **skin))
+    run = FakeRun(asked, seed, rate_hz=40.0, learns=learns)
     run.scene = bundle.load(of or "mug", run.skin)
     run.daemon = run._born()
     for lap in range(laps):
@@ -115,7 +114,7 @@ def lived(laps: int, seed: int, of: str = "", **skin: bool) -> tuple[FakeRun, Fl
 
 
 def test_a_skin_learns_while_it_works_unless_it_is_told_not_to() -> None:
-    (run, _), (frozen, _) = (lived(4, 5, learn=learns) for learns in (True, False))
+    (run, _), (frozen, _) = (lived(4, 5, learns=learns) for learns in (True, False))
     assert run.daemon is not None
     assert frozen.daemon is not None
     assert run.daemon.pipeline.health()["skin_fit"]["lessons"] > 0

@@ -212,22 +212,24 @@ def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does
 
 def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     path, quiet = tmp_path / "soak.json", lambda _: None
-    part = soak.soak_fake(DEMO, soak.resumed(path, DEMO, 5, "fake", 0.01), path, quiet)
+    part = soak.soak_fake(DEMO, soak.resumed(path, DEMO, soak.Soak(5, "fake", 0.01)), path, quiet)
     assert (part.laps, part.unexplained, part.daemons) == (1, 0, 1)
-    whole = soak.soak_fake(DEMO, soak.resumed(path, DEMO, 5, "fake", 0.03), path, quiet)
+    whole = soak.soak_fake(DEMO, soak.resumed(path, DEMO, soak.Soak(5, "fake", 0.03)), path, quiet)
     assert (whole.laps, whole.unexplained, whole.daemons) == (2, 0, 2)
     assert (whole.object, whole.physics) == ("box", "scene")
     older = json.loads(path.read_text())
     path.with_name("more").write_text(json.dumps(older | {"worst_detection_s": {}}))
-    assert soak.resumed(path.with_name("more"), DEMO, 5, "fake", 1.0).laps == 2
+    assert soak.resumed(path.with_name("more"), DEMO, soak.Soak(5, "fake", 1.0)).laps == 2
     del older["full_right"]
     path.with_name("older").write_text(json.dumps(older))
     with pytest.raises(SetupError, match="is of an older kind"):
-        soak.resumed(path.with_name("older"), DEMO, 5, "fake", 1.0)
+        soak.resumed(path.with_name("older"), DEMO, soak.Soak(5, "fake", 1.0))
     for another in (DEMO.on("poor"), DEMO.touching("mug"), DEMO.on("", SMALL)):
-        assert soak.resumed(path, another, 5, "fake", 1.0).laps == 0
-    assert soak.resumed(path, DEMO, 6, "fake", 1.0).laps == 0, "another seed: another soak"
-    assert soak.resumed(path, DEMO, 5, "fake", 1.0).laps == 2
+        assert soak.resumed(path, another, soak.Soak(5, "fake", 1.0)).laps == 0
+    assert soak.resumed(path, DEMO, soak.Soak(6, "fake", 1.0)).laps == 0, (
+        "another seed: another soak"
+    )
+    assert soak.resumed(path, DEMO, soak.Soak(5, "fake", 1.0)).laps == 2
 
 
 def test_each_layout_of_a_soak_has_a_report_and_faults_of_its_own_modules_and_taxels(
@@ -272,14 +274,14 @@ def test_a_lie_that_was_told_earlier_in_the_lap_explains_a_silent_failure_and_no
         (lied, 3.0, "none"),
         ([("reboot", 2.0), ("dropped", 9.0), ("pose_late", 20.0)], 12.0, "dropped"),
     ):
-        seen = soak.Soak(0, "fake", "box", "typical", 1.0)
+        seen = soak.Soak(0, "fake", 1.0, "box", "typical")
         seen.add(0, of_a_lap(faults, [at_s], "converged", 8), 60.0)
         assert seen.silent_after == {blamed: 1}
         assert seen.passed == (blamed in laps.MISLEADING)
 
 
 def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
-    seen = soak.Soak(0, "fake", "box", "typical", 1.0)
+    seen = soak.Soak(0, "fake", 1.0, "box", "typical")
     for number, (status, contacts) in enumerate(
         (("converged", 8), ("ambiguous", 8), ("converged", 5), ("ambiguous", 3), ("converged", 9))
     ):
@@ -291,7 +293,7 @@ def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
 def test_reports_of_soaks_are_shown_side_by_side(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    seen = soak.Soak(0, "fake", "/there/is/a/drill", "typical", 1.0)
+    seen = soak.Soak(0, "fake", 1.0, "/there/is/a/drill", "typical")
     lied = [("pose_jumping", 4.0)]
     for number, (faults, status, contacts) in enumerate(
         ((lied, "converged", 8), ([], "converged", 9), ([], "ambiguous", 8))
@@ -369,3 +371,13 @@ def test_poses_go_on_when_the_wall_clock_is_set_back() -> None:
     ]
     assert len(stamps) >= 98
     assert stamps[-1] < 1e9 - 3500.0
+
+
+def test_a_soak_without_faults_injects_none_and_a_frozen_skin_learns_nothing(
+    tmp_path: Path,
+) -> None:
+    asked = soak.Soak(5, "fake", 0.03, faultless=True, learns=False)
+    path = tmp_path / "soak.json"
+    seen = soak.soak_fake(DEMO, soak.resumed(path, DEMO, asked), path, lambda _: None)
+    assert (seen.laps, seen.faults.total()) == (2, 0)
+    assert soak.resumed(path, DEMO, soak.Soak(5, "fake", 1.0)).laps == 0, "with faults: another"

@@ -44,9 +44,12 @@ class FakeRun:
         rate_hz: float = 100.0,
         filter_keys: str = "",
         calibration: Calibration | None = None,
+        *,
+        learns: bool = True,
     ) -> None:
         """`rate_hz`: of the daemon's loop, and of all that steps with it; `filter_keys`: lines of
-        TOML for the daemon's table [filter]; `calibration`: of this very skin.
+        TOML for the daemon's table [filter]; `calibration`: of this very skin; `learns`: whether
+        the daemon learns from its touches.
 
         Raises:
             SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
@@ -55,7 +58,8 @@ class FakeRun:
         self.line = MemoryLine(self.rig)
         self._file = settings.without_devices(scenario, seed, filter_keys)
         parsed = config_file.parse(self._file)
-        self.config = replace(parsed, loop=replace(parsed.loop, rate_hz=rate_hz))
+        loop, skin = replace(parsed.loop, rate_hz=rate_hz), replace(parsed.skin, learn=learns)
+        self.config = replace(parsed, loop=loop, skin=skin)
         self.scene = bundled.on_layout(scenario.bundle, scenario.skin_layout)
         self.skin = self.scene.model.layout
         self._calibration = calibration

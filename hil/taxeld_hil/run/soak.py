@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from statistics import median_high
 from typing import Any
@@ -25,6 +25,7 @@ from taxeld_hil.scenario import laps
 from taxeld_hil.scenario.scenario import Scenario
 
 REPORT_EVERY = 20  # laps on the fake clock; in real time every lap is reported
+ASKED = "seed", "clock", "object", "physics", "layout", "faultless", "learns"  # of a soak
 FAILURES_KEPT = 50
 SETTLED_LAPS = 30  # on the fake clock memory is compared from here on: caches have filled
 GROWTH_MAX_MB = 8.0
@@ -38,10 +39,12 @@ class Soak:
 
     seed: int
     clock: str
-    object: str  # bundle
-    physics: str  # name of the skin
     hours: float  # asked for
+    object: str = ""  # bundle
+    physics: str = ""  # name of the skin
     layout: str = ""  # its name; empty: what the bundle was built for
+    faultless: bool = False
+    learns: bool = True  # whether the daemon learns how taxels respond
     laps: int = 0
     hours_done: float = 0.0
     daemons: int = 0  # number of daemons started
@@ -160,26 +163,23 @@ class Soak:
         )
 
 
-def resumed(path: Path, base: Scenario, seed: int, clock: str, hours: float) -> Soak:
-    """The soak that a report holds, if it is one of this seed, clock, object, skin and layout that
-    is not over; else a new one.
+def resumed(path: Path, base: Scenario, new: Soak) -> Soak:
+    """The soak that a report holds, if it is like the `new` one and not over; else the new one.
 
     Raises:
         SetupError: there is a file that is no report, or one of an older kind.
     """
-    layout = layout_name(base.layout)
-    new = Soak(seed, clock, base.bundle, base.physics, hours, layout)
+    new = replace(new, object=base.bundle, physics=base.physics, layout=layout_name(base.layout))
     if not path.is_file():
         return new
     data = _read(path)
-    asked = {"seed": seed, "clock": clock, "object": base.bundle, "physics": base.physics}
-    asked["layout"] = layout
-    if any(data[key] != value for key, value in asked.items()) or data["hours_done"] >= hours:
+    alike = all(data[name] == getattr(new, name) for name in ASKED)
+    if not alike or data["hours_done"] >= new.hours:
         return new
     kept = {spec.name: data[spec.name] for spec in fields(Soak)}
     for name in ("faults", "silent_after", "flags_missed", "doubted", "not_recovered"):
         kept[name] = Counter(kept[name])
-    return Soak(**{**kept, "hours": hours, "unexplained_before": kept["unexplained"]})
+    return Soak(**{**kept, "hours": new.hours, "unexplained_before": kept["unexplained"]})
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -202,10 +202,10 @@ def soak_fake(base: Scenario, soak: Soak, path: Path, say: Say) -> Soak:
     """Run the laps on the fake clock, as fast as they go."""
     run: FakeRun | None = None
     scans, units = soak.scans_sent, soak.units
-    for number, scenario, seed in soak.left(base, laps.KINDS):
+    for number, scenario, seed in soak.left(base, () if soak.faultless else laps.KINDS):
         began = time.process_time()
         if run is None:
-            run = FakeRun(scenario, seed, rate_hz=RATE_HZ)
+            run = FakeRun(scenario, seed, rate_hz=RATE_HZ, learns=soak.learns)
             soak.daemons += 1
         else:
             run.lap(scenario, seed)

@@ -30,7 +30,7 @@ def lap(base: Scenario, seed: int, number: int, kinds: tuple[str, ...] = KINDS) 
     hold_s = float(rng.choice(HOLDS_S))
     faults: list[Fault] = []
     at_s = FIRST_S
-    for _ in range(rng.poisson(FAULTS_MEAN)):
+    for _ in range(rng.poisson(FAULTS_MEAN) if kinds else 0):
         at_s += float(rng.exponential(6.0))
         if at_s > LAST_S:
             break
