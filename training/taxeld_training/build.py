@@ -16,6 +16,7 @@ from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld_training import bundles
 from taxeld_training.filters import touches
+from taxeld_training.jobs.statistics import of_count
 from taxeld_training.objects import meshes, scenes
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
@@ -39,7 +40,8 @@ def build(
     """Build the bundle of `name` (a YCB id or a mesh file) for `layout` in the directory `out`.
 
     `height_m` is the sensor frame's origin above the object's lowest point, `depth_m` the depth of
-    a press at full scale. What is made is tried as `asked`. An older bundle in `out` is replaced once the new one is complete.
+    a press at full scale. What is made is tried as `asked`. An older bundle in `out` is replaced
+    once the new one is complete.
 
     Raises:
         SetupError: the object or skin cannot be used, or `out` holds something else.
@@ -98,7 +100,7 @@ def summary(out: Path, info: dict[str, Any], layout: str, more: str) -> Iterator
     yield f"made       {out}: {info['object']} on {info['layout']['name']}, {size / 1e6:.1f} MB"
     yield f"samplers   {', '.join(samplers)}; auto: {info['auto'][0]}"
     tried = info["touches"]
-    head, own, table = "how good", *tried["found_and_sure"].values()
+    head = "how good"
     for name, found in tried["found_and_sure"].items():
         sixth, last = (found[touch - 1] for touch in SURE_AFTER)
         wrong = sum(tried["sure_and_wrong"][name])
@@ -108,7 +110,8 @@ def summary(out: Path, info: dict[str, Any], layout: str, more: str) -> Iterator
             f"{wrong} of {tried['trials'] * len(found)} estimates sure and wrong"
         )
         head = ""
-    if sum(own) < sum(table):
+    own, table = (found[SURE_AFTER[0] - 1] for found in tried["found_and_sure"].values())
+    if of_count(own, tried["trials"])[1] < table / tried["trials"]:  # by more than chance
         yield f"           {more}"
     run = ["taxeld-hil", "run", "demo", "--object", str(out), *_layout(layout)]
     yield f"next       {shlex.join([*run, '--out', f'{out.name}_demo'])}"

@@ -79,7 +79,7 @@ def counted(
 
 
 def _played(folder: Path, layout: Layout, asked: Asked, seeds: range) -> dict[str, list[Told]]:
-    """Trials of some seeds, by proposal: the daemon's first choice among samplers, and the table."""
+    """Trials of some seeds, by proposal: the daemon's first choice of samplers, and the table."""
     made = bundle.load(str(folder), layout)
     sampler = next(name for name in made.order if name not in ANALYTIC)
     found: dict[str, list[Told]] = {}

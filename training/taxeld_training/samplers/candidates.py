@@ -24,7 +24,7 @@ from taxeld_training.jobs.statistics import LEVEL, of_mean, rounded
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.base import Model
-from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, SimulatedTouches, simulate
+from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, simulate
 from taxeld_training.models.variants import Variant
 
 TOLERANCE = 1.15  # factor of the nearest proposal's distance up to which another is as good
