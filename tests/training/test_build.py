@@ -133,7 +133,7 @@ def test_the_summary_counts_trials_and_has_a_cure_where_the_table_finds_clearly_
     assert (
         f"how good   density-64: {own} of 40 found and sure after 6 touches on typical foam, "
         "39 after 8; 2 of 320 estimates sure and wrong\n"
-        "           table: 34 of 40 found and sure after 6 touches"
+        "           table: 34, 39 after 8; 0 sure and wrong\n"
     ) in said
     assert ("\n           the cure\n" in said) == is_cured
 

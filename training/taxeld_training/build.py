@@ -14,6 +14,7 @@ import trimesh
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
+from taxeld.proposals.analytic import Table
 from taxeld_training import bundles
 from taxeld_training.filters import touches
 from taxeld_training.jobs.statistics import of_count
@@ -100,17 +101,19 @@ def summary(out: Path, info: dict[str, Any], layout: str, more: str) -> Iterator
     yield f"made       {out}: {info['object']} on {info['layout']['name']}, {size / 1e6:.1f} MB"
     yield f"samplers   {', '.join(samplers)}; auto: {info['auto'][0]}"
     tried = info["touches"]
-    head = "how good"
+    after, last = SURE_AFTER
     for name, found in tried["found_and_sure"].items():
-        sixth, last = (found[touch - 1] for touch in SURE_AFTER)
+        first, then = found[after - 1], found[last - 1]
         wrong = sum(tried["sure_and_wrong"][name])
+        if name == Table.name:
+            yield f"           {name}: {first}, {then} after {last}; {wrong} sure and wrong"
+            continue
         yield (
-            f"{head:<10} {name}: {sixth} of {tried['trials']} found and sure after {SURE_AFTER[0]} "
-            f"touches on {tried['foam']} foam, {last} after {SURE_AFTER[1]}; "
+            f"how good   {name}: {first} of {tried['trials']} found and sure after {after} touches "
+            f"on {tried['foam']} foam, {then} after {last}; "
             f"{wrong} of {tried['trials'] * len(found)} estimates sure and wrong"
         )
-        head = ""
-    own, table = (found[SURE_AFTER[0] - 1] for found in tried["found_and_sure"].values())
+    own, table = (found[after - 1] for found in tried["found_and_sure"].values())
     if of_count(own, tried["trials"])[1] < table / tried["trials"]:  # by more than chance
         yield f"           {more}"
     run = ["taxeld-hil", "run", "demo", "--object", str(out), *_layout(layout)]
