@@ -97,9 +97,8 @@ def summary(out: Path, info: dict[str, Any], layout: str, more: str) -> Iterator
     """Lines on the bundle in `out`, how good it is in touches, and the next commands. `layout`: as
     it was given; `more`: a cure for a sampler that finds less than the table."""
     size = sum(path.stat().st_size for path in out.iterdir())
-    samplers = [one["name"] for one in info["samplers"]]
     yield f"made       {out}: {info['object']} on {info['layout']['name']}, {size / 1e6:.1f} MB"
-    yield f"samplers   {', '.join(samplers)}; auto: {info['auto'][0]}"
+    yield f"samplers   {', '.join(s['name'] for s in info['samplers'])}; auto: {info['auto'][0]}"
     tried = info["touches"]
     after, last = SURE_AFTER
     for name, found in tried["found_and_sure"].items():
