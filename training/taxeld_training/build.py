@@ -1,7 +1,6 @@
 """`taxeld-train build`: an object and a skin → a bundle that the daemon runs; and the commands that
 follow one another on the way there."""
 
-import math
 import shlex
 import shutil
 import tempfile
@@ -15,18 +14,16 @@ import trimesh
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
+from taxeld.proposals.analytic import Table
 from taxeld_hil.objects import bundles, meshes, scenes
+from taxeld_training.filters import touches
+from taxeld_training.jobs.statistics import of_count
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
 
 SCENE = "scene"
-STAGES = (SCENE, *candidates.STAGES)  # stages of a build, in order
-FAR = 2.0  # a sampler is poor beyond so many times the distance of two sets of exact draws
-COSTS = (  # up to so many times that → what it costs: 3, 10 and 47 times in docs/results/filter.md
-    (5.0, "no more touches"),
-    (15.0, "one touch more"),
-    (math.inf, "three to five touches more"),
-)
+STAGES = (SCENE, *candidates.STAGES, touches.STAGE)  # stages of a build, in order
+SURE_AFTER = 6, 8  # touches that the summary speaks of
 
 
 def build(
@@ -35,13 +32,15 @@ def build(
     height_m: float,
     depth_m: float,
     given: Candidates,
+    asked: touches.Asked,
     out: Path,
     progress: Progress,
 ) -> Path:
     """Build the bundle of `name` (a YCB id or a mesh file) for `layout` in the directory `out`.
 
     `height_m` is the sensor frame's origin above the object's lowest point, `depth_m` the depth of
-    a press at full scale. An older bundle in `out` is replaced once the new one is complete.
+    a press at full scale. What is made is tried as `asked`. An older bundle in `out` is replaced
+    once the new one is complete.
 
     Raises:
         SetupError: the object or skin cannot be used, or `out` holds something else.
@@ -62,6 +61,8 @@ def build(
         info |= candidates.make(model, given, made, progress)
         if "mesh" in info:
             shutil.copyfile(path, made / info["mesh"])
+        bundles.write(model.scene, info, made)
+        info["touches"] = touches.counted(made, layout, asked, progress)
         bundles.write(model.scene, info, made)
         bundles.replace(made, out)
     return out
@@ -91,22 +92,26 @@ def command(name: str, layout: str, height_m: float, depth_m: float) -> str:
 
 
 def summary(out: Path, info: dict[str, Any], layout: str, more: str) -> Iterator[str]:
-    """Lines on the bundle in `out`, how good it is, and the next commands. `layout`: as it was
-    given; `more`: a cure for poor samplers."""
+    """Lines on the bundle in `out`, how good it is in touches, and the next commands. `layout`: as
+    it was given; `more`: a cure for a sampler that finds less than the table."""
     size = sum(path.stat().st_size for path in out.iterdir())
-    samplers = {one["name"]: one["energy_distance"] for one in info["samplers"]}
-    best = min(samplers, key=lambda name: samplers[name])
-    table, floor = info["analytic"]["table"]["energy_distance"], info["energy_floor"]
     yield f"made       {out}: {info['object']} on {info['layout']['name']}, {size / 1e6:.1f} MB"
-    yield f"samplers   {', '.join(samplers)}; auto: {info['auto'][0]}"
-    yield (
-        f"how good   {best} is {samplers[best]:.3f} from the exact posterior, table {table:.3f}; "
-        f"two sets of exact draws are {floor:.3f} apart"
-    )
-    times = min(table, samplers[best]) / floor
-    if times > FAR:
-        cost = next(words for most, words in COSTS if times <= most)
-        yield f"           that is poor, {times:.1f} times as far: expect {cost} to find the object"
+    yield f"samplers   {', '.join(s['name'] for s in info['samplers'])}; auto: {info['auto'][0]}"
+    tried = info["touches"]
+    after, last = SURE_AFTER
+    for name, found in tried["found_and_sure"].items():
+        first, then = found[after - 1], found[last - 1]
+        wrong = sum(tried["sure_and_wrong"][name])
+        if name == Table.name:
+            yield f"           {name}: {first}, {then} after {last}; {wrong} sure and wrong"
+            continue
+        yield (
+            f"how good   {name}: {first} of {tried['trials']} found and sure after {after} touches "
+            f"on {tried['foam']} foam, {then} after {last}; "
+            f"{wrong} of {tried['trials'] * len(found)} estimates sure and wrong"
+        )
+    own, table = (found[after - 1] for found in tried["found_and_sure"].values())
+    if of_count(own, tried["trials"])[1] < table / tried["trials"]:  # by more than chance
         yield f"           {more}"
     run = ["taxeld-hil", "run", "demo", "--object", str(out), *_layout(layout)]
     yield f"next       {shlex.join([*run, '--out', f'{out.name}_demo'])}"

@@ -24,12 +24,13 @@ if TYPE_CHECKING:
 DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
 UPRIGHT = "the link's axis must be vertical (within 0.1 rad), and the object stand as its mesh does"
 LONGER = 3.0  # times the effort, as a cure for poor samplers
-QUICK = {"effort": 0.02, "contacts": 30_000, "bank": 50_000, "readings": 10}
+QUICK = {"effort": 0.02, "contacts": 30_000, "bank": 50_000, "readings": 10, "trials": 8}
 EXPERIMENTS = ("proposals", "frontier", "filter", "stability", "reliability", "ablation", "push")
 
 
 def main(argv: list[str] | None = None) -> int:
     """0 fine, 1 failed at work, 2 wrong arguments."""
+    command_line.one_thread()
     return command_line.main(_parser(), argv, "taxeld-train: ")
 
 
@@ -42,21 +43,24 @@ def _build(args: argparse.Namespace) -> int:
     from taxeld.layout import read as layouts
     from taxeld_hil.objects import meshes
     from taxeld_training.build import STAGES, build, summary
+    from taxeld_training.filters import touches
     from taxeld_training.jobs import stages
-    from taxeld_training.models.variants import trained_with
+    from taxeld_training.models.variants import diffusion, trained_with
     from taxeld_training.samplers.candidates import CONTACTS, TRAINING, VARIANTS, Candidates
 
-    full = {"effort": 1.0, "contacts": 300_000}
+    full = {"effort": 1.0, "contacts": 300_000, "trials": touches.Asked.trials}
     full |= {"bank": Candidates.bank, "readings": Candidates.readings}
     named = {name: getattr(args, name) for name in full if getattr(args, name) is not None}
     size = full | (QUICK if args.quick else {}) | named
     effort, contacts = size["effort"], int(size["contacts"])
+    wanted = (*VARIANTS, diffusion()) if args.ddpm else VARIANTS
     given = Candidates(
-        variants=tuple(trained_with(v, effort, contacts, args.seed) for v in VARIANTS),
+        variants=tuple(trained_with(v, effort, contacts, args.seed) for v in wanted),
         bank=int(size["bank"]),
         readings=int(size["readings"]),
         seed=args.seed,
     )
+    asked = touches.Asked(args.foam, int(size["trials"]), args.seed)
     depth_m, skin = _depth_m(args), layouts.load(args.layout)
     _doubt(args, meshes.load(meshes.find(args.object)[0]), skin)
     began_s, ended_s = time.monotonic(), dict[str, float]()
@@ -66,7 +70,7 @@ def _build(args: argparse.Namespace) -> int:
             ended_s[stage] = time.monotonic()
             tell(stage, share)
 
-        out = build(args.object, skin, args.height_m, depth_m, given, args.out, progress)
+        out = build(args.object, skin, args.height_m, depth_m, given, asked, args.out, progress)
     info = json.loads((out / "bundle.json").read_text(encoding="utf-8"))
     for repair in info["repairs"]:
         print(f"taxeld-train: {args.object}: {repair}", file=sys.stderr)
@@ -214,6 +218,10 @@ def _parser() -> argparse.ArgumentParser:
     add("--contacts", type=int, help="simulated contacts to train on (default 300000)")
     add("--bank", type=int, help="contacts that exact posteriors begin with")
     add("--readings", type=int, help="readings that samplers are measured on")
+    add("--trials", type=int, help="trials at the end (default 40)")
+    about = "of these trials: exact, typical or poor (default %(default)s)"
+    add("--foam", default="typical", help=about)
+    add("--ddpm", action="store_true", help="also the diffusion, a baseline; takes twice as long")
     add("--seed", type=int, default=0)
     documented(commands, _seal).add_argument("bundle", type=Path, metavar="BUNDLE")
     _add_options(documented(commands, _evaluate))

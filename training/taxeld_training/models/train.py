@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
@@ -14,6 +15,7 @@ from taxeld_training.models.base import Model
 from taxeld_training.models.dataset import Batches, SimulatedTouches
 
 SCALE_BATCH = 10_000
+TOLD = 100  # updates from one word of progress to the next
 
 
 @dataclass(frozen=True)
@@ -36,10 +38,11 @@ def train_beside(
     touches: SimulatedTouches,
     leak: Leak,
     noise: Noise,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> list[AnyModel]:
     """Averaged models after `updates` updates of each configuration, on readings as a filter sees
     them. All have one view, one frame and `shared` configurations: a batch is drawn and looked at
-    once for all of them."""
+    once for all of them, on a second core while they learn from the one before."""
     runs = [_Run(*one) for one in given]
     config = given[0][1]
     coordinates = runs[0].model.frame.encode(touches.pose)
@@ -47,12 +50,23 @@ def train_beside(
     first = batches.draw(SCALE_BATCH)
     for run in runs:
         run.begin(first)
-    for update in range(1, max(run.config.updates for run in runs) + 1):
+
+    def drawn() -> tuple[Tensor, Tensor, Tensor]:
+        """Features (B, F), angle (B,) and coordinates (B, 3) of the next batch."""
         z, live, coordinates = batches.draw(config.batch)
-        seen, angle = runs[0].model.view(z, live)
-        for run in runs:
-            if update <= run.config.updates:
-                run.update(seen, angle, coordinates, update)
+        return *runs[0].model.view(z, live), coordinates
+
+    updates = max(run.config.updates for run in runs)
+    with ThreadPoolExecutor(1) as beside:
+        ahead = beside.submit(drawn)
+        for update in range(1, updates + 1):
+            batch, ahead = ahead.result(), beside.submit(drawn)
+            for run in runs:
+                if update <= run.config.updates:
+                    run.update(*batch, update)
+            if update % TOLD == 0:
+                progress(update / updates)
+    progress(1.0)
     return [run.averaged.cpu().eval() for run in runs]
 
 

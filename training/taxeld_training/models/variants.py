@@ -1,6 +1,6 @@
 """Variants of the models, by their parts, for `build` and the experiments."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
@@ -103,10 +103,14 @@ def fit(
 
 
 def fit_beside(
-    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: SimulatedTouches
+    given: Sequence[Variant],
+    model: ObservationModel,
+    noise: Noise,
+    touches: SimulatedTouches,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> list[Model]:
     """Models as `fit` makes each. Those that see the same batches are trained side by side: to draw
-    them takes a good part of the time."""
+    them takes a good part of the time. `progress` is called with the share of them that is done."""
     done: dict[int, Model] = {}
     alike: dict[tuple[Any, ...], list[int]] = {}
     for k, variant in enumerate(given):
@@ -117,7 +121,8 @@ def fit_beside(
             touches.pose[:count], touches.activation[:count], touches.dropped_share
         )
         runs = [(partial(untrained, given[k], model), given[k].training) for k in places]
-        done |= dict(zip(places, train_beside(runs, mine, model.leak, noise), strict=True))
+        made = train_beside(runs, mine, model.leak, noise, progress)
+        done |= dict(zip(places, made, strict=True))
     return [done[k] for k in range(len(given))]
 
 

@@ -5,13 +5,12 @@ posterior. The daemon runs by default the cheapest one that is as good as the be
 object, such as a can, does not cost what a power drill costs.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-import joblib
 import numpy as np
 import torch
 
@@ -25,12 +24,11 @@ from taxeld_training.jobs.statistics import LEVEL, of_mean, rounded
 from taxeld_training.limits import quality
 from taxeld_training.models import export, variants
 from taxeld_training.models.base import Model
-from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, SimulatedTouches, simulate
+from taxeld_training.models.dataset import FLOOR_MAX, IN_USE, simulate
 from taxeld_training.models.variants import Variant
 
 TOLERANCE = 1.15  # factor of the nearest proposal's distance up to which another is as good
-# Two workers take as long with the first and third as with the second: see `_train`
-VARIANTS = (variants.diffusion(), variants.density(64), variants.density(16, 48, 2))
+VARIANTS = variants.density(64), variants.density(16, 48, 2)  # trained side by side
 
 CONTACTS, TRAINING, MEASURING = "contacts", "training", "measuring"
 STAGES = (CONTACTS, TRAINING, quality.BANK_STAGE, quality.EXACT_STAGE, MEASURING)
@@ -44,8 +42,8 @@ class Candidates:
 
     variants: tuple[Variant, ...] = VARIANTS
     noise: Noise = IN_USE
-    bank: int = quality.BANK
-    readings: int = 200
+    bank: int = 100_000
+    readings: int = 100
     workers: int = 2
     seed: int = 0
 
@@ -58,7 +56,10 @@ def make(
     rng = np.random.default_rng(given.seed)
     most = max(v.training.contacts for v in given.variants)
     touches = simulate(model, most, rng, partial(progress, CONTACTS))
-    trained = _train(given, model, touches, progress)
+    torch.set_num_threads(1)  # more would wait for one another
+    networks = variants.fit_beside(
+        given.variants, model, given.noise, touches, partial(progress, TRAINING)
+    )
     to = quality.reference(
         model,
         given.noise,
@@ -69,9 +70,9 @@ def make(
         progress=progress,
     )
     samplers: list[dict[str, Any]] = []
-    for done, (variant, network) in enumerate(trained, 1):
+    for done, (variant, network) in enumerate(zip(given.variants, networks, strict=True), 1):
         samplers += _samplers(variant, network, given, model, folder, to)
-        progress(MEASURING, done / (len(trained) + 1))
+        progress(MEASURING, done / (len(networks) + 1))
     analytic = {name: _measured(make(model), to, given.seed) for name, make in ANALYTIC.items()}
     progress(MEASURING, 1.0)
     choice = choose({s["name"]: s for s in samplers} | analytic, TOLERANCE)
@@ -125,28 +126,6 @@ def choose(candidates: dict[str, dict[str, Any]], tolerance: float) -> dict[str,
         f"{len(nearest[DISTANCES])} readings"
     )
     return {"order": [first, *rest], "why": why}
-
-
-def _train(
-    given: Candidates, model: ObservationModel, touches: SimulatedTouches, progress: Progress
-) -> list[tuple[Variant, Model]]:
-    """Train all variants and return them in their own order. Worker k of n, a process of one
-    thread, trains the variants k, k + n, k + 2n, …, side by side."""
-    workers = min(given.workers, len(given.variants))
-    shares = [given.variants[first::workers] for first in range(workers)]
-    jobs = (joblib.delayed(_fit)(share, model, given.noise, touches) for share in shares)
-    made: list[list[Model]] = []
-    for models in joblib.Parallel(workers, return_as="generator", mmap_mode="c")(jobs):
-        made.append(models)
-        progress(TRAINING, len(made) / workers)
-    return [(v, made[k % workers][k // workers]) for k, v in enumerate(given.variants)]
-
-
-def _fit(
-    given: Sequence[Variant], model: ObservationModel, noise: Noise, touches: SimulatedTouches
-) -> list[Model]:
-    torch.set_num_threads(1)
-    return variants.fit_beside(given, model, noise, touches)
 
 
 def _samplers(
