@@ -25,7 +25,7 @@ DIGESTS = {
     'proposal = "table"': "348b2955596c017d",
     'proposal = "manifold"\ninjection = "paper"': "26cb34dc09d33edc",
     'proposal = "table"\nmotion = "push"': "cc76dbb951cb7bd7",
-    'proposal = "manifold"\nparticles = 300': "4638e04bf0ad750c",
+    'proposal = "manifold"\nparticles = 300': "afa721abef497f0a",
 }
 
 

@@ -218,7 +218,7 @@ def test_samplers_learn_the_errors_that_the_filter_expects(built: Path) -> None:
     expected = asdict(noise_of(FilterConfig()))
     for path in (built, bundle.find("box"), bundle.find("mug")):
         info = json.loads((path / "bundle.json").read_text(encoding="utf-8"))
-        assert info["noise"] == expected
+        assert info["noise"].items() <= expected.items()
 
 
 def measured(mean: float, ms: float, spread: float = 0.2, readings: int = 200) -> dict[str, Any]:

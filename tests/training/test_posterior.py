@@ -50,7 +50,7 @@ def test_batches_are_readings_of_their_poses(ring_model: ObservationModel) -> No
     z, live, pose = (batch.numpy() for batch in batches(ring_model, quiet).draw(500))
     expected = ring_model.activation(pose.astype(np.float64)) * live
     felt = z > 0.0
-    assert (np.abs(z - expected) < 1e-3 + 6.0 * ring_model.leak.of(expected))[felt].all()
+    assert (np.abs(z - expected) < 1e-3 + 6.0 * ring_model.leak.drawn(expected))[felt].all()
     assert (expected < 0.4)[~felt].all()
     assert 0.01 < (live == 0).mean() < 0.2
 

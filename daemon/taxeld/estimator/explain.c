@@ -145,7 +145,7 @@ INLINE double offset(const Model *m, Near *near, double variance)
 {
     double precision = 1.0 / (variance > m->least_variance ? variance : m->least_variance);
     double x = 0.0, y = 0.0, det = precision * precision;
-    float robust = m->robust, farthest = m->farthest_rates;
+    float robust = m->robust, farthest = m->farthest_rates, least = m->least_rate;
     float *restrict away = near->away, *restrict ax = near->ax, *restrict ay = near->ay;
     const float *restrict rate = near->rate;
     float *restrict depth = near->depth;
@@ -155,8 +155,10 @@ INLINE double offset(const Model *m, Near *near, double variance)
     for (int iteration = 0; iteration < (int)m->iterations; iteration++) {
         float xx = 0, xy = 0, yy = 0, bx = 0, by = 0, ex = x, ey = y;
         for (int64_t i = 0; i < n; i++) {
-            float at = depth[i] + gx[i] * ex + gy[i] * ey, read = sagging(at, rate[i], farthest);
-            float move = (at < rate[i] ? read / rate[i] : 1.0f) * root[i];
+            float at = depth[i] + gx[i] * ex + gy[i] * ey;
+            int sags = (rate[i] > least) & (at < rate[i]);  /* else a straight line */
+            float read = sags ? sagging(at, rate[i], farthest) : at;
+            float move = (sags ? read / rate[i] : 1.0f) * root[i];
             away[i] = (level[i] - read) * root[i];
             ax[i] = gx[i] * move;
             ay[i] = gy[i] * move;

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taxeld.arrays import Floats, Grid, Index
-from taxeld.model.sag import sagging
+from taxeld.model.sag import LEAST, sagging
 
 ITERATIONS = 2  # Gauss-Newton steps: taxels come into touch, and leave it, once
 HIDDEN = 1.5  # standard deviations of its offset by which a silent scan may be off
@@ -48,8 +48,9 @@ class Readings:
         x = y = np.zeros(len(rows))
         depth = self.depth
         for _ in range(ITERATIONS):
-            read = sagging(depth, self.rate)
-            move = np.where(depth < self.rate, read / self.rate, np.float32(1.0)) * self.root
+            sags = (self.rate > LEAST) & (depth < self.rate)  # else a straight line
+            read = np.where(sags, sagging(depth, self.rate), depth)
+            move = np.where(sags, read / self.rate, np.float32(1.0)) * self.root
             ax, ay = self.gx * move, self.gy * move
             off = (self.level - read) * self.root
             off = np.minimum(np.maximum(off, self.low), self.high)
