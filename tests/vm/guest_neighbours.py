@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgpack
@@ -218,7 +218,8 @@ def a_door_that_is_killed_again_and_again_is_back_and_costs_no_frame() -> str:
             with listening(STREAM) as member, listening(OVER_TCP) as over_tcp:
                 hear_without_gap(member)
                 hear_without_gap(over_tcp)
-                os.kill(door, signal.SIGKILL)
+                with suppress(ProcessLookupError):  # a machine this slow ends it for hanging, too
+                    os.kill(door, signal.SIGKILL)
                 VCAN0.wait_door(door)
     return f"{KILLS} times, {len(kept)} frames"
 
