@@ -17,6 +17,7 @@ from taxeld.skin.fit import Lesson, SkinFit
 from taxeld.skin.skin import Skin
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
+from tests.daemon.test_skin_state import begun
 
 TAXELS = 60
 NOISE = Noise(0.04, 0.17, sag_m=sag.LENGTH_M, sag_sd=sag.LENGTH_SD)
@@ -130,12 +131,15 @@ def test_touches_of_another_object_move_no_response_by_more_than_its_own_sd() ->
 
 
 def test_what_was_learned_outlasts_a_restart_and_an_old_baseline(skin: Layout) -> None:
-    config = SkinConfig()
-    subject, taught = Skin(skin, config, noise=NOISE), Taught()
-    state_of = SkinFit(len(skin), NOISE).values
-    state_of[0] *= 1.3
-    subject.fit.restore(state_of)
-    again = SkinFit(TAXELS, NOISE)
-    again.restore(taught.fit.values)
-    assert (again.values == taught.fit.values).all()
-    assert subject.fit.told()["gain"] == 1.0  # nothing is known better than before
+    _, subject = begun(skin)
+    learned = subject.fit.values
+    learned[0] *= 1.3
+    subject.fit.restore(learned)
+    state = subject.state()
+    assert state is not None
+    for learns in (True, False):
+        again = Skin(skin, SkinConfig(learn=learns), noise=NOISE)
+        again.restore(state, baseline=False)
+        assert not again.is_ready
+        assert np.allclose(again.fit.values[0], 1.3 if learns else 1.0)
+        assert (again.noise is not None) == learns

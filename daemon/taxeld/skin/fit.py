@@ -21,10 +21,10 @@ from taxeld.skin.calibration import Calibration
 STEP = 1e-3  # of depth, for the slope of a response
 LEAST_RISE = 0.2  # least slope of a response: a flatter one tells no depth
 ONSET_SD = 0.5  # sd of a taxel's onset before anything is learned
-WITHIN = 0.25  # share of the variance of readings that no knowledge of the curve explains
+WITHIN = 0.5  # share of the variance of readings that no knowledge of the curve explains
 KNOWN = 0.7  # share of the usual sd: a taxel whose gain is known better was learned
 LEAST_SD = 0.02  # least sd of a gain or onset
-GAIN_WITHIN = 0.05  # sd of a reading in proportion to it, however well the gain is known
+GAIN_WITHIN = 0.08  # sd of a reading in proportion to it, however well the gain is known
 OWN = 0.5  # share of the sag's variance that is the taxel's own; the rest is a press's
 ROBUST = 2.0  # standard deviations beyond which a reading teaches less (Huber 1964)
 LEAST = np.array([0.4, -0.9, np.log(2e-4)])  # least gain, onset, log length
