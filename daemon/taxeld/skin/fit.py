@@ -21,9 +21,12 @@ from taxeld.skin.calibration import Calibration
 STEP = 1e-3  # of depth, for the slope of a response
 LEAST_RISE = 0.2  # least slope of a response: a flatter one tells no depth
 ONSET_SD = 0.5  # sd of a taxel's onset before anything is learned
-WITHIN = 0.5  # share of the variance of readings that no knowledge of the curve explains
+WITHIN = 0.5  # share of the variance of readings in a lesson that no curve explains
 KNOWN = 0.7  # share of the usual sd: a taxel whose gain is known better was learned
 LEAST_SD = 0.02  # least sd of a gain or onset
+# sd of a known gain, for the filter: with 0.05 to 0.08 and less noise, 2 to 4 of 93 laps of a mug
+# had a silent failure
+GAIN_KNOWN = 0.13
 GAIN_WITHIN = 0.08  # sd of a reading in proportion to it, however well the gain is known
 OWN = 0.5  # share of the sag's variance that is the taxel's own; the rest is a press's
 ROBUST = 2.0  # standard deviations beyond which a reading teaches less (Huber 1964)
@@ -132,12 +135,11 @@ class SkinFit:
     def noise(self) -> Noise:
         """The errors of each taxel's readings about its curve, (M,)."""
         now, usual = self.fit.cov, self._noise
-        left = WITHIN + (1.0 - WITHIN) * now[1, 1] / self._usual[1]
         gain = np.square(usual.gain_cv) * now[0, 0] / self._usual[0]
         of_press = (1.0 - OWN) * sag.LENGTH_SD**2
         return Noise(
-            sigma=usual.sigma * np.sqrt(left),
-            gain_cv=np.maximum(np.sqrt(gain), np.minimum(GAIN_WITHIN, usual.gain_cv)),
+            sigma=usual.sigma,
+            gain_cv=np.maximum(np.sqrt(gain), np.minimum(GAIN_KNOWN, usual.gain_cv)),
             outliers=usual.outliers,
             sag_m=np.exp(self.fit.mean[2]),
             sag_sd=np.sqrt(now[2, 2] + of_press),
