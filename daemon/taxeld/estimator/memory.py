@@ -61,7 +61,7 @@ class Pressed(NamedTuple):
     """Depths (P,) that taxels about a press read, at the best offset of each row."""
 
     h: Grid  # share of full scale
-    more: Grid  # what they read more where the cover sags farther by a standard deviation
+    more: Grid  # how much more they read where the cover sags one sd farther
     by_sag: Grid  # slope of h over the logarithm of the sag's length
     added: Floats  # (rows,) what the integral over the offset adds to the log-likelihood
 
