@@ -9,11 +9,13 @@ from taxeld.arrays import Floats
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model import sag
+from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.response import Inverse, response
 from taxeld.model.sag import sagging
 from taxeld.proposals import bundle
-from taxeld.skin.fit import Lesson, SkinFit
+from taxeld.skin.calibration import Calibration
+from taxeld.skin.fit import SkinFit
 from taxeld.skin.skin import Skin
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.scenario import scenario
@@ -142,3 +144,38 @@ def test_what_was_learned_outlasts_a_restart_and_an_old_baseline(skin: Layout) -
         assert not again.is_ready
         assert np.allclose(again.fit.values[0], 1.3 if learns else 1.0)
         assert (again.noise is not None) == learns
+
+
+def test_what_was_learned_on_another_scale_is_not_taken(skin: Layout) -> None:
+    """A calibration that is configured after the state was written, or another full scale."""
+    _, subject = begun(skin)
+    state = subject.state()
+    assert state is not None
+    ones = np.ones(len(skin))
+    calibration = Calibration(
+        t=state.t - 60.0,
+        digest=subject.digest,
+        object="box",
+        presses=20,
+        full_scale_depth_m=0.005,
+        full_scale_counts=20_000.0,
+        full_scale_sd=0.01,
+        bend=0.05,
+        bend_sd=0.01,
+        mount=np.zeros(3),
+        mount_sd=np.zeros(3),
+        noise_sigma=0.03,
+        gain_cv=0.08,
+        gain=1.2 * ones,
+        gain_sd=0.05 * ones,
+        onset=0.3 * ones,
+        onset_sd=0.1 * ones,
+        noise_counts=30.0 * ones,
+        frozen=ones == 0.0,
+    )
+    calibrated = Skin(skin, SkinConfig(), calibration=calibration, noise=NOISE)
+    calibrated.restore(state)
+    assert np.allclose(calibrated.fit.values[0], 1.2)
+    stretched = Skin(skin, SkinConfig(full_scale_counts=30_000.0), noise=NOISE)
+    stretched.restore(replace(state, gain=1.3 * ones))
+    assert np.allclose(stretched.fit.values[0], 1.0)

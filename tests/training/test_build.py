@@ -119,7 +119,7 @@ def _sampler(info: dict[str, Any]) -> str:
 
 def test_trials_are_the_same_by_any_number_of_workers(built: Path, info: dict[str, Any]) -> None:
     skin = layouts.load(SKIN)
-    asked = touches.Asked("poor", 3, workers=1)
+    asked = touches.EndTrials("poor", 3, workers=1)
     assert touches.counted(built, skin, asked, lambda *_: None) == info["touches"]
 
 

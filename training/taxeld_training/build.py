@@ -32,7 +32,7 @@ def build(
     height_m: float,
     depth_m: float,
     given: Candidates,
-    asked: touches.Asked,
+    asked: touches.EndTrials,
     out: Path,
     progress: Progress,
 ) -> Path:

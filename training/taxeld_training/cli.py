@@ -48,7 +48,7 @@ def _build(args: argparse.Namespace) -> int:
     from taxeld_training.models.variants import diffusion, trained_with
     from taxeld_training.samplers.candidates import CONTACTS, TRAINING, VARIANTS, Candidates
 
-    full = {"effort": 1.0, "contacts": 300_000, "trials": touches.Asked.trials}
+    full = {"effort": 1.0, "contacts": 300_000, "trials": touches.EndTrials.trials}
     full |= {"bank": Candidates.bank, "readings": Candidates.readings}
     named = {name: getattr(args, name) for name in full if getattr(args, name) is not None}
     size = full | (QUICK if args.quick else {}) | named
@@ -60,7 +60,7 @@ def _build(args: argparse.Namespace) -> int:
         readings=int(size["readings"]),
         seed=args.seed,
     )
-    asked = touches.Asked(args.foam, int(size["trials"]), args.seed)
+    asked = touches.EndTrials(args.foam, int(size["trials"]), args.seed)
     depth_m, skin = _depth_m(args), layouts.load(args.layout)
     _doubt(args, meshes.load(meshes.find(args.object)[0]), skin)
     began_s, ended_s = time.monotonic(), dict[str, float]()

@@ -14,7 +14,6 @@ from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import injection
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.estimator.intake import Intake
-from taxeld.estimator.memory import Expected
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import News
 from taxeld.estimator.paper import Paper
@@ -22,6 +21,7 @@ from taxeld.estimator.rule import EstimatorCounters, Rule
 from taxeld.estimator.verdict import status
 from taxeld.model import se2
 from taxeld.model.activation import Activation
+from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 
@@ -96,7 +96,7 @@ class Estimator:
             self.unconsidered = observation
         return self.estimate
 
-    def taught(self, least: int) -> Expected | None:
+    def taught(self, least: int) -> Lesson | None:
         """Contacts that a sure belief has not told of yet, beside the depths that it expects; None
         where they are less than `least`."""
         number, rule = self.estimate.contacts, self.rule

@@ -19,6 +19,7 @@ from taxeld.estimator.anything import Anything
 from taxeld.estimator.compiled import Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.runs import HAZARD, Runs
+from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Nearby, Observation, ObservationModel
 from taxeld.model.sag import LEAST as LEAST_RATE
@@ -64,18 +65,6 @@ class Pressed(NamedTuple):
     more: Grid  # how much more they read where the cover sags one sd farther
     by_sag: Grid  # slope of h over the logarithm of the sag's length
     added: Floats  # (rows,) what the integral over the offset adds to the log-likelihood
-
-
-class Expected(NamedTuple):
-    """Readings of K contacts beside the depths that a belief expects, (K, M) each."""
-
-    number: NDArray[np.intp]  # (K,) of the contact
-    z: Floats
-    live: Bools
-    floor: Floats  # of readings of 0
-    h: Floats  # expected depth, share of full scale
-    by_sag: Floats  # its slope over the logarithm of the sag's length
-    variance: Floats  # of the depth about `h`, by pose, and of what earlier presses may have left
 
 
 class Silence(NamedTuple):
@@ -383,7 +372,7 @@ class Memory:
         more = np.minimum(sagging(depth, farther), 1.0) - h
         return Pressed(h, more, h * np.maximum(1.0 - depth / rate, 0.0), added)
 
-    def contacts_at(self, poses: Poses) -> "Expected":
+    def contacts_at(self, poses: Poses) -> Lesson:
         """The remembered contacts, and the depths expected of an object at equally likely poses
         (N, 3)."""
         scans, n, taxels = np.flatnonzero(self.contact), len(poses), len(self._model.layout)
@@ -402,7 +391,7 @@ class Memory:
         z, live = kept[Kept.Z].astype(np.float64), kept[Kept.LIVE] > 0.0
         floor = np.where(z > 0.0, 0.0, kept[Kept.LEVEL])
         added = square - h * h + kept[Kept.RESIDUE] ** 2
-        return Expected(self.number[scans], z, live, floor, h, mean(met.by_sag), added)
+        return Lesson(z, floor, h, mean(met.by_sag), added, live)
 
 
 def _and(values: NDArray[Number], last: float) -> NDArray[Number]:

@@ -11,10 +11,11 @@ from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, Hypotheses, summarise
 from taxeld.estimator.evidence import ModelEvidence
-from taxeld.estimator.memory import Expected, Memory, Prior, Slack
+from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
 from taxeld.estimator.verdict import judge
+from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.push import STRIDE, Push, assumed, changed, push
 from taxeld.model.symmetry import PoseMetric
@@ -151,7 +152,7 @@ class Mixture:
         self._judge(opinions=1)
         return len(samples)
 
-    def expected(self, after: int, /) -> Expected | None:
+    def expected(self, after: int, /) -> Lesson | None:
         told = self.memory.contact & (self.memory.number > after)
         memory = self.memory.only(told, prior=False)
         if not told.any():

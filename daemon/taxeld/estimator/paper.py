@@ -7,9 +7,10 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import Hypotheses
-from taxeld.estimator.memory import Expected, Memory
+from taxeld.estimator.memory import Memory
 from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
 from taxeld.estimator.verdict import judge
+from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.push import assumed, push
 from taxeld.model.symmetry import PoseMetric
@@ -79,7 +80,7 @@ class Paper:
             pf.roughen(self.belief, self._rng, self.metric.scale)
         return evidence
 
-    def expected(self, _after: int) -> Expected | None:
+    def expected(self, _after: int) -> Lesson | None:
         return None
 
     def revisit(self, draw: Draw) -> int:  # noqa: ARG002

@@ -9,10 +9,10 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
-from taxeld.estimator.memory import Expected
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.verdict import Verdict
 from taxeld.model import sag
+from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation
 
@@ -55,7 +55,7 @@ class Rule(Protocol):
         samples injected, and the scan's log evidence."""
         ...
 
-    def expected(self, after: int, /) -> Expected | None:
+    def expected(self, after: int, /) -> Lesson | None:
         """The remembered contacts after number `after`, and the depths that the belief expects of
         them; None where nothing is remembered."""
         ...

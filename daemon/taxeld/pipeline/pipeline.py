@@ -23,7 +23,6 @@ from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
 from taxeld.proposals.ladder import Ladder
 from taxeld.skin.calibration import Calibration
-from taxeld.skin.fit import Lesson
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
 from taxeld_protocol.decoder import Scan
@@ -232,10 +231,9 @@ class Pipeline:
 
     def _learn(self, least: int) -> None:
         """Have a sure belief teach the skin, once it can tell of so many contacts more."""
-        told = self.estimator.taught(least) if self._learns else None
-        if told is None:
-            return
-        self.skin.teach(Lesson(told.z, told.floor, told.h, told.by_sag, told.variance, told.live))
+        lesson = self.estimator.taught(least) if self._learns else None
+        if lesson is not None:
+            self.skin.teach(lesson)
 
     def _consider(self) -> bool:
         """Take a step of the check and a second opinion; → whether the estimate has changed."""

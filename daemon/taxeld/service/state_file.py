@@ -43,6 +43,7 @@ ARRAYS = {  # digits, least, most, whether nan is allowed (null in the file)
     "onset_sd": (4, 1e-4, 10.0, False),
     "log_sag_sd": (3, 1e-3, 10.0, False),
 }
+NUMBERS = "full_scale", "calibrated_t"
 OF_TAXELS = ("baseline", "noise", *RESPONSE)  # the others are of modules
 
 log = logging.getLogger(__name__)
@@ -51,6 +52,7 @@ log = logging.getLogger(__name__)
 def dump(state: SkinState) -> bytes:
     """As JSON, in one line."""
     data: dict[str, Any] = {"version": VERSION, "t": round(state.t, 3), "digest": state.digest}
+    data |= {name: getattr(state, name) for name in NUMBERS}
     for name, (digits, *_) in ARRAYS.items():
         values = np.round(getattr(state, name), digits).tolist()
         data[name] = [None if math.isnan(value) else value for value in values]
@@ -68,7 +70,9 @@ def parse(text: bytes, digest: str, taxels: int, modules: int) -> SkinState:
         if (data["version"], data["digest"]) == (VERSION, digest):
             sizes = {name: taxels if name in OF_TAXELS else modules for name in ARRAYS}
             arrays = {name: _array(data[name], name, size) for name, size in sizes.items()}
-            return SkinState(t=float(data["t"]), digest=digest, **arrays)
+            t, full_scale, calibrated_t = (float(data[name]) for name in ("t", *NUMBERS))
+            known: dict[str, Any] = {"full_scale": full_scale, "calibrated_t": calibrated_t}
+            return SkinState(t=t, digest=digest, **known | arrays)
     except (ValueError, TypeError, LookupError, OverflowError, RecursionError):
         raise ValueError("it is damaged") from None
     raise ValueError("it is of another skin or version")

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from taxeld.arrays import Bools, Floats
+from taxeld.arrays import Floats
 from taxeld.model import sag
+from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.response import deviation, response
 from taxeld.skin.calibration import Calibration
@@ -34,19 +35,7 @@ LEAST = np.array([0.4, -0.9, np.log(2e-4)])  # least gain, onset, log length
 MOST = np.array([2.5, 3.0, np.log(0.012)])
 
 
-class Lesson(NamedTuple):
-    """Readings of K contacts, and the depths at which a sure belief expects them, (K, M) each, in
-    shares of full scale."""
-
-    z: Floats  # by the curves in use; 0 under the floor
-    floor: Floats  # of readings of 0
-    h: Floats  # with sag
-    by_sag: Floats  # slope of h over the logarithm of the sag's length
-    variance: Floats  # of the depth about h
-    tells: Bools  # whether the taxel is live
-
-
-class Readings(NamedTuple):
+class LinearLesson(NamedTuple):
     """A lesson as linear readings about the curves in use."""
 
     off: Floats  # (K, M) reading less the expected; 0 where it tells nothing
@@ -61,7 +50,7 @@ class TaxelFit:
     mean: Floats  # (3, M) relative gain, onset, logarithm of the sag's length [m]
     cov: Floats  # (3, 3, M)
 
-    def learned(self, seen: Readings, about: "TaxelFit") -> "TaxelFit":
+    def learned(self, seen: LinearLesson, about: "TaxelFit") -> "TaxelFit":
         """After the readings, which are linear about another fit."""
         mean, cov = self.mean.copy(), self.cov.copy()
         for off, slope, variance in zip(
@@ -77,7 +66,7 @@ class TaxelFit:
             cov = cov - gain[:, None] * across[None]
         return replace(self, mean=mean, cov=cov)
 
-    def log_density(self, seen: Readings, about: "TaxelFit") -> float:
+    def log_density(self, seen: LinearLesson, about: "TaxelFit") -> float:
         """Of the readings, which are linear about another fit; each counts within bounds."""
         left = seen.off - np.einsum("ikm,im->km", seen.slope, self.mean - about.mean)
         spread = np.einsum("ikm,ijm,jkm->km", seen.slope, self.cov, seen.slope) + seen.variance
@@ -156,7 +145,7 @@ class SkinFit:
         self.fit, self._trial = base, base.learned(seen, about)
         return kept
 
-    def _read(self, lesson: Lesson) -> Readings:
+    def _read(self, lesson: Lesson) -> LinearLesson:
         """The lesson, linear about the curves in use."""
         z, h = lesson.z, np.clip(lesson.h, 0.0, 1.0)
         gain, onset, _ = self.fit.mean
@@ -170,4 +159,4 @@ class SkinFit:
         own = WITHIN * np.square(self._noise.sigma) + np.square(GAIN_WITHIN * h)
         of_press = (1.0 - OWN) * np.square(sag.LENGTH_SD * lesson.by_sag)
         variance = own / rise**2 + lesson.variance + of_press
-        return Readings(off, slope, np.where(lesson.tells & (felt | unfelt), variance, np.inf))
+        return LinearLesson(off, slope, np.where(lesson.live & (felt | unfelt), variance, np.inf))

@@ -15,6 +15,7 @@ from taxeld.arrays import Bools, Floats, Index
 from taxeld.config.tables import SkinConfig
 from taxeld.layout.layout import Layout
 from taxeld.model.activation import Activation
+from taxeld.model.lesson import Lesson
 from taxeld.model.noise import FLOOR, Noise
 from taxeld.model.response import Inverse
 from taxeld.skin import state as skin_state
@@ -22,7 +23,7 @@ from taxeld.skin.calibration import Calibration, Scale
 from taxeld.skin.capture import Idle
 from taxeld.skin.channels import Wired, Wiring
 from taxeld.skin.drift import Drift, Slice
-from taxeld.skin.fit import Lesson, SkinFit
+from taxeld.skin.fit import SkinFit
 from taxeld.skin.foam import Residue
 from taxeld.skin.rest import Rest
 from taxeld.skin.state import SkinState
@@ -83,7 +84,7 @@ class Skin:
         self.touched = False  # whether the last activation is a touch
         self.threshold: Floats = np.zeros(taxels)
         self.over: Floats = np.zeros(taxels)  # (M,) counts over baseline of the last activation
-        self._calibrated_t = -np.inf if calibration is None else calibration.t
+        self._calibrated_t = 0.0 if calibration is None else calibration.t
         self._silent_s = silent_s
         self._baseline_scans = baseline_scans
         self._scale = Scale.used(config.full_scale_counts, calibration)
@@ -187,9 +188,10 @@ class Skin:
         return activation
 
     def restore(self, state: SkinState, *, baseline: bool = True) -> None:
-        """Use a state from before a restart: the responses that were learned, unless a calibration
-        is newer, and the `baseline`, where the first scans confirm it."""
-        if self.config.learn and state.t > self._calibrated_t:
+        """Use a state from before a restart: the responses, where they were learned on the same
+        scale, and the `baseline`, where the first scans confirm it."""
+        of = state.full_scale, state.calibrated_t
+        if self.config.learn and of == (self._scale.full_scale_counts, self._calibrated_t):
             self.fit.restore(np.stack([getattr(state, name) for name in skin_state.RESPONSE]))
             self._use_fit()
         if not baseline:
@@ -212,6 +214,8 @@ class Skin:
             coefficient=temperature.coefficient.copy(),
             leak=temperature.leak.copy(),
             t0=temperature.level,
+            full_scale=self._scale.full_scale_counts,
+            calibrated_t=self._calibrated_t,
             **dict(zip(skin_state.RESPONSE, self.fit.values, strict=True)),
         )
 

@@ -28,6 +28,8 @@ class SkinState:
     coefficient: Floats  # (K,) counts of drift a count of T0
     leak: Floats  # (K,) counts of T0 a count of press: the part of a press that T0 reads
     t0: Floats  # (K,) counts, nan where there is none
+    full_scale: float  # counts at full depth of a gain of 1, to which the responses belong
+    calibrated_t: float  # time of the calibration from which they were learned; 0 without one
     gain: Floats  # (M,) of each taxel's response (`skin.fit`), and so on
     onset: Floats
     log_sag: Floats  # logarithm of its length [m]

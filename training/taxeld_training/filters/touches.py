@@ -32,7 +32,7 @@ Told = list[tuple[bool, bool]]  # found and sure, sure and wrong; of each touch 
 
 
 @dataclass(frozen=True)
-class Asked:
+class EndTrials:
     """The trials that a build ends with."""
 
     foam: str = "typical"
@@ -48,7 +48,7 @@ class Asked:
 
 
 def counted(
-    folder: Path, layout: Layout, asked: Asked, progress: Callable[[str, float], None]
+    folder: Path, layout: Layout, asked: EndTrials, progress: Callable[[str, float], None]
 ) -> dict[str, Any]:
     """Of the trials of the bundle in `folder`, how many had found their object and were sure of it
     after each touch, and how many were sure and wrong; by proposal. All meet the same touches."""
@@ -78,7 +78,7 @@ def counted(
     }
 
 
-def _played(folder: Path, layout: Layout, asked: Asked, seeds: range) -> dict[str, list[Told]]:
+def _played(folder: Path, layout: Layout, asked: EndTrials, seeds: range) -> dict[str, list[Told]]:
     """Trials of some seeds, by proposal: the daemon's first choice of samplers, and the table."""
     made = bundle.load(str(folder), layout)
     sampler = next(name for name in made.order if name not in ANALYTIC)
