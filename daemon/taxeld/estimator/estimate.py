@@ -74,6 +74,8 @@ class Estimate:
     p: float  # probability that it is this object and within `filter.within_m` of `map`
     radius_m: float  # if it is this object, it is farther from `map` with `filter.risk` at most
     hypotheses: Hypotheses
+    object: int  # number of the object that this estimate is of
+    objects: tuple[float, ...]  # (K,) probabilities of the known objects; the rest is something else
     ess: float
     particles: int
     injected: int  # samples injected by this scan

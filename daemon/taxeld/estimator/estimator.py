@@ -5,13 +5,15 @@ belief learn from them by the configured rule (`rule`), which also says how sure
 docs/estimator.md is the model behind these.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import injection
+from taxeld.estimator.bank import Bank, Known
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.mixture import Mixture
@@ -41,11 +43,13 @@ class Estimator:
         proposal: Proposal,
         config: FilterConfig,
         robot_m: float = SensorPoseConfig().sigma_m,
+        more: Sequence[Known] = (),
     ) -> None:
-        """`robot_m`: standard deviation of the sensor's place at a touch, in each direction."""
+        """`robot_m`: standard deviation of the sensor's place at a touch, in each direction.
+        `more`: further objects that it may be, on the same layout."""
         self.robot_m = robot_m
-        self.model = model
-        self.proposal = proposal
+        self.model = model  # of the first object
+        self.known = [Known(model, proposal), *more]
         self.config = config
         self.counters = EstimatorCounters()
         self.reset()
@@ -54,19 +58,28 @@ class Estimator:
         """Forget every contact; the random generator begins anew as well."""
         config, layout = self.config, self.model.layout
         rng = np.random.default_rng(config.seed)
-        self.rule = RULES[config.injection](self.model, config, self.robot_m, rng)
-        self.rule.counters = self.counters
+        begin = RULES[config.injection]
+        self.bank = Bank(
+            [begin(known.model, config, self.robot_m, rng) for known in self.known],
+            [partial(self._draw, known) for known in self.known],
+        )
         self._rng = rng
         self._kind = ProposalKind.NONE  # proposal of the last samples
         self._intake = Intake(self.model, self.counters)
         self._news = News(layout.radius_m)
         self._before: Observation | None = None
+        self._moved = 0.0  # probability in the last estimate that the object has moved
         self._taught = 0  # number of the last contact that `taught` has told of
         self.used: Observation | None = None  # the scan that the last call learned from
         self.unconsidered: Observation | None = (
             None  # the last scan, until `think`, if it told nothing
         )
         self.estimate = self._estimate(0.0)
+
+    @property
+    def rule(self) -> Rule:
+        """The belief about the likeliest object."""
+        return self.bank.rule
 
     def on_scan(self, activation: Activation, sensor: Poses) -> Estimate:
         """Take a scan's activations at the sensor's pose (3,) in the world, and think about it at
@@ -90,7 +103,7 @@ class Estimator:
             self.used = news.on_scan(self._intake.t, observation)
         if self.used is not None:
             self.counters.updates += 1
-            self._conclude(observation, *self.rule.learn(self.used, news.contacts, self._draw))
+            self._conclude(observation, *self.bank.learn(self.used, news.contacts))
         else:
             self._conclude(observation)
             self.unconsidered = observation
@@ -99,17 +112,17 @@ class Estimator:
     def taught(self, least: int) -> Lesson | None:
         """Contacts that a sure belief has not told of yet, beside the depths that it expects; None
         where they are less than `least`."""
-        number, rule = self.estimate.contacts, self.rule
+        number = self.estimate.contacts
         if self.estimate.status != Status.CONVERGED or number - self._taught < least:
             return None
-        found = rule.expected(self._taught)
+        found = self.bank.expected(self._taught)
         self._taught = number
         return found
 
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do."""
-        return self.unconsidered is not None and self.rule.is_open
+        return self.unconsidered is not None and self.bank.is_open
 
     def think(self) -> bool:
         """After a scan that told nothing new, take a second opinion about earlier contacts; →
@@ -117,7 +130,7 @@ class Estimator:
         observation, self.unconsidered = self.unconsidered, None
         if observation is None:
             return False
-        samples = self.rule.revisit(self._draw)
+        samples = self.bank.revisit()
         if samples:
             self.counters.thoughts += 1
             self._conclude(observation, samples)
@@ -129,7 +142,7 @@ class Estimator:
         if self.config.motion == "none" or before is None:
             return
         if before.is_contact and observation.is_contact:
-            self.rule.follow(before, observation)
+            self.bank.follow(before, observation)
 
     def _conclude(
         self, observation: Observation, injected: int = 0, log_evidence: float = 0.0
@@ -138,14 +151,14 @@ class Estimator:
         blind = self._is_blind(observation)
         self.estimate = self._estimate(self._intake.t, injected, log_evidence, blind=blind)
 
-    def _draw(self, observation: Observation, n: int) -> Poses:
+    def _draw(self, known: Known, observation: Observation, n: int) -> Poses:
         """At most n poses (≤ n, 3) in the world that explain an observation by itself."""
-        poses = self.proposal.propose(observation.z, observation.live, n, self._rng)
+        poses = known.proposal.propose(observation.z, observation.live, n, self._rng)
         poses = poses[np.isfinite(poses).all(axis=1)]
         if not len(poses):
             return poses
-        self._kind = ProposalKind[self.proposal.name.upper()]
-        poses = injection.project(self.model, poses)  # one step for samples that miss the object
+        self._kind = ProposalKind[known.proposal.name.upper()]
+        poses = injection.project(known.model, poses)  # one step for samples that miss the object
         return se2.compose(observation.sensor, poses)
 
     def _is_blind(self, observation: Observation) -> bool:
@@ -154,16 +167,20 @@ class Estimator:
             return False
         if not observation.live.any():
             return True
-        best = self.rule.verdict.summary.modes[0].pose
-        pressed = self.model.pressed_from(observation.sensor[None], best[None]).taxel
+        best = self.rule.place.summary.modes[0].pose
+        model = self.known[self.bank.best].model
+        pressed = model.pressed_from(observation.sensor[None], best[None]).taxel
         expected = self._news.contacts > 0 and len(pressed) > 0
         return expected and not bool(observation.live[pressed].any())
 
     def _estimate(
         self, t: float, injected: int = 0, log_evidence: float = 0.0, *, blind: bool = False
     ) -> Estimate:
-        verdict = self.rule.verdict
-        summary = verdict.summary
+        bank, before = self.bank, self._moved
+        verdict, modes = bank.verdict, bank.modes()
+        place, summary = verdict.place, verdict.place.summary
+        self._moved = verdict.hypotheses.moved
+        self.counters.forgotten += self._moved > 0.5 >= before
         return Estimate(
             t=t,
             status=status(verdict, self._news.contacts, blind=blind),
@@ -172,10 +189,12 @@ class Estimator:
             map=summary.modes[0].pose,
             mean=summary.mean,
             cov=summary.cov,
-            modes=summary.modes,
+            modes=modes,
             p=verdict.p,
-            radius_m=verdict.radius_m,
+            radius_m=place.radius_m,
             hypotheses=verdict.hypotheses,
+            object=bank.best,
+            objects=tuple(bank.objects.tolist()),
             ess=summary.ess,
             particles=summary.particles,
             injected=injected,

@@ -5,6 +5,9 @@ is believed, nobody knows where it is, and contacts are explained one by one; so
 else. Each hypothesis may hold since any step: before, it was this object.
 """
 
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 
 from taxeld.arrays import Floats
@@ -19,6 +22,28 @@ from taxeld.model.symmetry import PoseMetric
 FINE = np.array([0.004, 0.004, 0.06])  # m, m, rad: cells that measure the room that a belief takes
 OTHER = -1.0  # log odds of another object before anything is felt
 ALIKE = 3.0  # nats a contact after its first, by which another object explains itself better
+
+
+class Weighed(NamedTuple):
+    """Log evidence of one object, in relation to readings without it."""
+
+    found: float  # it is where the belief has it
+    gone: float  # it has moved since the newest step, and nobody knows where to
+    other: Floats  # (R − 1,) since each step but the newest it is something else
+    stood: float  # share of `found` in which it has stood since the first step
+    is_first: bool = False  # a contact alone does not tell this object from another
+
+    @property
+    def log_z(self) -> float:
+        """Log evidence of this object, wherever it is."""
+        return max(self.found, 0.0) if self.is_first else float(np.logaddexp(self.found, self.gone))
+
+    def fixed(self) -> "Weighed":
+        """The same without alternatives, for an object whose belief learns no more."""
+        return self._replace(other=np.empty(0))
+
+
+UNTOUCHED = Weighed(0.0, -np.inf, np.empty(0), 1.0)  # nothing speaks against the object
 
 
 class ModelEvidence:
@@ -44,25 +69,49 @@ class ModelEvidence:
         cells = pf.occupied(self._metric.reduced(belief.pose), self._cell)
         return support + float(np.log(cells)) - self._log_cells
 
-    def hypotheses(self, belief: Belief, runs: Runs) -> tuple[Hypotheses, float, float]:
-        """→ the hypotheses; the probability that the object is where the belief has it; and the log
-        evidence of this object, wherever it is."""
+    def weighed(self, belief: Belief, runs: Runs) -> Weighed:
+        """The evidence of a belief, and of what may be instead of it."""
         found, stood = self.of(belief, runs), _stood(belief, runs)
         other: Floats = runs.begun.copy()
         other[0] += OTHER
-        if (
-            np.count_nonzero(runs.touched) < 2 and not runs.is_known
-        ):  # a contact alone tells nothing
-            here = 1.0 / (1.0 + float(np.exp(OTHER)))
-            return Hypotheses(here, 0.0, 1.0 - here), here, max(found, 0.0)
         since = np.cumsum(runs.touched[::-1])[::-1]  # contacts since each step
         other += ALIKE * np.maximum(since - 1, 0)
-        # since the newest step nobody knows where this object is
-        log_weight = np.array([found, runs.begun[-1], *other[:-1]])
-        weight = np.exp(log_weight - log_weight.max())
-        here, gone, *others = (weight / weight.sum()).tolist()
-        stands, log_z = here * stood, float(np.logaddexp(found, runs.begun[-1]))
-        return Hypotheses(stands, here - stands + gone, sum(others)), here, log_z
+        if np.count_nonzero(runs.touched) < 2 and not runs.is_known:
+            return Weighed(found, -np.inf, np.array([OTHER]), stood, is_first=True)
+        return Weighed(found, float(runs.begun[-1]), other[:-1], stood)
+
+
+class Odds(NamedTuple):
+    """Probabilities of what was touched, with K objects that it may be."""
+
+    hypotheses: Hypotheses
+    here: Floats  # (K,) it is this object, where its belief has it
+    objects: Floats  # (K,) it is this object, wherever it is
+
+
+def odds(each: Sequence[Weighed]) -> Odds:
+    """Weigh K objects, equally likely before anything is felt, and something else."""
+    found, gone, stood = np.array([(w.found, w.gone, w.stood) for w in each]).T
+    apart = np.log(len(each))
+    other = [w.other for w in each if len(w.other)]
+    # something else since the first step has nothing to do with any object, so it counts once
+    first = max((float(one[0]) for one in other), default=-np.inf)
+    if any(w.is_first for w in each):
+        first += _log_sum(found) - apart
+    later = np.concatenate([one[1:] for one in other]) if other else np.empty(0)
+    log_weight = np.concatenate([found - apart, gone - apart, [first], later - apart])
+    weight = np.exp(log_weight - log_weight.max())
+    weight /= weight.sum()
+    here, away = weight[: len(each)], weight[len(each) : 2 * len(each)]
+    stands = float(here @ stood)
+    moved = float(here.sum() - stands + away.sum())
+    left = Hypotheses(stands, moved, float(weight[2 * len(each) :].sum()))
+    return Odds(left, here, here + away)
+
+
+def _log_sum(values: Floats) -> float:
+    top = float(values.max())
+    return top + float(np.log(np.exp(values - top).sum()))
 
 
 def _stood(belief: Belief, runs: Runs) -> float:

@@ -18,7 +18,7 @@ from taxeld.arrays import Bools, Floats, Grid, Poses
 from taxeld.estimator.anything import Anything
 from taxeld.estimator.compiled import Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
-from taxeld.estimator.runs import HAZARD, Runs
+from taxeld.estimator.runs import HAZARD, SWAPPED, Runs
 from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Nearby, Observation, ObservationModel
@@ -290,6 +290,16 @@ class Memory:
         """An empty memory of the same model and slack, with what was known before."""
         made = copy.copy(self)
         made._forget(prior)
+        return made
+
+    def adopted(self, other: "Memory") -> "Memory":
+        """A memory for this object of the scans that another object's has, and of their slack."""
+        made = copy.copy(self)
+        made._forget(None)
+        for name in ("_sensor", "_kept", "number", "newest", "pressed", "anything", "_untouched"):
+            setattr(made, name, getattr(other, name))
+        made.slack = other.slack
+        made.before = {step: log_z + SWAPPED for step, log_z in other.before.items()}
         return made
 
     def slack_m(self, k: int) -> float:

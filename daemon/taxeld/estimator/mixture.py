@@ -9,12 +9,12 @@ from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
-from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, Hypotheses, summarise
-from taxeld.estimator.evidence import ModelEvidence
+from taxeld.estimator.estimate import MODE_RADIUS_M, SURE, summarise
+from taxeld.estimator.evidence import UNTOUCHED, ModelEvidence, odds
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
-from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
-from taxeld.estimator.verdict import judge
+from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
+from taxeld.estimator.verdict import placed
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.push import STRIDE, Push, assumed, changed, push
@@ -29,6 +29,7 @@ SCALES = np.array([0.0, 0.5, 1.0, 2.0])  # candidate factors on the configured s
 EXPECTING = 32  # poses by which a belief tells what it expects
 SLACK_NATS = 1.0  # nats of evidence needed to change the slack
 REVISITS = 3  # second opinions after a contact, at most
+OPINIONS = 2  # contacts with whose samples an object begins that was ruled out before
 AGREED = 2  # opinions in a row that leave a sure belief in place are enough
 MISSED = 0.02  # probability, until then, that no particle is where the object is
 
@@ -49,13 +50,14 @@ class Mixture:
         self.memory = Memory(model, noise_of(config), slack=slack)
         self.belief = anew(config, rng)
         self.metric = PoseMetric(model.scene)
-        self.log_z = 0.0  # log evidence of this object, in relation to readings without it
+        self.log_z = 0.0  # log evidence of all that is remembered, in relation to readings alone
         self._scale = self.metric.scale
         self._evidence = ModelEvidence(model, self.metric)
-        self.verdict = judge(self.belief, self.metric, config, Hypotheses(), 1.0)
-        self.counters = EstimatorCounters()
+        self.place = placed(self.belief, self.metric, config)
+        self.weighed = UNTOUCHED
+        self.share = 1.0
         self.push: Push = push
-        self._here = 1.0  # probability that the object is where the belief has it
+        self._stands = 1.0  # probability that this object has stood, were it the only one known
         self._revisits = 0  # second opinions since the last contact
         self._agreed = 0  # opinions in a row that left a sure belief in place
         self._fitted = 0  # number of the contact after which the slack was fitted
@@ -85,7 +87,7 @@ class Mixture:
         prior = Prior(metric, pose, belief.weight, modes, self._evidence.log_volume)
         self.memory, self.log_z = self.memory.anew(prior), 0.0
         belief.remembered = self.memory.explain(pose)
-        self.verdict = judge(belief, metric, self._config, self.verdict.hypotheses, self._here)
+        self.place = placed(belief, metric, self._config)
 
     def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
         samples = drawn(draw, observation, self._wanted())
@@ -152,6 +154,23 @@ class Mixture:
         self._judge(opinions=1)
         return len(samples)
 
+    def adopt(self, memory: Memory, draw: Draw) -> int:
+        """Begin with the scans that another object's `memory` has; → the number of samples used."""
+        self.memory = self.memory.adopted(memory)
+        self.belief, self._revisits, self._agreed = anew(self._config, self._rng), 0, 0
+        contacts, used = np.flatnonzero(self.memory.contact)[::-1], 0
+        for scan in contacts[:: max(len(contacts) // OPINIONS, 1)][:OPINIONS].tolist():
+            samples = drawn(draw, self.memory.scan(scan), self._config.injected)
+            if not len(samples):
+                continue
+            opinion = self._opinion(samples, scan)
+            self._become(self._merged(opinion) if used else opinion, moves=MOVES)
+            used += len(samples)
+        if not used:
+            self.belief.remembered = self.memory.explain(self.belief.pose)
+        self._judge(opinions=0)
+        return used
+
     def expected(self, after: int, /) -> Lesson | None:
         told = self.memory.contact & (self.memory.number > after)
         memory = self.memory.only(told, prior=False)
@@ -163,24 +182,25 @@ class Mixture:
     def _wanted(self) -> int:
         """Number of samples: as configured, and more while the belief is wide or unlikely."""
         config = self._config
-        unlikely = self.verdict.hypotheses.stands < 0.5
-        size = config.particles_max if unlikely else len(self.belief)
+        size = self._most if self._stands < 0.5 else len(self.belief)
         return round(config.injected * max(size / config.particles, 1.0))
 
     def _judge(self, opinions: int) -> None:
         """Weigh the hypotheses, and find how sure the belief is, after so many opinions more."""
-        belief, before = self.belief, self.verdict.summary.modes[0].pose
-        hypotheses, self._here = Hypotheses(), 1.0
+        belief, before = self.belief, self.place.summary.modes[0].pose
+        self.weighed = UNTOUCHED
         if len(self.memory):
-            weighed = self._evidence.hypotheses(belief, self.memory.runs)
-            hypotheses, self._here, self.log_z = weighed
-        self.counters.forgotten += hypotheses.moved > 0.5 >= self.verdict.hypotheses.moved
-        verdict = judge(belief, self.metric, self._config, hypotheses, self._here)
-        apart = self.metric.distance(before, verdict.summary.modes[0].pose)
-        stays = verdict.p >= SURE and apart < MODE_RADIUS_M * self._scale
+            self.weighed = self._evidence.weighed(belief, self.memory.runs)
+            self.log_z = self.weighed.log_z
+        alone = odds([self.weighed])
+        self._stands = alone.hypotheses.stands
+        place = placed(belief, self.metric, self._config)
+        apart = self.metric.distance(before, place.summary.modes[0].pose)
+        is_sure = float(alone.here[0]) * place.within >= SURE
+        stays = is_sure and apart < MODE_RADIUS_M * self._scale
         self._agreed = self._agreed + opinions if stays else 0
         searched = 1.0 if self._agreed >= AGREED else 1.0 - MISSED
-        self.verdict = replace(verdict, p=searched * verdict.p)
+        self.place = replace(place, within=searched * place.within)
 
     def _fit_slack(self) -> None:
         """Fit the slack to the evidence: contacts that agree exactly are believed exactly, others
@@ -272,13 +292,18 @@ class Mixture:
 
     def _size(self, belief: Belief) -> int:
         config = self._config
-        if config.particles_max <= config.particles:
+        if self._most <= config.particles:
             return config.particles
         drawn = pf.resample(belief, config.particles, self._rng)
         wanted = pf.enough(
             pf.occupied(self.metric.reduced(drawn.pose), pf.CELL * [self._scale, self._scale, 1.0])
         )
-        return min(max(wanted, config.particles), config.particles_max)
+        return min(max(wanted, config.particles), self._most)
+
+    @property
+    def _most(self) -> int:
+        """Particles at most: an unlikely object takes fewer."""
+        return max(round(self.share * self._config.particles_max), self._config.particles)
 
     def _keep_to_size(self) -> None:
         """Forget the scans that are too many: the oldest of the contact with the most scans,

@@ -6,10 +6,10 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import injection
 from taxeld.estimator import particles as pf
-from taxeld.estimator.estimate import Hypotheses
+from taxeld.estimator.evidence import UNTOUCHED
 from taxeld.estimator.memory import Memory
-from taxeld.estimator.rule import PUSHED_M, Draw, EstimatorCounters, anew, drawn, noise_of
-from taxeld.estimator.verdict import judge
+from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
+from taxeld.estimator.verdict import placed
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.push import assumed, push
@@ -32,8 +32,8 @@ class Paper:
         self._nothing = Memory(model, noise_of(config))
         self.belief = anew(config, rng)
         self.metric = PoseMetric(model.scene)
+        self.weighed, self.share = UNTOUCHED, 1.0  # the paper knows no other hypothesis
         self._judge()
-        self.counters = EstimatorCounters()
 
     @property
     def is_open(self) -> bool:
@@ -88,8 +88,7 @@ class Paper:
         return 0
 
     def _judge(self) -> None:
-        """The paper knows no other hypothesis."""
-        self.verdict = judge(self.belief, self.metric, self._config, Hypotheses(), 1.0)
+        self.place = placed(self.belief, self.metric, self._config)
 
     def _wanted(self, contacts: int) -> int:
         """Number of samples. It falls with each contact to nothing: the paper's algorithm sets no

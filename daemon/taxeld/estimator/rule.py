@@ -10,11 +10,13 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.particles import Belief
-from taxeld.estimator.verdict import Verdict
+from taxeld.estimator.evidence import Weighed
+from taxeld.estimator.verdict import Place
 from taxeld.model import sag
 from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Observation
+from taxeld.model.symmetry import PoseMetric
 
 Draw = Callable[[Observation, int], Poses]
 """Poses (≤ n, 3) in the world that explain an observation by itself."""
@@ -38,8 +40,10 @@ class Rule(Protocol):
     """A belief, how it learns, and how reliable it is."""
 
     belief: Belief
-    verdict: Verdict
-    counters: EstimatorCounters
+    metric: PoseMetric
+    place: Place
+    weighed: Weighed
+    share: float  # probability of its object among those that it may be
 
     @property
     def is_open(self) -> bool:

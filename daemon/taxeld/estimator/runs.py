@@ -13,6 +13,7 @@ import numpy as np
 from taxeld.arrays import Bools, Floats
 
 HAZARD = 2e-3  # probability that the object moved between two contacts
+SWAPPED = float(np.log(0.1))  # log share of the moves in which another known object took its place
 MEANINGLESS = 1e-3  # probability that a contact has nothing to do with the object
 
 

@@ -14,20 +14,29 @@ UNMODELLED_M = 0.002  # sd of the pose beside the belief's own: robot, foam and 
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """The belief in short, and how sure it is."""
+class Place:
+    """Where a belief has its object."""
 
     summary: Summary
-    p: float
-    radius_m: float
+    within: float  # probability that it is within `filter.within_m` of the heaviest mode
+    radius_m: float  # it is farther with probability `filter.risk` at most
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The published object's place, and how sure it is."""
+
+    place: Place
+    here: float  # probability that it is this object, where the belief has it
     hypotheses: Hypotheses
 
+    @property
+    def p(self) -> float:
+        return self.here * self.place.within
 
-def judge(
-    belief: Belief, metric: PoseMetric, config: FilterConfig, hypotheses: Hypotheses, here: float
-) -> Verdict:
-    """`here`: probability that the belief has the object at all: it is this object, and has not
-    just moved to nobody knows where."""
+
+def placed(belief: Belief, metric: PoseMetric, config: FilterConfig) -> Place:
+    """The place of an object that is where its belief has it."""
     summary = summarise(belief, metric)
     off = metric.distance(belief.pose, summary.modes[0].pose)
     weight = belief.weight
@@ -35,8 +44,7 @@ def judge(
     tail = float(np.sqrt(-np.log(config.risk)))  # of a Gaussian in the plane, in root-mean-squares
     spread_m = np.hypot(np.sqrt(weight @ off**2), UNMODELLED_M)
     radius_m = max(float(off.max()) + tail * UNMODELLED_M, tail * float(spread_m))
-    p = here * float(weight @ within)
-    return Verdict(summary, p, radius_m, hypotheses)
+    return Place(summary, float(weight @ within), radius_m)
 
 
 def status(verdict: Verdict, contacts: int, *, blind: bool = False) -> Status:
@@ -51,5 +59,5 @@ def status(verdict: Verdict, contacts: int, *, blind: bool = False) -> Status:
     stands, moved, other = verdict.hypotheses
     if stands < max(moved, other):
         return Status.INCONSISTENT
-    weak = verdict.summary.modes[0].weight < SEARCHING_WEIGHT
+    weak = verdict.place.summary.modes[0].weight < SEARCHING_WEIGHT
     return Status.SEARCHING if weak else Status.AMBIGUOUS

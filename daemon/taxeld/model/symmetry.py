@@ -24,6 +24,7 @@ class Mode:
     pose: Poses  # (3,) its mean
     weight: float
     members: NDArray[np.intp]
+    object: int = 0  # number of its object, of those that it may be
 
 
 class PoseMetric:
