@@ -6,14 +6,14 @@ explains the contacts, those that were ruled out are tried again on all that is 
 time, while there is nothing else to do.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taxeld.arrays import Floats
 from taxeld.estimator.estimate import MODES_MAX
-from taxeld.estimator.evidence import Odds, Weighed, odds
+from taxeld.estimator.evidence import Odds, odds
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.rule import Draw, Rule
 from taxeld.estimator.runs import SWAPPED
@@ -23,8 +23,10 @@ from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import Mode
 
-RULED_OUT = 1e-4  # probability below which an object learns no more
-DOUBTED = 0.01  # probability from which an object is given second opinions
+FOLLOWED = 2  # objects that learn from every scan
+LATER_MAX = 64  # scans that an object may have to learn later
+RULED_OUT = 1e-4  # probability below which an object is not tried after each contact
+DOUBTED = 0.01  # probability from which an object has modes, and is given second opinions
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,25 +40,25 @@ class Known:
 class Bank:
     """Beliefs about K objects, by the same rule."""
 
-    def __init__(self, rules: Sequence[Rule], draws: Sequence[Draw]) -> None:
-        self.rules = list(rules)
-        self._draws = draws
-        self._asleep: dict[int, Weighed] = {}  # ruled out, with the evidence that they had
-        self._due: list[int] = []  # ruled out, and to be tried again
-        self._contact = 0  # number of the contact after which that was decided
-        self.best = 0
+    def __init__(self, rules: Sequence[Rule], draws: Sequence[Draw], first: int = 0) -> None:
+        """`first`: the object that is followed until something is touched."""
+        self.rules, self._draws = list(rules), draws
+        self._followed = [first]
+        self._ruled_out: set[int] = set()
+        self._due: list[int] = []  # to be tried on what is remembered, the likeliest first
+        self._known = np.zeros(len(rules))  # log evidence of the best when an object was tried
+        self._later: list[list[tuple[Observation, int]]] = [[] for _ in rules]  # not learned yet
+        self._contact = 0  # number of the last contact
+        self._mixtures = [rule for rule in rules if isinstance(rule, Mixture)]
+        for rule in self._mixtures:
+            rule.memory.reader = self._mixtures[0].memory.reader
+        self.best = first
         self._weigh()
 
     @property
     def rule(self) -> Rule:
         """The rule of the likeliest object."""
         return self.rules[self.best]
-
-    @property
-    def awake(self) -> list[int]:
-        """Objects that learn, the likeliest first."""
-        left = [k for k in range(len(self.rules)) if k not in self._asleep]
-        return sorted(left, key=lambda k: -self.odds.objects[k])
 
     @property
     def objects(self) -> Floats:
@@ -73,9 +75,10 @@ class Bank:
         if len(self.rules) == 1:
             return own
         share = self.objects / self.objects.sum()
+        others = (k for k in range(len(share)) if k != self.best and self.objects[k] >= DOUBTED)
         every = [
             replace(mode, weight=float(share[k]) * mode.weight, object=k)
-            for k in self.awake
+            for k in (self.best, *others)
             for mode in self.rules[k].place.summary.modes
         ]
         rest = sorted(every[len(own) :], key=lambda mode: -mode.weight)
@@ -83,20 +86,32 @@ class Bank:
 
     def follow(self, before: Observation, after: Observation) -> None:
         """Move the beliefs with an object that is pushed from one scan to the next."""
-        for k in self.awake:
+        for k in self._followed:
             self.rules[k].follow(before, after)
 
     def learn(self, observation: Observation, contacts: int) -> tuple[int, float]:
         """As `Rule.learn`; the log evidence is of the object that was the likeliest before."""
-        injected, evidence, best = 0, 0.0, self.best
-        for k in self.awake:
+        injected, evidence = 0, 0.0
+        known, is_new = self.rule.weighed.log_z, observation.is_contact and contacts > self._contact
+        if self._contact:
+            for k in self._by_odds():
+                if k not in {*self._followed, *self._ruled_out}:
+                    self._later[k] = [*self._later[k], (observation, contacts)][-LATER_MAX:]
+        for k in self._followed:
             samples, told = self.rules[k].learn(observation, contacts, self._draws[k])
             injected += samples
-            evidence = told if k == best else evidence
-        self._weigh()
-        if len(self.rules) > 1 and observation.is_contact and contacts > 1:
-            self._rule_out()
-            self._ask(contacts)
+            evidence = told if k == self.best else evidence
+        if len(self.rules) > 1 and is_new:
+            self._contact = contacts
+            passed = {*self._followed, *self._ruled_out}
+            left = [k for k in self._by_odds() if k not in passed]
+            self._known[[k for k in left if k not in self._due]] = known
+            self._due = left
+            self._weigh()
+            if self._is_doubted:
+                self._due += sorted(self._ruled_out)
+        else:
+            self._weigh()
         return injected, evidence
 
     def expected(self, after: int) -> Lesson | None:
@@ -104,64 +119,72 @@ class Bank:
         return self.rule.expected(after)
 
     @property
+    def is_behind(self) -> bool:
+        """Whether a likely object has not been tried since the last contact."""
+        return any(k not in self._ruled_out for k in self._due)
+
+    @property
     def is_open(self) -> bool:
         """Whether `revisit` may find anything."""
         return bool(self._due) or self._opens() is not None
 
     def revisit(self) -> int:
-        """Try an object again that was ruled out, or take a second opinion; → the number of samples
+        """Try an object that is not followed, or take a second opinion; → the number of samples
         used."""
         samples = 0
         if self._due:
-            samples = self._try_again(self._due.pop(0))
+            samples = self._try(self._due.pop(0))
         elif (k := self._opens()) is not None:
             samples = self.rules[k].revisit(self._draws[k])
         if samples:
             self._weigh()
         return samples
 
+    @property
+    def _is_doubted(self) -> bool:
+        """Whether no likely object explains the contacts."""
+        return self._contact > 1 and self.odds.hypotheses.stands < 0.5
+
+    def _by_odds(self) -> list[int]:
+        """All objects, the likeliest first."""
+        return sorted(range(len(self.rules)), key=lambda k: -self.objects[k])
+
     def _opens(self) -> int | None:
-        """The likeliest object whose belief is open to a second opinion."""
-        likely = (k for k in self.awake if k == self.best or self.objects[k] >= DOUBTED)
+        """The likeliest followed object whose belief is open to a second opinion."""
+        likely = (k for k in self._followed if k == self.best or self.objects[k] >= DOUBTED)
         return next((k for k in likely if self.rules[k].is_open), None)
 
+    def _try(self, k: int) -> int:
+        """Have an object explain the scans that it has not learned from; → the number of samples
+        used."""
+        rule, later = self._mixtures[k], self._later[k]
+        self._later[k] = []
+        if k in self._ruled_out or not later:
+            return rule.adopt(self._mixtures[self.best].memory, self._draws[k])
+        return sum(rule.learn(*scan, self._draws[k])[0] for scan in later)
+
     def _weigh(self) -> None:
-        """Find how likely each object is, and tell the rules."""
-        each = [self._asleep.get(k, rule.weighed) for k, rule in enumerate(self.rules)]
+        """Find how likely each object is, which ones to follow, and which are ruled out."""
+        best, untried = self.rules[self.best].weighed, set(self._due) - self._ruled_out
+        # an object that is yet to be tried is as likely as it was, in relation to the best
+        each = [
+            rule.weighed.shifted(best, self._known[k]) if k in untried else rule.weighed
+            for k, rule in enumerate(self.rules)
+        ]
+        if self._contact == 0:
+            each = [best] * len(each)
         self.odds: Odds = odds(each)
         if len(each) == 1:
             return
-        left = [k for k in range(len(each)) if k not in self._asleep]
-        self.best = max(left, key=lambda k: self.objects[k])
+        tried = [k for k in self._by_odds() if k not in untried]
+        if self._contact:
+            self._followed, self.best = tried[:FOLLOWED], tried[0]
+        if self._contact > 1:
+            self._ruled_out = {k for k in tried[1:] if self.objects[k] < RULED_OUT}
+            self._followed = [k for k in self._followed if k not in self._ruled_out]
         any_known = float(np.logaddexp.reduce([one.log_z for one in each])) - np.log(len(each))
         share = self.objects / self.objects.sum()
-        for k in left:
-            rule = self.rules[k]
+        for k, rule in enumerate(self._mixtures):
             rule.share = float(share[k])
-            if isinstance(rule, Mixture):  # another object may have been here before
-                rule.log_z = float(np.logaddexp(rule.weighed.log_z, any_known + SWAPPED))
-
-    def _rule_out(self) -> None:
-        for k in self.awake:
-            if k != self.best and self.objects[k] < RULED_OUT:
-                self._asleep[k] = self.rules[k].weighed.fixed()
-
-    def _ask(self, contact: int) -> None:
-        """Have objects tried again that were ruled out, if no known one explains this contact."""
-        if contact == self._contact:
-            return
-        self._contact = contact
-        doubted = self.odds.hypotheses.stands < 0.5
-        self._due = [k for k in self._asleep if doubted or self.objects[k] >= DOUBTED]
-
-    def _try_again(self, k: int) -> int:
-        rule, likeliest = self.rules[k], self.rule
-        if not isinstance(rule, Mixture) or not isinstance(likeliest, Mixture):
-            return 0
-        samples = rule.adopt(likeliest.memory, self._draws[k])
-        if samples:
-            kept = self._asleep.pop(k)
-            self._weigh()
-            if k != self.best and self.objects[k] < RULED_OUT:
-                self._asleep[k] = kept._replace(found=rule.weighed.found, gone=rule.weighed.gone)
-        return samples
+            if k not in untried:  # another object may have been here before
+                rule.log_z = float(np.logaddexp(each[k].log_z, any_known + SWAPPED))

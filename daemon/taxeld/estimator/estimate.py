@@ -75,7 +75,7 @@ class Estimate:
     radius_m: float  # if it is this object, it is farther from `map` with `filter.risk` at most
     hypotheses: Hypotheses
     object: int  # number of the object that this estimate is of
-    objects: tuple[float, ...]  # (K,) probabilities of the known objects; the rest is something else
+    objects: tuple[float, ...]  # (K,) probabilities of the known objects; the rest: none of them
     ess: float
     particles: int
     injected: int  # samples injected by this scan

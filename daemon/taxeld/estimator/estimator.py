@@ -62,6 +62,7 @@ class Estimator:
         self.bank = Bank(
             [begin(known.model, config, self.robot_m, rng) for known in self.known],
             [partial(self._draw, known) for known in self.known],
+            first=max(range(len(self.known)), key=self._size_m),
         )
         self._rng = rng
         self._kind = ProposalKind.NONE  # proposal of the last samples
@@ -86,6 +87,8 @@ class Estimator:
         once; never raises."""
         self.learn(activation, sensor)
         self.think()
+        while self.bank.is_behind:
+            self.think()
         return self.estimate
 
     def learn(self, activation: Activation, sensor: Poses) -> Estimate:
@@ -97,6 +100,7 @@ class Estimator:
         if observation is None:
             self.estimate = self._estimate(max(self.estimate.t, self._intake.t))
             return self.estimate
+        self._newest = observation
         self._follow(observation)
         news = self._news
         if observation.live.any():
@@ -122,18 +126,18 @@ class Estimator:
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do."""
-        return self.unconsidered is not None and self.bank.is_open
+        return self.bank.is_behind or (self.unconsidered is not None and self.bank.is_open)
 
     def think(self) -> bool:
         """After a scan that told nothing new, take a second opinion about earlier contacts; →
         whether the estimate has changed."""
         observation, self.unconsidered = self.unconsidered, None
-        if observation is None:
+        if observation is None and not self.bank.is_behind:
             return False
         samples = self.bank.revisit()
         if samples:
             self.counters.thoughts += 1
-            self._conclude(observation, samples)
+            self._conclude(observation or self._newest, samples)
         return samples > 0
 
     def _follow(self, observation: Observation) -> None:
@@ -160,6 +164,10 @@ class Estimator:
         self._kind = ProposalKind[known.proposal.name.upper()]
         poses = injection.project(known.model, poses)  # one step for samples that miss the object
         return se2.compose(observation.sensor, poses)
+
+    def _size_m(self, k: int) -> float:
+        """The size of an object: the largest one is not where the skin met nothing."""
+        return self.known[k].model.scene.size
 
     def _is_blind(self, observation: Observation) -> bool:
         """Whether no taxel is live, or none of the taxels that the best pose presses."""

@@ -38,9 +38,11 @@ class Weighed(NamedTuple):
         """Log evidence of this object, wherever it is."""
         return max(self.found, 0.0) if self.is_first else float(np.logaddexp(self.found, self.gone))
 
-    def fixed(self) -> "Weighed":
-        """The same without alternatives, for an object whose belief learns no more."""
-        return self._replace(other=np.empty(0))
+    def shifted(self, best: "Weighed", known: float) -> "Weighed":
+        """This evidence as long as the newest contact is not weighed for this object: the best
+        object's log evidence was `known` before it."""
+        by = best.log_z - known
+        return best._replace(found=self.found + by, gone=self.gone + by, other=np.empty(0))
 
 
 UNTOUCHED = Weighed(0.0, -np.inf, np.empty(0), 1.0)  # nothing speaks against the object

@@ -8,16 +8,15 @@ remembered beside contacts: where the skin met nothing, the object is not.
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from taxeld.arrays import Bools, Floats, Grid, Poses
-from taxeld.estimator.anything import Anything
 from taxeld.estimator.compiled import Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
+from taxeld.estimator.reader import Kept, Reader
 from taxeld.estimator.runs import HAZARD, SWAPPED, Runs
 from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
@@ -28,34 +27,8 @@ from taxeld.model.symmetry import Mode, PoseMetric
 
 Number = TypeVar("Number", np.intp, np.float64)
 
-FAR = 1e30  # standard deviations: no bound
 LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
 FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
-
-
-class Kept(IntEnum):
-    """Fields kept for each reading."""
-
-    Z = 0
-    LEVEL = 1  # the reading, or the floor where it is 0
-    ROOT = 2  # 1 / standard deviation of the reading, 0 where not live
-    SILENT = 3  # log p(z | h = 0)
-    SIGMA2 = 4  # variance of the reading at rest, with what earlier presses may have left
-    GAIN2 = 5  # variance of the gain
-    SAG = 6  # length of the cover's sag beside the taxel [m]
-    MOST = 7  # the same, one standard deviation more
-    RESIDUE = 8
-    LOW = 9  # lower bound on the reading's excess over the expected [standard deviations]
-    HIGH = 10  # upper bound on the reading's excess over the expected [standard deviations]
-    LIVE = 11
-
-
-class Told(NamedTuple):
-    """The evidence of one scan, whatever the pose."""
-
-    kept: Grid  # (FIELDS, M)
-    untouched: float  # log p(scan | nothing is pressed)
-    pressed: int  # number of pressed taxels
 
 
 class Pressed(NamedTuple):
@@ -65,16 +38,6 @@ class Pressed(NamedTuple):
     more: Grid  # how much more they read where the cover sags one sd farther
     by_sag: Grid  # slope of h over the logarithm of the sag's length
     added: Floats  # (rows,) what the integral over the offset adds to the log-likelihood
-
-
-class Silence(NamedTuple):
-    """The evidence of a silent scan, kept for others with the same taxels and floors."""
-
-    live: Bools
-    floor: Floats
-    residue: Floats
-    noise: Noise
-    told: Told
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +103,7 @@ class Memory:
         self._noise = noise
         self.slack = slack or Slack()
         self._compiled = compiled(model, noise)
-        self._anything = Anything(model, noise)
-        self._silence: Silence | None = None  # the last silent scan
+        self.reader = Reader(model, noise)  # the same for all objects on one skin
         self._forget(prior)
 
     def _forget(self, prior: Prior | None) -> None:
@@ -215,8 +177,7 @@ class Memory:
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
         """A memory of one scan more, of contact `number`, or a silent scan after that contact.
         `log_z`: log evidence of all that is remembered so far."""
-        told = self._told(observation)
-        anything = self._anything.log_density(observation) if told.pressed else told.untouched
+        told = self.reader.read(observation)
         made = copy.copy(self)
         made._runs = made._for_c = None
         made._kept = np.concatenate([self._kept, told.kept[:, None]], axis=1)
@@ -224,49 +185,10 @@ class Memory:
         made.number = _and(self.number, number)
         made.newest = max(self.newest, number)
         made.pressed = _and(self.pressed, told.pressed)
-        made.anything = _and(self.anything, anything)
+        made.anything = _and(self.anything, told.anything)
         made._untouched = _and(self._untouched, told.untouched)
         made.before = {number + (not told.pressed): log_z} | self.before
         return made
-
-    def _told(self, observation: Observation) -> Told:
-        z, live, before = observation.z, observation.live, self._silence
-        floor = np.broadcast_to(observation.floor, len(z))
-        residue = np.broadcast_to(observation.residue, len(z))
-        noise = observation.noise or self._noise
-        if observation.is_contact:
-            return self._read(z, live, floor, residue, noise)
-        now = live, floor, residue
-        if (
-            before is None
-            or before.noise is not noise
-            or not all(map(np.array_equal, now, before[:3]))
-        ):
-            told = self._read(z, live, floor, residue, noise)
-            now = live.copy(), floor.copy(), residue.copy()
-            before = self._silence = Silence(*now, noise, told)
-        return before.told
-
-    def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats, noise: Noise) -> Told:
-        """Evidence of activations z, live, floor and residue, each (M,)."""
-        pressed = z > 0.0
-        count = int(np.count_nonzero(z))
-        density = noise.log_density(z, np.zeros_like(z), floor, residue) * live
-        fields = np.empty((len(Kept), len(z)), np.float32)
-        fields[Kept.Z] = z
-        fields[Kept.LEVEL] = np.where(pressed, z, floor)
-        fields[Kept.RESIDUE] = residue
-        fields[Kept.ROOT] = live / np.sqrt(noise.variance(z) + residue**2)
-        fields[Kept.SIGMA2] = np.square(noise.sigma) + residue**2
-        fields[Kept.GAIN2] = np.square(noise.gain_cv)
-        fields[Kept.SAG] = noise.sag_m
-        fields[Kept.MOST] = noise.sag_m * np.exp(noise.sag_sd)
-        fields[Kept.SILENT] = density
-        fields[Kept.LOW] = np.where(z < 1.0, -FAR, 0.0)
-        fields[Kept.HIGH] = np.where(pressed, FAR, 0.0)
-        fields[Kept.LIVE] = live
-        untouched = float(fields[Kept.SILENT].sum(dtype=np.float64))
-        return Told(fields, untouched, count)
 
     def scan(self, k: int) -> Observation:
         """The k-th scan as an observation."""
@@ -299,7 +221,8 @@ class Memory:
         for name in ("_sensor", "_kept", "number", "newest", "pressed", "anything", "_untouched"):
             setattr(made, name, getattr(other, name))
         made.slack = other.slack
-        made.before = {step: log_z + SWAPPED for step, log_z in other.before.items()}
+        first = min(other.before, default=0)
+        made.before = {k: z + SWAPPED * (k > first) for k, z in other.before.items()}
         return made
 
     def slack_m(self, k: int) -> float:

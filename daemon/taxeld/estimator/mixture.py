@@ -14,7 +14,7 @@ from taxeld.estimator.evidence import UNTOUCHED, ModelEvidence, odds
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
-from taxeld.estimator.verdict import placed
+from taxeld.estimator.verdict import Place, placed
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.push import STRIDE, Push, assumed, changed, push
@@ -53,7 +53,8 @@ class Mixture:
         self.log_z = 0.0  # log evidence of all that is remembered, in relation to readings alone
         self._scale = self.metric.scale
         self._evidence = ModelEvidence(model, self.metric)
-        self.place = placed(self.belief, self.metric, config)
+        self._place: Place | None = None  # of the present belief
+        self._before = placed(self.belief, self.metric, config)  # the last one asked for
         self.weighed = UNTOUCHED
         self.share = 1.0
         self.push: Push = push
@@ -87,15 +88,16 @@ class Mixture:
         prior = Prior(metric, pose, belief.weight, modes, self._evidence.log_volume)
         self.memory, self.log_z = self.memory.anew(prior), 0.0
         belief.remembered = self.memory.explain(pose)
-        self.place = placed(belief, metric, self._config)
+        self._place = None
 
     def learn(self, observation: Observation, contacts: int, draw: Draw) -> tuple[int, float]:
         samples = drawn(draw, observation, self._wanted())
         log_evidence = self._update(observation, samples, contacts)
         if log_evidence is None:
             return 0, 0.0
-        # silence that the belief expected changes no verdict
-        if len(samples) or abs(log_evidence) > 1.0 - SURE:
+        # silence that the belief expected changes no verdict, and before a touch there is none
+        is_felt = bool(self.memory.contact.any()) or self.memory.prior is not None
+        if len(samples) or (is_felt and abs(log_evidence) > 1.0 - SURE):
             self._judge(opinions=int(len(samples) > 0))
         return len(samples), log_evidence
 
@@ -187,20 +189,33 @@ class Mixture:
 
     def _judge(self, opinions: int) -> None:
         """Weigh the hypotheses, and find how sure the belief is, after so many opinions more."""
-        belief, before = self.belief, self.place.summary.modes[0].pose
         self.weighed = UNTOUCHED
         if len(self.memory):
-            self.weighed = self._evidence.weighed(belief, self.memory.runs)
+            self.weighed = self._evidence.weighed(self.belief, self.memory.runs)
             self.log_z = self.weighed.log_z
         alone = odds([self.weighed])
-        self._stands = alone.hypotheses.stands
-        place = placed(belief, self.metric, self._config)
-        apart = self.metric.distance(before, place.summary.modes[0].pose)
-        is_sure = float(alone.here[0]) * place.within >= SURE
+        self._stands, self._place = alone.hypotheses.stands, None
+        if not (opinions or self._agreed):
+            return
+        before, now = self._before, placed(self.belief, self.metric, self._config)
+        apart = self.metric.distance(before.summary.modes[0].pose, now.summary.modes[0].pose)
+        is_sure = float(alone.here[0]) * now.within >= SURE
         stays = is_sure and apart < MODE_RADIUS_M * self._scale
         self._agreed = self._agreed + opinions if stays else 0
+        self._place = self._before = self._searched(now)
+
+    def _searched(self, place: Place) -> Place:
+        """The place with the probability that no particle is where the object is."""
         searched = 1.0 if self._agreed >= AGREED else 1.0 - MISSED
-        self.place = replace(place, within=searched * place.within)
+        return replace(place, within=searched * place.within)
+
+    @property
+    def place(self) -> Place:
+        """Where the belief has the object."""
+        if self._place is None:
+            found = placed(self.belief, self.metric, self._config)
+            self._place = self._before = self._searched(found)
+        return self._place
 
     def _fit_slack(self) -> None:
         """Fit the slack to the evidence: contacts that agree exactly are believed exactly, others

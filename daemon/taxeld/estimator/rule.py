@@ -9,8 +9,8 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
-from taxeld.estimator.particles import Belief
 from taxeld.estimator.evidence import Weighed
+from taxeld.estimator.particles import Belief
 from taxeld.estimator.verdict import Place
 from taxeld.model import sag
 from taxeld.model.lesson import Lesson
@@ -41,9 +41,13 @@ class Rule(Protocol):
 
     belief: Belief
     metric: PoseMetric
-    place: Place
     weighed: Weighed
     share: float  # probability of its object among those that it may be
+
+    @property
+    def place(self) -> Place:
+        """Where the belief has its object."""
+        ...
 
     @property
     def is_open(self) -> bool:
