@@ -8,7 +8,7 @@ import pytest
 from taxeld.arrays import Poses
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import Hypotheses
-from taxeld.estimator.evidence import ModelEvidence
+from taxeld.estimator.evidence import ModelEvidence, odds
 from taxeld.estimator.memory import Memory
 from taxeld.model import contacts, se2
 from taxeld.model.noise import Noise
@@ -45,7 +45,9 @@ class Felt:
         """The hypotheses of a narrow belief about a pose."""
         spread = np.random.default_rng(0).standard_normal((200, 3)) * (5e-4, 5e-4, 5e-3)
         belief = pf.equal(at + spread, self.memory.explain(at + spread))
-        return self.evidence.hypotheses(belief, self.memory.runs)
+        weighed = self.evidence.weighed(belief, self.memory.runs)
+        hypotheses, here, _ = odds([weighed])
+        return hypotheses, float(here[0]), weighed.log_z
 
 
 @pytest.fixture

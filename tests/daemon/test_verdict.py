@@ -7,7 +7,7 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
 from taxeld.estimator.estimate import Hypotheses, Status
-from taxeld.estimator.verdict import UNMODELLED_M, Verdict, judge, status
+from taxeld.estimator.verdict import UNMODELLED_M, Place, Verdict, placed, status
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 
@@ -28,7 +28,7 @@ def verdict(
     poses[: round(1000 * share), 0] += apart_m
     belief = pf.equal(poses, np.empty((1000, 0)))
     config = FilterConfig(**keys)  # type: ignore[arg-type]
-    return judge(belief, PoseMetric(model.scene), config, hypotheses, here)
+    return Verdict(placed(belief, PoseMetric(model.scene), config), here, hypotheses)
 
 
 def around(n: int) -> Poses:
@@ -48,8 +48,8 @@ def test_equivalent_poses_are_near_each_other(box_model: ObservationModel) -> No
     poses = around(1000)
     poses[::2, 2] += np.pi
     config, metric = FilterConfig(), PoseMetric(box_model.scene)
-    found = judge(pf.equal(poses, np.empty((1000, 0))), metric, config, SURE, 1.0)
-    assert found.p > 0.995
+    found = placed(pf.equal(poses, np.empty((1000, 0))), metric, config)
+    assert found.within > 0.995
     assert found.radius_m < 0.01
 
 
@@ -68,7 +68,7 @@ def test_the_radius_holds_every_particle_and_grows_as_less_is_risked(
 ) -> None:
     risks = (0.5, 0.1, 1e-3, 1e-6)
     for share in (0.0, 0.01):
-        radii = [verdict(box_model, share=share, risk=risk).radius_m for risk in risks]
+        radii = [verdict(box_model, share=share, risk=risk).place.radius_m for risk in risks]
         assert (np.diff(radii) > 0.0).all()
         assert min(radii) > UNMODELLED_M
         assert min(radii) > 0.09 * (share > 0.0)
@@ -93,7 +93,7 @@ def test_status(
     box_model: ObservationModel, hypotheses: Hypotheses, p: float, expected: Status
 ) -> None:
     made = verdict(box_model, hypotheses=hypotheses)
-    made = Verdict(made.summary, p, made.radius_m, hypotheses)
+    made = Verdict(Place(made.place.summary, p, made.place.radius_m), 1.0, hypotheses)
     assert status(made, 3) is expected
     assert status(made, 0) is Status.SEARCHING
     assert status(made, 3, blind=True) is Status.BLIND
@@ -102,5 +102,5 @@ def test_status(
 def test_while_no_place_has_much_weight_it_searches(box_model: ObservationModel) -> None:
     poses = np.random.default_rng(0).uniform(-0.5, 0.5, (1000, 3))
     belief = pf.equal(poses, np.empty((1000, 0)))
-    made = judge(belief, PoseMetric(box_model.scene), FilterConfig(), STANDS, 1.0)
+    made = Verdict(placed(belief, PoseMetric(box_model.scene), FilterConfig()), 1.0, STANDS)
     assert status(made, 2) is Status.SEARCHING

@@ -44,8 +44,8 @@ class Bank:
         """`first`: the object that is followed until something is touched."""
         self.rules, self._draws = list(rules), draws
         self._followed = [first]
-        self._ruled_out: set[int] = set()
-        self._due: list[int] = []  # to be tried on what is remembered, the likeliest first
+        self.ruled_out: set[int] = set()
+        self.due: list[int] = []  # to be tried on what is remembered, the likeliest first
         self._known = np.zeros(len(rules))  # log evidence of the best when an object was tried
         self._later: list[list[tuple[Observation, int]]] = [[] for _ in rules]  # not learned yet
         self._contact = 0  # number of the last contact
@@ -95,7 +95,7 @@ class Bank:
         known, is_new = self.rule.weighed.log_z, observation.is_contact and contacts > self._contact
         if self._contact:
             for k in self._by_odds():
-                if k not in {*self._followed, *self._ruled_out}:
+                if k not in {*self._followed, *self.ruled_out}:
                     self._later[k] = [*self._later[k], (observation, contacts)][-LATER_MAX:]
         for k in self._followed:
             samples, told = self.rules[k].learn(observation, contacts, self._draws[k])
@@ -103,13 +103,13 @@ class Bank:
             evidence = told if k == self.best else evidence
         if len(self.rules) > 1 and is_new:
             self._contact = contacts
-            passed = {*self._followed, *self._ruled_out}
+            passed = {*self._followed, *self.ruled_out}
             left = [k for k in self._by_odds() if k not in passed]
-            self._known[[k for k in left if k not in self._due]] = known
-            self._due = left
+            self._known[[k for k in left if k not in self.due]] = known
+            self.due = left
             self._weigh()
             if self._is_doubted:
-                self._due += sorted(self._ruled_out)
+                self.due += sorted(self.ruled_out)
         else:
             self._weigh()
         return injected, evidence
@@ -121,19 +121,19 @@ class Bank:
     @property
     def is_behind(self) -> bool:
         """Whether a likely object has not been tried since the last contact."""
-        return any(k not in self._ruled_out for k in self._due)
+        return any(k not in self.ruled_out for k in self.due)
 
     @property
     def is_open(self) -> bool:
         """Whether `revisit` may find anything."""
-        return bool(self._due) or self._opens() is not None
+        return bool(self.due) or self._opens() is not None
 
     def revisit(self) -> int:
         """Try an object that is not followed, or take a second opinion; → the number of samples
         used."""
         samples = 0
-        if self._due:
-            samples = self._try(self._due.pop(0))
+        if self.due:
+            samples = self._try(self.due.pop(0))
         elif (k := self._opens()) is not None:
             samples = self.rules[k].revisit(self._draws[k])
         if samples:
@@ -159,13 +159,13 @@ class Bank:
         used."""
         rule, later = self._mixtures[k], self._later[k]
         self._later[k] = []
-        if k in self._ruled_out or not later:
+        if k in self.ruled_out or not later:
             return rule.adopt(self._mixtures[self.best].memory, self._draws[k])
         return sum(rule.learn(*scan, self._draws[k])[0] for scan in later)
 
     def _weigh(self) -> None:
         """Find how likely each object is, which ones to follow, and which are ruled out."""
-        best, untried = self.rules[self.best].weighed, set(self._due) - self._ruled_out
+        best, untried = self.rules[self.best].weighed, set(self.due) - self.ruled_out
         # an object that is yet to be tried is as likely as it was, in relation to the best
         each = [
             rule.weighed.shifted(best, self._known[k]) if k in untried else rule.weighed
@@ -180,8 +180,8 @@ class Bank:
         if self._contact:
             self._followed, self.best = tried[:FOLLOWED], tried[0]
         if self._contact > 1:
-            self._ruled_out = {k for k in tried[1:] if self.objects[k] < RULED_OUT}
-            self._followed = [k for k in self._followed if k not in self._ruled_out]
+            self.ruled_out = {k for k in tried[1:] if self.objects[k] < RULED_OUT}
+            self._followed = [k for k in self._followed if k not in self.ruled_out]
         any_known = float(np.logaddexp.reduce([one.log_z for one in each])) - np.log(len(each))
         share = self.objects / self.objects.sum()
         for k, rule in enumerate(self._mixtures):

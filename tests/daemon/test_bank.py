@@ -1,0 +1,138 @@
+"""Which of several known objects is felt, or none of them."""
+
+import numpy as np
+import pytest
+
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.bank import FOLLOWED, Known
+from taxeld.estimator.estimate import SURE, Estimate, Status
+from taxeld.estimator.estimator import Estimator
+from taxeld.layout.layout import Layout
+from taxeld.model.observation import ObservationModel
+from taxeld.model.scene import CONTINUOUS
+from taxeld.proposals.analytic import Table
+from tests.rig.pressed_box import World
+from tests.rig.scenes import Distance, box, disc, scene_of
+
+SIDES = (0.2, 1.3, 2.9, 4.5, 3.6, 5.2)
+SHAPES = [(box(0.03, 0.05), 2), (disc(0.04), CONTINUOUS), (box(0.06, 0.06), 4)]
+UNKNOWN = box(0.02, 0.1), 2
+
+
+def model_of(shape: Distance, symmetry: int, skin: Layout) -> ObservationModel:
+    return ObservationModel(scene_of(shape, skin, symmetry=symmetry), skin, 0.005)
+
+
+@pytest.fixture(scope="module")
+def known(skin: Layout) -> list[Known]:
+    models = [model_of(*shape, skin) for shape in SHAPES]
+    return [Known(model, Table(model, 4000)) for model in models]
+
+
+def several(known: list[Known]) -> Estimator:
+    first, *more = known
+    return Estimator(first.model, first.proposal, FilterConfig(), more=more)
+
+
+def press(subject: Estimator, world: World, sides: tuple[float, ...] = SIDES) -> list[Estimate]:
+    return [world.press(subject, side) for side in sides]
+
+
+@pytest.mark.parametrize("touched", range(len(SHAPES)))
+def test_the_touched_object_is_named_and_found(known: list[Known], touched: int) -> None:
+    subject, world = several(known), World(known[touched].model)
+    press(subject, world)
+    found = subject.estimate
+    assert found.object == touched
+    assert found.objects[touched] > SURE
+    assert found.status is Status.CONVERGED
+    assert subject.rule.metric.distance(found.map, world.truth) < 0.005
+
+
+def test_probabilities_of_objects_and_of_none_are_one_in_all(known: list[Known]) -> None:
+    subject, world = several(known), World(known[1].model)
+    for estimate in [subject.estimate, *press(subject, world)]:
+        stands, moved, other = estimate.hypotheses
+        assert sum(estimate.objects) == pytest.approx(stands + moved)
+        assert sum(estimate.objects) + other == pytest.approx(1.0)
+        assert min(estimate.objects) >= 0.0
+
+
+def test_before_a_touch_all_objects_are_alike(known: list[Known]) -> None:
+    subject = several(known)
+    assert np.ptp(subject.estimate.objects) == pytest.approx(0.0)
+    assert subject.estimate.status is Status.SEARCHING
+
+
+def test_an_object_that_is_none_of_them_is_said_to_be_other(
+    known: list[Known], skin: Layout
+) -> None:
+    subject = several(known)
+    told = press(subject, World(model_of(*UNKNOWN, skin)))
+    assert told[-1].hypotheses.other > 0.9
+    assert told[-1].status is Status.INCONSISTENT
+    assert all(estimate.p < SURE for estimate in told)
+
+
+def test_an_object_in_the_place_of_another_is_named(known: list[Known]) -> None:
+    """It was ruled out before, and comes back with what is remembered."""
+    subject, world = several(known), World(known[0].model)
+    press(subject, world)
+    assert subject.bank.ruled_out == {1, 2}
+    after = World(known[2].model)
+    after.t = world.t + 1.0
+    press(subject, after)
+    assert subject.estimate.object == 2
+    assert subject.estimate.objects[2] > 0.95
+    assert subject.rule.metric.distance(subject.estimate.map, world.truth) < 0.005
+
+
+def test_an_object_that_is_ruled_out_costs_nothing(
+    known: list[Known], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subject, world = several(known), World(known[0].model)
+    press(subject, world)
+    asked: list[int] = []
+    for k, rule in enumerate(subject.bank.rules):
+        monkeypatch.setattr(rule, "learn", _counted(rule.learn, asked, k))
+        monkeypatch.setattr(rule, "revisit", _counted(rule.revisit, asked, k))
+        monkeypatch.setattr(rule, "adopt", _counted(rule.adopt, asked, k))  # type: ignore[attr-defined]
+    press(subject, world)
+    assert set(asked) == {0}
+
+
+def test_a_touch_is_learned_by_a_few_objects_at_once(known: list[Known]) -> None:
+    """The others learn of it while there is nothing else to do, and nobody is sure before."""
+    subject, world = several(known), World(known[2].model)
+    press(subject, world, SIDES[:1])
+    learn, before = subject.learn, subject.estimate
+    subject.on_scan = learn  # type: ignore[method-assign]
+    world.press(subject, SIDES[1])
+    assert subject.bank.is_behind
+    behind = len(known) - FOLLOWED
+    now = subject.estimate
+    left = [k for k in range(len(known)) if k in subject.bank.due]
+    assert len(left) == behind
+    assert now.objects[left[0]] / max(now.objects) == pytest.approx(
+        before.objects[left[0]] / max(before.objects), rel=0.5
+    )
+    while subject.bank.is_behind:
+        assert subject.has_thought
+        assert subject.think()
+    assert not subject.bank.due
+
+
+def test_modes_are_of_the_named_object_first(known: list[Known]) -> None:
+    subject, world = several(known), World(known[1].model)
+    for estimate in press(subject, world):
+        assert estimate.modes[0].object == estimate.object
+        assert np.allclose(estimate.map, estimate.modes[0].pose)
+        assert sum(mode.weight for mode in estimate.modes) <= 1.0 + 1e-9
+
+
+def _counted(method, asked: list[int], k: int):  # type: ignore[no-untyped-def]
+    def counted(*given):  # type: ignore[no-untyped-def]
+        asked.append(k)
+        return method(*given)
+
+    return counted
