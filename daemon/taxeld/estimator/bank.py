@@ -6,18 +6,18 @@ explains the contacts, those that were ruled out are tried again on all that is 
 time, while there is nothing else to do.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from taxeld.arrays import Floats
-from taxeld.estimator.estimate import MODES_MAX
+from taxeld.estimator.estimate import MODES_MAX, Target
 from taxeld.estimator.evidence import Odds, odds
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.rule import Draw, Rule
 from taxeld.estimator.runs import SWAPPED
-from taxeld.estimator.verdict import Verdict
+from taxeld.estimator.verdict import Verdict, status
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
@@ -48,7 +48,7 @@ class Bank:
         self.due: list[int] = []  # to be tried on what is remembered, the likeliest first
         self._known = np.zeros(len(rules))  # log evidence of the best when an object was tried
         self._later: list[list[tuple[Observation, int]]] = [[] for _ in rules]  # not learned yet
-        self._contact = 0  # number of the last contact
+        self._contact = self._touches = 0  # number of the last contact, and how many there were
         self._mixtures = [rule for rule in rules if isinstance(rule, Mixture)]
         for rule in self._mixtures:
             rule.memory.reader = self._mixtures[0].memory.reader
@@ -75,14 +75,52 @@ class Bank:
         if len(self.rules) == 1:
             return own
         share = self.objects / self.objects.sum()
-        others = (k for k in range(len(share)) if k != self.best and self.objects[k] >= DOUBTED)
         every = [
             replace(mode, weight=float(share[k]) * mode.weight, object=k)
-            for k in (self.best, *others)
+            for k in self.likely
             for mode in self.rules[k].place.summary.modes
         ]
         rest = sorted(every[len(own) :], key=lambda mode: -mode.weight)
         return (*every[: len(own)], *rest)[:MODES_MAX]
+
+    def target(self) -> Target:
+        """The object that this bank is of, in short."""
+        verdict, summary = self.verdict, self.rule.place.summary
+        return Target(
+            object=self.best,
+            objects=tuple(self.objects.tolist()),
+            status=status(verdict, self._touches),
+            contacts=self._touches,
+            p=verdict.p,
+            radius_m=verdict.place.radius_m,
+            map=summary.modes[0].pose,
+            mean=summary.mean,
+            cov=summary.cov,
+        )
+
+    def expectation(self, observation: Observation, number: int) -> float:
+        """Log-likelihood of a contact of this number by the likely objects, in relation to readings
+        without an object."""
+        likely = self.likely
+        told = [self._mixtures[k].expectation(observation, number) for k in likely]
+        share = self.objects[likely] / self.objects[likely].sum()
+        return float(np.logaddexp.reduce(np.array(told) + np.log(share)))
+
+    def searched(
+        self, scans: Sequence[tuple[Observation, int]], objects: Sequence[int]
+    ) -> Iterator[tuple[Floats, Floats]]:
+        """Poses of objects that explain some of the contacts in `scans`, a contact at a time: as
+        `Mixture.explained`. This bank must be new."""
+        for k in objects:
+            rule = self._mixtures[k]
+            rule.search(scans)
+            for scan in np.flatnonzero(rule.memory.contact).tolist():
+                yield rule.explained(scan, self._draws[k])
+
+    @property
+    def likely(self) -> list[int]:
+        """The likeliest object, and others that are not much less likely."""
+        return [k for k in self._by_odds() if k == self.best or self.objects[k] >= DOUBTED]
 
     def follow(self, before: Observation, after: Observation) -> None:
         """Move the beliefs with an object that is pushed from one scan to the next."""
@@ -93,7 +131,7 @@ class Bank:
         """As `Rule.learn`; the log evidence is of the object that was the likeliest before."""
         injected, evidence = 0, 0.0
         known, is_new = self.rule.weighed.log_z, observation.is_contact and contacts > self._contact
-        if self._contact:
+        if self._touches:
             for k in self._by_odds():
                 if k not in {*self._followed, *self.ruled_out}:
                     self._later[k] = [*self._later[k], (observation, contacts)][-LATER_MAX:]
@@ -101,8 +139,9 @@ class Bank:
             samples, told = self.rules[k].learn(observation, contacts, self._draws[k])
             injected += samples
             evidence = told if k == self.best else evidence
-        if len(self.rules) > 1 and is_new:
+        if is_new:
             self._contact = contacts
+            self._touches += 1
             passed = {*self._followed, *self.ruled_out}
             left = [k for k in self._by_odds() if k not in passed]
             self._known[[k for k in left if k not in self.due]] = known
@@ -143,7 +182,7 @@ class Bank:
     @property
     def _is_doubted(self) -> bool:
         """Whether no likely object explains the contacts."""
-        return self._contact > 1 and self.odds.hypotheses.stands < 0.5
+        return self._touches > 1 and self.odds.hypotheses.stands < 0.5
 
     def _by_odds(self) -> list[int]:
         """All objects, the likeliest first."""
@@ -151,7 +190,7 @@ class Bank:
 
     def _opens(self) -> int | None:
         """The likeliest followed object whose belief is open to a second opinion."""
-        likely = (k for k in self._followed if k == self.best or self.objects[k] >= DOUBTED)
+        likely = (k for k in self.likely if k in self._followed)
         return next((k for k in likely if self.rules[k].is_open), None)
 
     def _try(self, k: int) -> int:
@@ -171,15 +210,15 @@ class Bank:
             rule.weighed.shifted(best, self._known[k]) if k in untried else rule.weighed
             for k, rule in enumerate(self.rules)
         ]
-        if self._contact == 0:
+        if not self._touches:
             each = [best] * len(each)
         self.odds: Odds = odds(each)
         if len(each) == 1:
             return
         tried = [k for k in self._by_odds() if k not in untried]
-        if self._contact:
+        if self._touches:
             self._followed, self.best = tried[:FOLLOWED], tried[0]
-        if self._contact > 1:
+        if self._touches > 1:
             self.ruled_out = {k for k in tried[1:] if self.objects[k] < RULED_OUT}
             self._followed = [k for k in self._followed if k not in self.ruled_out]
         any_known = float(np.logaddexp.reduce([one.log_z for one in each])) - np.log(len(each))

@@ -20,6 +20,7 @@ from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.news import News
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.rule import EstimatorCounters, Rule
+from taxeld.estimator.targets import Targets
 from taxeld.estimator.verdict import status
 from taxeld.model import se2
 from taxeld.model.activation import Activation
@@ -44,10 +45,12 @@ class Estimator:
         config: FilterConfig,
         robot_m: float = SensorPoseConfig().sigma_m,
         more: Sequence[Known] = (),
+        most: int = 1,
     ) -> None:
         """`robot_m`: standard deviation of the sensor's place at a touch, in each direction.
-        `more`: further objects that it may be, on the same layout."""
-        self.robot_m = robot_m
+        `more`: further objects that it may be, on the same layout. `most`: objects that may be there at
+        once."""
+        self.robot_m, self.most = robot_m, most
         self.model = model  # of the first object
         self.known = [Known(model, proposal), *more]
         self.config = config
@@ -59,11 +62,15 @@ class Estimator:
         config, layout = self.config, self.model.layout
         rng = np.random.default_rng(config.seed)
         begin = RULES[config.injection]
-        self.bank = Bank(
-            [begin(known.model, config, self.robot_m, rng) for known in self.known],
-            [partial(self._draw, known) for known in self.known],
-            first=max(range(len(self.known)), key=self._size_m),
-        )
+
+        def bank() -> Bank:
+            return Bank(
+                [begin(known.model, config, self.robot_m, rng) for known in self.known],
+                [partial(self._draw, known) for known in self.known],
+                first=max(range(len(self.known)), key=self._size_m),
+            )
+
+        self.targets = Targets(bank, self.most)
         self._rng = rng
         self._kind = ProposalKind.NONE  # proposal of the last samples
         self._intake = Intake(self.model, self.counters)
@@ -78,6 +85,11 @@ class Estimator:
         self.estimate = self._estimate(0.0)
 
     @property
+    def bank(self) -> Bank:
+        """The beliefs about the target that was touched first."""
+        return self.targets.banks[0]
+
+    @property
     def rule(self) -> Rule:
         """The belief about the likeliest object."""
         return self.bank.rule
@@ -87,7 +99,7 @@ class Estimator:
         once; never raises."""
         self.learn(activation, sensor)
         self.think()
-        while self.bank.is_behind:
+        while self.is_behind:
             self.think()
         return self.estimate
 
@@ -107,7 +119,7 @@ class Estimator:
             self.used = news.on_scan(self._intake.t, observation)
         if self.used is not None:
             self.counters.updates += 1
-            self._conclude(observation, *self.bank.learn(self.used, news.contacts))
+            self._conclude(observation, *self.targets.learn(self.used, news.contacts))
         else:
             self._conclude(observation)
             self.unconsidered = observation
@@ -124,17 +136,22 @@ class Estimator:
         return found
 
     @property
+    def is_behind(self) -> bool:
+        """Whether `think` has work that the last touch has left."""
+        return self.targets.is_behind
+
+    @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do."""
-        return self.bank.is_behind or (self.unconsidered is not None and self.bank.is_open)
+        return self.is_behind or (self.unconsidered is not None and self.targets.is_open)
 
     def think(self) -> bool:
         """After a scan that told nothing new, take a second opinion about earlier contacts; →
         whether the estimate has changed."""
         observation, self.unconsidered = self.unconsidered, None
-        if observation is None and not self.bank.is_behind:
+        if observation is None and not self.is_behind:
             return False
-        samples = self.bank.revisit()
+        samples = self.targets.revisit()
         if samples:
             self.counters.thoughts += 1
             self._conclude(observation or self._newest, samples)
@@ -207,5 +224,6 @@ class Estimator:
             particles=summary.particles,
             injected=injected,
             proposal=self._kind,
+            targets=self.targets.all(),
             log_evidence=log_evidence,
         )

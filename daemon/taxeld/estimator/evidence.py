@@ -89,6 +89,7 @@ class Odds(NamedTuple):
     hypotheses: Hypotheses
     here: Floats  # (K,) it is this object, where its belief has it
     objects: Floats  # (K,) it is this object, wherever it is
+    log_z: float  # log evidence of all that may be, in relation to readings without an object
 
 
 def odds(each: Sequence[Weighed]) -> Odds:
@@ -102,13 +103,13 @@ def odds(each: Sequence[Weighed]) -> Odds:
         first += _log_sum(found) - apart
     later = np.concatenate([one[1:] for one in other]) if other else np.empty(0)
     log_weight = np.concatenate([found - apart, gone - apart, [first], later - apart])
-    weight = np.exp(log_weight - log_weight.max())
-    weight /= weight.sum()
+    log_z = _log_sum(log_weight)
+    weight = np.exp(log_weight - log_z)
     here, away = weight[: len(each)], weight[len(each) : 2 * len(each)]
     stands = float(here @ stood)
     moved = float(here.sum() - stands + away.sum())
     left = Hypotheses(stands, moved, float(weight[2 * len(each) :].sum()))
-    return Odds(left, here, here + away)
+    return Odds(left, here, here + away, log_z)
 
 
 def _log_sum(values: Floats) -> float:

@@ -17,7 +17,7 @@ from taxeld.arrays import Bools, Floats, Grid, Poses
 from taxeld.estimator.compiled import Compiled, Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.reader import Kept, Reader
-from taxeld.estimator.runs import HAZARD, SWAPPED, Runs
+from taxeld.estimator.runs import HAZARD, MEANINGLESS, SWAPPED, Runs
 from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Nearby, Observation, ObservationModel
@@ -104,6 +104,7 @@ class Memory:
         self.slack = slack or Slack()
         self._compiled = compiled(model, noise)
         self.reader = Reader(model, noise)  # the same for all objects on one skin
+        self.least = float(np.log(MEANINGLESS))  # log odds that a contact is of something else
         self._forget(prior)
 
     def _forget(self, prior: Prior | None) -> None:
@@ -172,7 +173,7 @@ class Memory:
         begun = np.array([self.before[step] for step in steps.tolist()])
         begun += np.log(HAZARD) - begun[:1]
         begun[:1] = 0.0  # evidence is of the remembered scans alone
-        return Runs(shares, usual, touched, begun, is_known=prior > 0)
+        return Runs(shares, usual, touched, begun, self.least, is_known=prior > 0)
 
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
         """A memory of one scan more, of contact `number`, or a silent scan after that contact.

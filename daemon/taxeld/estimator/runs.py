@@ -25,6 +25,7 @@ class Runs:
     usual: Floats  # (2 R,) log-likelihoods of the same without this object
     touched: Bools  # (R,) whether a step has a contact
     begun: Floats  # (R,) log prior of a run from each step on, with the evidence before it
+    least: float = float(np.log(MEANINGLESS))  # log odds that a contact is of something else
     is_known: bool = False  # whether a prior tells where the object was before the first step
 
     @property
@@ -35,10 +36,16 @@ class Runs:
 
     def each(self, explained: Floats) -> Floats:
         """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""
-        touch, silence = np.hsplit(explained @ self.shares - self.usual, 2)
-        least = np.where(self.touched, np.log(MEANINGLESS), -np.inf)
+        touch, silence = self.apart(explained)
+        least = np.where(self.touched, self.least, -np.inf)
         met = np.logaddexp(touch, least) + silence
         return np.asarray(met[:, ::-1].cumsum(axis=1)[:, ::-1] + self.open)
+
+    def apart(self, explained: Floats) -> tuple[Floats, Floats]:
+        """Log-likelihoods of each step's contact and of its silence, in relation to readings
+        without this object: explained (N, terms) → 2 × (N, R)."""
+        touch, silence = np.hsplit(explained @ self.shares - self.usual, 2)
+        return touch, silence
 
     def support(self, explained: Floats) -> Floats:
         """Log-density of poses, up to the uniform prior's: explained (N, terms) → (N,)."""
