@@ -48,8 +48,8 @@ class Estimator:
         most: int = 1,
     ) -> None:
         """`robot_m`: standard deviation of the sensor's place at a touch, in each direction.
-        `more`: further objects that it may be, on the same layout. `most`: objects that may be there at
-        once."""
+        `more`: further objects that it may be, on the same layout. `most`: objects that may be
+        touched in turn."""
         self.robot_m, self.most = robot_m, most
         self.model = model  # of the first object
         self.known = [Known(model, proposal), *more]

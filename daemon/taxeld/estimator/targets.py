@@ -45,16 +45,17 @@ class Targets:
             return self.banks[0].learn(observation, contacts)
         self._keep(observation, contacts)
         if not observation.is_contact:
-            return [bank.learn(observation, contacts) for bank in self.banks][0]
-        is_new = contacts not in self._of
-        if is_new:
+            first, *_ = [bank.learn(observation, contacts) for bank in self.banks]
+            return first
+        surprise = False
+        if contacts not in self._of:
             expected = [bank.expectation(observation, contacts) for bank in self.banks]
+            surprise = max(expected) < 0.0  # anything explains this touch better
             self._of[contacts] = self.banks[int(np.argmax(expected))]
         bank = self._of[contacts]
-        result = bank.learn(observation, contacts)
-        if self._search is None and is_new and len(self.banks) < self._most:
+        if surprise and self._search is None and len(self.banks) < self._most:
             self._search = self._split(bank)
-        return result
+        return bank.learn(observation, contacts)
 
     @property
     def is_behind(self) -> bool:
@@ -67,14 +68,14 @@ class Targets:
 
     def revisit(self) -> int:
         """Do one piece of the work that waits; → the number of samples used."""
-        for asks in (lambda bank: bank.is_behind, lambda bank: bank.is_open):
-            for bank in self.banks:
-                if asks(bank):
-                    return bank.revisit()
-            if self._search is not None:
-                if next(self._search, self) is self:  # it has come to its end
-                    self._search = None
-                return 1
+        behind = [bank for bank in self.banks if bank.is_behind]
+        if not behind and self._search is not None:
+            if next(self._search, self) is self:  # it has come to its end
+                self._search = None
+            return 1
+        for bank in behind or self.banks:
+            if bank.is_open:
+                return bank.revisit()
         return 0
 
     def _keep(self, observation: Observation, contacts: int) -> None:
