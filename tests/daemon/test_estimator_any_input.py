@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
 from taxeld.config.tables import FilterConfig
+from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import se2
@@ -29,8 +30,14 @@ class AnyInput(RuleBasedStateMachine):
         motion=st.sampled_from(["none", "push"]),
         particles=st.integers(2, 30),
         injected=st.integers(0, 20),
+        known=st.integers(1, 3),
+        most=st.integers(1, 3),
     )
-    def begin(self, injection: str, motion: str, particles: int, injected: int) -> None:
+    def begin(
+        self, injection: str, motion: str, particles: int, injected: int, known: int, most: int
+    ) -> None:
+        if injection == "paper" or motion == "push":
+            known = most = 1  # as a configuration has it
         config = FilterConfig(
             injection=injection,
             motion=motion,
@@ -38,7 +45,8 @@ class AnyInput(RuleBasedStateMachine):
             particles_max=60,
             injected=injected,
         )
-        self.subject = Estimator(self.model, Manifold(self.model), config)
+        more = [Known(self.model, Manifold(self.model))] * (known - 1)
+        self.subject = Estimator(self.model, Manifold(self.model), config, more=more, most=most)
         self.t, self.scans = 0.0, 0
         self.live = np.ones(TAXELS, dtype=bool)
         self.sensor = np.array([0.3, 0.0, 0.0])
@@ -115,6 +123,9 @@ class AnyInput(RuleBasedStateMachine):
         assert 1 <= len(belief) <= 60
         assert np.isfinite([*estimate.map, *estimate.mean, estimate.ess, estimate.t]).all()
         assert np.isfinite(estimate.cov).all()
+        assert np.isclose(sum(estimate.objects) + estimate.hypotheses.other, 1.0)
+        assert all(np.isfinite([*target.map, target.p]).all() for target in estimate.targets)
+        assert not self.subject.is_behind
 
     @invariant()
     def every_scan_is_counted(self) -> None:
