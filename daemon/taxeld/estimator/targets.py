@@ -12,12 +12,12 @@ import numpy as np
 from taxeld.arrays import Floats
 from taxeld.estimator.bank import Bank
 from taxeld.estimator.estimate import Target
+from taxeld.estimator.mixture import REMEMBERED, SILENT_MAX
 from taxeld.model.observation import Observation
 
 TWO = float(np.log(0.1))  # log odds of one object more before anything is felt
 CLEAR = 7.0  # nats by which two objects must explain the touches better than one
 LEAST_TOUCHES = 3  # of a target that may be two
-KEPT_MAX = 64  # scans kept for a search
 PAIRED = 200  # poses that are tried in pairs
 ROUNDS = 2  # times that touches are divided anew between two beliefs
 
@@ -79,10 +79,16 @@ class Targets:
         return 0
 
     def _keep(self, observation: Observation, contacts: int) -> None:
+        """Keep a scan; of too many of its kind the oldest is dropped, unless a search needs it."""
         self._kept.append((observation, contacts))
-        if len(self._kept) > KEPT_MAX and self._search is None:
-            silent = (k for k, (scan, _) in enumerate(self._kept) if not scan.is_contact)
-            del self._kept[next(silent, 0)]
+        if self._search is not None:
+            return
+        for is_contact, most in ((True, REMEMBERED), (False, SILENT_MAX)):
+            of = [used for used in self._kept if used[0].is_contact == is_contact]
+            dropped = {id(used) for used in of[: max(len(of) - most, 0)]}
+            self._kept = [used for used in self._kept if id(used) not in dropped]
+        felt = {number for scan, number in self._kept if scan.is_contact}
+        self._of = {number: bank for number, bank in self._of.items() if number in felt}
 
     def _split(self, bank: Bank) -> Iterator[None]:
         """Look for two targets in place of one, a piece of work at a time."""
@@ -102,9 +108,9 @@ class Targets:
                 break
             first = again
         apart = len(own) * np.log(2.0) - TWO
-        # touches that came meanwhile are divided as well
         if pair[0].odds.log_z + pair[1].odds.log_z - apart < bank.odds.log_z + CLEAR:
             return
+        # touches that came meanwhile are divided as well
         own = [number for number, of in self._of.items() if of is bank]
         late = [number for number in own if number not in known]
         first = first | (self._nearer(pair, late) if late else set())
@@ -122,6 +128,8 @@ class Targets:
             told.append(explained)
             yield
         touch, silence = (np.concatenate(each) for each in zip(*told, strict=True))
+        if not len(touch):  # no samples were asked for
+            return set()
         alone = np.logaddexp(touch, 0.0).sum(axis=1) + silence
         best = np.argsort(-alone)[:PAIRED]
         touch, silence = touch[best], silence[best]
