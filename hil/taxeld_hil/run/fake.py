@@ -34,7 +34,8 @@ class FakeDaemon:
         kept: SkinState | None,
         calibration: Calibration | None = None,
     ) -> None:
-        """`scenes`: of all objects that it knows; `kept`: what the life before has learned of the skin."""
+        """`scenes`: of all objects that it knows; `kept`: what the life before has learned of the
+        skin."""
 
         def device(_: SourceConfig, __: ToFrames) -> MemoryDevice:
             return MemoryDevice(line)

@@ -75,8 +75,8 @@ class Processes:
         Raises:
             SetupError: the daemon would refuse the bundle on this layout.
         """
-        config = SceneConfig(bundles=scenario.known)
-        several.load(config, layouts.load(scenario.skin_layout))
+        known = SceneConfig(bundles=scenario.known)
+        several.load(known, layouts.load(scenario.skin_layout))
         run = ("run", "--log-level", log_level, str(config))
         watch = ("watch", "--endpoint", endpoint, "--bundle", scenario.bundle)
         skin = ("--layout", scenario.skin_layout)
