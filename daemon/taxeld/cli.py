@@ -224,7 +224,7 @@ def _add_daemon(commands: Commands) -> None:
     add = documented(commands, _init).add_argument
     add("config", type=Path, metavar="CONFIG", help="a new file")
     add("--source", help="can:can0, slcan:/dev/ttyACM0 or serial:/dev/ttyACM0")
-    add("--bundle", help="the object: box, mug, or what taxeld-train build made")
+    add("--bundle", help="the object: box, drill, mug, or what taxeld-train build made")
     add("--layout", help="the skin's (default: what the bundle was built for)")
     about = "where the robot publishes; '' if the sensor is fixed"
     add("--poses", metavar="ENDPOINT", help=about)

@@ -261,7 +261,7 @@ def _parser() -> argparse.ArgumentParser:
 
 def _add_world(command: argparse.ArgumentParser, *, has_rows: bool = False) -> None:
     """What replaces parts of a scenario; `has_rows`: the command has a row a layout."""
-    about = "in place of the scenario's object: box, mug, or a path"
+    about = "in place of the scenario's object: box, drill, mug, or a path"
     command.add_argument("--object", default="", metavar="BUNDLE", help=about)
     if has_rows:
         jobs.add_layouts(command, "the scenario's")

@@ -57,7 +57,7 @@ class Bridge:
         self._settings = settings
         self._forwarded = 0
         self._last: dict[bytes, dict[str, Any]] = {}  # message of each topic
-        self._outline: Floats | None = None
+        self._outlines: list[Floats] = []  # by the numbers of the objects
         self._heard_s = time.monotonic()
         self._is_silent: bool | None = None  # None until a daemon is heard, or missed
         self._next_diagnostics_s = self._next_markers_s = -math.inf
@@ -130,15 +130,15 @@ class Bridge:
                 is_new = True
                 self._on_estimate(message)
             elif topic == messages.INFO:
-                self._outline = np.array(message["outline"])
+                self._outlines = [np.array(each["outline"]) for each in message["objects"]]
             self._last[topic] = message
         now_s = time.monotonic()
         self._watch(now_s)
-        if is_new and self._outline is not None and now_s >= self._next_markers_s:
+        if is_new and self._outlines and now_s >= self._next_markers_s:
             self._next_markers_s = now_s + MARKERS_S
             estimate, cloud = self._last[messages.ESTIMATE], self._last.get(messages.PARTICLES, {})
             frame, z_m = self._settings.frame, self._settings.z_m
-            self._markers.write(markers(estimate, cloud, self._outline, frame, z_m))
+            self._markers.write(markers(estimate, cloud, self._outlines, frame, z_m))
 
     def _on_estimate(self, estimate: dict[str, Any]) -> None:
         """Pose and modes of a scan's estimate are published while they may be used."""

@@ -1,5 +1,6 @@
 """The belief as RViz draws it: outlines of the modes, and particles."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,26 +18,26 @@ MODES_MAX = 5  # modes in the daemon's estimates, at most
 
 
 def markers(
-    estimate: ros.Map, cloud: ros.Map, outline: Floats, frame: str, z_m: float
+    estimate: ros.Map, cloud: ros.Map, outlines: Sequence[Floats], frame: str, z_m: float
 ) -> dict[str, Any]:
     """A `MarkerArray`: modes of the estimate as outlines, the stronger the heavier, and particles
     as points; nothing of an estimate that is not valid.
 
-    `cloud`: `/taxeld/particles`, or empty. `outline`: (P, 2) of the object, in its own frame.
+    `cloud`: `/taxeld/particles`, or empty. `outlines`: (P, 2) of each object, in its own frame.
     """
     header = ros.header(estimate["t"], frame)
     modes = estimate["modes"] if estimate["valid"] else []
-    closed = np.vstack([outline, outline[:1]])
     drawn = []
     for k in range(MODES_MAX):
         points, alpha = np.empty((0, 2)), 0.0
         if k < len(modes):
-            mode = modes[k]
+            mode, outline = modes[k], outlines[modes[k]["object"]]
+            closed = np.vstack([outline, outline[:1]])
             points = se2.apply(np.array([mode["x"], mode["y"], mode["theta"]]), closed)
             alpha = max(mode["weight"], FAINTEST)
         drawn.append(_marker("modes", k, LINE_STRIP, LINE_M, points, z_m, (*BLUE, alpha)))
     poses: Poses = np.array(cloud["xytheta"] if cloud and modes else ()).reshape(-1, 3)
-    centre = np.array([*outline.mean(axis=0), 0.0])
+    centre = np.array([*outlines[estimate["object"]].mean(axis=0), 0.0])
     points = se2.compose(poses, centre)[:, :2]
     drawn.append(_marker("particles", 0, POINTS, POINT_M, points, z_m, (*GREEN, 1.0)))
     return {"markers": [{"header": header, **one} for one in drawn]}

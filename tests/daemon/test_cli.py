@@ -73,7 +73,7 @@ def test_check_passes_what_is_fine(place: Path) -> None:
 FAULTS = [
     ("source", "chanel", "x", "source.chanel: unknown key; did you mean channel?"),
     ("loop", "rate_hz", "fast", "loop.rate_hz: must be a number"),
-    ("scene", "bundle", "sphere", "scene.bundle: no bundle 'sphere'; shipped are box, mug"),
+    ("scene", "bundle", "sphere", "scene.bundle: no bundle 'sphere'; shipped are box, drill, mug"),
     (
         "skin",
         "layout",
@@ -141,7 +141,7 @@ def test_what_is_no_session_is_named_as_such(tmp_path: Path) -> None:
     [
         (
             {"scene": {"bundle": "objects/bracket"}},
-            "scene.bundle: no bundle 'objects/bracket'; shipped are box, mug; ",
+            "scene.bundle: no bundle 'objects/bracket'; shipped are box, drill, mug; ",
         ),
         ({"skin": {"layout": "skin.json"}}, "skin.layout: skin.json: no such file; "),
     ],

@@ -116,7 +116,9 @@ def test_touching_nothing_is_evidence(box_model: ObservationModel) -> None:
 def test_same_seed_same_bytes(box_model: ObservationModel) -> None:
     def run(seed: int) -> str:
         subject = estimator(box_model, seed=seed)
-        return json.dumps(messages.estimate(approach(subject, box_model), seq=0, why=Why.VALID))
+        return json.dumps(
+            messages.estimate(approach(subject, box_model), names=["box"], seq=0, why=Why.VALID)
+        )
 
     assert run(3) == run(3)
     assert run(3) != run(4)
@@ -124,10 +126,14 @@ def test_same_seed_same_bytes(box_model: ObservationModel) -> None:
 
 def test_reset_begins_anew(box_model: ObservationModel) -> None:
     subject = estimator(box_model)
-    first = json.dumps(messages.estimate(approach(subject, box_model), seq=0, why=Why.VALID))
+    first = json.dumps(
+        messages.estimate(approach(subject, box_model), names=["box"], seq=0, why=Why.VALID)
+    )
     subject.reset()
     assert subject.estimate.contacts == 0
-    again = json.dumps(messages.estimate(approach(subject, box_model), seq=0, why=Why.VALID))
+    again = json.dumps(
+        messages.estimate(approach(subject, box_model), names=["box"], seq=0, why=Why.VALID)
+    )
     assert again == first
 
 

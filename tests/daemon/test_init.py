@@ -103,7 +103,7 @@ def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, flags: list[str
         (["--source", "can:"], "--source: 'can:' is no connection; use can:can0, slcan:"),
         (["--bundle", "n" * 5000], "scene.bundle: no bundle 'nnnn"),
         (["--bundle", "n" * 5000, "--layout", "skin.json"], "scene.bundle: no bundle 'nnnn"),
-        (["--bundle", "sphere"], "scene.bundle: no bundle 'sphere'; shipped are box, mug"),
+        (["--bundle", "sphere"], "scene.bundle: no bundle 'sphere'; shipped are box, drill, mug"),
         (["--layout", "cylinder:rowz=5"], "skin.layout: unknown cylinder key 'rowz'; use 'cyl"),
         (["--layout", "skin.json"], "skin.layout: "),
         (

@@ -78,7 +78,7 @@ def estimate(disc_model: ObservationModel) -> Estimate:
 
 
 def notices() -> Notices:
-    return Notices(Path("box"), "table")
+    return Notices(["box"], "table", [Path("box")])
 
 
 def test_a_change_of_status_is_logged_once(

@@ -221,7 +221,10 @@ def estimates(pipeline: Pipeline, events: list[Event]) -> list[dict[str, object]
 
 
 def published(found: Iterable[Outcome]) -> list[dict[str, object]]:
-    return [messages.estimate(o.estimate, seq=k, why=Why.VALID) for k, o in enumerate(found)]
+    return [
+        messages.estimate(o.estimate, names=["box"], seq=k, why=Why.VALID)
+        for k, o in enumerate(found)
+    ]
 
 
 @given(

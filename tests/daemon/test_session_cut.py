@@ -42,6 +42,7 @@ SOURCES = {
     "native": {"kind": "serial", "channel": "tty"},
     "slcan": {"kind": "serial", "channel": "tty", "framing": "slcan"},
 }
+NAME = "003_cracker_box"
 SCANS = 32  # of them 20 make the baseline
 INPUT = {session.FRAMES, session.SERIAL, session.SERIAL_TIMES, session.ABOUT}
 
@@ -90,8 +91,9 @@ def record(place: Path, transport: str) -> None:
 def estimates(place: Path, transport: str) -> list[str]:
     settings_ = config_of(transport)
     pipeline = Pipeline(settings_, box().model, box().untimed(settings_.filter))
+    why = pipeline.freshness.why
     return [
-        json.dumps(messages.estimate(o.estimate, seq=seq, why=pipeline.freshness.why(o.estimate)))
+        json.dumps(messages.estimate(o.estimate, names=[NAME], seq=seq, why=why(o.estimate)))
         for seq, o in enumerate(outcomes(place, pipeline))
     ]
 

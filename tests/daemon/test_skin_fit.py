@@ -104,7 +104,7 @@ def lived(laps: int, seed: int, of: str = "", *, learns: bool = True) -> tuple[F
     its taxels before."""
     asked = replace(scenario.load("demo").touching("mug").on("typical"), contacts=8)
     run = FakeRun(asked, seed, rate_hz=40.0, learns=learns)
-    run.scene = bundle.load(of or "mug", run.skin)
+    run.scenes = [bundle.load(of or "mug", run.skin)]
     run.daemon = run._born()
     for lap in range(laps):
         if lap:

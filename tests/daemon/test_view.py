@@ -122,9 +122,9 @@ def test_a_running_daemon_is_shown_with_its_latencies(daemon: str, tmp_path: Pat
 
 def test_slices_lie_on_the_object_at_each_height_of_taxels() -> None:
     stage, _ = recorded(SESSION)
-    scene = stage.scene
+    (thing,) = stage.things
+    scene, slices = thing.scene, slices_of(stage, thing)
     assert scene is not None
-    slices = slices_of(stage)
     assert {line[0, 2] for line in slices} == set(scene.heights)
     for line in slices:
         (k,) = np.flatnonzero(scene.heights == line[0, 2])

@@ -28,7 +28,7 @@ from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import PoseMetric
-from taxeld.proposals import bundle, manifest, scene_file
+from taxeld.proposals import bundle, manifest, scene_file, several
 from taxeld.proposals.analytic import Manifold, Projection, check_contacts
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.sampler import Sampler
@@ -124,7 +124,7 @@ def manifest_used(content: bytes) -> None:
         used_or_refused(lambda name=name: found.cheaper(found.resolve(name)))  # type: ignore[misc]
     for sampler in made.samplers:
         assert found.resolve(sampler.name) == sampler.name
-    messages.info(found.model.layout, found.model.scene, info, str(FilterConfig()))
+    messages.info(found.model.layout, several.scenes([found]), str(FilterConfig()))
 
 
 def _in_file(name: str, read: Callable[[Path], object]) -> Use:

@@ -243,7 +243,7 @@ def of_scans(outcomes: Iterable[Outcome]) -> list[Estimate]:
 
 
 def as_bytes(estimate: Estimate) -> str:
-    return json.dumps(messages.estimate(estimate, seq=0, why=Why.VALID))
+    return json.dumps(messages.estimate(estimate, names=["box"], seq=0, why=Why.VALID))
 
 
 def simulate(seed: int, place: Path) -> tuple[Run, list[str]]:

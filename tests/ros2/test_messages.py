@@ -66,14 +66,14 @@ def test_a_mode_is_drawn_where_it_is_as_strongly_as_it_weighs_if_it_is_valid(
     estimate: dict[str, Any],
 ) -> None:
     cloud = {"xytheta": [[0.0, 0.0, 0.0]] * 3}
-    *modes, particles = markers(estimate, cloud, OUTLINE, "world", 0.1)["markers"]
+    *modes, particles = markers(estimate, cloud, [OUTLINE], "world", 0.1)["markers"]
     at = [(p["x"], p["y"], p["z"]) for p in modes[0]["points"]]
     assert at[0] == at[-1] == pytest.approx((1.0, 2.1, 0.1))
     assert at[1] == pytest.approx((0.8, 2.0, 0.1))
     assert [m["color"]["a"] for m in modes[:2]] == [0.75, FAINTEST]
     assert [m["action"] for m in modes] == [ADD, ADD, DELETE, DELETE, DELETE]
     assert len(particles["points"]) == 3
-    drawn = markers({**estimate, "valid": False}, cloud, OUTLINE, "world", 0.0)["markers"]
+    drawn = markers({**estimate, "valid": False}, cloud, [OUTLINE], "world", 0.0)["markers"]
     assert {m["action"] for m in drawn} == {DELETE}
 
 

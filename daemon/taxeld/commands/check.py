@@ -13,7 +13,7 @@ from taxeld.door.binding import Binding, ServedError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
-from taxeld.proposals import bundle, choice
+from taxeld.proposals import choice, several
 from taxeld.service import calibration_file
 from taxeld.source import dialects, session
 from taxeld.source.device import BusyError
@@ -98,8 +98,12 @@ def _read_source(source: SourceConfig, skin: Layout) -> None:
 
 
 def _open_bundle(config: Config, skin: Layout) -> None:
-    loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
-    choice.open_all(loaded, config.filter)
+    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m)
+    first = several.leading(bundles)
+    for name in choice.open_all(first, config.filter):
+        for one in bundles:
+            if one is not first:
+                one.own(name)
 
 
 def _open_device(source: SourceConfig) -> None:

@@ -27,7 +27,7 @@ SOURCES = {  # connection as named by `taxeld-hil accept` → keys of [source]
 FORMS = "can:can0, slcan:/dev/ttyACM0 or serial:/dev/ttyACM0"
 QUESTIONS = {  # by option
     "source": f"the skin's connection, {FORMS}",
-    "bundle": "the object: box, mug, or the directory of a bundle",
+    "bundle": "the object: box, drill, mug, or the directory of a bundle",
     "layout": "the skin's layout, as the bundle was built for",
     "poses": "where the robot publishes the sensor's pose, tcp://HOST:PORT; empty if the sensor "
     "stands still",

@@ -16,7 +16,7 @@ from taxeld.layout import read as layouts
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
-from taxeld.proposals import bundle
+from taxeld.proposals import bundle, several
 from taxeld.service import calibration_file
 from taxeld.service.clock import is_step
 from taxeld.source import dialects, session
@@ -49,7 +49,8 @@ class Replay:
             config = replace(config, filter=replace(config.filter, seed=seed))
         self.pipeline = open_pipeline(self.directory, config)
         self.config = self.pipeline.config
-        self.model = self.pipeline.estimator.model
+        self.names = several.names(config.scene)  # of objects, by their numbers in estimates
+        self.model = self.pipeline.estimator.model  # of the first object
         self._outcomes = outcomes(self.directory, self.pipeline)
 
     def __iter__(self) -> Iterator[Outcome]:
@@ -85,7 +86,7 @@ def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator
     recorded = Replay(directory, config, seed)
     for seq, outcome in enumerate(recorded):
         why = recorded.why(outcome.estimate)
-        message = messages.estimate(outcome.estimate, seq=seq, why=why)
+        message = messages.estimate(outcome.estimate, names=recorded.names, seq=seq, why=why)
         yield json.dumps(message, separators=(",", ":"))
 
 
@@ -100,22 +101,25 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
     try:
         skin = layouts.load(config.skin.layout)
-        bundle.find(config.scene.bundle)
+        for name in config.scene.names:
+            bundle.find(name, "scene.bundles" if config.scene.bundles else bundle.KEY)
     except SetupError as error:
         raise SetupError(
             f"{error}; a session does not hold its layout and its bundle: name them in "
             f"{directory / session.CONFIG}, by whole paths, or in another file with --config"
         ) from None
-    loaded = bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m)
+    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m)
+    model, *more = (one.model for one in bundles)
     begun = session.begun(directory) if config.skin.calibration else 0.0
     calibration = calibration_file.load(config.skin, skin, begun, recorded=True)
     # all poses are known, so each scan is placed between two and none is extrapolated
     return Pipeline(
         config,
-        loaded.model,
-        loaded.untimed(config.filter),
+        model,
+        several.untimed(bundles, config.filter),
         calibration=calibration,
         extrapolate_s=0.0,
+        more=more,
     )
 
 

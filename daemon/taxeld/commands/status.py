@@ -9,7 +9,7 @@ from taxeld.pipeline.calibration_check import Suspect
 from taxeld.proposals.ladder import Step
 from taxeld.skin.channels import mismatch
 from taxeld.source import bus_faults
-from taxeld.stream.messages import name_of, reason_of
+from taxeld.stream.messages import name_of, object_of, reason_of
 
 WIDTH = 14
 STANDS = 0.99  # least probability at which nobody need think of the other hypotheses
@@ -35,6 +35,8 @@ def estimate_rows(e: dict[str, Any], reason: str = "") -> Iterator[tuple[str, st
         yield "Not valid", reason or reason_of(e["why"])
     pose, cov = e["map"], e["cov"]
     yield "Pose", f"x {pose['x']:.4f} m, y {pose['y']:.4f} m, yaw {pose['theta']:.3f} rad"
+    if named := object_of(e):
+        yield "Object", named
     yield "Certainty", _certainty(e)
     x, y, yaw = (math.sqrt(max(cov[k][k], 0.0)) for k in range(3))
     yield "Uncertainty", f"x {x * 1e3:.1f} mm, y {y * 1e3:.1f} mm, yaw {yaw:.3f} rad (1 sd)"

@@ -27,7 +27,8 @@ def load(path: Path) -> Config:
         # an absolute path stays unchanged
         skin = replace(skin, calibration=str(path.parent / skin.calibration))
     skin = replace(skin, layout=_beside(path, skin.layout))
-    scene = replace(scene, bundle=_beside(path, scene.bundle, SHIPPED))
+    several = tuple(_beside(path, name, SHIPPED) for name in scene.bundles)
+    scene = replace(scene, bundle=_beside(path, scene.bundle, SHIPPED), bundles=several)
     return replace(config, skin=skin, scene=scene)
 
 
@@ -72,6 +73,7 @@ def parse(text: str, name: str = "configuration") -> Config:
     config = toml_tables.parse(Config, text, name)
     faults: list[str] = []
     _check_source(config.source, faults)
+    _check_scene(config, faults)
     _check_endpoints(config, faults)
     if config.source.dialect == "icub":
         _check_icub(config, faults)
@@ -99,6 +101,20 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
         faults.append("source.modules: is of dialect cyskin; icub names its boards")
     if source.kind == "replay" and not source.path:
         faults.append("source.path: is required for kind 'replay'")
+
+
+def _check_scene(config: Config, faults: list[str]) -> None:
+    scene, learned = config.scene, config.filter
+    if not scene.bundle and not scene.bundles:
+        faults.append("scene.bundle: is required; or name several objects in scene.bundles")
+    if scene.bundle and scene.bundles:
+        faults.append("scene.bundles: is given beside scene.bundle; keep one of the two")
+    if len(scene.names) == 1:
+        return
+    if learned.injection == "paper":
+        faults.append("filter.injection: 'paper' knows one object: name one scene.bundle")
+    if learned.motion == "push":
+        faults.append("filter.motion: a pushed object must be known: name one scene.bundle")
 
 
 def _check_endpoints(config: Config, faults: list[str]) -> None:

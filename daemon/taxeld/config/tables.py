@@ -13,6 +13,7 @@ from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
 from taxeld_protocol.slcan import BITRATES
 
+OBJECTS_MAX = 16  # objects that one skin may touch
 LEVELS = ("debug", "info", "warning", "error")  # levels of the log
 
 
@@ -50,6 +51,15 @@ def _module(entry: tuple[int, ...]) -> str | None:
         return f"{mask:#x} is no mask of uncut taxels (0..{ALL_NAMES:#x}, bit 0 is T0)"
     if hub and not 0 < hub[0] < BROADCAST:
         return f"{hub[0]} is no short id of a hub (1..{BROADCAST - 1})"
+    return None
+
+
+def _bundles(bundles: tuple[str, ...]) -> str | None:
+    twice = [name for name, times in Counter(bundles).items() if times > 1]
+    if twice:
+        return f"names {twice[0]!r:.100} more than once"
+    if len(bundles) > OBJECTS_MAX:
+        return f"names {len(bundles)} objects; {OBJECTS_MAX} are told apart at most"
     return None
 
 
@@ -123,7 +133,15 @@ class SourceConfig:
 
 @dataclass(frozen=True, slots=True)
 class SceneConfig:
-    bundle: str = key(doc="a shipped bundle's name, or a path")
+    bundle: str = key("", doc="the object: a shipped bundle's name, or a path")
+    bundles: tuple[str, ...] = key(
+        (), _bundles, "in place of bundle: the objects that it may be, by name or path"
+    )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The bundles of all objects that it may be."""
+        return self.bundles or (self.bundle,)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,13 +6,14 @@ ladder's clock, if it has one.
 """
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 
 from taxeld.config.tables import Config
+from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.rule import noise_of
 from taxeld.model.observation import ObservationModel
@@ -49,9 +50,11 @@ class Pipeline:
         on_pose: OnPose | None = None,
         calibration: Calibration | None = None,
         extrapolate_s: float = EXTRAPOLATE_S,
+        more: Sequence[ObservationModel] = (),
     ) -> None:
-        """`on_pose` is called with every accepted sensor pose (t, x, y, θ), as the robot sends it.
-        `calibration`: of the skin and its mount on the robot. `extrapolate_s`: as of PoseTrack."""
+        """`more`: of further objects that may be felt, which the ladder has as well. `on_pose` is
+        called with every accepted sensor pose (t, x, y, θ), as the robot sends it. `calibration`:
+        of the skin and its mount on the robot. `extrapolate_s`: as of PoseTrack."""
         config = calibrated(config, calibration)
         self.config = config
         self.calibration = calibration
@@ -65,11 +68,12 @@ class Pipeline:
         if config.sensor_pose.endpoint:
             mount = None if calibration is None else calibration.mount
             self.poses = PoseTrack(on_pose, mount, extrapolate_s)
-        self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m)
-        self.check = CalibrationCheck(model, config.filter)
+        others = [Known(one, ladder.of(k)) for k, one in enumerate(more, 1)]
+        self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m, others)
+        self._judge_by(self.estimator.estimate.object)
         self._learns = config.skin.learn and config.filter.motion == "none"
         square = config.filter.centre_m, config.filter.half_width_m
-        self.freshness = Freshness(silent_s, *square, _reach_m(model))
+        self.freshness = Freshness(silent_s, *square, max(map(_reach_m, [model, *more])))
         self.estimate = self.freshness.judged(self.estimator.estimate)
         self.inputs = InputCounters()
         self.thinks_at_once = True  # whether a scan's second opinion is part of the work on it
@@ -217,10 +221,16 @@ class Pipeline:
             return replace(self._unused(scan, skin_ns), activation=later(activation, by))
         self.freshness.last = Why.VALID
         start, proposed_ns = clock(), self.ladder.spent_ns
-        believed = self.estimator.estimate.modes
+        believed = self.estimator.estimate
+        if believed.object != self._judged:
+            self._judge_by(believed.object)
+        own = [mode for mode in believed.modes if mode.object == believed.object]
         estimate = self.estimator.learn(activation, sensor)
-        self.check.on_scan(self.estimator.used, believed, estimate.contacts)
-        if self.thinks_at_once and self._consider():
+        self.check.on_scan(self.estimator.used, own, estimate.contacts)
+        if self.thinks_at_once:
+            self._consider()
+            while self.estimator.bank.is_behind:
+                self.estimator.think()
             estimate = self.estimator.estimate
         propose_ns = self.ladder.spent_ns - proposed_ns
         filter_ns = clock() - start - propose_ns
@@ -228,6 +238,11 @@ class Pipeline:
             self._learn(CONTACTS)
         self.estimate = self.freshness.judged(later(estimate, by))
         return Outcome(self.estimate, later(activation, by), sensor, skin_ns, propose_ns, filter_ns)
+
+    def _judge_by(self, number: int) -> None:
+        """Judge the calibration by touches of the object of this number, from now on."""
+        model = self.estimator.known[number].model
+        self._judged, self.check = number, CalibrationCheck(model, self.config.filter)
 
     def _learn(self, least: int) -> None:
         """Have a sure belief teach the skin, once it can tell of so many contacts more."""

@@ -1,10 +1,13 @@
 """Touches of the object before the first real one, to load code and memory, and to find out which
 samples a touch has time for."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
+from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
@@ -16,14 +19,20 @@ TOUCHES = 5  # touches on each rung; the first of all are slow, because their co
 
 
 def warm_up(
-    model: ObservationModel, ladder: Ladder, config: FilterConfig, cpu: ClockNs, limit_ns: float
+    model: ObservationModel,
+    ladder: Ladder,
+    config: FilterConfig,
+    cpu: ClockNs,
+    limit_ns: float,
+    more: Sequence[ObservationModel] = (),
 ) -> None:
-    """Let another estimator take a few touches. Where most of them take longer than `limit_ns` on
-    the clock `cpu`, the ladder begins a rung lower, and so on."""
+    """Let another estimator of the same objects take a few touches of the first. Where most of them
+    take longer than `limit_ns` on the clock `cpu`, the ladder begins a rung lower, and so on."""
     rng = np.random.default_rng(0)
     radius_m, depth_m = model.layout.radius_m, model.depth_max_m
     poses = contacts.synthesise(model.scene, radius_m, depth_m, 8 * TOUCHES, rng).pose[:TOUCHES]
-    subject = Estimator(model, ladder, config)
+    others = [Known(one, ladder.of(k)) for k, one in enumerate(more, 1)]
+    subject = Estimator(model, ladder, config, more=others)
     while np.median(_costs_ns(subject, poses, cpu)) > limit_ns and not ladder.is_lowest:
         ladder.step_down()
         ladder.first += 1
@@ -47,5 +56,7 @@ def _costs_ns(subject: Estimator, poses: Poses, cpu: ClockNs) -> list[int]:
             spent.append(cpu() - start)
             check.step()
             subject.think()
+            while subject.bank.is_behind:
+                subject.think()
         costs.append(max(spent))
     return costs

@@ -18,6 +18,9 @@ from taxeld.proposals.ladder import Ladder, Rung, Step
 from taxeld.proposals.manifest import Manifest, SamplerEntry
 from taxeld.proposals.sampler import Sampler
 
+KEY = "scene.bundle"  # of the configuration, which names a bundle
+DEPTH_ALIKE_M = 1e-6  # depths that differ less are one
+
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
@@ -92,12 +95,16 @@ class Bundle:
         path = self.path / entry.file
         return Sampler(self.files[entry.file], self.model.layout, entry.kind, path)
 
+    def own(self, name: str) -> Proposal:
+        """The proposal of this name, or the table where there is no such sampler."""
+        return self.open(name if name in self._samplers() or name in ANALYTIC else Table.name)
+
     def proposal(self, name: str) -> Proposal:
         """The proposal that `filter.proposal` names, by the rules of `resolve`."""
         return self.open(self.resolve(name))
 
     def untimed(self, config: FilterConfig) -> Ladder:
-        """The configured proposal alone, without a clock: the same samples on any machine."""
+        """As `several.untimed`, of this bundle alone."""
         return Ladder([Rung(Step.CHOSEN, self.proposal(config.proposal))])
 
     def _samplers(self) -> dict[str, SamplerEntry]:
@@ -108,8 +115,8 @@ def is_shipped(name: str) -> bool:
     return name in _shipped()
 
 
-def find(name: str) -> Path:
-    """The directory of a shipped bundle's name or of a path."""
+def find(name: str, key: str = KEY) -> Path:
+    """The directory of a shipped bundle's name or of a path; `key` is what names it."""
     shipped = _shipped()
     if name in shipped:
         return shipped[name]
@@ -117,7 +124,7 @@ def find(name: str) -> Path:
         if (Path(name) / manifest.NAME).is_file():
             return Path(name)
     raise SetupError(
-        f"scene.bundle: no bundle {name!r:.100}; shipped are {', '.join(sorted(shipped))}; "
+        f"{key}: no bundle {name!r:.100}; shipped are {', '.join(sorted(shipped))}; "
         "others are built by 'taxeld-train build'"
     )
 
@@ -134,26 +141,23 @@ def _shipped() -> dict[str, Path]:
     return {path.parent.name: path.parent for path in folder.glob(f"*/{manifest.NAME}")}
 
 
-def load(name: str, layout: Layout, depth_max_m: float | None = None) -> Bundle:
-    """Load and validate a bundle for a skin, at the depth that it was built for.
+def load(name: str, layout: Layout, depth_max_m: float | None = None, key: str = KEY) -> Bundle:
+    """Load and validate a bundle for a skin, at the depth that it was built for; `key` of the
+    configuration names it.
 
     Raises:
         SetupError: it is missing, damaged, or of another layout, or of another depth than given.
     """
-    path = find(name)
+    path = find(name, key)
     found, info = manifest.parse(manifest.read(path / manifest.NAME), path / manifest.NAME)
     if found.layout.digest != layout.digest:
         raise SetupError(
-            f"scene.bundle: {path.name} is for the layout {found.layout.name} "
+            f"{key}: {path.name} is for the layout {found.layout.name} "
             f"({found.layout.digest}), not for {layout.name} ({layout.digest}); name that layout "
             "(skin.layout, or --layout), or build a bundle for this one "
             "('taxeld-train build --layout')"
         )
-    if depth_max_m is not None and abs(found.depth_max_m - depth_max_m) > 1e-6:
-        raise SetupError(
-            f"skin.full_scale_depth_m: is {depth_max_m:g}, but {path.name} was built for "
-            f"{found.depth_max_m:g}; set it to that"
-        )
+    check_depth(path.name, found, depth_max_m)
     files = manifest.unbroken(path, found.files)
     scene = scene_file.parse(files[manifest.SCENE], path / manifest.SCENE)
     try:
@@ -162,3 +166,12 @@ def load(name: str, layout: Layout, depth_max_m: float | None = None) -> Bundle:
     except SetupError as error:
         raise SetupError(f"{path / manifest.SCENE}: {error}") from None
     return Bundle(path, found, info, files, model)
+
+
+def check_depth(name: str, found: Manifest, depth_max_m: float | None) -> None:
+    """Raises SetupError where the bundle `name` was built for another depth than the one given."""
+    if depth_max_m is not None and abs(found.depth_max_m - depth_max_m) > DEPTH_ALIKE_M:
+        raise SetupError(
+            f"skin.full_scale_depth_m: is {depth_max_m:g}, but {name} was built for "
+            f"{found.depth_max_m:g}; set it to that"
+        )

@@ -4,12 +4,15 @@ Only this module of the room measures time, and only the service asks it.
 """
 
 import time
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from taxeld.config.tables import Config, FilterConfig
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
+from taxeld.proposals import several
 from taxeld.proposals.analytic import Table
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.ladder import ClockNs, Ladder, Rung, Step
@@ -22,15 +25,34 @@ SHARES = (0.5, 0.25)  # shares of the samples, if the cheapest sampler is too sl
 Opened = dict[str, Proposal]  # proposals by name
 
 
-def ladder(bundle: Bundle, config: Config, clock: ClockNs) -> Ladder:
-    """The configured proposal and its substitutes for when time is short; `clock` is in ns.
+def ladder(bundles: Sequence[Bundle], config: Config, clock: ClockNs) -> Ladder:
+    """The configured proposal and its substitutes for when time is short; `clock` is in ns. What
+    serves is found out with one bundle, and the others follow.
 
     Raises:
         SetupError: one of them cannot be used.
     """
-    opened = open_all(bundle, config.filter)
-    chosen = choose(bundle, opened, config.filter, config.budget.propose_ms)
-    return Ladder(rungs(bundle, opened, chosen, config.filter.injected), clock)
+    first = several.leading(bundles)
+    opened = open_all(first, config.filter)
+    chosen = choose(first, opened, config.filter, config.budget.propose_ms)
+    made = rungs(first, opened, chosen, config.filter.injected)
+    return Ladder(_for_all(made, first, opened, bundles), clock)
+
+
+def _for_all(
+    made: list[Rung], first: Bundle, opened: Opened, bundles: Sequence[Bundle]
+) -> list[Rung]:
+    """Rungs with the proposals of all bundles, each of which is opened once, where it is used;
+    `made` and `opened` are of the bundle `first`."""
+    named = {id(proposal): name for name, proposal in opened.items()}
+    used = {
+        key: [opened[named[key]] if one is first else one.own(named[key]) for one in bundles]
+        for key in dict.fromkeys(id(rung.proposal) for rung in made)
+    }
+    return [
+        replace(rung, proposal=used[id(rung.proposal)][0], more=used[id(rung.proposal)][1:])
+        for rung in made
+    ]
 
 
 def open_all(bundle: Bundle, config: FilterConfig) -> Opened:

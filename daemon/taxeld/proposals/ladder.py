@@ -5,7 +5,7 @@ ladder steps down by one rung, and stays there until `begin_anew`. `degraded` in
 step of the rung in use.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -39,6 +39,11 @@ class Rung:
     step: Step
     proposal: Proposal
     share: float = 1.0
+    more: Sequence[Proposal] = ()  # of further objects
+
+    def of(self, k: int) -> Proposal:
+        """The proposal of the k-th object."""
+        return self.more[k - 1] if k else self.proposal
 
 
 class Ladder:
@@ -70,11 +75,17 @@ class Ladder:
     def is_lowest(self) -> bool:
         return self._at == len(self.rungs) - 1
 
-    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
-        """Like `Proposal.propose`, with the share of the samples that the rung has: z (M,), live
-        (M,) → (≤ n, 3)."""
+    def of(self, k: int) -> Proposal:
+        """The samples of the k-th object: all objects are on one rung."""
+        return OfObject(self, k) if k else self
+
+    def propose(
+        self, z: Floats, live: Bools, n: int, rng: np.random.Generator, k: int = 0
+    ) -> Poses:
+        """Like `Proposal.propose` of the k-th object, with the share of the samples that the rung
+        has: z (M,), live (M,) → (≤ n, 3)."""
         start, rung = self.clock(), self.rung
-        poses = rung.proposal.propose(z, live, max(round(rung.share * n), 1), rng)
+        poses = rung.of(k).propose(z, live, max(round(rung.share * n), 1), rng)
         self.spent_ns += self.clock() - start
         return poses
 
@@ -90,3 +101,19 @@ class Ladder:
     def step_down(self) -> None:
         """Use the next rung from now on."""
         self._at, self._late = min(self._at + 1, len(self.rungs) - 1), 0
+
+
+@dataclass(frozen=True, slots=True)
+class OfObject:
+    """The proposal of one object on a ladder."""
+
+    ladder: Ladder
+    k: int
+
+    @property
+    def name(self) -> str:
+        return self.ladder.rung.of(self.k).name
+
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
+        """z (M,), live (M,) → object poses (≤ n, 3) in the sensor frame."""
+        return self.ladder.propose(z, live, n, rng, self.k)

@@ -25,7 +25,7 @@ from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.pose_watch import PoseFigures, PoseWatch
 from taxeld.pipeline.warm_up import warm_up
-from taxeld.proposals import bundle, choice
+from taxeld.proposals import choice, several
 from taxeld.service import calibration_file, health, realtime, state_file
 from taxeld.service.clock import WallClock
 from taxeld.service.doorkeeper import Doorkeeper, settings_of
@@ -92,11 +92,12 @@ class Daemon:
         """Build everything except devices and files."""
         self.counters = LoopCounters()
         self.layout = layouts.load(config.skin.layout)
-        scene = bundle.load(config.scene.bundle, self.layout, config.skin.full_scale_depth_m)
+        bundles = several.load(config.scene, self.layout, config.skin.full_scale_depth_m)
         calibration = calibration_file.of(config, self.layout)
-        ladder = choice.ladder(scene, config, time.perf_counter_ns)
+        ladder = choice.ladder(bundles, config, time.perf_counter_ns)
         on_pose = recorder.pose if recorder else None
-        self.pipeline = Pipeline(config, scene.model, ladder, on_pose, calibration)
+        model, *self._more = (one.model for one in bundles)
+        self.pipeline = Pipeline(config, model, ladder, on_pose, calibration, more=self._more)
         self.pipeline.thinks_at_once = False
         self.recorder = recorder
         self.latencies = Latencies(messages.STAGES)
@@ -114,11 +115,14 @@ class Daemon:
         self._next_look_s = 0.0
         self._told: Estimate | None = None  # the estimate published last
         self._why = Why.STARTING  # why that one is not valid
-        self._notices = Notices(scene.path, self.pipeline.ladder.name)
+        scenes = several.scenes(bundles)
+        self._names = tuple(scenes)
+        paths = [one.path for one in bundles]
+        self._notices = Notices(self._names, self.pipeline.ladder.name, paths)
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
         digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
-        self._info = messages.info(self.layout, scene.model.scene, scene.info, digest)
+        self._info = messages.info(self.layout, scenes, digest)
         self._watch = _watch_of(config)
         changes = {"tare": self.pipeline.tare, "reset": self.pipeline.reset}
         self.link = Link(self._info, self._on_pose, changes)
@@ -150,7 +154,7 @@ class Daemon:
             realtime.trim()
             model, ladder = self.pipeline.estimator.model, self.pipeline.ladder
             limit_ns = self._touch_ns(hubs=1)
-            warm_up(model, ladder, self.config.filter, time.thread_time_ns, limit_ns)
+            warm_up(model, ladder, self.config.filter, time.thread_time_ns, limit_ns, self._more)
             self.pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
             with realtime.thread(self.config.loop.priority) as self.realtime:
                 notifier.ready()
@@ -310,6 +314,7 @@ class Daemon:
         self._notices.estimate(estimate, self._why, self._reason(), now_s)
         self._estimate_sent = messages.estimate(
             estimate,
+            names=self._names,
             seq=self._seq,
             why=self._why,
             mono_ns=time.monotonic_ns(),

@@ -5,7 +5,7 @@ the two has a ration of lines, so that a change that repeats neither fills the l
 """
 
 import logging
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from taxeld.estimator.estimate import Estimate, Status
 from taxeld.pipeline.freshness import Why
 from taxeld.skin.channels import Wiring, mismatch
 
+SURE = 0.99  # least probability of an object that is named
 GRAVE = (Status.STALE, Status.BLIND, Status.INCONSISTENT)
 MODULES_LOOKS = 3  # seconds without another module, after which some are said to be missing
 
@@ -44,8 +45,11 @@ class Ration:
 class Notices:
     """The notices of one daemon."""
 
-    def __init__(self, bundle: Path, proposal: str) -> None:
-        self._samples = f"{proposal or 'no samples'} of {bundle}"
+    def __init__(self, names: Sequence[str], proposal: str, bundles: Sequence[Path]) -> None:
+        """`names`: of the objects that it may be."""
+        self._samples = f"{proposal or 'no samples'} of {', '.join(map(str, bundles))}"
+        self._names = names
+        self._object = 0 if len(names) == 1 else -1  # number of the last one that was logged
         self._status: tuple[Status, Why] | None = None  # the last, and why it was not valid
         self._said: dict[str, str] = {}  # the last line on each subject
         self._looks = 0  # since the modules of a hub have changed
@@ -58,7 +62,7 @@ class Notices:
         where = source.path if source.kind == "replay" else source.channel
         parts = [
             f"skin {info['layout']['name']}, {info['layout']['taxels']} taxels",
-            f"object {info['object']}",
+            f"object {' or '.join(self._names)}",
             f"samples by {self._samples}",
             f"source {source.kind} {where}, {'not there yet' if waits_for else 'open'}",
             f"sensor poses {f'from {poses}' if poses else 'none: it stands still'}",
@@ -69,7 +73,8 @@ class Notices:
 
     def estimate(self, estimate: Estimate, why: Why, reason: str, now_s: float) -> None:
         """Log a published estimate if its status, or why it is not valid, has changed; `reason`:
-        the same in words."""
+        the same in words. So is the object, once it is known."""
+        self._name(estimate, now_s)
         status, left_out = estimate.status, self._of_status.left_out
         if (status, why) == self._status:
             return
@@ -84,6 +89,12 @@ class Notices:
         line += f": {reason}" if reason else f"{where}, radius {1e3 * estimate.radius_m:.1f} mm"
         line += f" ({left_out} changes before were not logged)" if left_out else ""
         log.log(logging.WARNING if status in GRAVE else logging.INFO, "status: %s", line)
+
+    def _name(self, estimate: Estimate, now_s: float) -> None:
+        number, p = estimate.object, estimate.objects[estimate.object]
+        if number != self._object and p >= SURE and self._of_status.allows(now_s):
+            self._object = number
+            log.info("object: %s, p %.1f %%", self._names[number], 100.0 * p)
 
     def inputs(self, poses_fault: str, wiring: Wiring, *, match: bool, now_s: float) -> None:
         """Log what has changed of the robot's poses, and of the modules that the hubs have;

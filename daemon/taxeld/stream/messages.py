@@ -4,6 +4,7 @@ PlotJuggler's ZMQ subscriber plots the estimate stream as it is: string keys, an
 booleans, lists and maps.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import IntEnum
 from typing import Any
@@ -33,11 +34,14 @@ __all__ = [
     "health",
     "info",
     "name_of",
+    "object_of",
     "particles",
     "reason_of",
     "taxels",
 ]
 
+OTHER = "other"  # in `objects`: none of the known ones
+ALONE = 2  # entries of `objects` with a single known one
 VERSION = 2  # version of the stream: `v` in every message
 
 STAGES = ("source", "skin", "propose", "filter", "publish", "total")
@@ -46,6 +50,7 @@ STAGES = ("source", "skin", "propose", "filter", "publish", "total")
 def estimate(
     e: Estimate,
     *,
+    names: Sequence[str],
     seq: int,
     why: Why,
     mono_ns: int = 0,
@@ -54,7 +59,9 @@ def estimate(
     degraded: int = 0,
     lat_us: dict[str, float] | None = None,
 ) -> dict[str, Any]:
-    """`/taxeld/estimate`; in a replay, where time is not measured, the timing keys are 0."""
+    """`/taxeld/estimate`; `names` are of the objects that it may be. In a replay, where time is not
+    measured, the timing keys are 0."""
+    objects = dict(zip(names, e.objects, strict=True))
     return {
         "v": VERSION,
         "seq": seq,
@@ -66,12 +73,16 @@ def estimate(
         "p": e.p,
         "radius_m": e.radius_m,
         "hypotheses": e.hypotheses._asdict(),
+        "object": e.object,
+        "objects": {**objects, OTHER: max(1.0 - sum(e.objects), 0.0)},
         "contact": e.contact,
         "contacts": e.contacts,
         "map": _pose(e.map),
         "mean": _pose(e.mean),
         "cov": e.cov.tolist(),
-        "modes": [{**_pose(mode.pose), "weight": mode.weight} for mode in e.modes],
+        "modes": [
+            {**_pose(mode.pose), "weight": mode.weight, "object": mode.object} for mode in e.modes
+        ],
         "ess": e.ess,
         "particles": e.particles,
         "injected": e.injected,
@@ -108,8 +119,13 @@ def health(seq: int, t: float, parts: dict[str, Any]) -> dict[str, Any]:
     return {"v": VERSION, "seq": seq, "t": t, **plain}
 
 
-def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str) -> dict[str, Any]:
-    """`/taxeld/info`: which daemon this is, and what its numbers mean."""
+def info(layout: Layout, scenes: Mapping[str, Scene], config_hash: str) -> dict[str, Any]:
+    """`/taxeld/info`: which daemon this is, and what its numbers mean; `scenes` by the names of the
+    objects, in the order of their numbers."""
+    objects = [
+        {"name": name, "symmetry": scene.symmetry, "outline": scene.outline.tolist()}
+        for name, scene in scenes.items()
+    ]
     return {
         "v": VERSION,
         "taxeld": __version__,
@@ -125,11 +141,22 @@ def info(layout: Layout, scene: Scene, bundle: dict[str, Any], config_hash: str)
             "radius_m": layout.radius_m,
             "position_m": layout.position_m.tolist(),
         },
-        "object": bundle["object"],
-        "symmetry": scene.symmetry,
-        "outline": scene.outline.tolist(),
+        "object": objects[0]["name"],
+        "symmetry": objects[0]["symmetry"],
+        "outline": objects[0]["outline"],
+        "objects": objects,
         "config_hash": config_hash,
     }
+
+
+def object_of(e: Mapping[str, Any]) -> str:
+    """The name of the object that an estimate's map is of, with its probability where it might be
+    another one; empty in the map of an older daemon."""
+    likely = list(e.get("objects", {}).items())
+    if not likely:
+        return ""
+    name, p = likely[e["object"]]
+    return f"{name} {p:.1%}" if len(likely) > ALONE else str(name)
 
 
 def name_of(kind: type[IntEnum], number: int) -> str:

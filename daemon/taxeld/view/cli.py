@@ -39,7 +39,7 @@ def _view(args: argparse.Namespace) -> int:
     taxeld view session --save session.rrd
     """
     from taxeld.view import view
-    from taxeld.view.stage import recorded, scene_of
+    from taxeld.view.stage import recorded, scenes_of
 
     source = args.source
     if not args.seconds > 0.0:
@@ -51,8 +51,8 @@ def _view(args: argparse.Namespace) -> int:
         if not view.show(*recorded(source), target) and not target.stopping():
             raise SetupError(f"{source}: holds no scan to show")
         return 0
-    scene = None if source is None else scene_of(load(source))
-    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, scene, target) else FAILED
+    scenes = [] if source is None else scenes_of(load(source))
+    return 0 if view.live(_endpoint(args.endpoint, source), args.keys, scenes, target) else FAILED
 
 
 def _watch(args: argparse.Namespace) -> int:

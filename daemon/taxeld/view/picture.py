@@ -26,7 +26,7 @@ from taxeld.commands.status import estimate_rows
 from taxeld.estimator.estimate import Status
 from taxeld.model import se2
 from taxeld.stream import messages
-from taxeld.view.stage import Stage, pose_of
+from taxeld.view.stage import Stage, Thing, pose_of
 
 TIME = "scan"  # the time line: Unix time of the measurement
 TAXEL_M, PRESSED_M, LINE_M = 0.002, 0.004, 0.0008  # radii of points and lines
@@ -57,10 +57,10 @@ class Picture:
         self._text = ""  # the words on the last estimate
         self._felt: object = None  # the activations that were drawn last
         self._is_placed = False
-        self._slices = slices_of(stage)
-        self._outline = max((line[:, :2] for line in self._slices), key=len)
-        self._middle = self._outline.mean(axis=0)
-        self._middle_m = float(np.mean([line[0, 2] for line in self._slices]))
+        self._shown = 0  # number of the object that is drawn
+        self._slices = [slices_of(stage, thing) for thing in stage.things]
+        self._outlines = [max((line[:, :2] for line in own), key=len) for own in self._slices]
+        self._middle_m = float(np.mean([line[0, 2] for line in self._slices[0]]))
         self._arrange(None)
         self._draw_still()
 
@@ -87,7 +87,7 @@ class Picture:
                 fill_mode="majorwireframe",
             ),
             "world/link/skin": rr.Points3D.from_fields(positions=stage.position_m),
-            "world/object/slices": rr.LineStrips3D(self._slices, colors=FOUND, radii=LINE_M),
+            "world/object/slices": rr.LineStrips3D.from_fields(colors=FOUND, radii=LINE_M),
             "world/modes": rr.LineStrips3D.from_fields(radii=LINE_M),
             "world/radius": rr.LineStrips3D.from_fields(colors=FOUND, radii=LINE_M / 2),
             "world/particles": rr.Arrows3D.from_fields(colors=PARTICLE, radii=LINE_M),
@@ -97,10 +97,20 @@ class Picture:
             "plot/latency": rr.SeriesLines(names=[f"{stage} [ms]" for stage in messages.STAGES]),
         }
         if stage.truth is not None:
-            lines = [_at(se2.apply(stage.truth, line[:, :2]), line[0, 2]) for line in self._slices]
+            lines = [
+                _at(se2.apply(stage.truth, line[:, :2]), line[0, 2]) for line in self._slices[0]
+            ]
             still["world/truth"] = rr.LineStrips3D(lines, colors=TRUTH, radii=LINE_M / 2)
         for entity, thing in still.items():
             self._stream.log(entity, thing, static=True)
+        self._draw_object(0)
+
+    def _draw_object(self, number: int) -> None:
+        """Draw the object of this number where the last one was."""
+        self._shown = number
+        strips = rr.LineStrips3D.from_fields(strips=self._slices[number])
+        only = len(self._slices) == 1
+        self._stream.log("world/object/slices", strips, static=only)
 
     def _taxels(self, m: dict[str, Any]) -> None:
         if len(m["z"]) != len(self._stage.position_m):  # the daemon got another skin
@@ -123,8 +133,13 @@ class Picture:
     def _estimate(self, e: dict[str, Any]) -> None:
         valid, modes = bool(e["valid"]), e["modes"] if e["valid"] else []
         error_mm = self._stage.error_mm(e)
+        if e["object"] != self._shown:
+            self._draw_object(e["object"])
         self._place("world/object", pose_of(e["map"]) if valid else None)
-        lines = [_at(se2.apply(pose_of(one), self._outline), self._middle_m) for one in modes]
+        lines = [
+            _at(se2.apply(pose_of(one), self._outlines[one["object"]]), self._middle_m)
+            for one in modes
+        ]
         colours = [(*MODE, round(255 * max(one["weight"], 0.4))) for one in modes]
         self._stream.log("world/modes", rr.LineStrips3D.from_fields(strips=lines, colors=colours))
         middle = se2.apply(pose_of(e["map"]), self._middle[None])
@@ -161,6 +176,11 @@ class Picture:
         at, to = _at(origin, self._middle_m), _at(vector, 0.0)
         self._stream.log("world/particles", rr.Arrows3D.from_fields(origins=at, vectors=to))
 
+    @property
+    def _middle(self) -> Floats:
+        """(2,) of the object that is drawn, in its own frame."""
+        return np.asarray(self._outlines[self._shown].mean(axis=0))
+
     def _place(self, entity: str, pose: Poses | None) -> None:
         """Move an entity to a pose (3,); one without a pose is made too small to be seen."""
         x, y, theta = (0.0, 0.0, 0.0) if pose is None else pose.tolist()
@@ -177,7 +197,7 @@ class Picture:
         if look_at is not None:
             target = np.array([look_at[0], look_at[1], 0.0])
             eye = rrb.EyeControls3D(position=target + EYE_M, look_target=target)
-        has_errors = self._stage.scene is not None and self._stage.truth is not None
+        has_errors = self._stage.things[0].scene is not None and self._stage.truth is not None
         plots = {"spread": "spread: 1 standard deviation", "belief": "p and the hypotheses"}
         if has_errors:
             plots["error"] = "error: ADD [mm]"
@@ -199,13 +219,13 @@ class Picture:
         self._stream.send_blueprint(rrb.Blueprint(both, time, collapse_panels=True))
 
 
-def slices_of(stage: Stage) -> list[Floats]:
-    """Closed lines (P, 3) on the object at the heights of the scene's grids; without a scene, the
+def slices_of(stage: Stage, thing: Thing) -> list[Floats]:
+    """Closed lines (P, 3) on an object at the heights of the scene's grids; without a scene, the
     outline at the lowest and the highest taxel."""
-    scene = stage.scene
+    scene = thing.scene
     if scene is None:
         z = stage.position_m[:, 2]
-        line = np.vstack([stage.outline, stage.outline[:1]])
+        line = np.vstack([thing.outline, thing.outline[:1]])
         return [_at(line, float(height)) for height in np.unique([z.min(), z.max()])]
     return [
         _at(scene.origin + scene.cell * np.asarray(line), float(height))

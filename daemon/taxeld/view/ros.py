@@ -13,7 +13,7 @@ import numpy as np
 from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.freshness import Why
-from taxeld.stream.messages import name_of
+from taxeld.stream.messages import name_of, object_of
 
 Map = dict[str, Any]
 
@@ -185,6 +185,7 @@ def diagnostics(t: float, name: str, e: Map, health: Map | None = None, hardware
             "p": e["p"],
             "radius_m": e["radius_m"],
             **e["hypotheses"],
+            "object": object_of(e),
             "contact": e["contact"],
             "contacts": e["contacts"],
             "weights": " ".join(f"{mode['weight']:.4f}" for mode in e["modes"]),

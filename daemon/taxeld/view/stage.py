@@ -1,6 +1,6 @@
 """The skin and the object of a picture, and a session as the messages that a daemon would send."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from taxeld.config.tables import Config
 from taxeld.layout import read as layouts
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
-from taxeld.proposals import bundle
+from taxeld.proposals import several
 from taxeld.source import session
 from taxeld.stream import messages
 from taxeld.view.streams import Message
@@ -22,23 +22,31 @@ PARTICLES_S = 0.05  # between two clouds of particles, as the daemon sends them
 
 
 @dataclass(frozen=True)
-class Stage:
-    """Skin and object of one daemon or session. Lengths in metres."""
+class Thing:
+    """An object that may be felt."""
 
-    object: str  # its name
+    name: str
+    outline: Floats  # (P, 2) in its own frame
+    scene: Scene | None = None  # None where only the streams are known
+
+
+@dataclass(frozen=True)
+class Stage:
+    """Skin and objects of one daemon or session. Lengths in metres."""
+
+    things: list[Thing]  # by the numbers in estimates
     layout: str  # its name
     position_m: Floats  # (M, 3) taxels in the sensor frame
     radius_m: float  # of the link
-    outline: Floats  # (P, 2) of the object, in its own frame
-    scene: Scene | None = None  # None where only the streams are known
-    truth: Poses | None = None  # (3,) true pose of the object
+    truth: Poses | None = None  # (3,) true pose of the object, where it is known which it is
     is_live: bool = False  # scans of a daemon have latencies, those of a session have none
 
     def error_mm(self, estimate: dict[str, Any]) -> float | None:
         """Symmetry-aware ADD of the heaviest mode; None without scene, truth or valid estimate."""
-        if self.scene is None or self.truth is None or not estimate["valid"]:
+        scene = self.things[0].scene
+        if scene is None or self.truth is None or not estimate["valid"]:
             return None
-        return 1e3 * add_m(self.scene, pose_of(estimate["map"]), self.truth)[1]
+        return 1e3 * add_m(scene, pose_of(estimate["map"]), self.truth)[1]
 
 
 def pose_of(planar: dict[str, float]) -> Poses:
@@ -46,28 +54,31 @@ def pose_of(planar: dict[str, float]) -> Poses:
     return np.array([planar["x"], planar["y"], planar["theta"]])
 
 
-def from_info(info: dict[str, Any], scene: Scene | None = None) -> Stage:
-    """Stage of `/taxeld/info`, with the scene where it is known."""
-    layout = info["layout"]
+def from_info(info: dict[str, Any], scenes: Sequence[Scene] = ()) -> Stage:
+    """Stage of `/taxeld/info`, with the objects' scenes where they are known."""
+    layout, objects = info["layout"], info["objects"]
+    known = scenes if len(scenes) == len(objects) else [None] * len(objects)
     return Stage(
-        object=Path(info["object"]).name,
+        things=[
+            Thing(Path(each["name"]).name, np.array(each["outline"]), scene)
+            for each, scene in zip(objects, known, strict=True)
+        ],
         layout=layout["name"],
         position_m=np.array(layout["position_m"]),
         radius_m=layout["radius_m"],
-        outline=np.array(info["outline"]),
-        scene=scene,
         is_live=True,
     )
 
 
-def scene_of(config: Config) -> Scene:
-    """The scene of a configuration's bundle.
+def scenes_of(config: Config) -> list[Scene]:
+    """The scenes of a configuration's bundles.
 
     Raises:
         SetupError: what the configuration names cannot be used.
     """
     skin = layouts.load(config.skin.layout)
-    return bundle.load(config.scene.bundle, skin, config.skin.full_scale_depth_m).model.scene
+    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m)
+    return [one.model.scene for one in bundles]
 
 
 def recorded(directory: Path, config: Path | None = None) -> tuple[Stage, Iterator[Message]]:
@@ -79,15 +90,16 @@ def recorded(directory: Path, config: Path | None = None) -> tuple[Stage, Iterat
             messages are read, also: the session is damaged.
     """
     replay = Replay(directory, session.config_of(directory, config))
-    skin, scene = replay.pipeline.skin.layout, replay.model.scene
+    skin = replay.pipeline.skin.layout
+    scenes = [known.model.scene for known in replay.pipeline.estimator.known]
+    pairs = zip(replay.names, scenes, strict=True)
+    truth = truth_of(directory / session.TRUTH)
     stage = Stage(
-        object=Path(replay.config.scene.bundle).name,
+        things=[Thing(Path(name).name, scene.outline, scene) for name, scene in pairs],
         layout=skin.name,
         position_m=skin.position_m,
         radius_m=skin.radius_m,
-        outline=scene.outline,
-        scene=scene,
-        truth=truth_of(directory / session.TRUTH),
+        truth=truth if len(scenes) == 1 else None,  # a session does not say which one stood there
     )
     return stage, _messages(replay)
 
@@ -110,7 +122,7 @@ def _messages(replay: Replay) -> Iterator[Message]:
             yield messages.TAXELS, messages.taxels(activation, outcome.sensor, seq)
         if not estimate.t:  # nothing was measured yet
             continue
-        message = messages.estimate(estimate, seq=seq, why=replay.why(estimate))
+        message = messages.estimate(estimate, names=replay.names, seq=seq, why=replay.why(estimate))
         yield messages.ESTIMATE, message
         if estimate.contact and not estimate.t < next_s < estimate.t + 1.0:
             next_s = estimate.t + PARTICLES_S

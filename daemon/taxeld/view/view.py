@@ -6,7 +6,7 @@ import signal
 import socket
 import sys
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,9 +40,9 @@ class Target:
     stopping: Callable[[], bool]
 
 
-def live(endpoint: str, keys: Path | None, scene: Scene | None, target: Target) -> bool:
-    """Show a daemon's streams; → whether there was one. `scene`: the object, where more of it is
-    known than the outline that the streams have.
+def live(endpoint: str, keys: Path | None, scenes: Sequence[Scene], target: Target) -> bool:
+    """Show a daemon's streams; → whether there was one. `scenes`: the objects, where more of them
+    is known than the outlines that the streams have.
 
     Raises:
         SetupError: nothing can be shown, the endpoint is none, or a stream of another version.
@@ -50,7 +50,7 @@ def live(endpoint: str, keys: Path | None, scene: Scene | None, target: Target) 
     with contextlib.closing(Subscriber(endpoint, keys)) as streams:
         info = _first_info(streams, target.stopping)
         if info:
-            show(from_info(info, scene), _heard(streams), target)
+            show(from_info(info, scenes), _heard(streams), target)
         elif not target.stopping():
             print(unanswered(endpoint), file=sys.stderr)  # noqa: T201
             return False

@@ -97,7 +97,8 @@ class Page:
         topic, m = message
         if topic == messages.INFO:
             stage = from_info(m)
-            self._object, self._map = f"{stage.object}  ", SkinMap(stage)
+            named = stage.things[0].name if len(stage.things) == 1 else ""
+            self._object, self._map = named, SkinMap(stage)
         if topic == messages.ESTIMATE and m["lat_us"].get("skin"):
             self._lat_us = m["lat_us"]
         self._last[topic], self.heard_s = m, now_s
@@ -112,7 +113,8 @@ class Page:
         return Group(*lines)
 
     def _title(self, now_s: float) -> Text:
-        text = Text("taxeld ", style="bold").append(self._object, style="default")
+        named = self._object or messages.object_of(self._last.get(messages.ESTIMATE, {}))
+        text = Text("taxeld ", style="bold").append(f"{named}  " if named else "", "default")
         if not self._last:
             return text.append(f"waiting: {self.waits or self._endpoint}", style="yellow")
         silent_s = now_s - self.heard_s

@@ -106,7 +106,7 @@ def fitted(observed: Observed, config: Config, placed: Poses | None) -> Result:
     calibration = Calibration(
         t=observed.t,
         digest=state.digest(observed.model.layout),
-        object=config.scene.bundle,
+        object=config.scene.names[0],
         presses=len(presses),
         full_scale_depth_m=config.skin.full_scale_depth_m,
         full_scale_counts=float(np.exp(value.log_full[0])),

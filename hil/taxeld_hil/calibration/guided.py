@@ -16,7 +16,7 @@ from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.poses import PoseTrack
-from taxeld.proposals import bundle
+from taxeld.proposals import several
 from taxeld.source import session
 from taxeld_hil.calibration.calibrate import LEAST_IDLE_S, LEAST_PRESSES, covered, sides
 from taxeld_hil.calibration.observer import Observer, uncalibrated
@@ -55,7 +55,7 @@ class Guided:
             )
         config = uncalibrated(config)
         layout = layouts.load(config.skin.layout)
-        scene = bundle.load(config.scene.bundle, layout, config.skin.full_scale_depth_m)
+        (scene,) = several.load(config.scene, layout, config.skin.full_scale_depth_m)
         self._pipeline = Pipeline(config, scene.model, scene.untimed(config.filter))
         self._observer = Observer(self._pipeline)
         self._recording = Recording(config, config_path, directory)

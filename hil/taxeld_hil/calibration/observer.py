@@ -6,6 +6,7 @@ import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.config.tables import Config
+from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.outcome import Outcome
@@ -63,7 +64,15 @@ class Observed:
 
 
 def uncalibrated(config: Config) -> Config:
-    """The configuration of a daemon without a calibration."""
+    """The configuration of a daemon without a calibration.
+
+    Raises:
+        SetupError: it does not say which object is pressed.
+    """
+    if len(config.scene.names) > 1:
+        raise SetupError(
+            "scene.bundles: a skin is calibrated by presses of one object: name one scene.bundle"
+        )
     return replace(config, skin=replace(config.skin, calibration=""))
 
 

@@ -84,7 +84,7 @@ def _add_objects(one: argparse.ArgumentParser) -> None:
 
 
 def _add_expect(one: argparse.ArgumentParser) -> None:
-    about = "a bundle (box, mug, a path), a YCB id or a mesh file"
+    about = "a bundle (box, drill, mug, a path), a YCB id or a mesh file"
     one.add_argument("--object", required=True, help=about)
     about = "as skin.layout; default: what a bundle was built for"
     one.add_argument("--layout", default="", help=about)

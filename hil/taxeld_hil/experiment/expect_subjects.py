@@ -129,7 +129,7 @@ def _found(asked: Asked) -> Found:
     try:
         meshes.find(asked.object)
     except SetupError as error:
-        raise SetupError(f"--object: {error}; or a bundle: box, mug, or a path") from None
+        raise SetupError(f"--object: {error}; or a bundle: box, drill, mug, or a path") from None
     skin = SkinConfig()
     return Found("", asked.object, asked.layout or skin.layout, None, skin.full_scale_depth_m)
 

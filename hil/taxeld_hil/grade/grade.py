@@ -95,6 +95,9 @@ def _found(judge: Judge, expect: Expect) -> Iterator[Check]:
     converged = last is not None and last.valid and last.status == Status.CONVERGED
     state = "no estimate came" if last is None else f"status {last.status.name.lower()}"
     state += f", not valid: {last.why.name.lower()}" if last and not last.valid else ""
+    known = judge.scenario.known
+    if len(known) > 1 and last is not None and expect.found:
+        yield Check("which object", last.object == judge.object, known[last.object])
     if not expect.found:
         yield Check("object found", None, f"not asked for; {state}")
     else:

@@ -41,6 +41,7 @@ class Sample(NamedTuple):
     scan_t: float  # time of its scan, by whatever clock; 0: there was none yet
     age_s: float  # age of the scan [s]
     total_us: float = 0.0  # time that the tick took
+    object: int = 0  # number of the object, of those that the daemon knows
 
     @property
     def valid(self) -> bool:
@@ -108,6 +109,9 @@ class Judge:
         self.last: Sample | None = None
         self.health: Health | None = None
         self.seen: list[Seen] = []
+        known = scenario.known
+        # number of the touched object; -1 where the daemon does not know it
+        self.object = known.index(scenario.bundle) if scenario.bundle in known else -1
         self._scene = scene
         self._live: list[Seen] = []
         self._todo = [
@@ -143,7 +147,7 @@ class Judge:
         self._count_silent(sample)
         if sample.valid and sample.p >= SURE_P and self.truth is not None:
             tally.sure += 1
-            tally.beyond += bool(self.error_mm(sample.map) > 1e3 * sample.radius_m)
+            tally.beyond += self._is_beyond(sample, 1e3 * sample.radius_m)
         if self._todo or self._live:
             self._advance(sample.t)
             for seen in self._live:
@@ -221,8 +225,7 @@ class Judge:
     def _count_silent(self, sample: Sample) -> None:
         silent = False
         if sample.valid and sample.status == Status.CONVERGED and self.truth is not None:
-            error = self.error_mm(sample.map)
-            silent = error > SILENT_MM
+            error, silent = self.error_mm(sample.map), self._is_beyond(sample, SILENT_MM)
             if silent:
                 self.tally.silent += 1
                 if not self._was_silent:
@@ -231,6 +234,10 @@ class Judge:
                     del self.tally.silent_at_s[EPISODES_KEPT:]
                 self.tally.worst_silent_mm = max(self.tally.worst_silent_mm, error)
         self._was_silent = silent
+
+    def _is_beyond(self, sample: Sample, limit_mm: float) -> bool:
+        """Whether an estimate is of another object, or farther off than so much."""
+        return sample.object != self.object or bool(self.error_mm(sample.map) > limit_mm)
 
 
 def _window_s(scenario: Scenario) -> float:

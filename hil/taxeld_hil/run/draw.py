@@ -115,8 +115,9 @@ class SessionPicture:
         """Raises SetupError where the session cannot be used."""
         self._directory = directory
         self._pipeline = open_pipeline(directory, session.config_of(directory))
-        self._scene = self._pipeline.estimator.model.scene
-        self._truth = truth_of(directory / session.TRUTH)
+        self._scenes = [known.model.scene for known in self._pipeline.estimator.known]
+        truth = truth_of(directory / session.TRUTH)
+        self._truth = truth if len(self._scenes) == 1 else None  # which one it is of, is not known
         self._skin = self._pipeline.skin.layout
 
     def scans(self) -> Iterator[DrawnScan]:
@@ -133,7 +134,8 @@ class SessionPicture:
         """The link and the object, `span` sizes of the object to each side of it."""
         angle = np.linspace(0.0, 2.0 * np.pi, 100)
         circle = self._skin.radius_m * np.column_stack([np.cos(angle), np.sin(angle)])
-        outline = np.vstack([self._scene.outline, self._scene.outline[:1]])
+        scene = self._scenes[scan.estimate.object]
+        outline = np.vstack([scene.outline, scene.outline[:1]])
         for pose in scan.particles:
             _line(axis, pose, outline, alpha=0.06, **MAYBE)
         if self._truth is not None:
@@ -145,7 +147,7 @@ class SessionPicture:
         x, y = MM * se2.apply(scan.sensor, self._skin.position_m[pressed, :2]).T
         axis.scatter(x, y, c=scan.z[pressed], s=14, zorder=3, **TAXELS)
         middle = scan.estimate.map if self._truth is None else self._truth
-        reach = span * self._scene.size
+        reach = span * scene.size
         axis.set_xlim(MM * (middle[0] - reach), MM * (middle[0] + reach))
         axis.set_ylim(MM * (middle[1] - reach), MM * (middle[1] + reach))
         _label(axis, "x [mm]", "y [mm]")

@@ -3,6 +3,7 @@
 Its process, its sockets and the kernel's devices are not part of it: a run in real time has them.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 from taxeld.config.tables import Config, SourceConfig
@@ -10,6 +11,7 @@ from taxeld.estimator.estimate import Estimate
 from taxeld.layout.layout import Layout
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
+from taxeld.proposals import several
 from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.state import SkinState
@@ -27,18 +29,20 @@ class FakeDaemon:
         self,
         config: Config,
         skin: Layout,
-        scene: Bundle,
+        scenes: Sequence[Bundle],
         line: MemoryLine,
         kept: SkinState | None,
         calibration: Calibration | None = None,
     ) -> None:
-        """`kept`: what the life before has learned of the skin."""
+        """`scenes`: of all objects that it knows; `kept`: what the life before has learned of the
+        skin."""
 
         def device(_: SourceConfig, __: ToFrames) -> MemoryDevice:
             return MemoryDevice(line)
 
-        proposal = scene.untimed(config.filter)
-        self.pipeline = Pipeline(config, scene.model, proposal, calibration=calibration)
+        samples = several.untimed(scenes, config.filter)
+        model, *more = (scene.model for scene in scenes)
+        self.pipeline = Pipeline(config, model, samples, calibration=calibration, more=more)
         self.source = LiveSource(config.source, dialects.live(config.source, skin), device, None)
         self.scans = 0
         self.outcomes: list[Outcome] = []  # outcomes of the last tick

@@ -60,8 +60,9 @@ class FakeRun:
         parsed = config_file.parse(self._file)
         loop, skin = replace(parsed.loop, rate_hz=rate_hz), replace(parsed.skin, learn=learns)
         self.config = replace(parsed, loop=loop, skin=skin)
-        self.scene = bundled.on_layout(scenario.bundle, scenario.skin_layout)
-        self.skin = self.scene.model.layout
+        where = scenario.skin_layout
+        self.scenes = [bundled.on_layout(name, where) for name in scenario.known]
+        self.skin = self.scenes[0].model.layout
         self._calibration = calibration
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
@@ -138,7 +139,7 @@ class FakeRun:
         e = self.daemon.estimate(now)
         why = self.daemon.pipeline.freshness.why(e, now)
         told = e.contacts, e.map, e.p, e.radius_m
-        self.judge.on_estimate(Sample(t, e.status, why, *told, e.t, now - e.t))
+        self.judge.on_estimate(Sample(t, e.status, why, *told, e.t, now - e.t, object=e.object))
         if now >= self._next_health_s:
             self._next_health_s = now + HEALTH_S
             self.judge.on_health(t, self.daemon.health(now))
@@ -164,7 +165,7 @@ class FakeRun:
     def _born(self) -> FakeDaemon:
         """A daemon with what the one before has stored of the skin."""
         kept = None if self._dead is None else self._dead.pipeline.skin.state()
-        return FakeDaemon(self.config, self.skin, self.scene, self.line, kept, self._calibration)
+        return FakeDaemon(self.config, self.skin, self.scenes, self.line, kept, self._calibration)
 
 
 def write_session(directory: Path, kept: Sequence[Item]) -> None:

@@ -93,6 +93,7 @@ def sample(message: dict[str, Any], t: float) -> Sample:
         message["t"],
         1e-6 * message["age_us"],
         message["lat_us"]["total"],
+        message["object"],
     )
 
 

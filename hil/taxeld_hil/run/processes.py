@@ -9,9 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
+from taxeld.config.tables import SceneConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.proposals import bundle
+from taxeld.proposals import several
 from taxeld.stream import client
 from taxeld_hil.scenario.scenario import Scenario
 
@@ -74,7 +75,8 @@ class Processes:
         Raises:
             SetupError: the daemon would refuse the bundle on this layout.
         """
-        bundle.load(scenario.bundle, layouts.load(scenario.skin_layout))
+        known = SceneConfig(bundles=scenario.known)
+        several.load(known, layouts.load(scenario.skin_layout))
         run = ("run", "--log-level", log_level, str(config))
         watch = ("watch", "--endpoint", endpoint, "--bundle", scenario.bundle)
         skin = ("--layout", scenario.skin_layout)

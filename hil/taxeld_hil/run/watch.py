@@ -19,7 +19,8 @@ HEADER = (
 
 @dataclass(slots=True)
 class ContactTable:
-    """Follows the streams of a daemon; the truth, where it is known, grades the estimates."""
+    """Follows the streams of a daemon; the truth, where it is known, grades the estimates. Where
+    the daemon knows several objects, each line ends with the likeliest of them."""
 
     scene: Scene
     truth: Poses | None
@@ -46,7 +47,9 @@ class ContactTable:
             f"{message['p']:7.1%} {1e3 * message['radius_m']:12.1f}    {_pose(message['map'])}"
         )
         self.most_taxels = 0
-        return line if self.truth is None else f"{line} {self.error_mm():16.1f}"
+        line = line if self.truth is None else f"{line} {self.error_mm():16.1f}"
+        several = len(message["objects"]) > messages.ALONE
+        return f"{line}  {messages.object_of(message)}" if several else line
 
     def error_mm(self) -> float:
         """Symmetry-aware ADD of the last likeliest pose; not a number where there is none."""

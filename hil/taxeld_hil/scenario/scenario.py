@@ -69,6 +69,7 @@ class Expect:
 @dataclass(frozen=True, slots=True)
 class Scenario:
     bundle: str = key(doc="the object, as a bundle that the daemon can load")
+    bundles: tuple[str, ...] = key((), doc="the objects that the daemon knows; empty: that one")
     layout: str = key("", doc="the skin; empty: the one that the bundle was built for")
     transport: str = key("slcan", one_of(*TRANSPORTS), "how the skin is reached in simulation")
     contacts: int = key(8, between(1, 1000), "presses, spread around the object")
@@ -87,6 +88,11 @@ class Scenario:
     mesh: Given[MeshConfig] = field(default_factory=Given)  # keys that replace the skin's own
     expect: Expect = Expect()  # grounds of the grade
     fault: tuple[Fault, ...] = key((), doc="what fails, and when")
+
+    @property
+    def known(self) -> tuple[str, ...]:
+        """The bundles that the daemon has."""
+        return self.bundles or (self.bundle,)
 
     @property
     def skin(self) -> MeshConfig:

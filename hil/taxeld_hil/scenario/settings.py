@@ -21,7 +21,7 @@ state_dir = "{place}/state"
 [source]
 {source}
 [scene]
-bundle = "{bundle}"
+{objects}
 [sensor_pose]
 endpoint = "{poses}"
 sigma_m = {sigma_m}
@@ -40,12 +40,13 @@ def text(
 ) -> str:
     """The file: sockets and the skin's state are kept in `place`; `filter_keys` are more lines of
     the table [filter]."""
+    several, (first, *_) = ", ".join(f'"{name}"' for name in scenario.known), scenario.known
     return TEXT.format(
         layout=scenario.skin_layout,
         full_scale_counts=scenario.full_scale_counts,
         full_scale_depth_m=bundle.manifest_of(scenario.bundle).depth_max_m,
         source=SOURCES[scenario.transport].format(channel=channel),
-        bundle=scenario.bundle,
+        objects=f"bundles = [{several}]" if scenario.bundles else f'bundle = "{first}"',
         poses=poses,
         sigma_m=scenario.robot_m or SensorPoseConfig().sigma_m,  # the daemon is told
         seed=seed,
