@@ -109,12 +109,13 @@ def _check_scene(config: Config, faults: list[str]) -> None:
         faults.append("scene.bundle: is required; or name several objects in scene.bundles")
     if scene.bundle and scene.bundles:
         faults.append("scene.bundles: is given beside scene.bundle; keep one of the two")
-    if len(scene.names) == 1:
+    several = "scene.bundles" if len(scene.names) > 1 else "scene.max_objects"
+    if len(scene.names) == scene.max_objects == 1:
         return
     if learned.injection == "paper":
-        faults.append("filter.injection: 'paper' knows one object: name one scene.bundle")
+        faults.append(f"filter.injection: 'paper' knows one object, and {several} names more")
     if learned.motion == "push":
-        faults.append("filter.motion: a pushed object must be known: name one scene.bundle")
+        faults.append(f"filter.motion: 'push' follows one known object, and {several} names more")
 
 
 def _check_endpoints(config: Config, faults: list[str]) -> None:

@@ -76,7 +76,10 @@ class Freshness:
         """The estimate with the status that its inputs allow; with `now_s`, also by their age."""
         why = self._of_inputs(now_s)
         stopped = Status.STARTING if why is Why.STARTING else Status.STALE
-        return estimate if why is Why.VALID else replace(estimate, status=stopped)
+        if why is Why.VALID:
+            return estimate
+        targets = tuple(replace(one, status=stopped) for one in estimate.targets)
+        return replace(estimate, status=stopped, targets=targets)
 
     def why(self, estimate: Estimate, now_s: float | None = None) -> Why:
         """Why a subscriber may not use the last estimate, VALID where it may; `now_s` as above."""

@@ -69,7 +69,8 @@ class Pipeline:
             mount = None if calibration is None else calibration.mount
             self.poses = PoseTrack(on_pose, mount, extrapolate_s)
         others = [Known(one, ladder.of(k)) for k, one in enumerate(more, 1)]
-        self.estimator = Estimator(model, ladder, config.filter, config.sensor_pose.sigma_m, others)
+        robot_m, most = config.sensor_pose.sigma_m, config.scene.max_objects
+        self.estimator = Estimator(model, ladder, config.filter, robot_m, others, most)
         self._judge_by(self.estimator.estimate.object)
         self._learns = config.skin.learn and config.filter.motion == "none"
         square = config.filter.centre_m, config.filter.half_width_m
@@ -229,7 +230,7 @@ class Pipeline:
         self.check.on_scan(self.estimator.used, own, estimate.contacts)
         if self.thinks_at_once:
             self._consider()
-            while self.estimator.bank.is_behind:
+            while self.estimator.is_behind:
                 self.estimator.think()
             estimate = self.estimator.estimate
         propose_ns = self.ladder.spent_ns - proposed_ns

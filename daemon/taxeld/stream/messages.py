@@ -11,7 +11,7 @@ from typing import Any
 
 from taxeld import __version__
 from taxeld.arrays import Poses
-from taxeld.estimator.estimate import Estimate, ProposalKind, Status
+from taxeld.estimator.estimate import Estimate, ProposalKind, Status, Target
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import Activation
@@ -61,7 +61,6 @@ def estimate(
 ) -> dict[str, Any]:
     """`/taxeld/estimate`; `names` are of the objects that it may be. In a replay, where time is not
     measured, the timing keys are 0."""
-    objects = dict(zip(names, e.objects, strict=True))
     return {
         "v": VERSION,
         "seq": seq,
@@ -74,7 +73,8 @@ def estimate(
         "radius_m": e.radius_m,
         "hypotheses": e.hypotheses._asdict(),
         "object": e.object,
-        "objects": {**objects, OTHER: max(1.0 - sum(e.objects), 0.0)},
+        "objects": _named(e.objects, names),
+        "estimates": [_target(one, names) for one in e.targets],
         "contact": e.contact,
         "contacts": e.contacts,
         "map": _pose(e.map),
@@ -93,6 +93,25 @@ def estimate(
         "degraded": degraded,
         "lat_us": lat_us or dict.fromkeys(STAGES, 0.0),
     }
+
+
+def _target(one: Target, names: Sequence[str]) -> dict[str, Any]:
+    return {
+        "object": one.object,
+        "objects": _named(one.objects, names),
+        "status": int(one.status),
+        "contacts": one.contacts,
+        "p": one.p,
+        "radius_m": one.radius_m,
+        "map": _pose(one.map),
+        "mean": _pose(one.mean),
+        "cov": one.cov.tolist(),
+    }
+
+
+def _named(objects: Sequence[float], names: Sequence[str]) -> dict[str, float]:
+    """Probabilities of objects by their names, and that of none of them."""
+    return {**dict(zip(names, objects, strict=True)), OTHER: max(1.0 - sum(objects), 0.0)}
 
 
 def particles(t: float, seq: int, pose: Poses, weight: Poses) -> dict[str, Any]:
