@@ -27,6 +27,7 @@ class Scan:
     counts: tuple[int, ...]  # channel by channel, MISSING where lost
     table: tuple[Module, ...]  # modules of the channels, in the order of the counts
     table_version: int
+    rest: int = 0  # counts of all taxels at rest, where the sender knows them; 0: they are learned
 
     @property
     def complete(self) -> bool:

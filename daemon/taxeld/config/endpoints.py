@@ -11,6 +11,7 @@ from pathlib import Path
 
 IPC = "ipc://"
 TCP = "tcp://"
+UDP = "udp://"
 IPC_PATH_MAX = 107  # bytes of a path that fit a socket's address on Linux
 FORMS = "ipc:///path or tcp://127.0.0.1:port"
 RUNTIME = Path("/run/taxeld")
@@ -37,6 +38,13 @@ def served_fault(endpoint: str, relay_key: str) -> str | None:
     """Why `endpoint` is not served here; `relay_key` names the key for TCP endpoints."""
     if endpoint.startswith(TCP):
         return f"'{endpoint}' is of TCP: name it in {relay_key}; here stands ipc:///path alone"
+    return fault(endpoint, has_keys=False)
+
+
+def array_fault(endpoint: str) -> str | None:
+    """Why arrays cannot be heard by `endpoint`; none come from beyond this machine."""
+    if endpoint.startswith(UDP):
+        endpoint = endpoint.replace(UDP, TCP, 1)
     return fault(endpoint, has_keys=False)
 
 

@@ -97,6 +97,10 @@ def _beside(path: Path, name: str, shipped: Path | None = None) -> str:
 def _check_source(source: SourceConfig, faults: list[str]) -> None:
     if source.kind in ("can", "serial") and not source.channel:
         faults.append(f"source.channel: is required for kind '{source.kind}'")
+    if source.kind == "array":
+        fault = endpoints.array_fault(source.endpoint)
+        if fault:
+            faults.append(f"source.endpoint: {fault}")
     if source.modules and source.dialect != "cyskin":
         faults.append("source.modules: is of dialect cyskin; icub names its boards")
     if source.kind == "replay" and not source.path:

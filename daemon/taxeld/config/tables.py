@@ -99,7 +99,7 @@ class SkinConfig:
 
 @dataclass(frozen=True, slots=True)
 class SourceConfig:
-    kind: str = key(check=one_of("can", "serial", "replay"), doc="where frames come from")
+    kind: str = key(check=one_of("can", "serial", "array", "replay"), doc="where frames come from")
     dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol")
     boards: tuple[int, ...] = key(
         (), _boards, "dialect icub: the part's boards, in its layout's order; empty: they are asked"
@@ -121,6 +121,10 @@ class SourceConfig:
         "native", one_of("native", "slcan"), "kind serial: packets in COBS, or SLCAN lines"
     )
     baud: int = key(921_600, between(1200, 12_000_000), "kind serial: line speed, bit/s")
+    endpoint: str = key(
+        "", doc="kind array: ZeroMQ's of its sender, or udp://127.0.0.1:port to listen at"
+    )
+    array: str = key("", doc="kind array: the id that is heard; empty: the first that comes")
     path: str = key("", doc="kind replay: a session directory")
     period_ms: int = key(50, between(1, 65535), "scan period asked of the skin")
     listen_only: bool = key(False, doc="never send: for a skin that something else started")

@@ -55,8 +55,11 @@ class Wiring:
             places = slice(None) if is_all else taxels
             wired = Wired(channels, taxels, places, *_pairs(uids, self._t0))
             self._maps[scan.ihb] = scan.table_version, wired
-            self._note(scan.ihb, {uid >> 4 for uid in uids if uid & 0xF and uid != ABSENT_UID})
+            self._note(scan.ihb, {uid >> 4 for uid in uids if self._is_taxel(uid)})
         return wired
+
+    def _is_taxel(self, uid: int) -> bool:
+        return uid != ABSENT_UID and (uid & 0xF != TEMPERATURE or uid in self._taxel)
 
     def _note(self, hub: int, suis: set[int]) -> None:
         """Record a hub's modules with taxels. A module that has gone since is not lacking: its

@@ -175,6 +175,8 @@ class Skin:
         self._slice.add_t0(wired.t0_modules, read.t0, read.t0_valid)
         if self._state is not None:
             self._judge(self._state, wired, read.counts, np.where(read.t0 > 0, read.t0, np.nan))
+        if scan.rest:
+            return self._given(scan.rest)
         if not self._idle.known.all():
             was_ready = self.is_ready
             answered = read.counts > 0
@@ -186,6 +188,14 @@ class Skin:
         if full:
             self._settle()
         return activation
+
+    def _given(self, rest: int) -> Activation:
+        """The activation of readings whose baseline the sender knows: nothing is learned of it."""
+        if not self._idle.known.all():
+            taxels = np.arange(len(self.layout))
+            self._state, self._idle.known[:] = None, True
+            self._know(taxels, np.full(len(taxels), float(rest)), np.zeros(len(taxels)))
+        return self._activation()
 
     def restore(self, state: SkinState, *, baseline: bool = True) -> None:
         """Use a state from before a restart: the responses, where they were learned on the same

@@ -13,11 +13,12 @@ from taxeld.source.icub_bring_up import IcubBringUp
 from taxeld.source.module_order import Listening, RecordedModules
 from taxeld.source.session import Items
 from taxeld_protocol import cyskin, icub
+from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.cyskin import BROADCAST, LEAVE_BOOTLOADER
 from taxeld_protocol.decoder import Decoder, ScanDecoder
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.icub_decoder import IcubDecoder
-from taxeld_protocol.modules import wired
+from taxeld_protocol.modules import NAMES, wired
 
 ToFrames = Callable[[int, bytes], list[Frame]]
 
@@ -40,6 +41,11 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
         SetupError: the layout needs more boards than are configured, or their order is unknown; or
             its scans are more than the bus carries.
     """
+    if any(int(uid) & 0xF >= NAMES for uid in layout.uid):
+        raise SetupError(
+            "skin.layout: its UIDs are of no module, which has taxels "
+            f"1..{NAMES - 1}: it is of an array (source.kind)"
+        )
     least_ms = least_period_ms(config, layout)
     if config.period_ms < least_ms:
         rate = 1000 * _frames(config, layout) / config.period_ms
@@ -85,13 +91,22 @@ def _frames(config: SourceConfig, layout: Layout) -> int:
     return cyskin.scan_frames(sum(module.channels for module in modules))
 
 
-def replayed(config: SourceConfig, layout: Layout, items: Items, what: str) -> ScanDecoder:
+def of_array(config: SourceConfig, layout: Layout) -> ArrayDecoder:
+    """The decoder of an array that has this layout."""
+    return ArrayDecoder(layout.uid.tolist(), config.array)
+
+
+def replayed(
+    config: SourceConfig, layout: Layout, items: Items, what: str
+) -> ScanDecoder | ArrayDecoder:
     """The decoder of the configured dialect for a recording, named by `what`. CySkin's decoder
     raises SetupError later on for a hub whose modules are unknown.
 
     Raises:
         SetupError: the modules or boards of the first scan are unknown.
     """
+    if items and isinstance(items[0], ArrayFrame):
+        return of_array(config, layout)
     if config.dialect == "icub":
         return icub_part.replayed(config, layout, items, what)
     given = module_order.given(config, layout)

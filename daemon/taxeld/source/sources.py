@@ -1,4 +1,4 @@
-"""Sources of scans: a CAN interface, a serial line, or a recorded session.
+"""Sources of scans: a CAN interface, a serial line, an array, or a recorded session.
 
 A source is polled at every pass of the loop and never blocks. A device that is gone, or not there
 yet, is opened again with growing pauses, and the skin on it is brought up anew; damaged input is
@@ -11,21 +11,20 @@ import math
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.source import dialects, session
-from taxeld.source.bus_faults import BusHealth
+from taxeld.source.array_source import ArraySource
 from taxeld.source.device import AwayError, Device, LostError, Noticed
 from taxeld.source.devices import open_device
 from taxeld.source.dialects import Dialect, ToFrames
 from taxeld.source.outbox import PATIENCE_S, Outbox
 from taxeld.source.recorder import Recorder
 from taxeld.source.session import Chunk, Items, Session, joined
+from taxeld.source.source import Source
 from taxeld.source.wire import Wire
 from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame
@@ -38,50 +37,6 @@ LOG_BURST = 10  # lines that may be logged at once about a device that comes and
 LOG_S = 30.0  # time for each further line after such a burst
 
 log = logging.getLogger(__name__)
-
-
-@dataclass(slots=True)
-class SourceCounters:
-    """Counters of a source, since start."""
-
-    lost: int = 0  # times the device was lost
-    reopened: int = 0
-    unopened: int = 0  # attempts to open it that failed
-    unsent: int = 0  # requests that the device did not take in time
-    noise: int = 0  # reads that python-can could not decode
-    refused: int = 0  # commands and frames that an SLCAN adapter refused
-    silences: int = 0  # times that an SLCAN adapter fell silent and was opened again
-
-
-class Source:
-    """A source as the loop sees it."""
-
-    device: Device | None = None  # the open device; the loop waits on its descriptor
-    is_busy = True  # whether it must be polled at every tick, as no descriptor would wake the loop
-    finished = False  # whether nothing more will ever come
-    waits_for = ""  # a line on why no scans come; empty where nothing is amiss
-    fault = ""  # a line on why no scan can ever be used; empty where nothing is amiss
-    firmware: Mapping[str, str] = MappingProxyType({})  # short id of a hub → its versions, in words
-
-    def __init__(self, wire: Wire) -> None:
-        self.wire = wire
-        self.counters = SourceCounters()
-        self.bus = BusHealth()  # of a CAN bus
-
-    def gather(self) -> int:
-        """Read the device and keep the items for the next `poll`; → the number of frames, or of
-        bytes of a line, now kept."""
-        return 0
-
-    def poll(self, now_s: float) -> list[Scan]:
-        """Scans that have arrived; `now_s` is monotonic."""
-        raise NotImplementedError
-
-    def clock_stepped(self, by: float) -> None:
-        """The Unix clock was set forward by `by` seconds."""
-
-    def close(self) -> None:
-        """Stop the skin and close the device, if there is one."""
 
 
 def open_source(
@@ -105,6 +60,8 @@ def open_source(
             raise SetupError(f"source.path: {config.path} was cut before its first frame")
         wire = Wire(config, dialects.replayed(config, layout, recorded.items, config.path))
         return ReplaySource(recorded, wire, on_pose)
+    if config.kind == "array":
+        return ArraySource(config, dialects.of_array(config, layout), recorder)
     return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
 
 

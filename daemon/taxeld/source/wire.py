@@ -6,6 +6,7 @@ from typing import NamedTuple
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.source.session import Chunk
+from taxeld_protocol.array import ArrayDecoder, ArrayFrame
 from taxeld_protocol.cyskin import Packet
 from taxeld_protocol.decoder import Decoder, Scan, ScanDecoder
 from taxeld_protocol.frames import Frame
@@ -21,19 +22,19 @@ class Decoded(NamedTuple):
 
 
 class Wire:
-    """Frames of a CAN bus, or bytes of a serial line, through the decoder."""
+    """Frames of a CAN bus, bytes of a serial line, or arrays, through the decoder."""
 
-    def __init__(self, config: SourceConfig, decoder: ScanDecoder) -> None:
+    def __init__(self, config: SourceConfig, decoder: ScanDecoder | ArrayDecoder) -> None:
         self.decoder = decoder
         self._slcan = SlcanReader() if config.framing == "slcan" else None
         self._native = SerialReader()
 
-    def take(self, items: Sequence[Frame | Chunk]) -> list[Decoded]:
+    def take(self, items: Sequence[Frame | Chunk | ArrayFrame]) -> list[Decoded]:
         """Take frames or chunks with their own stamps; frames that end nothing are left out."""
         heard: list[Decoded] = []
         feed = self.decoder.feed
         for item in items:
-            if isinstance(item, Frame):
+            if not isinstance(item, Chunk):
                 packet, scans = feed(item)
                 if scans or packet is not None:
                     heard.append(Decoded(packet, scans))
