@@ -95,7 +95,7 @@ def _init(args: argparse.Namespace) -> int:
     from taxeld.commands import init
 
     config = init.write(args.config, vars(args))
-    source = f"{config.source.kind} {config.source.channel}, object {config.scene.bundle}"
+    source = f"{config.source.kind} {config.source.where}, object {config.scene.bundle}"
     print(f"written: {args.config} ({source}); next: taxeld check {args.config}")
     return 0
 

@@ -6,7 +6,7 @@ and out as whole lists, so that a thousand values take a fraction of a milliseco
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from operator import itemgetter
 from typing import Any, NamedTuple
@@ -27,6 +27,8 @@ NAMES = 16  # taxels of a module: those of one SUI
 BACK_MAX = 10  # ordered frames in a row before the last time: the sender's clock was set back
 FUTURE_S = 0.1  # a frame stamped farther in the future tells nothing of the order
 
+Pick = Callable[[tuple[int, ...]], tuple[int, ...]]
+
 
 class ArrayFrame(NamedTuple):
     """A message that was found good."""
@@ -41,7 +43,8 @@ def parse(message: object) -> ArrayFrame | str:
     """The frame of a message, or the reason why it is none, with the cure."""
     if not isinstance(message, dict):
         return "it is no map {t, id, z or counts}"
-    t, name = message.get("t"), message.get("id")
+    t: Any = message.get("t")
+    name = message.get("id")
     if not _is_number(t) or not 0.0 <= t < T_MAX:
         return "t is no Unix time in seconds"
     if type(name) is int and abs(name) < INT_MAX:
@@ -144,7 +147,9 @@ class ArrayDecoder:
         self._table = tuple(groups)
         order = sorted(range(len(uids)), key=uids.__getitem__)
         is_sorted = order == list(range(len(uids)))
-        self._sorted = tuple if is_sorted else itemgetter(*order)
+        self._sorted: Callable[[tuple[int, ...]], tuple[int, ...]] = (
+            tuple if is_sorted else itemgetter(*order)
+        )
         self._size, self._name, self._frames = len(uids), name, 0
         self._rest: int | None = None
         self._t = self._back_t = -math.inf  # of the last frame, and of the last that went back

@@ -61,7 +61,7 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
     # python-can's drivers have no error of their own for a device in use
     is_silent_on_use = config.source.interface not in ("socketcan", "slcan")
     is_bus = config.source.kind == "can"
-    if config.source.kind != "replay" and not (is_running and is_bus and is_silent_on_use):
+    if config.source.kind in ("can", "serial") and not (is_running and is_bus and is_silent_on_use):
         attempt(_open_device, config.source)
     attempt(_read_keys, config)
     for endpoint in config.publish.endpoints:
@@ -80,7 +80,7 @@ def notes(config: Config) -> list[str]:
     if not config.sensor_pose.endpoint:
         heard = client.hears(POSES_USUAL, messages.SENSOR_POSE, HEAR_POSES_S)
         found += [POSES_UNUSED] * heard
-    if source.dialect != "icub":
+    if source.dialect != "icub" or source.kind == "array":
         return [*found, MODULES_TO_COME] if source.listen_only and not source.modules else found
     return [
         *found,
@@ -93,7 +93,7 @@ def _read_source(source: SourceConfig, skin: Layout) -> None:
     if source.kind == "replay":
         recorded = session.read(Path(source.path)).items
         dialects.replayed(source, skin, recorded, source.path)
-    else:
+    elif source.kind != "array":
         dialects.live(source, skin)
 
 

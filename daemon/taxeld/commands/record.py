@@ -15,7 +15,8 @@ from taxeld.pipeline.poses import PoseTrack
 from taxeld.service.doorkeeper import Doorkeeper, poses_alone
 from taxeld.source import module_order
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source, open_source
+from taxeld.source.source import Source
+from taxeld.source.sources import open_source
 from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Decoder, Scan
 
@@ -31,7 +32,7 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
         SetupError: the directory cannot be recorded into, or the configuration replays a session.
     """
     if config.source.kind == "replay":
-        raise SetupError("source.kind: 'replay' is a recording already; use can or serial")
+        raise SetupError("source.kind: 'replay' is a recording already; use can, serial or array")
     named = Path(config.skin.calibration) if config.skin.calibration else None
     moves = bool(config.sensor_pose.endpoint)
     return Recorder(directory, moves=moves, config=config_path, calibration=named)
@@ -70,6 +71,7 @@ class Recording:
             opened.callback(link.detach)
             source = open_source(config.source, layouts.load(config.skin.layout), recorder)
             opened.callback(source.close)
+            link.on_array = source.hear
             door.wait(link)
             while not self.stopping and not self.failed:
                 now_s = time.monotonic()

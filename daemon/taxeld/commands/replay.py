@@ -23,9 +23,11 @@ from taxeld.source import dialects, session
 from taxeld.source.session import Chunk, PoseRow
 from taxeld.source.wire import Wire
 from taxeld.stream import messages
+from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.frames import Frame
 
-Arrival = Frame | Chunk | PoseRow
+Item = Frame | Chunk | ArrayFrame
+Arrival = Item | PoseRow
 
 
 class Replay:
@@ -141,7 +143,7 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
         if now[0] > before[0]:
             pipeline.clock_stepped(now[1] - before[1])
         before = now
-        if isinstance(came, Frame | Chunk):
+        if isinstance(came, Item):
             scans = [scan for heard in wire.take([came]) for scan in heard.scans]
             yield from pipeline.advance(scans, now[1])
         else:
@@ -158,7 +160,7 @@ def _ordered(arrivals: Iterable[Arrival]) -> Iterator[tuple[tuple[int, float], A
     """
     steps, before = 0, -math.inf
     for came in arrivals:
-        t = came.t if isinstance(came, Frame | Chunk) else came[0]
+        t = came.t if isinstance(came, Item) else came[0]
         steps += is_step(min(t - before, 0.0))
         before = t
         yield (steps, t), came

@@ -132,6 +132,11 @@ class SourceConfig:
         (), _modules, "[SUI, mask] of each module in its hub's order, where no DECLARE is heard"
     )
 
+    @property
+    def where(self) -> str:
+        """A session, an endpoint or a device: where frames of this kind come from."""
+        return {"replay": self.path, "array": self.endpoint}.get(self.kind, self.channel)
+
     GONE: ClassVar = {"max_age_s": "a scan that is older than 0.5 s when it arrives is not used"}
 
 

@@ -38,14 +38,14 @@ class Connection:
 
 
 class Connections:
-    """The connections of the endpoints that are served, and that of the robot."""
+    """The connections of the endpoints that are served, and those to robot and array."""
 
-    def __init__(self, served: Iterable[str], robot: str) -> None:
+    def __init__(self, served: Iterable[str], heard: Iterable[str]) -> None:
         """To be made before the process is confined: it keeps its places in /proc open."""
         self.hoarders = self.crowded_out = 0
         self.there: dict[int, Connection] = {}  # accepted ones, by inode
         self._places = {_place(endpoint) for endpoint in served}
-        self._robot = _place(robot) if robot else None
+        self._heard = {_place(endpoint) for endpoint in heard}
         self._listing = os.open("/proc/self/fd", os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         self._memory = os.open("/proc/self/statm", os.O_RDONLY | os.O_CLOEXEC)
         self._least = self._own_s = math.inf
@@ -101,8 +101,8 @@ class Connections:
         return False
 
     def _hang_up_on_sender(self, number: int) -> bool:
-        """Whether the descriptor is a connection to one of our endpoints, or to the robot, that has
-        more to read."""
+        """Whether the descriptor is a connection to one of our endpoints, or to robot or array,
+        that has more to read."""
         try:
             with borrowed(number) as connection:
                 if not self._is_ours(connection):
@@ -118,7 +118,7 @@ class Connections:
     def _is_ours(self, connection: socket.socket) -> bool:
         if _name(connection.getsockname()) in self._places:
             return True
-        return self._robot is not None and _name(connection.getpeername()) == self._robot
+        return bool(self._heard) and _name(connection.getpeername()) in self._heard
 
     def _accepted(self, number: int) -> Connection | None:
         """The connection of a descriptor, whose kernel queue is bounded; None: it is another."""

@@ -16,6 +16,7 @@ import zmq
 from taxeld.config import endpoints
 from taxeld.door import control, sandbox
 from taxeld.door.admission import Admission
+from taxeld.door.arrays import Datagrams, Published, open_arrays
 from taxeld.door.connections import Connections
 from taxeld.door.control import Control, MayChange, packed_error, packed_ok
 from taxeld.door.robot import Robot
@@ -65,11 +66,12 @@ class Door:
         self._publishers: dict[tuple[str, bool], Streams] = {}  # by key, and whether keys are taken
         self._controls: list[Control] = []
         self._robot: Robot | None = None
+        self._array: Published | Datagrams | None = None
         self._admission: Admission | None = None
         served = (*settings.publish, *settings.relay_publish)
         asked = filter(None, (settings.control, settings.relay_control))
         # all that is read of files comes before the process is confined
-        self._connections = Connections((*served, *asked), settings.robot)
+        self._connections = Connections((*served, *asked), _heard(settings))
         keys = _keys(settings)
         members = control.for_members(settings.change_group)
         self._report.confined = _confine(settings)
@@ -98,6 +100,10 @@ class Door:
         changed = self._end.fileno() in ready and self._take_from_loop(now_s)
         if self._robot is not None and self._robot.socket in ready:
             changed |= self._take_poses(self._robot, now_s)
+        if self._array is not None and self._array.waits_on in ready:
+            if self._robot is not None:  # a scan is placed by the poses before it
+                changed |= self._take_poses(self._robot, now_s)
+            changed |= self._array.poll(now_s)
         if self._admission is not None and self._admission.socket in ready:
             self._admission.answer()
         for stream in self._streams:
@@ -126,9 +132,10 @@ class Door:
         if now_s >= self._next_report_s:
             self._next_report_s = now_s + REPORT_S
             self._send_report()
+        changed = self._array is not None and self._array.look(now_s)
         if self._robot is None:
-            return False
-        changed = self._take_poses(self._robot, now_s)
+            return changed
+        changed |= self._take_poses(self._robot, now_s)
         return self._robot.look(now_s) or changed
 
     def _take_poses(self, robot: Robot, now_s: float) -> bool:
@@ -186,6 +193,9 @@ class Door:
     def _on_poses(self, packed: bytes) -> bool:
         return pair.send(self._end, Kind.POSES, packed)
 
+    def _on_array(self, packed: bytes) -> bool:
+        return pair.send(self._end, Kind.ARRAY, packed)
+
     def _pass_on(self, number: int, command: str) -> bool:
         return pair.send(self._end, Kind.CHANGE, pair.REQUEST.pack(number) + command.encode())
 
@@ -232,6 +242,9 @@ class Door:
             now_s = time.monotonic()
             self._robot = Robot(context, settings.robot, self._on_poses, keys.robot, now_s)
             self._report.robot = self._robot.line
+        if settings.array:
+            self._array = open_arrays(context, settings.array, self._on_array)
+            self._report.array = self._array.line
 
     def _guard_of(self, endpoint: str) -> Admission | None:
         """The admission of an endpoint that takes keys; None for another."""
@@ -271,9 +284,12 @@ class Door:
         for owner in (*self._streams, *controls, robot, self._admission):
             if owner is not None:
                 self._poller.register(owner.socket, zmq.POLLIN)
+        if self._array is not None:
+            self._poller.register(self._array.waits_on, zmq.POLLIN)
 
     def _close_all(self) -> None:
-        for owner in (*self._streams, *self._controls, self._robot, self._admission):
+        heard = self._robot, self._array
+        for owner in (*self._streams, *self._controls, *heard, self._admission):
             if owner is not None:
                 owner.close()
 
@@ -328,13 +344,19 @@ def _open_router(context: zmq.Context[Any], guard: Admission | None) -> zmq.Sock
     return router
 
 
+def _heard(settings: Settings) -> list[str]:
+    """The endpoints that are connected to."""
+    named = (settings.robot, settings.array)
+    return [each for each in named if each and not each.startswith(endpoints.UDP)]
+
+
 def _confine(settings: Settings) -> bool:
     served = [endpoint for endpoint in (*settings.publish, settings.control) if endpoint]
     for endpoint in served:
         endpoints.make_directory(endpoint)
     directories = {path.parent for path in map(endpoints.ipc_path, served) if path is not None}
     binds = [e for e in (*settings.relay_publish, settings.relay_control) if e]
-    connects = [settings.robot] if settings.robot.startswith(endpoints.TCP) else []
+    connects = [each for each in _heard(settings) if each.startswith(endpoints.TCP)]
     return sandbox.confine(directories, map(_port, binds), map(_port, connects))
 
 

@@ -4,56 +4,38 @@ SUB to `/robot/sensor_pose`, a map {t, x, y, theta}. While no pose comes, whatev
 publishes is listened to for a moment, so that a wrong topic can be named.
 """
 
-import itertools
 import math
 import re
-import struct
 from collections.abc import Callable
 from typing import Any
 
 import zmq
 
-from taxeld.stream import curve, pair, sockets
+from taxeld.door.heard import Heard
+from taxeld.stream import pair
 from taxeld.stream.curve import RobotKeys
-from taxeld.stream.link import REASON_MAX, TOPIC_MAX, TOPICS_MAX, RobotLine
-from taxeld.stream.sockets import connect, open_socket, unpack
+from taxeld.stream.link import REASON_MAX, TOPIC_MAX, TOPICS_MAX
+from taxeld.stream.sockets import unpack
 from taxeld.stream.topics import SENSOR_POSE
 
-POSES_PER_LOOK = 200
-QUEUED = 256  # messages, between two looks as well
 POSE_FRAMES = 3
 POSE_KEYS = ("t", "x", "y", "theta")
 THETA_MAX = 3.0 * math.pi  # beyond it an angle is in degrees; smaller ones cannot be told
 DEGREES = "theta is beyond 1.5 turns: send radians from -pi to pi, not degrees"
 DEGREES_S = 30.0  # for so long after such an angle, the smaller ones of this robot are refused too
 NAME = re.compile(rb"[!-~]{0,%d}" % TOPIC_MAX)  # a topic up to where it is no text
-MESSAGE_BYTES = 65_536  # largest message under a topic that begins like ours
-EVENTS_PER_LOOK = 64
-LOST_S = 2.0  # a connection that does not come back by itself in so long is made anew
-HALF_OPEN_S = 3.0  # a connection without a handshake for so long is refused
 SILENT_S = 1.0  # without a pose for so long, other topics are listened to
 LISTEN_S, PAUSE_S = 3.0, 30.0  # for so long, and then not again
-FAILED = (
-    zmq.EVENT_HANDSHAKE_FAILED_NO_DETAIL
-    | zmq.EVENT_HANDSHAKE_FAILED_PROTOCOL
-    | zmq.EVENT_HANDSHAKE_FAILED_AUTH
-)
-WATCHED = (
-    zmq.EVENT_CONNECTED
-    | zmq.EVENT_HANDSHAKE_SUCCEEDED
-    | zmq.EVENT_DISCONNECTED
-    | zmq.EVENT_CLOSED
-    | FAILED
-)
-EVENT = struct.Struct("=HI")  # an event and its value: pyzmq's own reader brings all of asyncio
-NUMBERS = itertools.count()  # each monitor has a name of its own
 
 OnPoses = Callable[[bytes], object]
 Pose = tuple[float, float, float, float]
 
 
-class Robot:
+class Robot(Heard):
     """One endpoint."""
+
+    topic = SENSOR_POSE
+    key = "sensor_pose.endpoint"
 
     def __init__(
         self,
@@ -69,76 +51,24 @@ class Robot:
         Raises:
             SetupError: the endpoint is none.
         """
-        self.line = RobotLine()
         self.is_awaited = False  # whether the loop waits for the next pose
-        self._context, self._endpoint, self._keys = context, endpoint, keys
         self._on_poses = on_poses
         self._packed: list[bytes] = []  # poses that have not been passed on
         self._pose_s = now_s  # when the last one came
         self._listens_s: float | None = None  # since when to other topics
         self._pauses_s = -math.inf  # until then not again
         self._doubted_s = -math.inf  # until then small angles are taken to be in degrees
-        self._open()
-
-    def poll(self, now_s: float) -> bool:
-        """Pass on the poses that have arrived; → whether the socket is another one now."""
-        try:
-            if not sockets.is_waiting(self.socket):
-                return False
-            for _ in range(POSES_PER_LOOK):
-                parts = sockets.contents(self.socket)
-                if parts is None:
-                    self._reopen()
-                    return True
-                self._take(now_s, parts)
-        except zmq.Again:
-            pass
-        finally:
-            self._pass_on()
-        return False
+        super().__init__(context, endpoint, keys)
 
     def look(self, now_s: float) -> bool:
-        """What has become of the connection, a few times a second; → whether the socket is another
-        one now."""
-        for _ in range(EVENTS_PER_LOOK):
-            if not sockets.is_waiting(self._monitor):
-                break
-            self._note(EVENT.unpack(self._monitor.recv_multipart()[0])[0], now_s)
-        if self._half_open_s is not None and now_s > self._half_open_s + HALF_OPEN_S:
-            self.line.refused = True
-        if self._lost_s is not None and now_s > self._lost_s + LOST_S:
-            # after an error of the protocol ZeroMQ does not connect again by itself
-            self._reopen()
+        if super().look(now_s):
             return True
         self._listen(now_s)
         return False
 
-    def close(self) -> None:
-        self.socket.monitor(None, 0)
-        self._monitor.close(linger=0)
-        self.socket.close()
-
     def _open(self) -> None:
-        self.socket = open_socket(
-            self._context, zmq.SUB, send=1, receive=QUEUED, largest=MESSAGE_BYTES
-        )
-        self.socket.setsockopt(zmq.SUBSCRIBE, SENSOR_POSE)
-        if self._keys is not None:
-            keys = self._keys
-            curve.as_client(self.socket, keys.robot, keys.public, keys.secret)
-        where = f"inproc://robot-{next(NUMBERS)}"
-        self.socket.monitor(where, WATCHED)
-        self._monitor: zmq.Socket[Any] = self._context.socket(zmq.PAIR)
-        self._monitor.connect(where)
-        self._lost_s: float | None = None  # since when the connection is gone
-        self._half_open_s: float | None = None  # since when it is without a handshake
         self._listens_s = None
-        connect(self.socket, self._endpoint, "sensor_pose.endpoint")
-
-    def _reopen(self) -> None:
-        self.close()
-        self._open()
-        self.line.connected = False
+        super()._open()
 
     def _take(self, now_s: float, parts: list[bytes]) -> None:
         is_glued = len(parts) == 1 and parts[0].startswith(SENSOR_POSE)
@@ -168,22 +98,9 @@ class Robot:
         self._packed.clear()
 
     def _note(self, event: int, now_s: float) -> None:
-        line = self.line
+        super()._note(event, now_s)
         if event == zmq.EVENT_HANDSHAKE_SUCCEEDED:
-            line.connected, line.refused = True, False
-            self._lost_s = self._half_open_s = None
             self._doubted_s = -math.inf  # another publisher, or this one mended
-        elif event == zmq.EVENT_CONNECTED:
-            self._half_open_s = now_s if self._half_open_s is None else self._half_open_s
-        elif event & FAILED:
-            line.connected, line.refused = False, True
-            self._lost_s = now_s
-        elif event == zmq.EVENT_CLOSED:  # it could not connect: nobody is there
-            line.connected = line.refused = False
-            self._half_open_s = self._lost_s = None
-        else:
-            line.connected = False
-            self._lost_s = now_s if self._lost_s is None else self._lost_s
 
     def _listen(self, now_s: float) -> None:
         is_missed = self.line.connected and now_s > self._pose_s + SILENT_S

@@ -19,13 +19,14 @@ class Settings:
     relay_publish: tuple[str, ...] = ()  # TCP
     relay_control: str = ""  # TCP; empty: none
     relay_change: bool = False  # tare and reset are taken there
+    array: str = ""  # where arrays are heard; empty: nowhere
     keys: str = ""  # directory of CURVE's keys; empty: none
 
     @property
     def is_needed(self) -> bool:
         """Whether there is anything to serve or to hear, or keys that must be looked at."""
         named = (*self.publish, *self.relay_publish, self.control, self.relay_control)
-        return any((*named, self.robot, self.keys))
+        return any((*named, self.robot, self.array, self.keys))
 
     def dump(self) -> str:
         return json.dumps(asdict(self))

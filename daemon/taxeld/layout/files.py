@@ -181,23 +181,27 @@ def _parent(frames: Any) -> Floats | None:
 
 
 def _csv(text: str) -> Patch:
-    """Read a row a taxel under the header `x,y,z,nx,ny,nz`, and `uid` where the file has it; else
-    UIDs go up as those of a generated cylinder."""
+    """Read a row a taxel under the header `uid,x,y,z,nx,ny,nz`, where the normals may lack, and the
+    UIDs, which may stand last: without them they go up as those of a generated cylinder."""
     head, *rows = [line.replace(" ", "").split(",") for line in text.splitlines() or [""]]
-    if head not in (COLUMNS, [*COLUMNS, "uid"]):
-        raise ValueError(f"line 1: must be {','.join(COLUMNS)}, or the same with ,uid")
+    numbers = [column for column in head if column != "uid"]
+    if numbers not in (COLUMNS, COLUMNS[:3]) or head not in (
+        *(numbers, ["uid", *numbers], [*numbers, "uid"]),
+    ):
+        raise ValueError(f"line 1: must be uid,{','.join(COLUMNS)}; uid or the n… may lack")
     gathered, seen = _Gathered(), set[int]()
     for number, words in enumerate(rows, 2):
         place, i = f"line {number}", len(seen)
         uid = (i // TAXELS_PER_MODULE + 1) << 4 | (i % TAXELS_PER_MODULE + 1)
         if "uid" in head:
-            named = words.pop()
-            uid = int(named) if re.fullmatch("[0-9]{1,11}", named) else 0
-            if not 0 < uid & 0xF < NAMES or uid >= 1 << UID_BITS or uid in seen:
+            named = words.pop(0 if head[0] == "uid" else -1)
+            uid = int(named) if re.fullmatch("[0-9]{1,11}", named) else -1
+            if not 0 <= uid < 1 << UID_BITS or uid in seen:
                 raise ValueError(f"{place}: {_show(named)} is no UID, or one for the second time")
         seen.add(uid)
-        row = _row(words, place)
-        gathered.add(uid, row[:3], row[3:], place)
+        row = _row(words, place, len(numbers))
+        is_bare = len(numbers) < len(COLUMNS)
+        gathered.add(uid, row[:3], row[3:] or [0.0] * 3, "" if is_bare else place)
     return gathered.patch()
 
 
@@ -252,12 +256,12 @@ def _representatives(header: str) -> list[int]:
         raise ValueError("taxel2Repr: must be integers in ( … ); correct it") from None
 
 
-def _row(words: list[str], place: str) -> list[float]:
+def _row(words: list[str], place: str, count: int = 6) -> list[float]:
     try:
         values: Any = [float(word) for word in words]
     except ValueError:
         values = words
-    return _numbers(values, 6, place)
+    return _numbers(values, count, place)
 
 
 def _table(value: Any, key: str) -> dict[str, Any]:

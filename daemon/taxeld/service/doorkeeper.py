@@ -162,6 +162,7 @@ def settings_of(config: Config, robot: str) -> Settings:
         control=config.control.endpoint,
         change_group=config.control.group,
         robot=robot,
+        array=_array_of(config),
         queue=max(round(QUEUE_S * messages_hz), QUEUE_LEAST),
         relay_publish=config.relay.publish,
         relay_control=config.relay.control,
@@ -171,15 +172,20 @@ def settings_of(config: Config, robot: str) -> Settings:
 
 
 def poses_alone(config: Config) -> Settings:
-    """Settings of a door that hears the configured robot and serves nobody."""
+    """Settings of a door that hears the configured robot and array, and serves nobody."""
     return Settings(
         publish=(),
         control="",
         change_group="",
         robot=config.sensor_pose.endpoint,
+        array=_array_of(config),
         queue=QUEUE_LEAST,
         keys=config.curve.directory,
     )
+
+
+def _array_of(config: Config) -> str:
+    return config.source.endpoint if config.source.kind == "array" else ""
 
 
 def _environment() -> dict[str, str]:

@@ -25,6 +25,7 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
         "realtime": daemon.realtime,
         "source": {
             **source.wire.stats(),
+            **({"refused": report.array.malformed} if source.comes_by_door else {}),
             "lost": source.counters.lost,
             "unopened": source.counters.unopened,
             "unsent": source.counters.unsent,

@@ -36,7 +36,8 @@ from taxeld.service.state_file import StateFile
 from taxeld.service.ticker import ALL, Ready, Ticker, wait
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
-from taxeld.source.sources import Source, open_source
+from taxeld.source.source import Source
+from taxeld.source.sources import open_source
 from taxeld.stream import messages
 from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Scan
@@ -136,6 +137,7 @@ class Daemon:
             config.source, self.layout, self.recorder, self.pipeline.poses.add, wait=True
         )
         opened.callback(self.source.close)
+        self.link.on_array = self.source.hear
         self.door.wait(self.link)
 
     def stop(self) -> None:
@@ -189,7 +191,8 @@ class Daemon:
             self.link.ask_poses(also_next=True)
         is_busy = pipeline.has_waiting or pipeline.has_thought or source.is_busy
         until_s = ticker.until(busy=is_busy)
-        ready = wait(source.device, self.link.end if pipeline.has_waiting else None, until_s)
+        hears = pipeline.has_waiting or source.comes_by_door
+        ready = wait(source.device, self.link.end if hears else None, until_s)
         if ready.device:
             self.link.ask_poses(also_next=False)
             self._gather()
@@ -215,6 +218,8 @@ class Daemon:
             self.pipeline.clock_stepped(stepped)
             self.source.clock_stepped(stepped)
             self._watch.clock_stepped()
+        if self.source.comes_by_door:
+            self._look_at_door(now_s, asked=ready.door)
         scans = self.source.poll(now_s)
         self.counters.scans += len(scans)
         self._look_at_door(now_s, asked=ready.door or bool(scans) or self.pipeline.has_waiting)
@@ -345,6 +350,10 @@ class Daemon:
         if now_s >= self._next_health_s:
             wall_s = time.time()
             self._next_health_s = now_s + HEALTH_S
+            array = self.link.report.array
+            self.source.heed(
+                connected=array.connected, malformed=array.malformed, reason=array.reason
+            )
             self._health_sent = health.of(self, self._seq, now_s, wall_s)
             self.link.send(messages.HEALTH, self._health_sent, wall_s)
             fault, match = self._watch.fault, self.pipeline.freshness.is_whole

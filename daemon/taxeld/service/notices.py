@@ -59,7 +59,7 @@ class Notices:
     def ready(self, config: Config, info: Mapping[str, Any], waits_for: str) -> None:
         """All is open and warm; `info`: the message to subscribers, `waits_for`: the source's."""
         source, poses = config.source, config.sensor_pose.endpoint
-        where = source.path if source.kind == "replay" else source.channel
+        where = source.where
         parts = [
             f"skin {info['layout']['name']}, {info['layout']['taxels']} taxels",
             f"object {' or '.join(self._names)}",

@@ -108,7 +108,7 @@ def replayed(
     if items and isinstance(items[0], ArrayFrame):
         return of_array(config, layout)
     if config.dialect == "icub":
-        return icub_part.replayed(config, layout, items, what)
+        return icub_part.replayed(config, layout, [*items], what)
     given = module_order.given(config, layout)
     known = RecordedModules(config, given, items, what)
     return Decoder(known.of, config.period_ms / 1000.0)

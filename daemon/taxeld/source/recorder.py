@@ -21,6 +21,7 @@ from typing import Self
 from taxeld.errors import SetupError
 from taxeld.source.session import (
     ABOUT,
+    ARRAY,
     CONFIG,
     FRAMES,
     POSE_COLUMNS,
@@ -32,6 +33,7 @@ from taxeld.source.session import (
     Chunk,
     PoseRow,
 )
+from taxeld_protocol.array import ArrayFrame, line_of
 from taxeld_protocol.frames import Frame, format_log_line
 
 PAUSE_S = 0.25  # pause between two writings: short, so that none holds the interpreter for long
@@ -45,8 +47,9 @@ HEADERS = {
     POSES: ",".join(POSE_COLUMNS) + "\n",
     SERIAL_TIMES: ",".join(SERIAL_COLUMNS) + "\n",
 }
+PARTS = (SERIAL, SERIAL_TIMES, FRAMES, ARRAY, POSES)
 
-Item = Frame | Chunk | PoseRow
+Item = Frame | Chunk | ArrayFrame | PoseRow
 
 log = logging.getLogger(__name__)
 
@@ -55,7 +58,7 @@ log = logging.getLogger(__name__)
 class RecordCounters:
     """Counts of written and lost records, since start."""
 
-    frames: int = 0
+    frames: int = 0  # of a bus, or of an array
     bytes: int = 0  # bytes of a serial line
     poses: int = 0
     dropped: int = 0  # records of any kind that the disk did not take, or not in time
@@ -82,7 +85,7 @@ class Recorder:
         self._directory = directory
         self._moves = moves
         self._beside = _beside(config, calibration)
-        _check_free(directory, [ABOUT, FRAMES, SERIAL, SERIAL_TIMES, POSES, *self._beside])
+        _check_free(directory, [ABOUT, *PARTS, *self._beside])
         self._waiting: deque[Item] = deque()
         self._came = self._refused = 0  # records taken so far, and records refused
         self._came_bytes = self._taken_bytes = 0  # bytes put by the caller, and taken
@@ -104,7 +107,8 @@ class Recorder:
         self.take((t, x, y, theta))
 
     def take(self, item: Item) -> None:
-        """Record a CAN frame of either direction, bytes of a serial line, or a sensor pose."""
+        """Record a CAN frame of either direction, bytes of a serial line, an array's frame, or a
+        sensor pose."""
         if self._failed or self._came_bytes - self._taken_bytes > WAITING_BYTES:
             self._refused += 1
             return
@@ -166,11 +170,14 @@ class Recorder:
             files.append(POSES, b"")
 
     def _write(self, files: "_Files", items: list[Item]) -> None:
-        parts = {name: bytearray() for name in (SERIAL, SERIAL_TIMES, FRAMES, POSES)}
+        parts = {name: bytearray() for name in PARTS}
         written = self._written.copy()
         for item in items:
             if isinstance(item, Frame):
                 parts[FRAMES] += format_log_line(item).encode() + b"\n"
+                written["frames"] += 1
+            elif isinstance(item, ArrayFrame):
+                parts[ARRAY] += line_of(item).encode() + b"\n"
                 written["frames"] += 1
             elif isinstance(item, Chunk):
                 parts[SERIAL_TIMES] += b"%.6f,%d\n" % (item.t, written["bytes"])
@@ -219,6 +226,8 @@ class _Files:
 
 
 def _size(item: Item) -> int:
+    if isinstance(item, ArrayFrame):
+        return RECORD_BYTES + 8 * len(item.counts)
     return RECORD_BYTES + (len(item.data) if isinstance(item, Frame | Chunk) else 0)
 
 

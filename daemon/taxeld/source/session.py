@@ -1,7 +1,8 @@
 """A recorded session: a directory with the data that the skin and the robot sent.
 
 `frames.log` (candump -L text), or `serial.bin` with `serial.csv` (t, offset: the bytes from
-`offset` to the next row's were read at t); `sensor_pose.csv`; `config.toml`; and, from the harness,
+`offset` to the next row's were read at t), or `array.jsonl` (a message of an array in each line);
+`sensor_pose.csv`; `config.toml`; and, from the harness,
 `truth.csv`. `session.toml` has the version of the format and, once the recording has ended, the
 counts of its records; a session without it is of version 1.
 
@@ -20,14 +21,18 @@ from taxeld.config import toml_tables
 from taxeld.config.file import load, opened
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
+from taxeld_protocol import array
+from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.frames import Frame, parse_log_line
 
 FRAMES, POSES, TRUTH, CONFIG = "frames.log", "sensor_pose.csv", "truth.csv", "config.toml"
 SERIAL, SERIAL_TIMES, ABOUT = "serial.bin", "serial.csv", "session.toml"
+ARRAY = "array.jsonl"
 POSE_COLUMNS, SERIAL_COLUMNS = ["t", "x", "y", "theta"], ["t", "offset"]
 VERSION = 1
 COUNT_MAX = 1 << 63
 LINE_MAX = 4096  # bytes; the longest line that a recorder writes has about a hundred
+ARRAY_LINE_MAX = 262_144  # bytes of a line of `array.jsonl`, as of a message
 ABOUT_LINES = 100  # lines of `session.toml`, which has six
 SERIAL_MAX = 1 << 30  # bytes of a serial line, all held at once: hours of a full line
 
@@ -43,7 +48,7 @@ class Chunk(NamedTuple):
     data: bytes
 
 
-Items = list[Frame] | list[Chunk]
+Items = list[Frame] | list[Chunk] | list[ArrayFrame]
 
 
 def joined(items: Items) -> Items:
@@ -84,6 +89,9 @@ def begun(directory: Path) -> float:
     if (directory / SERIAL).exists() and not (directory / FRAMES).exists():
         rows = _table(_Lines(directory / SERIAL_TIMES), SERIAL_COLUMNS)
         return rows[0][0] if rows else math.nan
+    if (directory / ARRAY).exists():
+        arrays = _arrays(_Lines(directory / ARRAY, ARRAY_LINE_MAX))
+        return next((frame.t for frame in arrays), math.nan)
     frames = (parse_log_line(text) for text in _Lines(directory / FRAMES))
     return next((frame.t for frame in frames if frame is not None), math.nan)
 
@@ -99,6 +107,11 @@ def read(directory: Path) -> Session:
     if (directory / SERIAL).exists() and not (directory / FRAMES).exists():
         items, cut = _chunks(directory, about)
         held = f"{sum(len(chunk.data) for chunk in items)} bytes"
+    elif (directory / ARRAY).exists() and not (directory / FRAMES).exists():
+        written = _Lines(directory / ARRAY, ARRAY_LINE_MAX)
+        items = list(_arrays(written))
+        cut = written.cut or (about is not None and about.get("frames") != len(items))
+        held = f"{len(items)} arrays"
     else:
         items, cut = _frames(directory / FRAMES, about)
         held = f"{len(items)} frames"
@@ -131,19 +144,20 @@ def read_poses(path: Path) -> list[PoseRow]:
 class _Lines:
     """The lines of a file whose last line may be cut: a line without its end is left out."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, longest: int = LINE_MAX) -> None:
+        """`longest`: bytes of a line, at most."""
+        self.path, self._longest = path, longest
         self.cut = False  # whether the last line was cut; known after the last line
 
     def __iter__(self) -> Iterator[str]:
         number = 0
         try:
             with opened(self.path) as file:
-                while line := file.readline(LINE_MAX):
+                while line := file.readline(self._longest):
                     number += 1
                     if line[-1:] != b"\n":
-                        if len(line) == LINE_MAX and b"\0" not in line:  # power cuts leave zeros
-                            fault = f"line {number} is longer than {LINE_MAX} bytes"
+                        if len(line) == self._longest and b"\0" not in line:  # as power cuts leave
+                            fault = f"line {number} is longer than {self._longest} bytes"
                             raise SetupError(f"{self.path}: damaged ({fault})")
                         self.cut = True
                         return
@@ -181,6 +195,15 @@ def _frames(path: Path, about: dict[str, Any] | None) -> tuple[list[Frame], bool
         elif text.strip():
             raise SetupError(f"{path}: line {number} is no candump line; the log is damaged")
     return frames, lines.cut or (about is not None and about.get("frames") != len(frames))
+
+
+def _arrays(lines: _Lines) -> Iterator[ArrayFrame]:
+    """The frames of a recorded array."""
+    for number, text in enumerate(lines, 1):
+        frame = array.parse(array.read_json(text))
+        if isinstance(frame, str):
+            raise SetupError(f"{lines.path}: line {number} is no array ({frame})")
+        yield frame
 
 
 def _chunks(directory: Path, about: dict[str, Any] | None) -> tuple[list[Chunk], bool]:

@@ -1,7 +1,7 @@
 """From frames or bytes to packets and scans: the same for live sources, recordings and replays."""
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
@@ -32,7 +32,7 @@ class Wire:
     def take(self, items: Sequence[Frame | Chunk | ArrayFrame]) -> list[Decoded]:
         """Take frames or chunks with their own stamps; frames that end nothing are left out."""
         heard: list[Decoded] = []
-        feed = self.decoder.feed
+        feed: Callable[[Any], tuple[Packet | None, list[Scan]]] = self.decoder.feed
         for item in items:
             if not isinstance(item, Chunk):
                 packet, scans = feed(item)

@@ -16,10 +16,11 @@ import msgpack
 from taxeld.stream import pair
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import INFO, TOPICS
+from taxeld_protocol.array import ArrayFrame
 
 PACKETS_PER_LOOK = 64
 PACKETS_HZ = 20_000.0  # with more packets and poses a second the door is not one of ours
-BODY_MAX = 4096  # bytes of a packet from the door
+BODY_MAX = 16_384  # bytes of a packet from the door: an array of 5000 values has 10 000
 CHANGES_HZ = 20.0  # tare and reset that are done, at most
 COUNT_MAX = 2**53
 TEXT_MAX = 500  # characters of a line
@@ -36,16 +37,17 @@ SEVERITIES = (logging.INFO, logging.WARNING, logging.ERROR)
 log = logging.getLogger(__name__)
 
 OnPose = Callable[[float, float, float, float], None]
+OnArray = Callable[[ArrayFrame], None]
 Handler = Callable[[], None]
 
 
 @dataclass(slots=True)
-class RobotLine:
-    """The connection to the robot."""
+class PeerLine:
+    """A connection to who sends poses, or arrays."""
 
     connected: bool = False
     refused: bool = False  # the handshake fails
-    malformed: int = 0  # messages of the topic that are no pose
+    malformed: int = 0  # messages of the topic that are no pose, or no array
     reason: str = ""  # why the last of them is none
     topics: list[str] = field(default_factory=list)  # others that are heard while no pose comes
 
@@ -54,7 +56,8 @@ class RobotLine:
 class Report:
     """The door's account of itself, once a second; counts since its start."""
 
-    robot: RobotLine = field(default_factory=RobotLine)
+    robot: PeerLine = field(default_factory=PeerLine)
+    array: PeerLine = field(default_factory=PeerLine)
     confined: bool = False  # by Landlock
     hung_up: int = 0  # subscribers that sent too many subscriptions
     crowded_out: int = 0  # connections that had to go, as few descriptors were left
@@ -77,6 +80,7 @@ class Link:
         self._pack: Callable[[object], bytes] = msgpack.Packer().pack
         self._info = self._pack(info)
         self._on_pose = on_pose
+        self.on_array: OnArray = lambda _: None  # is given each array whose time is finite
         self._handlers = handlers
         self._socket: socket.socket | None = None
         self._wanted = 0
@@ -103,7 +107,7 @@ class Link:
         if self._socket is not None:
             self._socket.close()
         self._socket, self.is_ready, self._wanted = None, False, 0
-        self.report.robot.connected = False
+        self.report.robot.connected = self.report.array.connected = False
 
     def wants(self, topic: bytes) -> bool:
         """Whether somebody has subscribed to the topic."""
@@ -166,6 +170,10 @@ class Link:
                     self._allowed -= len(poses)
                     for pose in poses:
                         self._on_pose(*pose)
+            case Kind.ARRAY:
+                frame = pair.unpack_array(body)
+                if math.isfinite(frame.t) and frame.counts and frame.id.isprintable():
+                    self.on_array(frame)
             case Kind.WANTED:
                 (self._wanted,) = body
             case Kind.CHANGE:

@@ -14,6 +14,7 @@ To the loop:
     WANTED   a bit for each topic that somebody has subscribed to (1 byte)
     POSES    t, x, y, theta of the sensor (4 doubles), once or more
     CHANGE   number of the request (4 bytes), and its command
+    ARRAY    t, counts at rest, length of the id (12 bytes), id, counts (2 bytes each)
     REPORT   msgpack map: what the door counts, once a second
     LOG      severity (1 byte), a line
 
@@ -26,12 +27,15 @@ import socket
 import struct
 from enum import IntEnum
 
+from taxeld_protocol.array import ArrayFrame
+
 SO_PASSRIGHTS = 83  # Linux 6.16
 PACKET_MAX = 65_536  # bytes, kind and body
 HEAD = struct.Struct("=Bd")  # head of a MESSAGE: topic's number, time
 POSE = struct.Struct("=4d")
 POSES_MAX = 100  # poses in a packet
 REQUEST = struct.Struct("=I")  # number of a request
+ARRAY = struct.Struct("=dHH")  # head of an ARRAY: time, counts at rest, bytes of the id
 
 
 class Kind(IntEnum):
@@ -48,6 +52,22 @@ class Kind(IntEnum):
     CHANGE = 20
     REPORT = 21
     LOG = 22
+    ARRAY = 23
+
+
+def pack_array(frame: ArrayFrame) -> bytes:
+    """The body of an ARRAY."""
+    name = frame.id.encode()
+    counts = struct.pack(f"={len(frame.counts)}H", *frame.counts)
+    return ARRAY.pack(frame.t, frame.rest, len(name)) + name + counts
+
+
+def unpack_array(body: bytes) -> ArrayFrame:
+    """Raises ValueError or struct.error where it is none."""
+    t, rest, size = ARRAY.unpack_from(body)
+    begin = ARRAY.size + size
+    counts = struct.unpack(f"={(len(body) - begin) // 2}H", body[begin:])
+    return ArrayFrame(t, body[ARRAY.size : begin].decode(), rest, counts)
 
 
 def open_pair() -> tuple[socket.socket, socket.socket]:

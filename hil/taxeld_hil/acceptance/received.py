@@ -15,7 +15,7 @@ import numpy as np
 from taxeld.arrays import Floats
 from taxeld.layout.layout import Layout
 from taxeld.source.bring_up import SILENCE_S
-from taxeld.source.sources import Source
+from taxeld.source.source import Source
 from taxeld_hil.acceptance.idle import IdleReadings, measured
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.modules import Module
