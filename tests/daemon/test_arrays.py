@@ -2,21 +2,24 @@
 
 import json
 import shutil
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import msgpack
 import numpy as np
 import pytest
-import zmq
 
-from taxeld.commands.replay import Replay
 from taxeld.config.file import parse
+from taxeld.config.tables import SkinConfig
+from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.skin.skin import Skin
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import ReplaySource, open_source
 from taxeld_protocol.array import FULL, REST, ArrayDecoder, ArrayFrame
+from taxeld_protocol.decoder import Scan
 from tests.rig.array_skin import LAYOUT, ArraySkin
 from tests.rig.clocks import until
 from tests.rig.configurations import configuration
@@ -65,3 +68,103 @@ def test_the_box_is_found_by_arrays_and_again_in_the_replay(
     estimates = [json.loads(line) for line in replayed(recorded).splitlines()]
     assert any(e["status"] == Status.CONVERGED for e in estimates)
     assert (recorded / session.ARRAY).read_text(encoding="ascii").startswith('{"t":')
+
+
+def frames(count: int, rest: int = REST) -> list[ArrayFrame]:
+    """Frames of 20 Hz, each with a taxel that was not read."""
+    rng = np.random.default_rng(1)
+    found = []
+    for i in range(count):
+        counts = (rest + rng.integers(1, FULL, len(UIDS))).tolist()
+        counts[i % len(counts)] = 0
+        found.append(ArrayFrame(1e9 + i / 20.0, "arm", rest, tuple(counts)))
+    return found
+
+
+def written(place: Path, items: list[ArrayFrame]) -> Path:
+    recorder = Recorder(place, moves=False)
+    with recorder:
+        for item in items:
+            recorder.take(item)
+    assert recorder.counters.frames == len(items)
+    return place
+
+
+@pytest.mark.parametrize("rest", [0, REST])
+def test_a_recording_holds_each_frame_and_a_cut_one_all_whole_lines(
+    tmp_path: Path, rest: int
+) -> None:
+    sent = frames(30, rest)
+    place = written(tmp_path / "whole", sent)
+    assert session.read(place).items == sent
+    assert session.begun(place) == sent[0].t
+    data = (place / session.ARRAY).read_bytes()
+    rng = np.random.default_rng(0)
+    for size in rng.integers(0, len(data), 40):
+        cut = shutil.copytree(place, tmp_path / "cut", dirs_exist_ok=True)
+        (cut / session.ARRAY).write_bytes(data[:size])
+        assert session.read(cut).items == sent[: data[:size].count(b"\n")]
+
+
+def test_a_damaged_line_of_a_recording_is_named(tmp_path: Path) -> None:
+    place = written(tmp_path / "session", frames(3))
+    lines = (place / session.ARRAY).read_text(encoding="ascii").splitlines(keepends=True)
+    (place / session.ARRAY).write_text(lines[0] + "[]\n" + lines[2], encoding="ascii")
+    with pytest.raises(SetupError, match=r"array\.jsonl: line 2 is no array \(it is no map"):
+        session.read(place)
+
+
+def test_a_daemon_replays_a_recorded_array(tmp_path: Path) -> None:
+    place = written(tmp_path / "session", frames(3))
+    config = parse(configuration(place).read_text(encoding="utf-8"))
+    source = open_source(config.source, SKIN)
+    assert isinstance(source, ReplaySource)
+    assert len([*source.poll(0.0), *source.poll(1.0)]) == 3
+    assert source.finished
+
+
+def scans(items: list[ArrayFrame], uids: Sequence[int] = UIDS) -> list[Scan]:
+    decoder = ArrayDecoder(uids)
+    return [scan for item in items for scan in decoder.feed(item)[1]]
+
+
+def test_activations_are_the_senders_from_the_first_scan_on() -> None:
+    z = np.linspace(0.1, 1.0, len(SKIN))
+    counts = tuple(REST + round(v * FULL) for v in z)
+    skin = Skin(SKIN, SkinConfig())
+    for scan in scans([ArrayFrame(1e9 + i, "", REST, counts) for i in range(300)]):
+        activation = skin.on_scan(scan)
+        assert activation is not None
+        np.testing.assert_allclose(activation.z, z, atol=1e-4)  # no drift takes a long press away
+        assert activation.live.all()
+    skin.tare()
+    activation = skin.on_scan(scan)
+    assert activation is not None
+    np.testing.assert_allclose(activation.z, z, atol=1e-4)
+
+
+def test_counts_are_learned_at_rest_as_those_of_a_bus() -> None:
+    skin = Skin(SKIN, SkinConfig())
+    rng = np.random.default_rng(0)
+    made = []
+    for i in range(40):
+        counts = 5000 + rng.normal(0.0, 10.0, len(SKIN))
+        counts[3] += 10_000.0 * (i == 39)
+        made.append(ArrayFrame(1e9 + i / 20.0, "", 0, tuple(map(int, counts))))
+    found = [skin.on_scan(scan) for scan in scans(made)]
+    assert found[:18] == [None] * 18
+    assert found[-1] is not None
+    assert found[-1].z.argmax() == 3
+    assert found[-1].z[3] == pytest.approx(0.5, abs=0.01)
+
+
+def test_values_stand_in_the_layouts_order_whatever_its_uids() -> None:
+    order = np.random.default_rng(2).permutation(len(SKIN))
+    skin = Skin(replace(SKIN, uid=order.astype(np.int64)), SkinConfig())  # 0, 12, 15 …
+    z = np.linspace(0.1, 1.0, len(SKIN))
+    counts = tuple(REST + round(v * FULL) for v in z)
+    (scan,) = scans([ArrayFrame(1.0, "", REST, counts)], order.tolist())
+    activation = skin.on_scan(scan)
+    assert activation is not None
+    np.testing.assert_allclose(activation.z, z, atol=1e-4)
+    assert not skin.wiring.lacking

@@ -27,7 +27,10 @@ def test_a_minimal_configuration_has_every_default() -> None:
     [
         ("[source]\nchanel = 'x'", "source.chanel: unknown key; did you mean channel?"),
         ("[speed]\na = 1", "speed: unknown key"),
-        ("[source]\nkind = 'usb'", "source.kind: must be one of can, serial, replay, not 'usb'"),
+        (
+            "[source]\nkind = 'usb'",
+            "source.kind: must be one of can, serial, array, replay, not 'usb'",
+        ),
         ("[source]\nkind = 7", "source.kind: must be a string, not 7"),
         ("[source]\nkind = 'serial'", "source.channel: is required for kind 'serial'"),
         ("[source]\nkind = 'replay'", "source.path: is required for kind 'replay'"),

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
+from taxeld.source import dialects
 from taxeld_protocol.modules import NAMES
 from tests.rig.skins import table_of
 
@@ -276,13 +278,13 @@ class TestTable:
     @pytest.mark.parametrize(
         ("change", "words"),
         [
-            (lambda _: "", "line 1: must be x,y,z,nx,ny,nz, or the same with ,uid"),
-            (lambda text: text.replace("nx", "a"), "line 1: must be x,y,z,nx,ny,nz, or"),
+            (lambda _: "", "line 1: must be uid,x,y,z,nx,ny,nz; uid or the n… may lack"),
+            (lambda text: text.replace("nx", "a"), "line 1: must be uid,x,y,z,nx,ny,nz; uid"),
             (lambda text: text.partition("\n")[0], "holds 0 usable taxels"),
             (lambda text: text.replace("0.05", "wide", 1), "line 2: must be 6 numbers, not ['wide"),
             (lambda text: text.replace(",17\n", "\n", 1), "line 2: '0.000000' is no UID"),
             (lambda text: text.replace(",17\n", ",18\n", 1), "line 3: '18' is no UID, or one for"),
-            (lambda text: text.replace(",17\n", ",31\n", 1), "line 2: '31' is no UID"),
+            (lambda text: text.replace("0.05", "nan", 1), "line 2: must be 6 numbers, not [nan"),
             (lambda text: text.replace(",17\n", ",-1\n", 1), "line 2: '-1' is no UID"),
         ],
     )
@@ -292,3 +294,22 @@ class TestTable:
         with pytest.raises(SetupError) as caught:
             layouts.read(str(file))
         assert str(caught.value).startswith(f"skin.layout: {file}: {words}")
+
+    def test_a_table_without_normals_has_those_of_its_cylinder(self, tmp_path):
+        file = tmp_path / "own.csv"
+        rows = [",".join(map(repr, map(float, place))) for place in RING.position_m]
+        lines = [f"{100 - i},{row}" for i, row in enumerate(rows)]
+        file.write_text("uid,x,y,z\n" + "\n".join(lines) + "\n", encoding="ascii")
+        found = layouts.load(str(file))
+        assert found.uid.tolist() == [100 - i for i in range(len(RING))]
+        assert found.radius_m == pytest.approx(0.05, abs=1e-4)
+        radial = found.position_m * (1.0, 1.0, 0.0) / 0.05
+        assert np.einsum("ij,ij->i", found.normal, radial).min() > 0.95, "outwards"
+
+    def test_uids_that_no_module_has_are_of_arrays_alone(self):
+        own = dataclasses.replace(RING, uid=np.arange(len(RING)))
+        dialects.of_array(SourceConfig(kind="array"), own)
+        with pytest.raises(
+            SetupError, match=r"skin\.layout: its UIDs are of no module.*of an array"
+        ):
+            dialects.live(SourceConfig(kind="can"), own)

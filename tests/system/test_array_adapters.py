@@ -1,0 +1,181 @@
+"""The adapters in examples/adapters: each sends arrays of what it adapts, or of a stand-in."""
+
+import contextlib
+import importlib.util
+import json
+import socket
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from taxeld.layout import read as layouts
+from taxeld_protocol import array
+from taxeld_protocol.array import FULL, REST, ArrayFrame
+from tests.rig.clocks import PATIENCE_S
+from tests.ros2.loopback import DOMAIN, ENVIRONMENT
+
+ROOT = Path(__file__).parents[2]
+ADAPTERS = ROOT / "examples" / "adapters"
+LINES_MAX = 30  # of an adapter, beside its docstring, imports and empty lines
+FOREARM = ROOT.parent / "shared" / "data" / "icub_positions" / "left_forearm_V2.txt"
+
+
+class Ear:
+    """A port of this machine, as the door's."""
+
+    def __init__(self) -> None:
+        self.socket = socket.socket(type=socket.SOCK_DGRAM)
+        self.socket.bind(("127.0.0.1", 0))
+        self.socket.settimeout(PATIENCE_S)
+        self.port: int = self.socket.getsockname()[1]
+
+    def frame(self) -> ArrayFrame:
+        """The next array, which the door would pass on."""
+        found = array.parse(array.read_json(self.socket.recv(65_536)))
+        assert isinstance(found, ArrayFrame), found
+        return found
+
+
+@pytest.fixture
+def ear() -> Iterator[Ear]:
+    made = Ear()
+    yield made
+    made.socket.close()
+
+
+def adapter(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ADAPTERS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    return made
+
+
+@contextlib.contextmanager
+def running(name: str, *arguments: object) -> Iterator[None]:
+    command = [sys.executable, str(ADAPTERS / f"{name}.py"), *map(str, arguments)]
+    with subprocess.Popen(command, env=ENVIRONMENT) as process:
+        try:
+            yield
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("path", sorted(ADAPTERS.glob("*.py")), ids=lambda path: path.stem)
+def test_an_adapter_is_short(path: Path) -> None:
+    _, _, code = path.read_text(encoding="utf-8").split('"""', 2)
+    own = [line for line in code.splitlines() if line and not line.startswith(("import", "from"))]
+    assert len(own) <= LINES_MAX
+
+
+PRESS = """<mujoco><option gravity="0 0 0"/>
+<asset><mesh name="skin" builtin="sphere" params="2" scale=".05 .05 .05"/></asset>
+<worldbody>
+ <body name="link"><geom name="link" type="sphere" size=".05"/></body>
+ <body name="ball" pos=".2 0 0"><freejoint/><geom name="ball" type="sphere" size=".022"/></body>
+</worldbody>
+<sensor><tactile name="skin" geom="link" mesh="skin"/></sensor></mujoco>"""
+
+
+def test_mujocos_tactile_sensor_feels_a_scripted_press(ear: Ear, tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    ours = adapter("mujoco_tactile")
+    model = mujoco.MjModel.from_xml_string(PRESS)
+    data = mujoco.MjData(model)
+    (tmp_path / "skin.csv").write_text(ours.layout(model, "skin"), encoding="ascii")
+    skin = layouts.read(str(tmp_path / "skin.csv"))
+    with socket.socket(type=socket.SOCK_DGRAM) as to:
+        for depth_m in (-0.01, 0.001, 0.003):
+            data.qpos[0] = 0.05 + 0.022 - depth_m
+            mujoco.mj_forward(model, data)
+            ours.send(data, "skin", ear.port, to)
+            z = (np.array(ear.frame().counts) - REST) / FULL
+            assert len(z) == len(skin)
+            assert z.max() == pytest.approx(max(depth_m, 0.0) / 0.005, abs=0.1)
+    pressed = (
+        skin.position_m[z.argmax()] @ skin.frame[:3, :3]
+    )  # in the mesh's frame, but its origin
+    middle = skin.position_m.mean(axis=0) @ skin.frame[:3, :3]
+    assert (pressed - middle)[0] == pytest.approx(0.05, abs=0.005)
+
+
+def test_xelas_server_gives_the_z_of_all_sensors_in_their_order(ear: Ear) -> None:
+    """By a stand-in that speaks its public format over a real WebSocket."""
+    server = pytest.importorskip("websockets.sync.server")
+
+    def sensor(number: int, t: float, first: int) -> dict[str, object]:
+        values = [first + i for i in range(12)]  # x, y, z of four taxels
+        words = ",".join(f"{value:04X}" for value in values)
+        return {"sensor": str(number), "time": t, "model": "XR1944", "taxels": 4, "data": words}
+
+    def handle(peer: object) -> None:
+        hello = {"message": "Welcome", "version": "1.7"}
+        whole = {"message": 7, "sensors": 2, "10": sensor(10, 2.0, 200), "2": sensor(2, 1.5, 100)}
+        for each in (hello, whole):
+            peer.send(json.dumps(each))  # type: ignore[attr-defined]
+
+    with server.serve(handle, "127.0.0.1", 0) as served:
+        threading.Thread(target=served.serve_forever, daemon=True).start()
+        with running("xela", f"ws://127.0.0.1:{served.socket.getsockname()[1]}", ear.port):
+            frame = ear.frame()
+        served.shutdown()
+    assert frame == ArrayFrame(1.5, "xela", 0, (102, 105, 108, 111, 202, 205, 208, 211))
+
+
+def test_a_port_of_yarp_gives_the_layouts_taxels_out_of_twelve_a_triangle(ear: Ear) -> None:
+    """By a stand-in that speaks the text protocol of YARP's own tutorial."""
+    if not FOREARM.exists():
+        pytest.skip("needs iCub's positions")
+    skin = layouts.read(str(FOREARM))
+    size = 12 * (int(skin.uid.max() >> 4) + 1)
+    values = [float(i % 250) for i in range(size)]
+
+    def serve() -> None:
+        with listening.accept()[0] as peer, peer.makefile("r", encoding="ascii") as said:
+            assert said.readline().startswith("CONNECT ")
+            peer.sendall(b"Welcome taxeld\n")
+            assert said.readline() == "r\n"
+            text = " ".join(map(str, values))
+            peer.sendall(f"do 2654 1215723086.182938\n{text}\ndo\n{text}\n".encode())
+
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        threading.Thread(target=serve, daemon=True).start()
+        with running("yarp_skin", "127.0.0.1", listening.getsockname()[1], FOREARM, ear.port):
+            frame, unstamped = ear.frame(), ear.frame()
+    expected = [values[12 * (uid >> 4) + (uid & 0xF)] / 255.0 for uid in skin.uid.tolist()]
+    assert (frame.t, frame.id) == (1215723086.182938, "yarp")
+    assert unstamped.counts == frame.counts
+    np.testing.assert_allclose((np.array(frame.counts) - REST) / FULL, expected, atol=1e-4)
+
+
+WRITER = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[1])
+from ros2_array import CDR, Places, Values, DomainParticipant, Topic
+from cyclonedds.pub import DataWriter
+at = DomainParticipant(int(sys.argv[2]))
+writer = DataWriter(at, Topic(at, "rt/skin", Values), qos=CDR)
+while True:
+    writer.write(Values(Places([], 0), [1.0, 2.5, 40000.0]))
+    time.sleep(0.05)
+"""
+
+
+def test_a_topic_of_ros_2_comes_as_counts(ear: Ear) -> None:
+    pytest.importorskip("cyclonedds")
+    command = [sys.executable, "-c", WRITER, str(ADAPTERS), str(DOMAIN)]
+    with running("ros2_array", "skin", ear.port, DOMAIN):
+        with subprocess.Popen(command, env=ENVIRONMENT) as writer:
+            try:
+                frame = ear.frame()
+            finally:
+                writer.kill()
+    assert (frame.id, frame.counts) == ("skin", (1, 2, 40_000))
