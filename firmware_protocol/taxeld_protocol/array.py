@@ -144,7 +144,7 @@ class ArrayDecoder:
         for uid in uids:
             masks[uid >> 4] = masks.get(uid >> 4, 0) | 1 << (uid & 0xF)
         groups = [Group(mask.bit_count(), sui, mask) for sui, mask in sorted(masks.items())]
-        self._table = tuple(groups)
+        self.table = tuple(groups)
         order = sorted(range(len(uids)), key=uids.__getitem__)
         is_sorted = order == list(range(len(uids)))
         self._sorted: Callable[[tuple[int, ...]], tuple[int, ...]] = (
@@ -164,7 +164,7 @@ class ArrayDecoder:
         self.counters.scans += 1
         self.counters.incomplete += 0 in frame.counts
         counts = self._sorted(frame.counts)
-        return None, [Scan(frame.t, 0, counts, self._table, 0, frame.rest)]
+        return None, [Scan(frame.t, 0, counts, self.table, 0, frame.rest)]
 
     def drop_foreign(self) -> None:
         """There is nothing but arrays here."""

@@ -11,18 +11,19 @@ import numpy as np
 import pytest
 
 from taxeld.config.file import parse
-from taxeld.config.tables import SkinConfig
+from taxeld.config.tables import SkinConfig, SourceConfig
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.skin.skin import Skin
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.sources import ReplaySource, open_source
+from taxeld_hil import cli as hil
 from taxeld_protocol.array import FULL, REST, ArrayDecoder, ArrayFrame
 from taxeld_protocol.decoder import Scan
 from tests.rig.array_skin import LAYOUT, ArraySkin
 from tests.rig.clocks import until
-from tests.rig.configurations import configuration
+from tests.rig.configurations import configuration, toml
 from tests.rig.pressed_box import TRUTH
 from tests.rig.processes import free_port, replayed, taxeld
 from tests.rig.skins import SKIN
@@ -168,3 +169,62 @@ def test_values_stand_in_the_layouts_order_whatever_its_uids() -> None:
     assert activation is not None
     np.testing.assert_allclose(activation.z, z, atol=1e-4)
     assert not skin.wiring.lacking
+
+
+def test_each_kind_of_bad_input_is_logged_once_and_costs_no_scan(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    source = open_source(SourceConfig(kind="array", endpoint="udp://127.0.0.1:9"), SKIN)
+    good = frames(60)
+    came = []
+    for number, frame in enumerate(good):
+        later = frame._replace(t=frame.t + 0.01)
+        for strange in (
+            later._replace(id="leg"),
+            later._replace(counts=frame.counts[1:]),
+            later._replace(rest=0),
+            frame,  # once more
+        ):
+            source.hear(frame)
+            source.hear(strange)
+        source.heed(connected=True, malformed=number, reason="t is no Unix time in seconds")
+        came += source.poll(number / 20.0)
+    assert [scan.t for scan in came] == [frame.t for frame in good]
+    assert source.wire.stats()["dropped"] == {
+        **dict.fromkeys(("length_errors", "foreign", "mixed"), 60),
+        "disordered": 4 * 60,
+    }
+    assert len(caplog.messages) == len(set(caplog.messages)) == 5
+
+
+@pytest.mark.parametrize(
+    ("connected", "reason", "words"),
+    [
+        (False, "", "source.endpoint: nobody sends to ipc:///skin"),
+        (True, "", "source.endpoint: no array comes by ipc:///skin"),
+        (True, "z is no list", "source.endpoint: no array comes by ipc:///skin (the last was none"),
+    ],
+)
+def test_a_source_without_arrays_says_why(connected: bool, reason: str, words: str) -> None:
+    source = open_source(SourceConfig(kind="array", endpoint="ipc:///skin"), SKIN)
+    source.heed(connected=connected, malformed=0, reason=reason)
+    source.poll(0.0)
+    assert not source.waits_for
+    source.poll(2.0)
+    assert source.waits_for.startswith(words)
+
+
+@pytest.mark.parametrize(
+    "endpoint", ["", "udp://0.0.0.0:9870", "tcp://10.0.0.2:9870", "udp://127.0.0.1", "skin"]
+)
+def test_arrays_are_heard_on_this_machine_alone(endpoint: str) -> None:
+    with pytest.raises(SetupError, match=r"^source\.endpoint: '"):
+        parse(toml(source={"kind": "array", "endpoint": endpoint}, scene={"bundle": "box"}))
+
+
+def test_a_skin_that_sends_arrays_can_be_accepted(tmp_path: Path) -> None:
+    endpoint, out = f"udp://127.0.0.1:{free_port()}", tmp_path / "out"
+    with ArraySkin(endpoint, f"ipc://{tmp_path}/robot", "counts", idle=100_000):
+        what = ["accept", f"array:{endpoint}", "--layout", LAYOUT, "--out", str(out)]
+        assert hil.main([*what, "--seconds", "5"]) == 0
+    assert session.read(out).items

@@ -26,8 +26,11 @@ NOISE, FULL = 5.0, 20_000.0  # counts
 class ArraySkin(threading.Thread):
     """Sends until it is stopped; `key`: z or counts."""
 
-    def __init__(self, endpoint: str, robot: str, key: str = "z", name: str | int = "arm") -> None:
+    def __init__(
+        self, endpoint: str, robot: str, key: str = "z", name: str | int = "arm", idle: int = IDLE
+    ) -> None:
         super().__init__(daemon=True)
+        self.idle = idle
         self.endpoint, self.robot, self.key, self.named = endpoint, robot, key, name
         self.sent = 0
         self.stops = threading.Event()
@@ -71,7 +74,7 @@ class ArraySkin(threading.Thread):
 
     def _path(self) -> Any:
         """The sensor's poses in the box's frame, without end."""
-        yield from [box_side(self.model, 0.0, -0.02)] * IDLE
+        yield from [box_side(self.model, 0.0, -0.02)] * self.idle
         while True:
             for angle in ANGLES:
                 away = box_side(self.model, angle, -0.02)

@@ -172,10 +172,12 @@ while True:
 def test_a_topic_of_ros_2_comes_as_counts(ear: Ear) -> None:
     pytest.importorskip("cyclonedds")
     command = [sys.executable, "-c", WRITER, str(ADAPTERS), str(DOMAIN)]
-    with running("ros2_array", "skin", ear.port, DOMAIN):
-        with subprocess.Popen(command, env=ENVIRONMENT) as writer:
-            try:
-                frame = ear.frame()
-            finally:
-                writer.kill()
+    with (
+        running("ros2_array", "skin", ear.port, DOMAIN),
+        subprocess.Popen(command, env=ENVIRONMENT) as writer,
+    ):
+        try:
+            frame = ear.frame()
+        finally:
+            writer.kill()
     assert (frame.id, frame.counts) == ("skin", (1, 2, 40_000))

@@ -12,6 +12,8 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +21,8 @@ from taxeld.config.tables import Config
 from taxeld.door.settings import OOM_SCORE, Settings
 from taxeld.errors import SetupError
 from taxeld.service.notices import Ration
+from taxeld.source.array_source import ArraySource
+from taxeld.source.source import Source
 from taxeld.stream import pair
 from taxeld.stream.link import Link
 
@@ -182,6 +186,28 @@ def poses_alone(config: Config) -> Settings:
         queue=QUEUE_LEAST,
         keys=config.curve.directory,
     )
+
+
+@contextlib.contextmanager
+def array_heard(source: Source, endpoint: str) -> Iterator[None]:
+    """Meanwhile a door hears an array for a source that nothing but its poller looks after.
+
+    Raises:
+        SetupError: the endpoint cannot be used.
+    """
+    if not isinstance(source, ArraySource):
+        yield
+        return
+    alone = Settings((), "", "", "", QUEUE_LEAST, array=endpoint)
+    link = Link({}, lambda *_: None, {})
+    with contextlib.closing(Doorkeeper(alone)) as door:
+        link.on_array = source.hear
+        source.look = partial(door.look, link)
+        try:
+            door.wait(link)
+            yield
+        finally:
+            link.detach()
 
 
 def _array_of(config: Config) -> str:

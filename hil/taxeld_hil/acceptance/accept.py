@@ -1,14 +1,17 @@
 """`taxeld-hil accept`: whether a real skin is fit for use (docs/acceptance.md)."""
 
+import contextlib
 import time
 from dataclasses import replace
 from pathlib import Path
 
 from taxeld.command_line import missing_extra
+from taxeld.config import endpoints
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
+from taxeld.service.doorkeeper import array_heard
 from taxeld.source.device import BusyError
 from taxeld.source.lines import line_speed
 from taxeld.source.recorder import Recorder
@@ -46,12 +49,10 @@ def run(
     try:
         with Recorder(out, moves=False) as recorder:
             source = opened(target, config, layout, recorder)
-            try:
+            with contextlib.closing(source), array_heard(source, config.endpoint):
                 got = receive(source, layout, say, seconds, period_ms, full_scale_counts)
                 if presses:
                     got = replace(got, presses=ask(source, got, say))
-            finally:
-                source.close()
         report = AcceptanceReport(target, when, got)
         _write(report, out, say)
     except OSError as error:  # of the files: the source handles a device's errors
@@ -76,8 +77,8 @@ def _write(report: AcceptanceReport, out: Path, say: Say) -> None:
 
 
 def source_of(target: str, period_ms: int) -> SourceConfig:
-    """The daemon's source for `can:CHANNEL`, `serial:DEVICE[@BAUD]`, or `INTERFACE:CHANNEL` of any
-    interface that python-can knows.
+    """The daemon's source for `can:CHANNEL`, `serial:DEVICE[@BAUD]`, `array:ENDPOINT`, or
+    `INTERFACE:CHANNEL` of any interface that python-can knows.
 
     Raises:
         SetupError: it is none of them.
@@ -86,8 +87,13 @@ def source_of(target: str, period_ms: int) -> SourceConfig:
     if not kind or not channel:
         raise SetupError(
             f"TARGET: '{target}' is none; use can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0, "
-            "or a python-can interface and its channel, as pcan:PCAN_USBBUS1"
+            "array:udp://127.0.0.1:9870, or a python-can interface and its channel, as "
+            "pcan:PCAN_USBBUS1"
         )
+    if kind == "array":
+        if fault := endpoints.array_fault(channel):
+            raise SetupError(f"TARGET: {fault}")
+        return SourceConfig(kind="array", endpoint=channel, period_ms=period_ms)
     device, at, baud = channel.partition("@")
     is_line = kind in ("serial", "slcan")
     speed = line_speed(baud) if at and is_line else None
@@ -110,6 +116,6 @@ def opened(target: str, config: SourceConfig, layout: Layout, recorder: Recorder
         return open_source(config, layout, recorder)
     except SetupError as error:
         said = str(error).partition(": ")[2]  # a target has no configuration key to name
-        has_cure = target.partition(":")[0] in ("can", "slcan", "serial")
+        has_cure = target.partition(":")[0] in ("can", "slcan", "serial", "array")
         cure = "" if has_cure or isinstance(error, BusyError) else OTHER_CURE
         raise SetupError(f"TARGET {target}: {said}{cure}") from None

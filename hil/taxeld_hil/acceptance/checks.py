@@ -19,6 +19,7 @@ from taxeld.source.bus_faults import NORMAL, BusFault
 from taxeld_hil.acceptance import cures
 from taxeld_hil.acceptance.idle import INVALID
 from taxeld_hil.acceptance.received import DAMAGES, Received
+from taxeld_protocol.array import Group
 from taxeld_protocol.decoder import GAP_SHARE
 from taxeld_protocol.modules import NAMES, Module, wired
 
@@ -122,7 +123,7 @@ def _mask(layout: Module, found: Module) -> Iterator[str]:
     mask = f"its mask {found.mask:#05x}"
     if absent := _names(layout.mask & ~found.mask & ~(1 << TEMPERATURE)):
         yield f"{mask} leaves out {absent}, which the layout has"
-    if not found.mask >> TEMPERATURE & 1:
+    if not (found.mask >> TEMPERATURE & 1 or isinstance(found, Group)):  # of an array: it has none
         yield f"{mask} has no T0: its drift cannot be told from a touch"
 
 

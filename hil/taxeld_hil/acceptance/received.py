@@ -17,6 +17,7 @@ from taxeld.layout.layout import Layout
 from taxeld.source.bring_up import SILENCE_S
 from taxeld.source.source import Source
 from taxeld_hil.acceptance.idle import IdleReadings, measured
+from taxeld_protocol.array import ArrayDecoder
 from taxeld_protocol.decoder import Decoder, Scan
 from taxeld_protocol.modules import Module
 
@@ -127,6 +128,8 @@ def _tables(source: Source, ids: set[int]) -> dict[int, Sequence[Module]]:
     """The hubs' tables by short id. A hub that was given another short id has declared itself
     under both: then the one that is among the `ids` of scans."""
     decoder = source.wire.decoder
+    if isinstance(decoder, ArrayDecoder):
+        return dict.fromkeys(ids, decoder.table)
     assert isinstance(decoder, Decoder)  # noqa: S101  (the CySkin dialect's)
     hubs: dict[tuple[Module, ...], int] = {}
     for ihb, hub in decoder.hubs.items():
