@@ -44,7 +44,7 @@ def rows(seconds: float = 20.0) -> list[Row]:
         touched = measure(Case(touched=True), seconds, place)
         idle = measure(Case(touched=False), seconds, place)
         recording = measure(Case(touched=False, record=True), seconds, place)
-        large = str(_large_bundle(place / "large"))
+        large = str(large_bundle(place / "large"))
         wide = measure(Case(touched=True, layout=LARGE, bundle=large), seconds, place)
     return [
         ("a core's share, 80 taxels, touched all the time: %", touched.cpu_percent, 6.0),
@@ -112,12 +112,12 @@ def _percentile(found: np.ndarray, share: float = 50.0) -> float:
     return float(np.percentile(found, share)) if len(found) else 0.0
 
 
-def _large_bundle(path: Path) -> Path:
-    """The shipped box for a skin of as many rows but eight times the columns: by the table, as its
-    samplers are of their own skin."""
+def large_bundle(path: Path, layout: str = LARGE) -> Path:
+    """The shipped box for a skin of as many rows but more columns: by the table, as its samplers
+    are of their own skin."""
     shutil.copytree(bundle.find("box"), path)
     info = json.loads((path / "bundle.json").read_text(encoding="utf-8"))
-    large = layouts.load(LARGE)
+    large = layouts.load(layout)
     info["layout"] = {**info["layout"], "name": large.name, "digest": large.digest}
     info["samplers"], info["auto"] = [], ["table"]
     (path / "bundle.json").write_text(json.dumps(info), encoding="utf-8")

@@ -67,11 +67,14 @@ def parse(message: object) -> ArrayFrame | str:
     fault = _fault(values, low, high)
     if fault:
         return f"{key} {fault}"
-    rest, scale = (REST, FULL) if key == "z" else (0, 1)
-    if type(None) in set(map(type, values)):
-        counts = [0 if v is None else rest + round(v * scale) for v in values]
-    else:
-        counts = [rest + round(v * scale) for v in values]
+    rest, scale = (REST, float(FULL)) if key == "z" else (0, 1.0)
+    add = (
+        rest + 0.5
+    )  # none is negative, so `int` rounds to the nearest, in half the time of `round`
+    try:
+        counts = [int(v * scale + add) for v in values]
+    except TypeError:
+        counts = [0 if v is None else int(v * scale + add) for v in values]
     return ArrayFrame(float(t), name, rest, tuple(counts))
 
 

@@ -222,7 +222,8 @@ class Daemon:
             self._look_at_door(now_s, asked=ready.door)
         scans = self.source.poll(now_s)
         self.counters.scans += len(scans)
-        self._look_at_door(now_s, asked=ready.door or bool(scans) or self.pipeline.has_waiting)
+        came = (ready.door or bool(scans)) and not self.source.comes_by_door  # else it has looked
+        self._look_at_door(now_s, asked=came or self.pipeline.has_waiting)
         self._work(scans, start, wall_s, now_s)
         if not (scans or ready.device) and self.pipeline.has_thought:
             self._think(now_s)

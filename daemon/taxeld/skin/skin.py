@@ -167,6 +167,9 @@ class Skin:
             return None
         read = self._read(scan.counts, wired)
         self._age(scan.ihb, scan.t, wired.places)
+        if scan.rest:
+            self._counts[wired.places] = read.counts
+            return self._given(scan.rest)
         before = self._counts[wired.places]
         full = self._slice.add(
             self._t, wired.places, read.counts, read.valid, read.counts != before
@@ -175,8 +178,6 @@ class Skin:
         self._slice.add_t0(wired.t0_modules, read.t0, read.t0_valid)
         if self._state is not None:
             self._judge(self._state, wired, read.counts, np.where(read.t0 > 0, read.t0, np.nan))
-        if scan.rest:
-            return self._given(scan.rest)
         if not self._idle.known.all():
             was_ready = self.is_ready
             answered = read.counts > 0

@@ -16,7 +16,7 @@ import msgpack
 from taxeld.stream import pair
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import INFO, TOPICS
-from taxeld_protocol.array import ArrayFrame
+from taxeld_protocol.array import ID_MAX, ArrayFrame
 
 PACKETS_PER_LOOK = 64
 PACKETS_HZ = 20_000.0  # with more packets and poses a second the door is not one of ours
@@ -172,7 +172,8 @@ class Link:
                         self._on_pose(*pose)
             case Kind.ARRAY:
                 frame = pair.unpack_array(body)
-                if math.isfinite(frame.t) and frame.counts and frame.id.isprintable():
+                is_name = frame.id.isprintable() and len(frame.id) <= ID_MAX
+                if math.isfinite(frame.t) and frame.counts and is_name:
                     self.on_array(frame)
             case Kind.WANTED:
                 (self._wanted,) = body
