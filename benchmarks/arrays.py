@@ -1,4 +1,4 @@
-"""A core's share of a daemon that hears arrays, beside CySkin's frames (python benchmarks/arrays.py).
+"""`python benchmarks/arrays.py`: a core's share of a daemon on arrays, and on CySkin's frames.
 
 Nothing touches the skin, and there is no robot.
 """

@@ -223,7 +223,7 @@ def _parser() -> argparse.ArgumentParser:
 def _add_daemon(commands: Commands) -> None:
     add = documented(commands, _init).add_argument
     add("config", type=Path, metavar="CONFIG", help="a new file")
-    add("--source", help="can:can0, slcan:/dev/ttyACM0 or serial:/dev/ttyACM0")
+    add("--source", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0 or array:ENDPOINT")
     add("--bundle", help="the object: box, drill, mug, or what taxeld-train build made")
     add("--layout", help="the skin's (default: what the bundle was built for)")
     about = "where the robot publishes; '' if the sensor is fixed"

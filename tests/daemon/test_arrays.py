@@ -10,6 +10,7 @@ import msgpack
 import numpy as np
 import pytest
 
+from taxeld import cli
 from taxeld.config.file import parse
 from taxeld.config.tables import SkinConfig, SourceConfig
 from taxeld.errors import SetupError
@@ -228,3 +229,11 @@ def test_a_skin_that_sends_arrays_can_be_accepted(tmp_path: Path) -> None:
         what = ["accept", f"array:{endpoint}", "--layout", LAYOUT, "--out", str(out)]
         assert hil.main([*what, "--seconds", "5"]) == 0
     assert session.read(out).items
+
+
+def test_init_writes_the_configuration_of_an_array(tmp_path: Path) -> None:
+    path = tmp_path / "array.toml"
+    options = ("--source", "array:ipc:///skin", "--bundle", "box", "--poses", "")
+    assert cli.main(["init", str(path), *options, "--where", "0", "0", "0.5"]) == 0
+    source = parse(path.read_text(encoding="utf-8")).source
+    assert (source.kind, source.endpoint) == ("array", "ipc:///skin")

@@ -23,8 +23,9 @@ SOURCES = {  # connection as named by `taxeld-hil accept` → keys of [source]
     "can": {"kind": "can"},
     "slcan": {"kind": "can", "interface": "slcan"},
     "serial": {"kind": "serial"},
+    "array": {"kind": "array"},
 }
-FORMS = "can:can0, slcan:/dev/ttyACM0 or serial:/dev/ttyACM0"
+FORMS = "can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0 or array:ENDPOINT"
 QUESTIONS = {  # by option
     "source": f"the skin's connection, {FORMS}",
     "bundle": "the object: box, drill, mug, or the directory of a bundle",
@@ -98,7 +99,7 @@ def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
         source["dialect"] = "icub"
         skin["full_scale_counts"] = ICUB_COUNTS
     planned = SourceConfig(**source)
-    least_ms = dialects.least_period_ms(planned, placed)
+    least_ms = 0 if planned.kind == "array" else dialects.least_period_ms(planned, placed)
     if least_ms > planned.period_ms:
         source["period_ms"] = least_ms
     keys = options["keys"]
@@ -144,7 +145,7 @@ def _source(text: str) -> dict[str, Any]:
     kind, _, channel = text.partition(":")
     if kind not in SOURCES or not channel:
         raise SetupError(f"--source: '{text}' is no connection; use {FORMS}")
-    return {**SOURCES[kind], "channel": channel}
+    return {**SOURCES[kind], "endpoint" if kind == "array" else "channel": channel}
 
 
 def _from(path: Path, name: str) -> str:

@@ -43,6 +43,7 @@ class Patch:
     position_m: Floats  # (M, 3)
     normal: Floats  # (M, 3) unit; may point inwards
     source: Provenance
+    is_bare: bool = False  # the file has no normals: those of its cylinder are the best
 
 
 def read(path: Path) -> Patch:
@@ -82,7 +83,7 @@ class _Gathered:
         self.position.append(position)
         self.normal.append(normal)
 
-    def patch(self) -> Patch:
+    def patch(self, *, is_bare: bool = False) -> Patch:
         source = self.source
         if not 0 < len(self.uid) <= MAX_TAXELS:
             raise ValueError(
@@ -101,9 +102,9 @@ class _Gathered:
         position = position * metres
         source.own_normals = not normals.tells_none(position, normal)
         if not source.own_normals:
-            normal = normals.of_positions(position)
+            normal = normals.of_positions(position, normals.NEAR_BARE if is_bare else normals.NEAR)
         unit = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-        return Patch(np.array(self.uid, dtype=np.int64), position, unit, source)
+        return Patch(np.array(self.uid, dtype=np.int64), position, unit, source, is_bare)
 
 
 _CURE = "correct it, or mark the taxel as missing"
@@ -189,7 +190,7 @@ def _csv(text: str) -> Patch:
         *(numbers, ["uid", *numbers], [*numbers, "uid"]),
     ):
         raise ValueError(f"line 1: must be uid,{','.join(COLUMNS)}; uid or the n… may lack")
-    gathered, seen = _Gathered(), set[int]()
+    gathered, seen, is_bare = _Gathered(), set[int](), len(numbers) < len(COLUMNS)
     for number, words in enumerate(rows, 2):
         place, i = f"line {number}", len(seen)
         uid = (i // TAXELS_PER_MODULE + 1) << 4 | (i % TAXELS_PER_MODULE + 1)
@@ -200,9 +201,8 @@ def _csv(text: str) -> Patch:
                 raise ValueError(f"{place}: {_show(named)} is no UID, or one for the second time")
         seen.add(uid)
         row = _row(words, place, len(numbers))
-        is_bare = len(numbers) < len(COLUMNS)
         gathered.add(uid, row[:3], row[3:] or [0.0] * 3, "" if is_bare else place)
-    return gathered.patch()
+    return gathered.patch(is_bare=is_bare)
 
 
 def _icub(text: str) -> Patch:

@@ -8,6 +8,7 @@ import numpy as np
 from taxeld.arrays import Floats
 
 NEAR = 20  # taxels that make a tangent plane: two triangles, over which the link is nearly flat
+NEAR_BARE = 9  # the same in a table without normals, whose rows may be few
 FLAT = 0.01  # share of a patch's width: a patch that is no deeper is a plane
 ONE_WAY = 1e-6  # normals that differ by no more count as one
 UPRIGHT = 0.5  # least cosine between a plane's normal and the file's, to take the file's for it
@@ -27,8 +28,9 @@ def tells_none(position_m: Floats, normal: Floats) -> bool:
     )
 
 
-def of_positions(position_m: Floats) -> Floats:
-    """Unit normals (M, 3) of the surface through taxels (M, 3), pointing away from their middle.
+def of_positions(position_m: Floats, near: int = NEAR) -> Floats:
+    """Unit normals (M, 3) of the surface through taxels (M, 3), pointing away from their middle;
+    `near`: taxels that make a tangent plane.
 
     On a plane all are the same, and their largest component is positive.
     """
@@ -40,8 +42,7 @@ def of_positions(position_m: Floats) -> Floats:
     normals = np.empty_like(position_m)
     for i, place in enumerate(position_m):
         distance = np.round(np.linalg.norm(position_m - place, axis=1) / SAME_M)
-        near = position_m[np.argsort(distance, kind="stable")[:NEAR]]
-        normal = _axes(near)[1][2]
+        normal = _axes(position_m[np.argsort(distance, kind="stable")[:near]])[1][2]
         normals[i] = normal if normal @ outwards[i] >= 0.0 else -normal
     return normals
 

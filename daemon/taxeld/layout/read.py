@@ -9,6 +9,8 @@ from taxeld.errors import SetupError
 from taxeld.layout import cylinder_fit, files, generated
 from taxeld.layout.layout import Layout
 
+NEAR_AXIS_M = 1e-9  # a taxel that is no farther from the axis has no outwards
+
 
 def load(spec: str) -> Layout:
     """The layout named by `skin.layout`, for a run.
@@ -50,12 +52,16 @@ def _of_patch(name: str, patch: files.Patch) -> Layout:
     """The patch in its sensor frame, under the file's name: names inside files repeat."""
     fit = cylinder_fit.fit(patch.position_m, patch.normal)
     turn, shift = fit.frame[:3, :3], fit.frame[:3, 3]
-    outwards = np.where(fit.inwards[:, None], -patch.normal, patch.normal)
+    position = patch.position_m @ turn.T + shift
+    normal = np.where(fit.inwards[:, None], -patch.normal, patch.normal) @ turn.T
+    if patch.is_bare and math.isfinite(fit.radius_m):
+        normal = position * (1.0, 1.0, 0.0)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), NEAR_AXIS_M)
     return Layout(
         name=name,
         uid=patch.uid,
-        position_m=patch.position_m @ turn.T + shift,
-        normal=outwards @ turn.T,
+        position_m=position,
+        normal=normal,
         radius_m=fit.radius_m,
         frame=fit.frame,
         source=patch.source,
