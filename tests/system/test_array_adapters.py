@@ -164,7 +164,7 @@ from cyclonedds.pub import DataWriter
 at = DomainParticipant(int(sys.argv[2]))
 writer = DataWriter(at, Topic(at, "rt/skin", Values), qos=CDR)
 while True:
-    writer.write(Values(Places([], 0), [1.0, 2.5, 40000.0]))
+    writer.write(Values(Places([], 0), [1.0, 2.25, 40000.0]))
     time.sleep(0.05)
 """
 

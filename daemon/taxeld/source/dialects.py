@@ -41,11 +41,6 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
         SetupError: the layout needs more boards than are configured, or their order is unknown; or
             its scans are more than the bus carries.
     """
-    if any(int(uid) & 0xF >= NAMES for uid in layout.uid):
-        raise SetupError(
-            "skin.layout: its UIDs are of no module, which has taxels "
-            f"1..{NAMES - 1}: it is of an array (source.kind)"
-        )
     least_ms = least_period_ms(config, layout)
     if config.period_ms < least_ms:
         rate = 1000 * _frames(config, layout) / config.period_ms
@@ -61,6 +56,11 @@ def live(config: SourceConfig, layout: Layout) -> Dialect:
         boards = part.named(config.boards)
         skin = IcubDecoder(boards, part.taxels)
         return Dialect(skin, IcubBringUp(skin, part, boards, config), icub.to_frames)
+    if any(int(uid) & 0xF >= NAMES for uid in layout.uid):
+        raise SetupError(
+            "skin.layout: its UIDs are of no module, which has taxels "
+            f"1..{NAMES - 1}: it is of an array (source.kind)"
+        )
     if config.listen_only:
         decoder = Decoder(module_order.given(config, layout).of, config.period_ms / 1000.0)
         return Dialect(decoder, None, _to_frames, Listening(decoder))
