@@ -3,7 +3,6 @@
 import json
 import logging
 import shutil
-from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -188,14 +187,13 @@ def test_the_log_says_once_which_object_it_surely_is(
 
 
 @pytest.fixture
-def session(tmp_path: Path) -> Iterator[Path]:
+def session(tmp_path: Path) -> Path:
     write_session(tmp_path, touches=2)
     path = recorded(tmp_path)
-    text = path.read_text(encoding="utf-8").replace(
-        'bundle = "box"', f"bundles = {json.dumps(THREE)}"
-    )
+    several_of = f"bundles = {json.dumps(THREE)}"
+    text = path.read_text(encoding="utf-8").replace('bundle = "box"', several_of)
     path.write_text(text, encoding="utf-8")
-    yield tmp_path
+    return tmp_path
 
 
 def test_a_session_of_several_objects_is_replayed(session: Path) -> None:
