@@ -22,10 +22,10 @@ FIXED = {
     "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
-    'proposal = "table"': "348b2955596c017d",
-    'proposal = "manifold"\ninjection = "paper"': "26cb34dc09d33edc",
-    'proposal = "table"\nmotion = "push"': "cc76dbb951cb7bd7",
-    'proposal = "manifold"\nparticles = 300': "afa721abef497f0a",
+    'proposal = "table"': "dbdbae534dd20ebb",
+    'proposal = "manifold"\ninjection = "paper"': "4832a1d1d59c994f",
+    'proposal = "table"\nmotion = "push"': "f5ca73b3d8c0f16a",
+    'proposal = "manifold"\nparticles = 300': "4e3ef7ff2574f2c6",
 }
 
 
