@@ -25,7 +25,17 @@ DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
 UPRIGHT = "the link's axis must be vertical (within 0.1 rad), and the object stand as its mesh does"
 LONGER = 3.0  # times the effort, as a cure for poor samplers
 QUICK = {"effort": 0.02, "contacts": 30_000, "bank": 50_000, "readings": 10, "trials": 8}
-EXPERIMENTS = ("proposals", "frontier", "filter", "stability", "reliability", "ablation", "push")
+EXPERIMENTS = (
+    "proposals",
+    "frontier",
+    "filter",
+    "stability",
+    "reliability",
+    "recognise",
+    "ablation",
+    "push",
+)
+SINGLE = ("proposals", "frontier", "recognise")  # experiments of one layout
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -160,11 +170,11 @@ def _evaluate(args: argparse.Namespace) -> int:
 
     taxeld-train evaluate proposals --quick --out results
     """
-    from taxeld_training.filters import ablation, experiment, push, reliability, sampled
+    from taxeld_training.filters import ablation, experiment, push, recognise, reliability, sampled
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment in ("frontier", "push"):
+    if args.cells and args.experiment in ("frontier", "push", "recognise"):
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
     given["layouts"] = _layouts(args)
@@ -175,6 +185,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "filter": experiment.filter_rows,
         "stability": experiment.stability_rows,
         "reliability": reliability.reliability_rows,
+        "recognise": recognise.recognise_rows,
         "ablation": ablation.ablation_rows,
         "push": push.run,
     }
@@ -188,7 +199,7 @@ def _layouts(args: argparse.Namespace) -> tuple[str, ...]:
     from taxeld.layout import read as layouts
 
     found = tuple(jobs.layouts(args.layout))
-    if args.experiment in ("proposals", "frontier") and len(found) > 1:
+    if args.experiment in SINGLE and len(found) > 1:
         raise SetupError(f"--layout: {args.experiment} has room for one; run it for each")
     of_shipped = args.experiment == "push" or (args.experiment == "proposals" and args.cells)
     if of_shipped and found != ("",):
@@ -259,7 +270,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--memory", type=Path, default=Path(".experiments"), metavar="DIR", help=about)
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     about = (
-        "default: box and mug; of filter, frontier and proposals without --cells, the paper's ten"
+        "default: box and mug; of filter, frontier, recognise, proposals without --cells the ten"
     )
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
