@@ -15,8 +15,9 @@ import numpy as np
 
 from taxeld_hil.jobs import Job
 from taxeld_hil.objects import meshes
-from taxeld_training.filters import several
+from taxeld_training.filters import pairs, several
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, seed_of, setting_of
+from taxeld_training.filters.pairs import Both, Pair
 from taxeld_training.filters.several import Compared, Crowd, Recognised
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.jobs import identities
@@ -24,7 +25,7 @@ from taxeld_training.jobs.identities import UNKNOWN
 from taxeld_training.jobs.identity_tables import tables
 from taxeld_training.jobs.options import Options, run_jobs, write
 from taxeld_training.jobs.promises import share
-from taxeld_training.objects.setting import OBJECTS
+from taxeld_training.objects.setting import OBJECTS, Setting
 
 SEEDS, QUICK_SEEDS = 100, 2  # 45 minutes on two cores
 UNKNOWN_SEEDS = 0.5  # factor of the number of trials with an object that the filter does not know
@@ -44,6 +45,8 @@ OTHERS = (  # chosen before any figure: of several sizes and shapes, and all row
 )
 TEN, OTHER_TEN = "the ten", "ten others"  # names of the filters, by the objects that they know
 SKINS = ("exact", "typical")  # of `FOAMS`
+TWO = "003_cracker_box", "025_mug"  # objects that are touched in turn, or the first that are known
+PAIR_SEEDS = 0.4  # factor of the number of trials with two objects
 ALL = "all"
 SHOWN = (2, 4, 6)  # contacts with a confusion matrix
 TOLD = (4, 6, 8)  # contacts after which unknown objects are looked for
@@ -68,6 +71,7 @@ def recognise_rows(options: Options) -> list[Path]:
         for (of, names), skin in ((one, skin) for one in each.items() for skin in SKINS)
         for row in _rows({"of": of, "skin": skin}, names, done)
     ]
+    found += pair_rows(options)
     rows = [*reached(found), *found]
     data = write(options, "recognise", rows, tables(rows))
     identity_chart.draw([row for row in found if row["of"] == TEN], data.with_suffix(".png"))
@@ -87,8 +91,7 @@ def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Crowd,
     settings = {}
     for name in (name for names in each.values() for name in names):
         meshes.find(name)
-        setting, layout = setting_of(name, COLUMNS, options), options.layouts[0]
-        settings[name] = replace(setting, skin=layout, columns=0) if layout else setting
+        settings[name] = _setting(name, options)
     found = {}
     for of, names in each.items():
         known = tuple(settings[name] for name in names)
@@ -97,6 +100,11 @@ def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Crowd,
             for skin in SKINS:
                 found[Crowd(known, settings[name], FOAMS[skin])] = count
     return found
+
+
+def _setting(name: str, options: Options) -> Setting:
+    setting, layout = setting_of(name, COLUMNS, options), options.layouts[0]
+    return replace(setting, skin=layout, columns=0) if layout else setting
 
 
 def run(counts: Mapping[Crowd, int], options: Options) -> Runs:
@@ -118,6 +126,44 @@ def run(counts: Mapping[Crowd, int], options: Options) -> Runs:
         for trial in done[job.name] or []:
             found.setdefault(crowd, []).append([_read(*touch) for touch in trial])
     return found
+
+
+def pair_rows(options: Options) -> list[dict[str, Any]]:
+    """Rows of trials of two objects that are touched in turn: of one kind, and of two."""
+    names = TWO if not (options.objects or options.quick) else (options.objects or OBJECTS)[:2]
+    first, last = (_setting(name, options) for name in (names[0], names[-1]))
+    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
+    count = max(round(PAIR_SEEDS * seeds), 1)
+    both = ((first, first), (first, last), (last, last))
+    found = []
+    for skin in SKINS:
+        for one, other in dict.fromkeys(both):
+            pair = Pair(one, other, FOAMS[skin])
+            todo = [(at, min(BLOCK, count - at)) for at in range(0, count, BLOCK)]
+            jobs = [
+                Job(f"{pair.name}-{at}", pairs.play, (pair, seed_of(options, at), size))
+                for at, size in todo
+            ]
+            done = run_jobs(jobs, options)
+            runs = [[Both(*touch) for touch in run] for job in jobs for run in done[job.name] or []]
+            if runs:
+                where = {"figure": "two", "of": TEN, "skin": skin}
+                objects = {"one": one.object, "other": other.object}
+                found += [where | objects | row for row in _of_pair(runs)]
+    return found
+
+
+def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:
+    """Figures after as many touches of both objects together."""
+    told = np.array(runs)  # (N, touches, 4)
+    return [
+        {"contact": contact, "seeds": len(told)}
+        | share("two", told[:, contact - 1, 0] == 2)
+        | share("found", told[:, contact - 1, 1] < pairs.FOUND_MM)
+        | {"sure": int(told[:, contact - 1, 2].sum())}
+        | {"misleading": int(told[:, contact - 1, 3].sum())}
+        for contact in range(2, told.shape[1] + 1, 2)
+    ]
 
 
 def reached(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
