@@ -160,8 +160,8 @@ def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:
         {"contact": contact, "seeds": len(told)}
         | share("two", told[:, contact - 1, 0] == 2)
         | share("found", told[:, contact - 1, 1] < pairs.FOUND_MM)
-        | {"sure": int(told[:, contact - 1, 2].sum())}
-        | {"misleading": int(told[:, contact - 1, 3].sum())}
+        | {"sure_targets": int(told[:, contact - 1, 2].sum())}
+        | {"misleading_targets": int(told[:, contact - 1, 3].sum())}
         for contact in range(2, told.shape[1] + 1, 2)
     ]
 
