@@ -22,10 +22,10 @@ FIXED = {
     "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
-    'proposal = "table"': "dbdbae534dd20ebb",
-    'proposal = "manifold"\ninjection = "paper"': "4832a1d1d59c994f",
-    'proposal = "table"\nmotion = "push"': "f5ca73b3d8c0f16a",
-    'proposal = "manifold"\nparticles = 300': "4e3ef7ff2574f2c6",
+    'proposal = "table"': "dbe9f4e2414b5c46",
+    'proposal = "manifold"\ninjection = "paper"': "05b59c8f66382ea4",
+    'proposal = "table"\nmotion = "push"': "cb6f2a598fcca01a",
+    'proposal = "manifold"\nparticles = 300': "07e0a5d8fc2b97c3",
 }
 
 

@@ -16,7 +16,7 @@ def leaves(value: object, path: str = "") -> Types:
     if isinstance(value, dict):
         for key, item in value.items():
             found |= leaves(
-                item, f"{path}.*" if key.isdigit() or path == ".objects" else f"{path}.{key}"
+                item, f"{path}.*" if key.isdigit() or path.endswith(".objects") else f"{path}.{key}"
             )
     elif isinstance(value, list):
         for item in value:

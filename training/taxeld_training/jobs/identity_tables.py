@@ -56,7 +56,10 @@ def tables(rows: Sequence[Row]) -> str:
             {
                 "both under 10 mm": lambda each: f"{each[0]['found']:.0%}",
                 "two are told": lambda each: f"{each[0]['two']:.0%}",
-                "sure, misleading": lambda each: f"{each[0]['sure_targets']}, {each[0]['misleading_targets']}",
+                "sure": lambda each: str(each[0]["sure_targets"]),
+                "of these misleading": lambda each: str(each[0]["misleading_targets"]),
+                    f"{each[0]['sure_targets']}, {each[0]['misleading_targets']}"
+                ),
             },
         ),
         table(of["cost"], place, {heading: _cost(*keys) for heading, keys in COSTS.items()}),
