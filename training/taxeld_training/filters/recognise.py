@@ -27,7 +27,7 @@ from taxeld_training.jobs.options import Options, run_jobs, write
 from taxeld_training.jobs.promises import SURE, WITHIN_MM, share
 from taxeld_training.objects.setting import OBJECTS
 
-SEEDS, QUICK_SEEDS = 100, 2  # 45 minutes on two cores
+SEEDS, QUICK_SEEDS = 100, 2  # about an hour on two cores
 UNKNOWN_SEEDS = 0.5  # factor of the number of trials with an object that the filter does not know
 QUICK_OBJECTS = 2
 BLOCK = 10  # seeds a job
