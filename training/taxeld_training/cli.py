@@ -48,8 +48,7 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _build(args: argparse.Namespace) -> int:
-    """Build the bundle of an object and a skin, which the daemon runs with; or of several objects,
-    each in a directory of its own.
+    """Build what the daemon needs of an object and a skin, or a bundle of each of several.
 
     taxeld-train build 025_mug --out mug
     taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --quick --out bracket

@@ -6,6 +6,7 @@ nothing is trained for this. The filter that knows the touched object alone, on 
 says what not knowing costs.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +25,10 @@ from taxeld_training.jobs import identities
 from taxeld_training.jobs.identities import UNKNOWN
 from taxeld_training.jobs.identity_tables import tables
 from taxeld_training.jobs.options import Options, run_jobs, write
-from taxeld_training.jobs.promises import share
+from taxeld_training.jobs.promises import SURE, WITHIN_MM, share
 from taxeld_training.objects.setting import OBJECTS, Setting
 
-SEEDS, QUICK_SEEDS = 100, 2  # 45 minutes on two cores
+SEEDS, QUICK_SEEDS = 100, 2  # about an hour on two cores
 UNKNOWN_SEEDS = 0.5  # factor of the number of trials with an object that the filter does not know
 QUICK_OBJECTS = 2
 BLOCK = 10  # seeds a job
@@ -222,6 +223,10 @@ def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[
         if len(of)
         for contact in range(1, TOUCHES + 1)
     ]
+    for each in found:
+        number = names.index(each["object"]) if each["object"] != ALL else None
+        same = [run for true, run in known if number in (None, true)]
+        each.update(_alone(same, each["contact"]))
     found.append({"figure": "cost", **where, **_cost([run for _, run in known])})
     bins, error = identities.identity_bins(own)
     found.append(
@@ -247,6 +252,7 @@ def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[
         found.append(
             {"figure": "unknown", **where, **share("sure", unknown.sure.ravel()), **sizes}
             | {"sure_count": int(unknown.sure.sum()), "estimates": unknown.sure.size}
+            | {"taken": _taken(mine, names)}
         )
         found += [
             {"figure": "unknown", **where, "contact": contact}
@@ -255,6 +261,25 @@ def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[
             for contact in TOLD
         ]
     return found
+
+
+def _alone(runs: Sequence[Sequence[Compared]], contact: int) -> dict[str, Any]:
+    """The share of runs that have found the object, by the filter that knows it alone."""
+    one = [touch.one for touch in (run[contact - 1] for run in runs) if touch.one is not None]
+    return share("found_alone", np.array([touch.map_mm <= WITHIN_MM for touch in one]))
+
+
+def _taken(runs: Runs, names: Sequence[str]) -> dict[str, int]:
+    """How many estimates are sure of an object while another one is touched, that is unknown."""
+    found = Counter(
+        f"{crowd.touched.object} for {names[touch.several.object]}"
+        for crowd, each in runs.items()
+        if crowd.true == UNKNOWN
+        for run in each
+        for touch in run
+        if touch.several.p >= SURE
+    )
+    return dict(found.most_common())
 
 
 def _cost(runs: Sequence[Sequence[Compared]]) -> dict[str, float]:

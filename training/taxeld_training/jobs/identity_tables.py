@@ -31,6 +31,7 @@ def tables(rows: Sequence[Row]) -> str:
                 for heading, key in (
                     ("right", "right"),
                     ("right and under 10 mm", "found"),
+                    ("under 10 mm if known alone", "found_alone"),
                     ("sure and right", "sure_and_found"),
                     ("misleading", "misleading"),
                 )
