@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from taxeld.config.tables import OBJECTS_MAX
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
@@ -16,7 +17,6 @@ from taxeld.proposals.analytic import check_contacts
 from taxeld_hil.objects import bundles, meshes, scenes
 from taxeld_training.filters import alike
 
-OBJECTS_MAX = 16  # as many as a configuration may name
 ALIKE = "alike.json"
 
 Make = Callable[[str, Path], object]  # builds the bundle of an object in a directory

@@ -59,8 +59,6 @@ def tables(rows: Sequence[Row]) -> str:
                 "two are told": lambda each: f"{each[0]['two']:.0%}",
                 "sure": lambda each: str(each[0]["sure_targets"]),
                 "of these misleading": lambda each: str(each[0]["misleading_targets"]),
-                    f"{each[0]['sure_targets']}, {each[0]['misleading_targets']}"
-                ),
             },
         ),
         table(of["cost"], place, {heading: _cost(*keys) for heading, keys in COSTS.items()}),
