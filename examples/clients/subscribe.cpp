@@ -23,8 +23,12 @@ int main(int argc, char** argv) {
         bool usable = estimate["valid"].as<bool>() && estimate["status"].as<int>() == CONVERGED;
         if (touching && !estimate["contact"].as<bool>() && usable) {
             auto pose = estimate["map"].as<std::map<std::string, double>>();
-            std::printf("x %.3f m  y %.3f m  yaw %.2f  p %.3f\n", pose["x"], pose["y"],
-                        pose["theta"], estimate["p"].as<double>());
+            std::string named;
+            double most = -1.0;
+            for (auto& [name, p] : estimate["objects"].as<std::map<std::string, double>>())
+                if (p > most) named = name, most = p;
+            std::printf("x %.3f m  y %.3f m  yaw %.2f  p %.3f  %s\n", pose["x"], pose["y"],
+                        pose["theta"], estimate["p"].as<double>(), named.c_str());
             std::fflush(stdout);
         }
         touching = estimate["contact"].as<bool>();

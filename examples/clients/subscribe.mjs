@@ -14,7 +14,8 @@ for await (const [, body] of socket) {
   if (touching && !estimate.contact && usable) {
     const { x, y, theta } = estimate.map;
     const at = `x ${x.toFixed(3)} m  y ${y.toFixed(3)} m  yaw ${theta.toFixed(2)}`;
-    console.log(`${at}  p ${estimate.p.toFixed(3)}`);
+    const [[named]] = Object.entries(estimate.objects).sort((a, b) => b[1] - a[1]);
+    console.log(`${at}  p ${estimate.p.toFixed(3)}  ${named}`);
   }
   touching = estimate.contact;
 }

@@ -29,5 +29,7 @@ while True:
     is_usable = estimate["valid"] and estimate["status"] == CONVERGED
     if touching and not estimate["contact"] and is_usable:
         pose, p = estimate["map"], estimate["p"]
-        print(f"x {pose['x']:.3f} m  y {pose['y']:.3f} m  yaw {pose['theta']:.2f}  p {p:.3f}")
+        named = max(estimate["objects"], key=estimate["objects"].get)
+        at = f"x {pose['x']:.3f} m  y {pose['y']:.3f} m  yaw {pose['theta']:.2f}"
+        print(f"{at}  p {p:.3f}  {named}")
     touching = estimate["contact"]

@@ -22,10 +22,10 @@ FIXED = {
     "TAXELD_COMPILED": "0",
 }
 DIGESTS = {
-    'proposal = "table"': "348b2955596c017d",
-    'proposal = "manifold"\ninjection = "paper"': "26cb34dc09d33edc",
-    'proposal = "table"\nmotion = "push"': "cc76dbb951cb7bd7",
-    'proposal = "manifold"\nparticles = 300': "afa721abef497f0a",
+    'proposal = "table"': "dbe9f4e2414b5c46",
+    'proposal = "manifold"\ninjection = "paper"': "05b59c8f66382ea4",
+    'proposal = "table"\nmotion = "push"': "cb6f2a598fcca01a",
+    'proposal = "manifold"\nparticles = 300': "07e0a5d8fc2b97c3",
 }
 
 

@@ -11,17 +11,17 @@ from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import se2
 from taxeld_hil.calibration import presses
-from taxeld_hil.calibration.calibrate import Known, best_fit
+from taxeld_hil.calibration.calibrate import Placed, best_fit
 from taxeld_hil.calibration.fit import FitResult
 from taxeld_hil.calibration.observer import STILL_SCANS, AtRest, at_rest
 from taxeld_hil.calibration.presses import LEAST_SCANS, MOST_SCANS, Presses
 from tests.hil.rig import MODEL, PLACED, SKIN, PressedSkin
 
-GIVEN = Known(PLACED, given=True)
+GIVEN = Placed(PLACED, given=True)
 KNOWN_GAIN_SD = 0.06
 
 
-def fitted(skin: PressedSkin, known: Known = GIVEN) -> FitResult:
+def fitted(skin: PressedSkin, known: Placed = GIVEN) -> FitResult:
     noise = np.full(len(SKIN), skin.noise)
     return best_fit(MODEL, skin.presses(), noise, known)[0]
 
@@ -52,7 +52,7 @@ def test_what_was_put_in_comes_out_within_the_stated_uncertainty(seed: int) -> N
 def test_an_object_that_stands_some_millimetres_elsewhere_is_found_along(seed: int) -> None:
     skin = PressedSkin.drawn(MODEL, seed)
     near = se2.compose(PLACED, np.array([0.003, -0.003, 0.04]))
-    fit = fitted(skin, Known(near, given=False))
+    fit = fitted(skin, Placed(near, given=False))
     off = fit.value.mount - skin.mount
     assert np.hypot(*off[:2]) < 5e-4
     assert abs(off[2]) < np.radians(0.5)
@@ -87,7 +87,7 @@ def test_noise_that_is_written_is_what_readings_keep() -> None:
     assert loud.sigma > 1.2 * quiet.sigma
 
 
-def refused(skin: PressedSkin, known: Known = GIVEN) -> str:
+def refused(skin: PressedSkin, known: Placed = GIVEN) -> str:
     with pytest.raises(SetupError) as error:
         fitted(skin, known)
     return str(error.value)
@@ -117,14 +117,14 @@ def test_a_mount_is_refused_that_cannot_be_told_from_the_objects_pose() -> None:
         path.append([*pose[:2], yaw + 0.0 * about[0]])
     fixed = replace(skin, sensor=np.array(path))
     near = se2.compose(PLACED, np.array([0.001, 0.001, 0.01]))
-    message = refused(fixed, Known(near, given=False))
+    message = refused(fixed, Placed(near, given=False))
     assert message.startswith("calibrate: the mount cannot be told (sd ")
     assert "turn the sensor between presses (its yaw differs by 0° now), or give" in message
 
 
 def test_an_object_that_is_not_where_it_is_said_to_be_is_refused() -> None:
     skin = PressedSkin.drawn(MODEL, 2)
-    wrong = Known(se2.compose(PLACED, np.array([0.03, 0.02, 0.5])), given=True)
+    wrong = Placed(se2.compose(PLACED, np.array([0.03, 0.02, 0.5])), given=True)
     message = refused(skin, wrong)
     assert "explains the presses" in message or "cannot be told" in message
 

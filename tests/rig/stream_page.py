@@ -11,11 +11,13 @@ Types = dict[str, str]
 
 def leaves(value: object, path: str = "") -> Types:
     """Path of each number, text or truth value → its type; `[]` stands for each of a list, `*`
-    for each of a map whose keys are numbers."""
+    for each of a map whose keys are numbers, or names of objects."""
     found: Types = {}
     if isinstance(value, dict):
         for key, item in value.items():
-            found |= leaves(item, f"{path}.*" if key.isdigit() else f"{path}.{key}")
+            found |= leaves(
+                item, f"{path}.*" if key.isdigit() or path.endswith(".objects") else f"{path}.{key}"
+            )
     elif isinstance(value, list):
         for item in value:
             found |= leaves(item, f"{path}[]")

@@ -25,8 +25,8 @@ PLAIN = {"string": "größe", "bool": True, "float32": 1.5, "float64": 1.5}
 @pytest.fixture
 def estimate() -> dict[str, Any]:
     modes = [
-        {"x": 1.0, "y": 2.0, "theta": math.pi / 2, "weight": 0.75},
-        {"x": 0.5, "y": -2.0, "theta": 0.0, "weight": 0.05},
+        {"x": 1.0, "y": 2.0, "theta": math.pi / 2, "weight": 0.75, "object": 0},
+        {"x": 0.5, "y": -2.0, "theta": 0.0, "weight": 0.05, "object": 0},
     ]
     return {**documented("/taxeld/estimate")[1], "modes": modes}
 

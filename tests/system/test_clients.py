@@ -37,7 +37,7 @@ CPP_HEADERS = ("zmq_addon.hpp", "msgpack.hpp")
 
 def said_of(x_m: float) -> str:
     """A client's line on the documented estimate at that x."""
-    return f"x {x_m:.3f} m  y -0.021 m  yaw 0.52  p 0.996"
+    return f"x {x_m:.3f} m  y -0.021 m  yaw 0.52  p 0.996  003_cracker_box"
 
 
 def python(place: Path) -> list[str] | None:  # noqa: ARG001

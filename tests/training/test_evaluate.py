@@ -132,6 +132,7 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
         "filter",
         "stability",
         "reliability",
+        "recognise",
         "ablation",
         "push",
     ],
@@ -157,6 +158,8 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
         ("filter --cells moved=3", "--cells: no 'moved=3' here; there are moved=2, moved=5, "),
         ("filter --groups magic", "--groups: no 'magic' here; there are density, table, "),
         ("push --cells noise", "--cells: push has no cells to choose from"),
+        ("recognise --cells noise", "--cells: recognise has no cells to choose from"),
+        ("recognise --objects 025_mug,999_none", "999_none: no such YCB object"),
         ("push --objects 016_pear", "016_pear has no shipped bundle"),
     ],
 )

@@ -31,7 +31,7 @@ def build(
     layout: Layout,
     height_m: float,
     depth_m: float,
-    given: Candidates,
+    given: Candidates | None,
     asked: touches.EndTrials,
     out: Path,
     progress: Progress,
@@ -39,8 +39,9 @@ def build(
     """Build the bundle of `name` (a YCB id or a mesh file) for `layout` in the directory `out`.
 
     `height_m` is the sensor frame's origin above the object's lowest point, `depth_m` the depth of
-    a press at full scale. What is made is tried as `asked`. An older bundle in `out` is replaced
-    once the new one is complete.
+    a press at full scale. What is made is tried as `asked`; without `given` samplers the table is
+    left to propose, and nothing is tried. An older bundle in `out` is replaced once the new one is
+    complete.
 
     Raises:
         SetupError: the object or skin cannot be used, or `out` holds something else.
@@ -58,12 +59,16 @@ def build(
     with tempfile.TemporaryDirectory(dir=out.parent) as temporary:
         made = Path(temporary) / "bundle"
         made.mkdir()
-        info |= candidates.make(model, given, made, progress)
+        if given is None:
+            info |= {"samplers": [], "auto": [Table.name]}
+        else:
+            info |= candidates.make(model, given, made, progress)
         if "mesh" in info:
             shutil.copyfile(path, made / info["mesh"])
         bundles.write(model.scene, info, made)
-        info["touches"] = touches.counted(made, layout, asked, progress)
-        bundles.write(model.scene, info, made)
+        if given is not None:
+            info["touches"] = touches.counted(made, layout, asked, progress)
+            bundles.write(model.scene, info, made)
         bundles.replace(made, out)
     return out
 

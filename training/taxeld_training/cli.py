@@ -5,6 +5,7 @@ import json
 import math
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,12 +21,24 @@ if TYPE_CHECKING:
     import trimesh
 
     from taxeld.layout.layout import Layout
+    from taxeld_training.filters.touches import EndTrials
+    from taxeld_training.samplers.candidates import Candidates
 
 DEPTHS_MM = 0.1, 50.0  # limits, as of skin.full_scale_depth_m
 UPRIGHT = "the link's axis must be vertical (within 0.1 rad), and the object stand as its mesh does"
 LONGER = 3.0  # times the effort, as a cure for poor samplers
 QUICK = {"effort": 0.02, "contacts": 30_000, "bank": 50_000, "readings": 10, "trials": 8}
-EXPERIMENTS = ("proposals", "frontier", "filter", "stability", "reliability", "ablation", "push")
+EXPERIMENTS = (
+    "proposals",
+    "frontier",
+    "filter",
+    "stability",
+    "reliability",
+    "recognise",
+    "ablation",
+    "push",
+)
+SINGLE = ("proposals", "frontier", "recognise")  # experiments of one layout
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -35,34 +48,58 @@ def main(argv: list[str] | None = None) -> int:
 
 
 def _build(args: argparse.Namespace) -> int:
-    """Build the bundle of an object and a skin, which the daemon runs with.
+    """Build what the daemon needs of an object and a skin, or a bundle of each of several.
 
     taxeld-train build 025_mug --out mug
     taxeld-train build bracket.stl --layout skin.json --height-m 0.05 --quick --out bracket
+    taxeld-train build 003_cracker_box 025_mug 035_power_drill --out bank
     """
     from taxeld.layout import read as layouts
     from taxeld_hil.objects import meshes
-    from taxeld_training.build import STAGES, build, summary
     from taxeld_training.filters import touches
-    from taxeld_training.jobs import stages
     from taxeld_training.models.variants import diffusion, trained_with
-    from taxeld_training.samplers.candidates import CONTACTS, TRAINING, VARIANTS, Candidates
+    from taxeld_training.samplers.candidates import VARIANTS, Candidates
 
     full = {"effort": 1.0, "contacts": 300_000, "trials": touches.EndTrials.trials}
     full |= {"bank": Candidates.bank, "readings": Candidates.readings}
     named = {name: getattr(args, name) for name in full if getattr(args, name) is not None}
     size = full | (QUICK if args.quick else {}) | named
-    effort, contacts = size["effort"], int(size["contacts"])
     wanted = (*VARIANTS, diffusion()) if args.ddpm else VARIANTS
     given = Candidates(
-        variants=tuple(trained_with(v, effort, contacts, args.seed) for v in wanted),
+        variants=tuple(
+            trained_with(v, size["effort"], int(size["contacts"]), args.seed) for v in wanted
+        ),
         bank=int(size["bank"]),
         readings=int(size["readings"]),
         seed=args.seed,
     )
     asked = touches.EndTrials(args.foam, int(size["trials"]), args.seed)
     depth_m, skin = _depth_m(args), layouts.load(args.layout)
-    _doubt(args, meshes.load(meshes.find(args.object)[0]), skin)
+    if len(args.object) > 1:
+        unused = [f"--{name}" for name in ("ddpm", *named) if getattr(args, name)]
+        if not args.samplers and (unused := [name for name in unused if name != "--trials"]):
+            raise SetupError(f"{unused[0]}: trains nothing of several objects; add --samplers")
+        return _build_several(args, skin, depth_m, given if args.samplers else None, asked)
+    _doubt(args, args.object[0], meshes.load(meshes.find(args.object[0])[0]), skin)
+    for line in _build_one(args, args.object[0], skin, depth_m, given, asked, args.out):
+        print(line)
+    return 0
+
+
+def _build_one(
+    args: argparse.Namespace,
+    name: str,
+    skin: "Layout",
+    depth_m: float,
+    given: "Candidates",
+    asked: "EndTrials",
+    out: Path,
+) -> Iterator[str]:
+    """Build a bundle with samplers; → lines on it, and how long it took."""
+    from taxeld_training.build import STAGES, build, summary
+    from taxeld_training.jobs import stages
+    from taxeld_training.samplers.candidates import CONTACTS, TRAINING
+
     began_s, ended_s = time.monotonic(), dict[str, float]()
     with stages.shown(STAGES, sys.stderr) as tell:
 
@@ -70,17 +107,56 @@ def _build(args: argparse.Namespace) -> int:
             ended_s[stage] = time.monotonic()
             tell(stage, share)
 
-        out = build(args.object, skin, args.height_m, depth_m, given, asked, args.out, progress)
+        build(name, skin, args.height_m, depth_m, given, asked, out, progress)
     info = json.loads((out / "bundle.json").read_text(encoding="utf-8"))
     for repair in info["repairs"]:
-        print(f"taxeld-train: {args.object}: {repair}", file=sys.stderr)
+        print(f"taxeld-train: {name}: {repair}", file=sys.stderr)
     took_s = time.monotonic() - began_s
     longer = took_s + (LONGER - 1.0) * (ended_s[TRAINING] - ended_s[CONTACTS])
+    effort = 1.0 if args.effort is None else args.effort
     more = f"--effort {LONGER * effort:g} would take about {longer / 60.0:.0f} min here"
     if args.quick:
         more = "--quick asked for no more; build without it for use"
-    print("\n".join(summary(out, info, args.layout, more)))
-    print(f"took       {took_s:.0f} s")
+    yield from summary(out, info, args.layout, more)
+    yield f"took       {took_s:.0f} s"
+
+
+def _build_several(
+    args: argparse.Namespace,
+    skin: "Layout",
+    depth_m: float,
+    given: "Candidates | None",
+    asked: "EndTrials",
+) -> int:
+    """Build bundles, and try which of their objects touch can tell apart."""
+    from taxeld_hil.objects import meshes
+    from taxeld_training import several
+    from taxeld_training.build import SCENE, build
+    from taxeld_training.filters import alike
+    from taxeld_training.jobs import stages
+
+    began_s = time.monotonic()
+    places = several.places(args.object, args.out)
+    several.check(args.object, skin, args.height_m, depth_m)
+    for name in places:
+        _doubt(args, name, meshes.load(meshes.find(name)[0]), skin)
+    if given is not None:
+        for number, (name, out) in enumerate(places.items(), 1):
+            print(f"{number}/{len(places)} {name}", file=sys.stderr)
+            for line in _build_one(args, name, skin, depth_m, given, asked, out):
+                print(line)
+    made = (SCENE, alike.STAGE) if given is None else (alike.STAGE,)
+    with stages.shown(made, sys.stderr) as tell:
+        for number, (name, out) in enumerate(places.items(), 1):
+            if given is None:
+                build(name, skin, args.height_m, depth_m, None, asked, out, lambda *_: None)
+                tell(SCENE, number / len(places))
+        told = alike.pairs(list(places.values()), skin, asked, tell)
+    for out in places.values() if given is None else ():
+        print(several.size_line(out))
+    print("\n".join(several.tell_pairs(told, args.out)))
+    print(f"took       {time.monotonic() - began_s:.0f} s")
+    print(several.key_line(list(places.values())))
     return 0
 
 
@@ -135,7 +211,7 @@ def _scene(args: argparse.Namespace) -> int:
     print(f"grid error  rms {error.rms:.3f}, 99 % under {error.p99:.3f}, max {error.max:.3f} mm")
     print(f"grid        {size / 1e3:.0f} kB")
     print(f"next        {command(args.object, args.layout, args.height_m, depth_m)}")
-    _doubt(args, mesh, skin)
+    _doubt(args, args.object, mesh, skin)
     if args.png:
         from taxeld_training.objects.scene_picture import draw
 
@@ -147,12 +223,12 @@ def _scene(args: argparse.Namespace) -> int:
     return 0
 
 
-def _doubt(args: argparse.Namespace, mesh: "trimesh.Trimesh", skin: "Layout") -> None:
+def _doubt(args: argparse.Namespace, name: str, mesh: "trimesh.Trimesh", skin: "Layout") -> None:
     """Warn of probable faults in how the mesh lies and is cut."""
     from taxeld_training.objects.doubts import doubts
 
     for line in doubts(mesh, skin, args.height_m):
-        print(f"taxeld-train: {args.object}: warning: {line}", file=sys.stderr)
+        print(f"taxeld-train: {name}: warning: {line}", file=sys.stderr)
 
 
 def _evaluate(args: argparse.Namespace) -> int:
@@ -160,11 +236,11 @@ def _evaluate(args: argparse.Namespace) -> int:
 
     taxeld-train evaluate proposals --quick --out results
     """
-    from taxeld_training.filters import ablation, experiment, push, reliability, sampled
+    from taxeld_training.filters import ablation, experiment, push, recognise, reliability, sampled
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment in ("frontier", "push"):
+    if args.cells and args.experiment in ("frontier", "push", "recognise"):
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
     given["layouts"] = _layouts(args)
@@ -175,6 +251,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "filter": experiment.filter_rows,
         "stability": experiment.stability_rows,
         "reliability": reliability.reliability_rows,
+        "recognise": recognise.recognise_rows,
         "ablation": ablation.ablation_rows,
         "push": push.run,
     }
@@ -188,7 +265,7 @@ def _layouts(args: argparse.Namespace) -> tuple[str, ...]:
     from taxeld.layout import read as layouts
 
     found = tuple(jobs.layouts(args.layout))
-    if args.experiment in ("proposals", "frontier") and len(found) > 1:
+    if args.experiment in SINGLE and len(found) > 1:
         raise SetupError(f"--layout: {args.experiment} has room for one; run it for each")
     of_shipped = args.experiment == "push" or (args.experiment == "proposals" and args.cells)
     if of_shipped and found != ("",):
@@ -209,8 +286,11 @@ def _parser() -> argparse.ArgumentParser:
     add = _with_object(documented(commands, _scene)).add_argument
     about = "draw the object, the skin's heights and the slices"
     add("--png", type=Path, metavar="OUT", help=about)
-    add = _with_object(documented(commands, _build)).add_argument
-    add("--out", type=Path, required=True, metavar="BUNDLE", help="directory of the bundle")
+    add = _with_object(documented(commands, _build), nargs="+").add_argument
+    about = "directory of the bundle; of several objects, the directory that holds theirs"
+    add("--out", type=Path, required=True, metavar="BUNDLE", help=about)
+    about = "also of several objects; without them the table of simulated contacts proposes poses"
+    add("--samplers", action="store_true", help=about)
     about = "in a minute, with poor samplers: other defaults for the options below"
     add("--quick", action="store_true", help=about)
     about = "share of each model's full training (default 1)"
@@ -228,11 +308,11 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _with_object(one: argparse.ArgumentParser) -> argparse.ArgumentParser:
+def _with_object(one: argparse.ArgumentParser, nargs: str | None = None) -> argparse.ArgumentParser:
     """The parser with the arguments of `scene` and `build`."""
     add = one.add_argument
     about = "a YCB id (025_mug), or a mesh file in metres whose z axis points up"
-    add("object", metavar="OBJECT", help=about)
+    add("object", metavar="OBJECT", nargs=nargs, help=about)
     about = "as skin.layout in the configuration (default %(default)s)"
     add_renamed(one, "--skin", add("--layout", default=SkinConfig().layout, help=about))
     about = "the sensor frame's origin above the object's lowest point (default %(default)s)"
@@ -259,7 +339,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     add("--memory", type=Path, default=Path(".experiments"), metavar="DIR", help=about)
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
     about = (
-        "default: box and mug; of filter, frontier and proposals without --cells, the paper's ten"
+        "default: box and mug; of filter, frontier, recognise, proposals without --cells the ten"
     )
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")

@@ -103,7 +103,7 @@ def _open_bundle(config: Config, skin: Layout) -> None:
     for name in choice.open_all(first, config.filter):
         for one in bundles:
             if one is not first:
-                one.own(name)
+                one.open(one.own(name))
 
 
 def _open_device(source: SourceConfig) -> None:

@@ -113,13 +113,13 @@ def _check_scene(config: Config, faults: list[str]) -> None:
         faults.append("scene.bundle: is required; or name several objects in scene.bundles")
     if scene.bundle and scene.bundles:
         faults.append("scene.bundles: is given beside scene.bundle; keep one of the two")
-    several = "scene.bundles" if len(scene.names) > 1 else "scene.max_objects"
     if len(scene.names) == scene.max_objects == 1:
         return
+    cure = "name one scene.bundle" if len(scene.names) > 1 else "set scene.max_objects to 1"
     if learned.injection == "paper":
-        faults.append(f"filter.injection: 'paper' knows one object, and {several} names more")
+        faults.append(f"filter.injection: 'paper' knows one object: {cure}")
     if learned.motion == "push":
-        faults.append(f"filter.motion: 'push' follows one known object, and {several} names more")
+        faults.append(f"filter.motion: a pushed object must be known: {cure}")
 
 
 def _check_endpoints(config: Config, faults: list[str]) -> None:

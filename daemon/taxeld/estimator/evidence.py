@@ -24,7 +24,7 @@ OTHER = -1.0  # log odds of another object before anything is felt
 ALIKE = 3.0  # nats a contact after its first, by which another object explains itself better
 
 
-class Weighed(NamedTuple):
+class ObjectEvidence(NamedTuple):
     """Log evidence of one object, in relation to readings without it."""
 
     found: float  # it is where the belief has it
@@ -38,14 +38,14 @@ class Weighed(NamedTuple):
         """Log evidence of this object, wherever it is."""
         return max(self.found, 0.0) if self.is_first else float(np.logaddexp(self.found, self.gone))
 
-    def shifted(self, best: "Weighed", known: float) -> "Weighed":
+    def shifted(self, best: "ObjectEvidence", known: float) -> "ObjectEvidence":
         """This evidence as long as the newest contact is not weighed for this object: the best
         object's log evidence was `known` before it."""
         by = best.log_z - known
         return best._replace(found=self.found + by, gone=self.gone + by, other=np.empty(0))
 
 
-UNTOUCHED = Weighed(0.0, -np.inf, np.empty(0), 1.0)  # nothing speaks against the object
+UNTOUCHED = ObjectEvidence(0.0, -np.inf, np.empty(0), 1.0)  # nothing speaks against the object
 
 
 class ModelEvidence:
@@ -71,7 +71,7 @@ class ModelEvidence:
         cells = pf.occupied(self._metric.reduced(belief.pose), self._cell)
         return support + float(np.log(cells)) - self._log_cells
 
-    def weighed(self, belief: Belief, runs: Runs) -> Weighed:
+    def weighed(self, belief: Belief, runs: Runs) -> ObjectEvidence:
         """The evidence of a belief, and of what may be instead of it."""
         found, stood = self.of(belief, runs), _stood(belief, runs)
         other: Floats = runs.begun.copy()
@@ -79,8 +79,8 @@ class ModelEvidence:
         since = np.cumsum(runs.touched[::-1])[::-1]  # contacts since each step
         other += ALIKE * np.maximum(since - 1, 0)
         if np.count_nonzero(runs.touched) < 2 and not runs.is_known:
-            return Weighed(found, -np.inf, np.array([OTHER]), stood, is_first=True)
-        return Weighed(found, float(runs.begun[-1]), other[:-1], stood)
+            return ObjectEvidence(found, -np.inf, np.array([OTHER]), stood, is_first=True)
+        return ObjectEvidence(found, float(runs.begun[-1]), other[:-1], stood)
 
 
 class Odds(NamedTuple):
@@ -92,7 +92,7 @@ class Odds(NamedTuple):
     log_z: float  # log evidence of all that may be, in relation to readings without an object
 
 
-def odds(each: Sequence[Weighed]) -> Odds:
+def odds(each: Sequence[ObjectEvidence]) -> Odds:
     """Weigh K objects, equally likely before anything is felt, and something else."""
     found, gone, stood = np.array([(w.found, w.gone, w.stood) for w in each]).T
     apart = np.log(len(each))

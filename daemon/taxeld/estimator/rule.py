@@ -9,7 +9,7 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator import particles as pf
-from taxeld.estimator.evidence import Weighed
+from taxeld.estimator.evidence import ObjectEvidence
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.verdict import Place
 from taxeld.model import sag
@@ -41,7 +41,7 @@ class Rule(Protocol):
 
     belief: Belief
     metric: PoseMetric
-    weighed: Weighed
+    weighed: ObjectEvidence
     share: float  # probability of its object among those that it may be
 
     @property

@@ -123,16 +123,16 @@ class Targets:
     def _divided(self, bank: Bank, own: Sequence[int]) -> Generator[None, None, set[int]]:
         """Contacts that one of two poses explains better than the other, as a set of numbers."""
         told: list[tuple[Floats, Floats]] = []
-        scans = self._scans(own)
-        for explained in self._begin().searched(scans, bank.likely):
-            told.append(explained)
+        scans, likely = self._scans(own), bank.likely
+        most = max(PAIRED // (len(own) * len(likely)), 1)
+        for touch, silence in self._begin().searched(scans, likely):
+            alone = np.logaddexp(touch, 0.0).sum(axis=1) + silence
+            best = np.argsort(-alone)[:most]  # of each contact, as one object may have the fewer
+            told.append((touch[best], silence[best]))
             yield
         touch, silence = (np.concatenate(each) for each in zip(*told, strict=True))
         if not len(touch):  # no samples were asked for
             return set()
-        alone = np.logaddexp(touch, 0.0).sum(axis=1) + silence
-        best = np.argsort(-alone)[:PAIRED]
-        touch, silence = touch[best], silence[best]
         both = np.logaddexp(touch[:, None], touch[None]).sum(axis=2) + silence[:, None] + silence
         one, other = np.unravel_index(both.argmax(), both.shape)
         numbers = np.array(sorted(own))

@@ -95,9 +95,9 @@ class Bundle:
         path = self.path / entry.file
         return Sampler(self.files[entry.file], self.model.layout, entry.kind, path)
 
-    def own(self, name: str) -> Proposal:
-        """The proposal of this name, or the table where there is no such sampler."""
-        return self.open(name if name in self._samplers() or name in ANALYTIC else Table.name)
+    def own(self, name: str) -> str:
+        """The name, or the table's where there is no such sampler."""
+        return name if name in self._samplers() or name in ANALYTIC else Table.name
 
     def proposal(self, name: str) -> Proposal:
         """The proposal that `filter.proposal` names, by the rules of `resolve`."""

@@ -44,15 +44,17 @@ def _for_all(
 ) -> list[Rung]:
     """Rungs with the proposals of all bundles, each of which is opened once, where it is used;
     `made` and `opened` are of the bundle `first`."""
-    named = {id(proposal): name for name, proposal in opened.items()}
-    used = {
-        key: [opened[named[key]] if one is first else one.own(named[key]) for one in bundles]
-        for key in dict.fromkeys(id(rung.proposal) for rung in made)
-    }
-    return [
-        replace(rung, proposal=used[id(rung.proposal)][0], more=used[id(rung.proposal)][1:])
-        for rung in made
-    ]
+    names = {id(proposal): name for name, proposal in opened.items()}
+    kept = [opened if one is first else Opened() for one in bundles]
+    for_all = []
+    for rung in made:
+        name = names[id(rung.proposal)]
+        for one, own in zip(bundles, kept, strict=True):
+            if one.own(name) not in own:
+                own[one.own(name)] = one.open(one.own(name))
+        each = [own[one.own(name)] for one, own in zip(bundles, kept, strict=True)]
+        for_all.append(replace(rung, proposal=each[0], more=each[1:]))
+    return for_all
 
 
 def open_all(bundle: Bundle, config: FilterConfig) -> Opened:

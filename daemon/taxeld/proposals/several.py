@@ -70,5 +70,5 @@ def leading(bundles: Sequence[Bundle]) -> Bundle:
 def untimed(bundles: Sequence[Bundle], config: FilterConfig) -> Ladder:
     """The configured proposal alone, without a clock: the same samples on any machine."""
     name = leading(bundles).resolve(config.proposal)
-    first, *more = (one.own(name) for one in bundles)
+    first, *more = (one.open(one.own(name)) for one in bundles)
     return Ladder([Rung(Step.CHOSEN, first, more=more)])

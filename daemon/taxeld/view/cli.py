@@ -44,7 +44,7 @@ def _view(args: argparse.Namespace) -> int:
     source = args.source
     if not args.seconds > 0.0:
         raise SetupError("--seconds: must be more than 0")
-    target = view.Target(args.save, args.web, args.seconds, stopping())
+    target = view.Destination(args.save, args.web, args.seconds, stopping())
     if source is not None and (source.is_dir() or source.suffix != ".toml"):
         if args.endpoint or args.keys:
             raise SetupError("--endpoint, --keys: are for a running daemon, not for a session")

@@ -87,7 +87,6 @@ class Picture:
                 fill_mode="majorwireframe",
             ),
             "world/link/skin": rr.Points3D.from_fields(positions=stage.position_m),
-            "world/object/slices": rr.LineStrips3D.from_fields(colors=FOUND, radii=LINE_M),
             "world/modes": rr.LineStrips3D.from_fields(radii=LINE_M),
             "world/radius": rr.LineStrips3D.from_fields(colors=FOUND, radii=LINE_M / 2),
             "world/particles": rr.Arrows3D.from_fields(colors=PARTICLE, radii=LINE_M),
@@ -108,9 +107,8 @@ class Picture:
     def _draw_object(self, number: int) -> None:
         """Draw the object of this number where the last one was."""
         self._shown = number
-        strips = rr.LineStrips3D.from_fields(strips=self._slices[number])
-        only = len(self._slices) == 1
-        self._stream.log("world/object/slices", strips, static=only)
+        drawn = rr.LineStrips3D(self._slices[number], colors=FOUND, radii=LINE_M)
+        self._stream.log("world/object/slices", drawn, static=len(self._slices) == 1)
 
     def _taxels(self, m: dict[str, Any]) -> None:
         if len(m["z"]) != len(self._stage.position_m):  # the daemon got another skin

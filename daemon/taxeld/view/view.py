@@ -31,7 +31,7 @@ VIEWER = Path(rr.__file__).parents[1] / "rerun_cli" / "rerun"
 
 
 @dataclass(frozen=True)
-class Target:
+class Destination:
     """Where a picture goes, and for how long: into the file `save`, to a browser or a window."""
 
     save: Path | None
@@ -40,7 +40,7 @@ class Target:
     stopping: Callable[[], bool]
 
 
-def live(endpoint: str, keys: Path | None, scenes: Sequence[Scene], target: Target) -> bool:
+def live(endpoint: str, keys: Path | None, scenes: Sequence[Scene], target: Destination) -> bool:
     """Show a daemon's streams; → whether there was one. `scenes`: the objects, where more of them
     is known than the outlines that the streams have.
 
@@ -57,7 +57,7 @@ def live(endpoint: str, keys: Path | None, scenes: Sequence[Scene], target: Targ
     return True
 
 
-def show(stage: Stage, heard: Iterable[Message], target: Target) -> bool:
+def show(stage: Stage, heard: Iterable[Message], target: Destination) -> bool:
     """Draw all messages; → whether there was a scan.
 
     Raises:

@@ -99,7 +99,7 @@ def fitted(observed: Observed, config: Config, placed: Poses | None) -> Result:
             "calibrate: the object was not found by touch, so its pose must be given: "
             "--object X Y YAW, in metres and radians, in the robot's world"
         )
-    known = Known(where, given=placed is not None)
+    known = Placed(where, given=placed is not None)
     alive = replace(presses, live=presses.live & ~idle.frozen)
     fit, noise = best_fit(observed.model, alive, idle.noise, known)
     value, sd = fit.value, fit.sd
@@ -128,7 +128,7 @@ def fitted(observed: Observed, config: Config, placed: Poses | None) -> Result:
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class Placed:
     """Pose of the object, and whether it is exact."""
 
     object: Poses  # (3,) in the world
@@ -136,7 +136,7 @@ class Known:
 
 
 def best_fit(
-    model: ObservationModel, presses: Presses, noise: Floats, known: Known
+    model: ObservationModel, presses: Presses, noise: Floats, known: Placed
 ) -> tuple[FitResult, Noise]:
     """→ the likeliest fit, and the filter's noise under which the presses are likeliest.
 
@@ -184,7 +184,7 @@ def _check_presses(model: ObservationModel, presses: Presses) -> None:
         )
 
 
-def _starts(model: ObservationModel, presses: Presses, known: Known) -> list[Start]:
+def _starts(model: ObservationModel, presses: Presses, known: Placed) -> list[Start]:
     """The mounts of a grid that leave least of the readings unexplained, each with the full scale
     that suits it best; none near another."""
     object_sd = np.zeros(3) if known.given else OBJECT_SD

@@ -20,7 +20,7 @@ from taxeld_hil.rig.bench import write_config
 from taxeld_hil.rig.rig import BEFORE_S, SETTLE_S
 from taxeld_hil.run.listener import Listener, Say
 from taxeld_hil.run.processes import Processes
-from taxeld_hil.run.watch import HEADER, ContactTable
+from taxeld_hil.run.watch import HEADER, OBJECT, ContactTable
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import KINDS, Scenario
 from taxeld_hil.world.world import load_model
@@ -78,7 +78,7 @@ def graded(
         stack.callback(processes.kill)
         processes.start()
         say(f"touch the object {scenario.contacts} times, after a second of touching nothing")
-        say(HEADER)
+        say(HEADER + OBJECT * (len(scenario.known) > 1))
         judge.end(_listen(scenario, site, listener, processes))
         processes.stop()
     run = Run(name, 0, site.target, "real", scenario.transport)

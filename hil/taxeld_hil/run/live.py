@@ -17,7 +17,7 @@ from taxeld_hil.rig.bench import Bench, recorded, write_config
 from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.listener import Listener, Say, socket
 from taxeld_hil.run.processes import Processes
-from taxeld_hil.run.watch import HEADER, ContactTable
+from taxeld_hil.run.watch import HEADER, OBJECT, ContactTable
 from taxeld_hil.scenario import settings
 from taxeld_hil.scenario.scenario import Scenario
 
@@ -53,7 +53,7 @@ class LiveRun:
             SetupError: a process failed, or the interface is not there.
         """
         with self.opened(place) as bench:
-            self._say(HEADER)
+            self._say(HEADER + OBJECT * (len(self.scenario.known) > 1))
             self._serve(bench)
             held = self.settled(bench)
         judge, table = self._listener.judge, self._listener.table

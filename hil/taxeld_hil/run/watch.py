@@ -17,6 +17,9 @@ HEADER = (
 )
 
 
+OBJECT = "  object"  # ends the header where the daemon knows several
+
+
 @dataclass(slots=True)
 class ContactTable:
     """Follows the streams of a daemon; the truth, where it is known, grades the estimates. Where

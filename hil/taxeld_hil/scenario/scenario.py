@@ -125,8 +125,15 @@ class Scenario:
         return replace(self, physics=foam or self.physics, layout=layout or self.layout)
 
     def touching(self, bundle: str) -> "Scenario":
-        """The same scenario with another object; with its own where none is named."""
-        return replace(self, bundle=bundle) if bundle else self
+        """The same scenario with another object, which the daemon knows; with its own where none is
+        named."""
+        if not bundle:
+            return self
+        if not self.bundles or bundle in self.bundles:
+            return replace(self, bundle=bundle)
+        own = bundles.manifest_of(bundle).object
+        others = (name for name in self.bundles if bundles.manifest_of(name).object != own)
+        return replace(self, bundle=bundle, bundles=(*others, bundle))
 
     def over(self, transport: str) -> "Scenario":
         """The same scenario over another transport; over its own where none is named.

@@ -87,13 +87,13 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
             continue
         block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
         for first in range(0, count, block):
-            arguments = (cell, _seed(options, first), min(block, count - first))
+            arguments = (cell, seed_of(options, first), min(block, count - first))
             todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))
     todo.sort(key=lambda each: (each[1].method.proposal == GRID, each[0]))
     done = run_jobs([job for _, _, job in todo], options)
     found: dict[Cell, Results] = {cell: {} for cell in counts}
     for first, cell, job in sorted(todo, key=lambda each: each[0]):
-        for seed, touches in enumerate(done[job.name] or [], _seed(options, first)):
+        for seed, touches in enumerate(done[job.name] or [], seed_of(options, first)):
             found[cell][seed] = [_read(*touch) for touch in touches]
     return {cell: results for cell, results in found.items() if results}
 
@@ -117,7 +117,8 @@ def play(cell: Cell, first: int, count: int, file: str) -> list[list[Any]]:
         ]
 
 
-def _seed(options: Options, first: int) -> int:
+def seed_of(options: Options, first: int) -> int:
+    """The seed of the trial with number `first`."""
     return SEEDS_APART * options.seed + first
 
 

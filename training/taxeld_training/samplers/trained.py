@@ -63,7 +63,7 @@ def shipped_with(setting: Setting) -> bundle.Bundle:
     return found
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def model_of(setting: Setting) -> ObservationModel:
     """The model of a setting, the same instance each time: models are compared by identity."""
     found = shipped(setting)

@@ -1,0 +1,124 @@
+"""A daemon that knows three objects says which one it is; the harness holds it to that."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld.commands.replay import Replay
+from taxeld.estimator.estimate import Status
+from taxeld.model.observation import Observation
+from taxeld.model.symmetry import Mode
+from taxeld.pipeline.calibration_check import CalibrationCheck
+from taxeld.pipeline.freshness import Why
+from taxeld.proposals import several
+from taxeld_hil.grade.grade import Run, grade
+from taxeld_hil.grade.judge import Judge, Sample
+from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.watch import ContactTable
+from taxeld_hil.scenario import scenario
+
+from .rig import MODEL, PLACED
+
+WHICH = scenario.load("which")
+
+
+@pytest.mark.parametrize("thing", WHICH.bundles)
+def test_each_of_three_objects_is_told_from_the_others(thing: str) -> None:
+    run = FakeRun(replace(WHICH.touching(thing), contacts=12), seed=1)
+    found = run.graded("which")
+    assert found.passed, [check for check in found.checks if check.passed is False]
+    assert run.judge.last is not None
+    assert WHICH.bundles[run.judge.last.object] == thing
+
+
+def test_a_session_replays_to_the_object_that_was_found(tmp_path: Path) -> None:
+    assert FakeRun(WHICH, seed=1).graded("which", tmp_path).passed
+    replay = Replay(tmp_path)
+    *_, last = replay
+    estimate = last.estimate
+    assert replay.names[estimate.object] == "035_power_drill"
+    assert estimate.objects[estimate.object] > 0.99
+    assert estimate.status is Status.CONVERGED
+
+
+def test_the_calibration_is_judged_by_the_published_object_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """By its modes, and anew where another object is published."""
+    run, taken = FakeRun(WHICH.touching("mug"), seed=1), CalibrationCheck.on_scan
+    assert run.daemon is not None
+    pipeline, seen = run.daemon.pipeline, list[int]()
+
+    def on_scan(
+        check: CalibrationCheck, used: Observation | None, modes: Sequence[Mode], contacts: int
+    ) -> None:
+        models = [known.model for known in pipeline.estimator.known]
+        (number,) = {mode.object for mode in modes}
+        assert check._model is models[number]
+        seen.append(number)
+        taken(check, used, modes, contacts)
+
+    monkeypatch.setattr(CalibrationCheck, "on_scan", on_scan)
+    run.run()
+    assert seen[-1] == 1
+    assert len(set(seen)) > 1
+
+
+def judged(number: int) -> Judge:
+    """A judge who has seen a sure estimate in the right place, of the object of this number."""
+    judge = Judge(WHICH, MODEL.scene, PLACED, (), lambda _: [])
+    judge.on_estimate(
+        Sample(1.0, Status.CONVERGED, Why.VALID, 4, PLACED, 0.999, 0.01, 1.0, 0.0, object=number)
+    )
+    return judge
+
+
+def test_an_estimate_of_a_wrong_object_is_misleading_wherever_it_is() -> None:
+    right, wrong = (
+        grade(Run("which", 0, "sim", "fake", "slcan"), judged(number), [], None)
+        for number in (2, 0)
+    )
+    assert right.passed
+    failed = {check.name: check.detail for check in wrong.checks if check.passed is False}
+    assert failed.keys() == {"which object", "no silent failure"}
+    assert failed["which object"] == "box"
+    assert (right.figures["beyond"], wrong.figures["beyond"]) == (0, 1)
+
+
+def test_another_object_takes_the_place_of_its_like_among_those_that_are_known() -> None:
+    """So that a daemon never has two bundles of one object."""
+    demo = scenario.load("demo")
+    assert demo.touching("drill").known == ("drill",)
+    assert WHICH.touching("mug").known == WHICH.bundles
+    assert replace(WHICH, bundles=("box", "mug")).touching("drill").known == ("box", "mug", "drill")
+
+
+def test_a_line_of_the_table_says_which_object_it_is() -> None:
+    table, pose = ContactTable(MODEL.scene, PLACED), dict.fromkeys(("x", "y", "theta"), 0.0)
+    known = {"box": 0.01, "mug": 0.98, "other": 0.01}
+    for contact in (True, False):
+        line = table.on_estimate(
+            {
+                "contact": contact,
+                "contacts": 1,
+                "modes": [],
+                "p": 0.9,
+                "radius_m": 0.01,
+                "map": pose,
+                "valid": True,
+                "lat_us": {"skin": 0.0},
+                "object": 1,
+                "objects": known,
+            }
+        )
+    assert line is not None
+    assert line.endswith("  mug 98.0%")
+    assert np.isfinite(table.error_mm())
+
+
+def test_names_of_a_scenarios_bundles_are_those_of_the_messages() -> None:
+    run = FakeRun(WHICH, seed=0)
+    assert list(several.scenes(run.scenes)) == ["003_cracker_box", "025_mug", "035_power_drill"]

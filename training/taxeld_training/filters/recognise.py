@@ -1,0 +1,306 @@
+"""`taxeld-train evaluate recognise`: which of ten objects is felt, or that it is none of them.
+
+A filter knows ten objects and meets each of them, on exact readings and on soft skin, and ten that
+it does not know. A second filter knows those ten: nothing was set on them. The table proposes, as
+nothing is trained for this. The filter that knows the touched object alone, on the same touches,
+says what not knowing costs.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from taxeld_hil.jobs import Job
+from taxeld_hil.objects import meshes
+from taxeld_training.filters import pairs, several
+from taxeld_training.filters.cells import COLUMNS, TOUCHES, seed_of, setting_of
+from taxeld_training.filters.pairs import Both, Pair
+from taxeld_training.filters.several import Compared, Crowd, Recognised
+from taxeld_training.filters.touches import FOAMS
+from taxeld_training.jobs import identities
+from taxeld_training.jobs.identities import UNKNOWN
+from taxeld_training.jobs.identity_tables import tables
+from taxeld_training.jobs.options import Options, run_jobs, write
+from taxeld_training.jobs.promises import SURE, WITHIN_MM, share
+from taxeld_training.objects.setting import OBJECTS, Setting
+
+SEEDS, QUICK_SEEDS = 100, 2  # about an hour on two cores
+UNKNOWN_SEEDS = 0.5  # factor of the number of trials with an object that the filter does not know
+QUICK_OBJECTS = 2
+BLOCK = 10  # seeds a job
+OTHERS = (  # chosen before any figure: of several sizes and shapes, and all rows may touch them
+    "004_sugar_box",
+    "005_tomato_soup_can",
+    "010_potted_meat_can",
+    "011_banana",
+    "013_apple",
+    "022_windex_bottle",
+    "036_wood_block",
+    "053_mini_soccer_ball",
+    "065-j_cups",
+    "077_rubiks_cube",
+)
+TEN, OTHER_TEN = "the ten", "ten others"  # names of the filters, by the objects that they know
+SKINS = ("exact", "typical")  # of `FOAMS`
+TWO = "003_cracker_box", "025_mug"  # objects that are touched in turn, or the first that are known
+PAIR_SEEDS = 0.4  # factor of the number of trials with two objects
+ALL = "all"
+SHOWN = (2, 4, 6)  # contacts with a confusion matrix
+TOLD = (4, 6, 8)  # contacts after which unknown objects are looked for
+DUE, DUE_LATER = 4, 6  # contacts by which an object is to be recognised
+LATER = ("025_mug", "035_power_drill")  # objects that have until DUE_LATER
+
+Runs = dict[Crowd, list[list[Compared]]]  # results of each touch of the trials
+
+
+def recognise_rows(options: Options) -> list[Path]:
+    """Rows, tables and picture of `evaluate recognise`.
+
+    Raises:
+        SetupError: no such object or layout, or the skin misses one.
+    """
+    from taxeld_training.charts import identity_chart  # noqa: PLC0415  # matplotlib is not needed to train
+
+    each = filters_of(options)
+    done = run(wanted(each, options), options)
+    found = [
+        row
+        for (of, names), skin in ((one, skin) for one in each.items() for skin in SKINS)
+        for row in _rows({"of": of, "skin": skin}, names, done)
+    ]
+    found += pair_rows(options)
+    rows = [*reached(found), *found]
+    data = write(options, "recognise", rows, tables(rows))
+    identity_chart.draw([row for row in found if row["of"] == TEN], data.with_suffix(".png"))
+    return [data, data.with_suffix(".png")]
+
+
+def filters_of(options: Options) -> dict[str, tuple[str, ...]]:
+    """The objects that each filter knows: `--objects`, or the paper's ten; and others."""
+    most = QUICK_OBJECTS if options.quick else None
+    first = options.objects or OBJECTS[:most]
+    return {TEN: first, OTHER_TEN: tuple(name for name in OTHERS if name not in first)[:most]}
+
+
+def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Crowd, int]:
+    """The trials: each filter with all objects that it knows, the first with the others as well."""
+    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
+    settings = {}
+    for name in (name for names in each.values() for name in names):
+        meshes.find(name)
+        settings[name] = _setting(name, options)
+    found = {}
+    for of, names in each.items():
+        known = tuple(settings[name] for name in names)
+        for name in names if of == OTHER_TEN else settings:
+            count = seeds if name in names else max(round(UNKNOWN_SEEDS * seeds), 1)
+            for skin in SKINS:
+                found[Crowd(known, settings[name], FOAMS[skin])] = count
+    return found
+
+
+def _setting(name: str, options: Options) -> Setting:
+    setting, layout = setting_of(name, COLUMNS, options), options.layouts[0]
+    return replace(setting, skin=layout, columns=0) if layout else setting
+
+
+def run(counts: Mapping[Crowd, int], options: Options) -> Runs:
+    """Results of trials, as many as given, or as time allows. Every object gets a first block of
+    trials before any gets a second one."""
+    todo = [
+        (first, crowd, min(BLOCK, count - first))
+        for crowd, count in counts.items()
+        for first in range(0, count, BLOCK)
+    ]
+    todo.sort(key=lambda each: each[0])
+    jobs = [
+        Job(f"{crowd.name}-{first}", several.play, (crowd, seed_of(options, first), count))
+        for first, crowd, count in todo
+    ]
+    done = run_jobs(jobs, options)
+    found: Runs = {}
+    for (_, crowd, _), job in zip(todo, jobs, strict=True):
+        for trial in done[job.name] or []:
+            found.setdefault(crowd, []).append([_read(*touch) for touch in trial])
+    return found
+
+
+def pair_rows(options: Options) -> list[dict[str, Any]]:
+    """Rows of trials of two objects that are touched in turn: of one kind, and of two."""
+    names = TWO if not (options.objects or options.quick) else (options.objects or OBJECTS)[:2]
+    first, last = (_setting(name, options) for name in (names[0], names[-1]))
+    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
+    count = max(round(PAIR_SEEDS * seeds), 1)
+    both = ((first, first), (first, last), (last, last))
+    found = []
+    for skin in SKINS:
+        for one, other in dict.fromkeys(both):
+            pair = Pair(one, other, FOAMS[skin])
+            todo = [(at, min(BLOCK, count - at)) for at in range(0, count, BLOCK)]
+            jobs = [
+                Job(f"{pair.name}-{at}", pairs.play, (pair, seed_of(options, at), size))
+                for at, size in todo
+            ]
+            done = run_jobs(jobs, options)
+            runs = [[Both(*touch) for touch in run] for job in jobs for run in done[job.name] or []]
+            if runs:
+                where = {"figure": "two", "of": TEN, "skin": skin}
+                objects = {"one": one.object, "other": other.object}
+                found += [where | objects | row for row in _of_pair(runs)]
+    return found
+
+
+def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:
+    """Figures after as many touches of both objects together."""
+    told = np.array(runs)  # (N, touches, 4)
+    return [
+        {"contact": contact, "seeds": len(told)}
+        | share("two", told[:, contact - 1, 0] == 2)
+        | share("found", told[:, contact - 1, 1] < pairs.FOUND_MM)
+        | {"sure_targets": int(told[:, contact - 1, 2].sum())}
+        | {"misleading_targets": int(told[:, contact - 1, 3].sum())}
+        for contact in range(2, told.shape[1] + 1, 2)
+    ]
+
+
+def reached(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What the figures aimed at, and whether they reach it, each filter's and skin's; `below` names
+    the objects that miss it by themselves."""
+    found = []
+    for of, skin in dict.fromkeys((row["of"], row["skin"]) for row in rows):
+        mine = [row for row in rows if (row["of"], row["skin"]) == (of, skin)]
+        where = {"figure": "reach", "of": of, "skin": skin}
+        due = [row for row in mine if row["figure"] == "identity" and _is_due(row)]
+        of_right = [(row["object"], row["found"] / (row["right"] or np.inf)) for row in due]
+        for aim, least, values in (
+            ("right", 0.95, [(row["object"], row["right"]) for row in due]),
+            ("under 10 mm of the right", 0.95, of_right),
+        ):
+            below = [name for name, value in values if value < least]
+            mean = round(float(np.mean([value for _, value in values])), 4)
+            found.append({**where, "aim": aim, "least": least, "value": mean, "below": below})
+        for key, aim, bound, limit in (
+            ("auroc", "AUROC of other", "least", 0.95),
+            ("sure", "unknown, a wrong object sure", "most", 0.002),
+            ("ece", "calibration error", "most", 0.03),
+            ("settled_ratio", "cost settled", "most", 2.0),
+            ("first_ratio", "cost of the first touch", "most", 5.0),
+        ):
+            for row in mine:
+                if row.get(key) is not None:
+                    after = f", {row['contact']} contacts" if "contact" in row else ""
+                    found.append({**where, "aim": aim + after, bound: limit, "value": row[key]})
+    for row in found:
+        least, most = row.get("least", -np.inf), row.get("most", np.inf)
+        row["met"] = bool(least <= row["value"] <= most and not row.get("below"))
+    return found
+
+
+def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[str, Any]]:
+    """Rows of a filter that knows the objects `names`, on one skin."""
+    mine = {
+        crowd: runs
+        for crowd, runs in done.items()
+        if crowd.conditions == FOAMS[where["skin"]]
+        and tuple(setting.object for setting in crowd.known) == tuple(names)
+    }
+    every = [(crowd.true, run) for crowd, runs in mine.items() for run in runs]
+    known = [(true, run) for true, run in every if true != UNKNOWN]
+    if not known:
+        return []
+    given = several.identities([(true, [touch.several for touch in run]) for true, run in every])
+    own = given.only(given.known)
+    objects = {ALL: own} | {name: own.only(own.true == k) for k, name in enumerate(names)}
+    found: list[dict[str, Any]] = [
+        {"figure": "identity", **where, "object": name, "contact": contact}
+        | identities.after(of, contact)
+        | {"seeds": len(of)}
+        for name, of in objects.items()
+        if len(of)
+        for contact in range(1, TOUCHES + 1)
+    ]
+    for each in found:
+        number = names.index(each["object"]) if each["object"] != ALL else None
+        same = [run for true, run in known if number in (None, true)]
+        each.update(_alone(same, each["contact"]))
+    found.append({"figure": "cost", **where, **_cost([run for _, run in known])})
+    bins, error = identities.identity_bins(own)
+    found.append(
+        {"figure": "calibration", **where, "ece": error}
+        | {"ece_with_unknown": identities.identity_bins(given)[1], "reliability": bins}
+        | share("wrong_object_sure", (own.sure & ~own.right).ravel())
+        | share("far_and_sure", (own.sure & own.right & ~own.found).ravel())
+        | {"estimates": own.sure.size}
+    )
+    found += [
+        {"figure": "parting", **where, **pair}
+        for pair in identities.parting(own, names)
+        if pair["q90"] is None
+    ]
+    found += [
+        {"figure": "confusion", **where, "contact": contact, "names": list(names)}
+        | {"shares": identities.confusion(given, contact)}
+        for contact in SHOWN
+    ]
+    if len(own) < len(given):
+        unknown = given.only(~given.known)
+        sizes = {"seeds": len(own), "unknown_seeds": len(unknown)}
+        found.append(
+            {"figure": "unknown", **where, **share("sure", unknown.sure.ravel()), **sizes}
+            | {"sure_count": int(unknown.sure.sum()), "estimates": unknown.sure.size}
+            | {"taken": _taken(mine, names)}
+        )
+        found += [
+            {"figure": "unknown", **where, "contact": contact}
+            | {"auroc": identities.told_apart(given, contact)}
+            | share("sure_then", unknown.sure[:, contact - 1])
+            for contact in TOLD
+        ]
+    return found
+
+
+def _alone(runs: Sequence[Sequence[Compared]], contact: int) -> dict[str, Any]:
+    """The share of runs that have found the object, by the filter that knows it alone."""
+    one = [touch.one for touch in (run[contact - 1] for run in runs) if touch.one is not None]
+    return share("found_alone", np.array([touch.map_mm <= WITHIN_MM for touch in one]))
+
+
+def _taken(runs: Runs, names: Sequence[str]) -> dict[str, int]:
+    """How many estimates are sure of an object while another one is touched, that is unknown."""
+    found = Counter(
+        f"{crowd.touched.object} for {names[touch.several.object]}"
+        for crowd, each in runs.items()
+        if crowd.true == UNKNOWN
+        for run in each
+        for touch in run
+        if touch.several.p >= SURE
+    )
+    return dict(found.most_common())
+
+
+def _cost(runs: Sequence[Sequence[Compared]]) -> dict[str, float]:
+    """What the touches (N, T) of known objects cost, and the longest call of `learn`."""
+    pairs = [[(touch.several, touch.one or touch.several) for touch in run] for run in runs]
+    cpu_ms = np.array([[[one.cpu_ms for one in pair] for pair in run] for run in pairs])
+    worst_ms = np.array([[[one.worst_ms for one in pair] for pair in run] for run in pairs])
+    found = identities.cost(cpu_ms[..., 0], cpu_ms[..., 1])
+    for key, k in (("", 0), ("_one", 1)):
+        each = worst_ms[..., k].max(axis=1)
+        found[f"worst{key}_ms"] = round(float(each.max()), 2)
+        found[f"worst{key}_median_ms"] = round(float(np.median(each)), 2)
+    return found
+
+
+def _is_due(row: dict[str, Any]) -> bool:
+    """Whether a row is of an object, after the contact by which it is to be recognised."""
+    due = DUE_LATER if row["object"] in LATER else DUE
+    return bool(row["object"] != ALL and row["contact"] == due)
+
+
+def _read(known: Sequence[Any], one: Sequence[Any] | None) -> Compared:
+    """A touch as `several.play` has it."""
+    return Compared(Recognised(*known), None if one is None else Recognised(*one))

@@ -1,0 +1,179 @@
+"""Which object is felt, held against the truth: figures of filters that know several objects.
+
+The object of an estimate is *right* where it is the one that is touched, and *found* where it is no
+farther off than `filter.within_m` besides. It is *sure* where p ≥ `SURE`, and *misleading* where it
+is sure and not found. `other` is the probability that it is none of the known objects.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from taxeld.arrays import Bools, Floats, Index
+from taxeld_training.jobs.promises import (
+    SURE,
+    WITHIN_MM,
+    calibration_error,
+    reliability,
+    share,
+)
+
+UNKNOWN = -1  # `true` of a run whose object the filter does not know
+PARTED = 0.99  # probability of the touched object, were there but one other, that parts the two
+ALIKE = 0.5  # share of runs that leave two objects together, from which they are alike
+FIRST, SECOND, SETTLED = slice(0, 1), slice(1, 2), slice(5, None)  # touches whose cost is told
+
+
+@dataclass(frozen=True)
+class Identities:
+    """Estimates of N runs of T touches each, by a filter that knows K objects."""
+
+    true: Index  # (N,) number of the touched object, or UNKNOWN
+    named: Index  # (N, T) number of the object of the estimate
+    objects: Floats  # (N, T, K) probabilities of the known objects
+    other: Floats  # (N, T) probability of none of them
+    p: Floats  # (N, T)
+    error_mm: Floats  # (N, T); nan where another object is named
+
+    def __len__(self) -> int:
+        return len(self.true)
+
+    def only(self, kept: Bools) -> "Identities":
+        """The runs in `kept` (N,)."""
+        return Identities(
+            self.true[kept],
+            self.named[kept],
+            self.objects[kept],
+            self.other[kept],
+            self.p[kept],
+            self.error_mm[kept],
+        )
+
+    @property
+    def known(self) -> Bools:
+        """(N,) whether the filter knows the touched object."""
+        return np.asarray(self.true != UNKNOWN)
+
+    @property
+    def right(self) -> Bools:
+        return np.asarray(self.named == self.true[:, None])
+
+    @property
+    def found(self) -> Bools:
+        return np.asarray(self.right & (self.error_mm <= WITHIN_MM))
+
+    @property
+    def sure(self) -> Bools:
+        return np.asarray(self.p >= SURE)
+
+    @property
+    def of_named(self) -> Floats:
+        """(N, T) probability of the object of the estimate."""
+        return np.asarray(np.take_along_axis(self.objects, self.named[..., None], 2)[..., 0])
+
+    @property
+    def of_true(self) -> Floats:
+        """(N, T) probability of the touched object, all of which must be known."""
+        return np.asarray(np.take_along_axis(self.objects, self.true[:, None, None], 2)[..., 0])
+
+
+def after(given: Identities, contact: int) -> dict[str, Any]:
+    """Figures of runs with known objects after a contact, counted from 1."""
+    at = contact - 1
+    right, found, sure = given.right[:, at], given.found[:, at], given.sure[:, at]
+    of_true = given.of_true[:, at]
+    return {
+        **share("right", right),
+        **share("found", found),
+        **share("sure_and_found", sure & found),
+        **share("misleading", sure & ~found),
+        "p_true": round(float(of_true.mean()), 4),
+        "p_true_median": round(float(np.median(of_true)), 4),
+    }
+
+
+def told_apart(given: Identities, contact: int) -> float:
+    """Area under the curve (ROC) of `other` after a contact: how likely it is larger in a run with
+    an unknown object than in one with a known object."""
+    other = given.other[:, contact - 1]
+    known, unknown = other[given.known], other[~given.known]
+    larger = stats.mannwhitneyu(unknown, known).statistic
+    return round(float(larger) / (len(known) * len(unknown)), 4)
+
+
+def identity_bins(given: Identities) -> tuple[list[dict[str, Any]], float | None]:
+    """The reliability table of the probability of the object of each estimate, and its calibration
+    error."""
+    bins = reliability(given.of_named.ravel(), given.right.ravel())
+    return bins, calibration_error(bins)
+
+
+def confusion(given: Identities, contact: int) -> list[list[float]]:
+    """For each known object, and last for unknown ones, the shares of runs after a contact that end
+    with each known object as the likeliest, and last with none of them; nan without runs."""
+    at = contact - 1
+    every = np.concatenate([given.objects[:, at], given.other[:, at, None]], axis=1)
+    likeliest, count = every.argmax(axis=1), every.shape[1]
+    lines = [likeliest[given.true == true] for true in [*range(count - 1), UNKNOWN]]
+    return [
+        (np.bincount(line, minlength=count) / (len(line) or np.nan)).round(4).tolist()
+        for line in lines
+    ]
+
+
+def cost(several_ms: Floats, one_ms: Floats) -> dict[str, float]:
+    """Processor time (N, T) of the touches of a filter of several objects, and of one that knows
+    the touched object alone: ratios of medians."""
+    parts = {"first": FIRST, "second": SECOND, "settled": SETTLED}
+    medians = {
+        name: (float(np.median(several_ms[:, part])), float(np.median(one_ms[:, part])))
+        for name, part in parts.items()
+    }
+    return {
+        key: value
+        for name, (several, one) in medians.items()
+        for key, value in {
+            f"{name}_ms": round(several, 2),
+            f"{name}_one_ms": round(one, 2),
+            f"{name}_ratio": round(several / one, 3),
+        }.items()
+    }
+
+
+def parting(given: Identities, names: Sequence[str]) -> list[dict[str, Any]]:
+    """How many touches part each known object, where it is touched, from each other one: rows
+    {object, other, median, q90, not_parted, alike, trials}. A run parts two once the touched one
+    has a probability of `PARTED`, were there but these two, to the end; null: not by then."""
+    touches = given.p.shape[1]
+    found = []
+    for true, name in enumerate(names):
+        mine = given.objects[given.true == true]
+        for k, other in enumerate(names):
+            if k == true or not len(mine):
+                continue
+            both = mine[..., true] + mine[..., k]
+            apart = mine[..., true] >= PARTED * both
+            stays = np.logical_and.accumulate(apart[:, ::-1], axis=1)
+            parted_after = touches - stays.sum(axis=1) + 1  # touches + 1: never
+            left = float((parted_after > touches).mean())
+            found.append(
+                {
+                    "object": name,
+                    "other": other,
+                    **{
+                        key: int(count) if count <= touches else None
+                        for key, count in zip(
+                            ("median", "q90"),
+                            np.quantile(parted_after, [0.5, 0.9], method="inverted_cdf").tolist(),
+                            strict=True,
+                        )
+                    },
+                    "not_parted": round(left, 4),
+                    "alike": left >= ALIKE,
+                    "trials": len(mine),
+                }
+            )
+    return found

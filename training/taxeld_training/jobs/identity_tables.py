@@ -1,0 +1,101 @@
+"""The tables of `evaluate recognise` in Markdown."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from taxeld_training.jobs.rows import Cell, Row, object_name, table
+
+PAIR_SHOWN = (4, 8, 12, 16)  # touches of two objects together
+SHOWN = (1, 2, 4, 6, 8)  # contacts that the tables speak of
+
+
+def tables(rows: Sequence[Row]) -> str:
+    """What was aimed at, then figures by object, of unknown objects, and of what it costs."""
+    of = {
+        figure: [row for row in rows if row["figure"] == figure]
+        for figure in ("reach", "identity", "unknown", "two", "cost")
+    }
+    told = [row for row in of["unknown"] if "contact" in row]
+    place = {"knows": lambda row: str(row["of"]), "skin": lambda row: str(row["skin"])}
+    parts = [
+        table(
+            of["reach"],
+            {**place, "aim": _aim},
+            {"value": lambda each: f"{each[0]['value']:.4g}", "met": _met},
+        ),
+        table(
+            of["identity"],
+            {**place, "object": lambda row: object_name(str(row["object"]))},
+            {
+                f"{heading} after {', '.join(map(str, SHOWN))}": _shares(key)
+                for heading, key in (
+                    ("right", "right"),
+                    ("right and under 10 mm", "found"),
+                    ("under 10 mm if known alone", "found_alone"),
+                    ("sure and right", "sure_and_found"),
+                    ("misleading", "misleading"),
+                )
+            },
+        ),
+        table(
+            told,
+            {**place, "contacts": lambda row: str(row["contact"])},
+            {
+                "AUROC of other": lambda each: f"{each[0]['auroc']:.3f}",
+                "sure": lambda each: f"{each[0]['sure_then']:.2%}",
+            },
+        ),
+        table(
+            [row for row in of["two"] if row["contact"] in PAIR_SHOWN],
+            {
+                "two objects": lambda row: " and ".join(
+                    object_name(row[k]) for k in ("one", "other")
+                ),
+                "skin": place["skin"],
+                "touches in all": lambda row: str(row["contact"]),
+            },
+            {
+                "both under 10 mm": lambda each: f"{each[0]['found']:.0%}",
+                "two are told": lambda each: f"{each[0]['two']:.0%}",
+                "sure": lambda each: str(each[0]["sure_targets"]),
+                "of these misleading": lambda each: str(each[0]["misleading_targets"]),
+            },
+        ),
+        table(of["cost"], place, {heading: _cost(*keys) for heading, keys in COSTS.items()}),
+    ]
+    return "\n\n".join(part for part in parts if part.count("\n") > 1)
+
+
+COSTS = {  # heading → keys of a filter of several objects, and of one object
+    "first touch, ms": ("first_ms", "first_one_ms"),
+    "second": ("second_ms", "second_one_ms"),
+    "sixth and later": ("settled_ms", "settled_one_ms"),
+    "worst scan of a trial, median": ("worst_median_ms", "worst_one_median_ms"),
+    "worst scan": ("worst_ms", "worst_one_ms"),
+}
+
+
+def _aim(row: Row) -> str:
+    bound = f"≥ {row['least']:g}" if "least" in row else f"≤ {row['most']:g}"
+    return f"{row['aim']} {bound}"
+
+
+def _met(rows: list[Row]) -> str:
+    below = ", ".join(object_name(name) for name in rows[0].get("below", ()))
+    return "yes" if rows[0]["met"] else f"no: {below}" if below else "no"
+
+
+def _shares(key: str) -> Cell:
+    def text(rows: list[Row]) -> str:
+        share: dict[int, Any] = {row["contact"]: row[key] for row in rows}
+        return ", ".join(f"{100 * share[contact]:.3g}" for contact in SHOWN) + " %"
+
+    return text
+
+
+def _cost(several: str, one: str) -> Cell:
+    def text(rows: list[Row]) -> str:
+        first, second = float(rows[0][several]), float(rows[0][one])
+        return f"{first:.1f} ({second:.1f}, {first / second:.2f} ×)"
+
+    return text
