@@ -46,7 +46,7 @@ class Felt:
         spread = np.random.default_rng(0).standard_normal((200, 3)) * (5e-4, 5e-4, 5e-3)
         belief = pf.equal(at + spread, self.memory.explain(at + spread))
         weighed = self.evidence.weighed(belief, self.memory.runs)
-        hypotheses, here, _ = odds([weighed])
+        hypotheses, here, *_ = odds([weighed])
         return hypotheses, float(here[0]), weighed.log_z
 
 

@@ -34,7 +34,7 @@ from tests.rig.simulated_skin import SimulatedSkin
 EVERY_KEY = [
     *("v", "seq", "t", "mono_ns", "valid", "why", "status"),
     *("p", "radius_m", "hypotheses"),
-    *("object", "objects", "contact", "contacts", "map", "mean", "cov"),
+    *("object", "objects", "estimates", "contact", "contacts", "map", "mean", "cov"),
     *("modes", "ess", "particles", "injected", "proposal", "log_evidence", "age_us", "overruns"),
     *("degraded", "lat_us"),
 ]

@@ -120,7 +120,8 @@ class Bank:
     @property
     def likely(self) -> list[int]:
         """The likeliest object, and others that are not much less likely."""
-        return [k for k in self._by_odds() if k == self.best or self.objects[k] >= DOUBTED]
+        others = (k for k in self._by_odds() if k != self.best and self.objects[k] >= DOUBTED)
+        return [self.best, *others]  # one that is yet to be tried may seem likelier
 
     def follow(self, before: Observation, after: Observation) -> None:
         """Move the beliefs with an object that is pushed from one scan to the next."""
