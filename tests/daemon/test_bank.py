@@ -7,6 +7,7 @@ from taxeld.config.tables import FilterConfig
 from taxeld.estimator.bank import FOLLOWED, Known
 from taxeld.estimator.estimate import SURE, Estimate, Status
 from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.mixture import Mixture
 from taxeld.layout.layout import Layout
 from taxeld.model.observation import ObservationModel
 from taxeld.model.scene import CONTINUOUS
@@ -120,6 +121,21 @@ def test_a_touch_is_learned_by_a_few_objects_at_once(known: list[Known]) -> None
         assert subject.has_thought
         assert subject.think()
     assert not subject.bank.due
+
+
+def test_a_contact_that_an_object_has_yet_to_learn_is_no_evidence_before_it(
+    known: list[Known],
+) -> None:
+    """It would count twice: before the contact, and when it is learned."""
+    subject, world = several(known), World(known[2].model)
+    press(subject, world, SIDES[:1])
+    subject.on_scan = subject.learn  # type: ignore[method-assign]
+    rules = [rule for rule in subject.bank.rules if isinstance(rule, Mixture)]
+    before = [rule.log_z for rule in rules]
+    world.press(subject, SIDES[1])
+    assert subject.bank.due
+    for k in subject.bank.due:
+        assert rules[k].log_z == pytest.approx(before[k], abs=0.5)
 
 
 def test_modes_are_of_the_named_object_first(known: list[Known]) -> None:

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from taxeld.config.tables import FilterConfig
+from taxeld.estimator import targets
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
@@ -57,11 +58,29 @@ def off_m(known: Known, subject: Estimator, truth: np.ndarray, k: int) -> float:
 def test_two_objects_of_one_kind_are_found_and_both_are_sure(slab: Known) -> None:
     subject = estimator(slab)
     touch_in_turn(subject, World(slab.model), World(slab.model))
-    targets = subject.estimate.targets
-    assert [target.status for target in targets] == [Status.CONVERGED] * 2
-    assert abs(targets[0].contacts - targets[1].contacts) <= 1
+    found = subject.estimate.targets
+    assert [target.status for target in found] == [Status.CONVERGED] * 2
+    assert abs(found[0].contacts - found[1].contacts) <= 1
     for truth in (TRUTH, FAR):
         assert off_m(slab, subject, truth, 0) < 0.005
+
+
+def test_an_object_with_far_fewer_touches_is_found_too(
+    slab: Known, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Even where few poses are paired: some are of its touches."""
+    monkeypatch.setattr(targets, "PAIRED", 24)
+    subject, one, other = estimator(slab), World(slab.model), World(slab.model)
+    other.truth = FAR
+    for number, side in enumerate((*SIDES[:6], *SIDES[:6])):
+        one.press(subject, side)
+        other.t = one.t
+        if number % 3 == 2:
+            other.press(subject, SIDES[number // 3])
+            one.t = other.t
+    assert len(subject.estimate.targets) == 2
+    for truth in (TRUTH, FAR):
+        assert off_m(slab, subject, truth, 0) < 0.02
 
 
 def test_two_different_objects_are_named(slab: Known, stick: Known) -> None:

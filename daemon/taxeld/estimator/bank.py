@@ -46,7 +46,7 @@ class Bank:
         self._followed = [first]
         self.ruled_out: set[int] = set()
         self.due: list[int] = []  # to be tried on what is remembered, the likeliest first
-        self._known = np.zeros(len(rules))  # log evidence of the best when an object was tried
+        self._best_before = np.zeros(len(rules))  # log evidence of the best when each was tried
         self._later: list[list[tuple[Observation, int]]] = [[] for _ in rules]  # not learned yet
         self._contact = self._touches = 0  # number of the last contact, and how many there were
         self._mixtures = [rule for rule in rules if isinstance(rule, Mixture)]
@@ -131,11 +131,15 @@ class Bank:
     def learn(self, observation: Observation, contacts: int) -> tuple[int, float]:
         """As `Rule.learn`; the log evidence is of the object that was the likeliest before."""
         injected, evidence = 0, 0.0
-        known, is_new = self.rule.weighed.log_z, observation.is_contact and contacts > self._contact
+        before, is_new = (
+            self.rule.weighed.log_z,
+            observation.is_contact and contacts > self._contact,
+        )
+        passed = {*self._followed, *self.ruled_out}
+        waiting = [k for k in self._by_odds() if k not in passed]
         if self._touches:
-            for k in self._by_odds():
-                if k not in {*self._followed, *self.ruled_out}:
-                    self._later[k] = [*self._later[k], (observation, contacts)][-LATER_MAX:]
+            for k in waiting:
+                self._later[k] = [*self._later[k], (observation, contacts)][-LATER_MAX:]
         for k in self._followed:
             samples, told = self.rules[k].learn(observation, contacts, self._draws[k])
             injected += samples
@@ -143,10 +147,8 @@ class Bank:
         if is_new:
             self._contact = contacts
             self._touches += 1
-            passed = {*self._followed, *self.ruled_out}
-            left = [k for k in self._by_odds() if k not in passed]
-            self._known[[k for k in left if k not in self.due]] = known
-            self.due = left
+            self._best_before[[k for k in waiting if k not in self.due]] = before
+            self.due = waiting
             self._weigh()
             if self._is_doubted:
                 self.due += sorted(self.ruled_out)
@@ -208,7 +210,7 @@ class Bank:
         best, untried = self.rules[self.best].weighed, set(self.due) - self.ruled_out
         # an object that is yet to be tried is as likely as it was, in relation to the best
         each = [
-            rule.weighed.shifted(best, self._known[k]) if k in untried else rule.weighed
+            rule.weighed.shifted(best, self._best_before[k]) if k in untried else rule.weighed
             for k, rule in enumerate(self.rules)
         ]
         if not self._touches:

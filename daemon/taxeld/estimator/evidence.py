@@ -38,10 +38,10 @@ class ObjectEvidence(NamedTuple):
         """Log evidence of this object, wherever it is."""
         return max(self.found, 0.0) if self.is_first else float(np.logaddexp(self.found, self.gone))
 
-    def shifted(self, best: "ObjectEvidence", known: float) -> "ObjectEvidence":
+    def shifted(self, best: "ObjectEvidence", before: float) -> "ObjectEvidence":
         """This evidence as long as the newest contact is not weighed for this object: the best
-        object's log evidence was `known` before it."""
-        by = best.log_z - known
+        object's log evidence was `before` then."""
+        by = best.log_z - before
         return best._replace(found=self.found + by, gone=self.gone + by, other=np.empty(0))
 
 
