@@ -149,11 +149,9 @@ class Bank:
             self._touches += 1
             self._best_before[[k for k in waiting if k not in self.due]] = before
             self.due = waiting
-            self._weigh()
-            if self._is_doubted:
-                self.due += sorted(self.ruled_out)
-        else:
-            self._weigh()
+        self._weigh()
+        if is_new and self._is_doubted:
+            self.due += sorted(self.ruled_out)
         return injected, evidence
 
     def expected(self, after: int) -> Lesson | None:
