@@ -35,6 +35,11 @@ class Known:
 
     model: ObservationModel
     proposal: Proposal
+    beside: Sequence[Proposal] = ()  # samples of contacts on further links
+
+    def on(self, link: int) -> tuple[ObservationModel, Proposal]:
+        """The object on a link, and samples of its contacts there."""
+        return self.model.links[link], self.beside[link - 1] if link else self.proposal
 
 
 class Bank:
@@ -51,7 +56,7 @@ class Bank:
         self._contact = self._touches = 0  # number of the last contact, and how many there were
         self._mixtures = [rule for rule in rules if isinstance(rule, Mixture)]
         for rule in self._mixtures:
-            rule.memory.reader = self._mixtures[0].memory.reader
+            rule.memory.readers = self._mixtures[0].memory.readers
         self.best = first
         self._weigh()
 
@@ -154,9 +159,9 @@ class Bank:
             self.due += sorted(self.ruled_out)
         return injected, evidence
 
-    def expected(self, after: int) -> Lesson | None:
+    def expected(self, after: int, link: int) -> Lesson | None:
         """As `Rule.expected`, of the likeliest object."""
-        return self.rule.expected(after)
+        return self.rule.expected(after, link)
 
     @property
     def is_behind(self) -> bool:

@@ -17,7 +17,7 @@ from taxeld.estimator.bank import Bank, Known
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.mixture import Mixture
-from taxeld.estimator.news import News
+from taxeld.estimator.news import News, Tally
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.rule import EstimatorCounters, Rule
 from taxeld.estimator.targets import Targets
@@ -46,20 +46,21 @@ class Estimator:
         robot_m: float = SensorPoseConfig().sigma_m,
         more: Sequence[Known] = (),
         most: int = 1,
+        beside: Sequence[Proposal] = (),
     ) -> None:
         """`robot_m`: standard deviation of the sensor's place at a touch, in each direction.
-        `more`: further objects that it may be, on the same layout. `most`: objects that may be
-        touched in turn."""
+        `more`: further objects that it may be, on the same layouts. `most`: objects that may be
+        touched in turn. `beside`: samples of contacts on the model's further links."""
         self.robot_m, self.most = robot_m, most
         self.model = model  # of the first object
-        self.known = [Known(model, proposal), *more]
+        self.known = [Known(model, proposal, beside), *more]
         self.config = config
         self.counters = EstimatorCounters()
         self.reset()
 
     def reset(self) -> None:
         """Forget every contact; the random generator begins anew as well."""
-        config, layout = self.config, self.model.layout
+        config, links = self.config, self.model.links
         rng = np.random.default_rng(config.seed)
         begin = RULES[config.injection]
 
@@ -73,11 +74,13 @@ class Estimator:
         self.targets = Targets(bank, self.most)
         self._rng = rng
         self._kind = ProposalKind.NONE  # proposal of the last samples
-        self._intake = Intake(self.model, self.counters)
-        self._news = News(layout.radius_m)
-        self._before: Observation | None = None
+        self._intakes = [Intake(each, self.counters, k) for k, each in enumerate(links)]
+        self._tally = Tally()
+        self._news = [News(each.layout.radius_m, tally=self._tally) for each in links]
+        self._before: list[Observation | None] = [None] * len(links)
         self._moved = 0.0  # probability in the last estimate that the object has moved
-        self._taught = 0  # number of the last contact that `taught` has told of
+        # number of the last contact of which `taught` has told each link
+        self._taught = [0] * len(links)
         self.used: Observation | None = None  # the scan that the last call learned from
         self.unconsidered: Observation | None = (
             None  # the last scan, until `think`, if it told nothing
@@ -94,46 +97,52 @@ class Estimator:
         """The belief about the likeliest object."""
         return self.bank.rule
 
-    def on_scan(self, activation: Activation, sensor: Poses) -> Estimate:
+    def on_scan(self, activation: Activation, sensor: Poses, link: int = 0) -> Estimate:
         """Take a scan's activations at the sensor's pose (3,) in the world, and think about it at
         once; never raises."""
-        self.learn(activation, sensor)
+        self.learn(activation, sensor, link)
         self.think()
         while self.is_behind:
             self.think()
         return self.estimate
 
-    def learn(self, activation: Activation, sensor: Poses) -> Estimate:
-        """Take a scan's activations at the sensor's pose (3,) in the world, and leave it to the
-        caller when to `think` about it; never raises."""
+    def learn(self, activation: Activation, sensor: Poses, link: int = 0) -> Estimate:
+        """Take a scan's activations on a link, whose sensor is at a pose (3,) in the world, and
+        leave it to the caller when to `think` about it; never raises."""
         self.counters.scans += 1
         self.used = self.unconsidered = None
-        observation = self._intake.observation(activation, sensor)
+        observation = self._intakes[link].observation(activation, sensor)
         if observation is None:
-            self.estimate = self._estimate(max(self.estimate.t, self._intake.t))
+            self.estimate = self._estimate(max(self.estimate.t, self._t))
             return self.estimate
         self._newest = observation
         self._follow(observation)
-        news = self._news
+        news = self._news[link]
         if observation.live.any():
-            self.used = news.on_scan(self._intake.t, observation)
+            self.used = news.on_scan(self._intakes[link].t, observation)
         if self.used is not None:
             self.counters.updates += 1
-            self._conclude(observation, *self.targets.learn(self.used, news.contacts))
+            # silence is after the last contact on any link
+            number = news.contacts if self.used.is_contact else self._tally.contacts
+            self._conclude(observation, *self.targets.learn(self.used, number))
         else:
             self._conclude(observation)
             self.unconsidered = observation
         return self.estimate
 
-    def taught(self, least: int) -> Lesson | None:
-        """Contacts that a sure belief has not told of yet, beside the depths that it expects; None
-        where they are less than `least`."""
-        number = self.estimate.contacts
-        if self.estimate.status != Status.CONVERGED or number - self._taught < least:
+    def taught(self, least: int, link: int = 0) -> Lesson | None:
+        """Contacts that a sure belief has not told a link of yet, beside the depths that it expects;
+        None where there were less than `least` contacts, or none on this link."""
+        number, before = self.estimate.contacts, self._taught[link]
+        if self.estimate.status != Status.CONVERGED or number - before < least:
             return None
-        found = self.bank.expected(self._taught)
-        self._taught = number
-        return found
+        self._taught[link] = number
+        return self.bank.expected(before, link)
+
+    @property
+    def _t(self) -> float:
+        """Time of the newest usable scan [s]."""
+        return max(intake.t for intake in self._intakes)
 
     @property
     def is_behind(self) -> bool:
@@ -159,7 +168,8 @@ class Estimator:
 
     def _follow(self, observation: Observation) -> None:
         """Move the belief: the object may have been pushed between two scans of one contact."""
-        before, self._before = self._before, observation
+        before = self._before[observation.link]
+        self._before[observation.link] = observation
         if self.config.motion == "none" or before is None:
             return
         if before.is_contact and observation.is_contact:
@@ -170,16 +180,17 @@ class Estimator:
     ) -> None:
         """Make an estimate of the current belief."""
         blind = self._is_blind(observation)
-        self.estimate = self._estimate(self._intake.t, injected, log_evidence, blind=blind)
+        self.estimate = self._estimate(self._t, injected, log_evidence, blind=blind)
 
     def _draw(self, known: Known, observation: Observation, n: int) -> Poses:
         """At most n poses (≤ n, 3) in the world that explain an observation by itself."""
-        poses = known.proposal.propose(observation.z, observation.live, n, self._rng)
+        model, proposal = known.on(observation.link)
+        poses = proposal.propose(observation.z, observation.live, n, self._rng)
         poses = poses[np.isfinite(poses).all(axis=1)]
         if not len(poses):
             return poses
-        self._kind = ProposalKind[known.proposal.name.upper()]
-        poses = injection.project(known.model, poses)  # one step for samples that miss the object
+        self._kind = ProposalKind[proposal.name.upper()]
+        poses = injection.project(model, poses)  # one step for samples that miss the object
         return se2.compose(observation.sensor, poses)
 
     def _size_m(self, k: int) -> float:
@@ -193,9 +204,9 @@ class Estimator:
         if not observation.live.any():
             return True
         best = self.rule.place.summary.modes[0].pose
-        model = self.known[self.bank.best].model
+        model, _ = self.known[self.bank.best].on(observation.link)
         pressed = model.pressed_from(observation.sensor[None], best[None]).taxel
-        expected = self._news.contacts > 0 and len(pressed) > 0
+        expected = self._tally.contacts > 0 and len(pressed) > 0
         return expected and not bool(observation.live[pressed].any())
 
     def _estimate(
@@ -208,9 +219,9 @@ class Estimator:
         self.counters.forgotten += self._moved > 0.5 >= before
         return Estimate(
             t=t,
-            status=status(verdict, self._news.contacts, blind=blind),
-            contact=self._news.contact,
-            contacts=self._news.contacts,
+            status=status(verdict, self._tally.contacts, blind=blind),
+            contact=any(news.contact for news in self._news),
+            contacts=self._tally.contacts,
             map=summary.modes[0].pose,
             mean=summary.mean,
             cov=summary.cov,

@@ -18,7 +18,8 @@ WAY_M = 0.1  # m that the skin moves meanwhile: no press lasts unchanged over su
 class Intake:
     """Makes observations of one skin's activations."""
 
-    def __init__(self, model: ObservationModel, counters: EstimatorCounters) -> None:
+    def __init__(self, model: ObservationModel, counters: EstimatorCounters, link: int = 0) -> None:
+        self._link = link
         self.t = -np.inf  # time of the last used scan [s]
         self._counters = counters
         self._radius_m = model.layout.radius_m
@@ -35,7 +36,7 @@ class Intake:
         before, self._sensor, self.t = self._sensor, sensor, a.t
         if least == most == 0.0:  # the usual case: nothing is stuck, and nothing leaks
             self._stuck.released()
-            return Observation(sensor, a.z, a.live, a.floor, a.residue, a.noise)
+            return Observation(sensor, a.z, a.live, a.floor, a.residue, a.noise, self._link)
         moved = 0.0 if before is None else moved_m(before, sensor, self._radius_m)
         z = np.clip(activation.z, 0.0, 1.0)
         stuck = self._stuck.on_scan(z, moved) & activation.live
@@ -44,7 +45,7 @@ class Intake:
         z, floor, residue = self._leak.without(
             np.where(live, z, 0.0), activation.floor, activation.residue
         )
-        return Observation(sensor, z, live, floor, residue, a.noise)
+        return Observation(sensor, z, live, floor, residue, a.noise, self._link)
 
     def _is_usable(self, t: float, sensor: Poses, least: float, most: float) -> bool:
         """Whether time, pose (3,) and activations from `least` to `most` can be used."""

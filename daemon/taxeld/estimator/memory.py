@@ -13,8 +13,8 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from taxeld.arrays import Bools, Floats, Grid, Poses
-from taxeld.estimator.compiled import Compiled, Scans, compiled
+from taxeld.arrays import Bools, Floats, Grid, Index, Poses
+from taxeld.estimator.compiled import Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.reader import Kept, Reader
 from taxeld.estimator.runs import HAZARD, MEANINGLESS, SWAPPED, Runs
@@ -99,18 +99,21 @@ class Memory:
         prior: Prior | None = None,
         slack: Slack | None = None,
     ) -> None:
-        self._model = model
+        self._links = model.links
         self._noise = noise
         self.slack = slack or Slack()
-        self._compiled = compiled(model, noise)
-        self.reader = Reader(model, noise)  # the same for all objects on one skin
+        self._compiled = [compiled(each, noise) for each in model.links]
+        # of each link; the same for all objects
+        self.readers = [Reader(each, noise) for each in model.links]
         self.least = float(np.log(MEANINGLESS))  # log odds that a contact is of something else
         self._forget(prior)
 
     def _forget(self, prior: Prior | None) -> None:
         self.prior = prior
         self._sensor = np.empty((0, 3))
-        self._kept: Grid = np.empty((len(Kept), 0, len(self._model.layout)), np.float32)
+        taxels = max(len(each.layout) for each in self._links)
+        self._kept: Grid = np.empty((len(Kept), 0, taxels), np.float32)
+        self.link = np.empty(0, dtype=np.intp)  # (K,)
         self.number = np.empty(0, dtype=np.intp)  # (K,) contact; the last one if silent
         self.newest = 0  # number of the newest contact
         self.pressed = np.empty(0, dtype=np.intp)  # (K,) number of pressed taxels
@@ -118,7 +121,7 @@ class Memory:
         self._untouched = np.empty(0)
         self.before: dict[int, float] = {}  # log evidence of all before a step
         self._runs: Runs | None = None  # cached `runs`
-        self._for_c: tuple[tuple[int, int, Slack], Scans] | None = None
+        self._for_c: tuple[tuple[int, int, Slack], dict[int, Scans]] | None = None
 
     def __len__(self) -> int:
         return len(self._sensor)
@@ -178,10 +181,14 @@ class Memory:
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
         """A memory of one scan more, of contact `number`, or a silent scan after that contact.
         `log_z`: log evidence of all that is remembered so far."""
-        told = self.reader.read(observation)
+        told = self.readers[observation.link].read(observation)
+        kept, taxels = told.kept, self._kept.shape[2]
+        if kept.shape[1] < taxels:  # another link has more: the rest is not live
+            kept = np.pad(kept, ((0, 0), (0, taxels - kept.shape[1])))
         made = copy.copy(self)
         made._runs = made._for_c = None
-        made._kept = np.concatenate([self._kept, told.kept[:, None]], axis=1)
+        made._kept = np.concatenate([self._kept, kept[:, None]], axis=1)
+        made.link = _and(self.link, observation.link)
         made._sensor = np.concatenate([self._sensor, observation.sensor[None]])
         made.number = _and(self.number, number)
         made.newest = max(self.newest, number)
@@ -193,9 +200,13 @@ class Memory:
 
     def scan(self, k: int) -> Observation:
         """The k-th scan as an observation."""
-        z, level, residue, live = self._kept[[Kept.Z, Kept.LEVEL, Kept.RESIDUE, Kept.LIVE], k]
+        link = int(self.link[k])
+        own = self._kept[:, k, : len(self._links[link].layout)]
+        z, level, residue, live = own[[Kept.Z, Kept.LEVEL, Kept.RESIDUE, Kept.LIVE]]
         floor = np.where(z > 0.0, 0.0, level)  # pressed taxels need no floor
-        return Observation(self._sensor[k], z.astype(np.float64), live > 0.0, floor, residue)
+        return Observation(
+            self._sensor[k], z.astype(np.float64), live > 0.0, floor, residue, link=link
+        )
 
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """A memory of the scans in the mask `kept` (K,), with the prior or without."""
@@ -203,7 +214,7 @@ class Memory:
         made.prior = self.prior if prior else None
         made._runs = made._for_c = None
         made._kept = self._kept.compress(kept, axis=1)  # contiguous, as the C code needs it
-        for name in ("_sensor", "number", "pressed", "anything", "_untouched"):
+        for name in ("_sensor", "link", "number", "pressed", "anything", "_untouched"):
             setattr(made, name, getattr(self, name)[kept])
         steps = set((made.number + made.silent).tolist())
         made.before = {step: log_z for step, log_z in self.before.items() if step in steps}
@@ -219,9 +230,9 @@ class Memory:
         """A memory for this object of the scans that another object's has, and of their slack."""
         made = copy.copy(self)
         made._forget(None)
-        for name in ("_sensor", "_kept", "number", "newest", "pressed", "anything", "_untouched"):
+        scans = ("_sensor", "_kept", "link", "number", "pressed", "anything", "_untouched")
+        for name in (*scans, "newest", "slack"):
             setattr(made, name, getattr(other, name))
-        made.slack = other.slack
         first = min(other.before, default=0)
         made.before = {k: z + SWAPPED * (k > first) for k, z in other.before.items()}
         return made
@@ -250,40 +261,53 @@ class Memory:
         """log p(scan | pose) of scans from number `since` on: poses (N, 3) → (N, K − since). Each
         contact has an offset of its own; a silent scan rules out only presses deeper than its
         offset could hide."""
-        if self._compiled is not None:
-            met = self._compiled.explain(self._scans(self._compiled, since), poses)
+        if len(self._links) == 1:
+            met = self._explain_on(0, poses, since, slice(since, None))
         else:
-            variance = self.slack.variance(self.newest - self.number[since:])
-            kept, sensor, silent = self._kept[:, since:], self._sensor[since:], self.silent[since:]
-            met = self._met(kept, sensor, variance, silent, poses)
+            met = np.empty((len(poses), len(self) - since))
+            for link in np.unique(self.link[since:]).tolist():
+                at = since + np.flatnonzero(self.link[since:] == link)
+                met[:, at - since] = self._explain_on(link, poses, since, at)
         met += self._untouched[since:]
         return met
 
-    def _scans(self, compiled: Compiled, since: int) -> Scans:
-        """Scans from `since` on in the layout of the C code, kept until something changes."""
-        of = since, self.newest, self.slack
+    def _explain_on(self, link: int, poses: Poses, since: int, at: Index | slice) -> Floats:
+        """What pressed taxels of a link add to log p(scan | pose): its scans, which are `at` these
+        numbers, of those from `since` on, and poses (N, 3) → (N, scans)."""
+        code, of = self._compiled[link], (since, self.newest, self.slack)
         if self._for_c is None or self._for_c[0] != of:
-            variance = self.slack.variance(self.newest - self.number[since:])
-            scans = compiled.scans(
-                self._kept[:, since:], self._sensor[since:], variance, self.silent[since:]
-            )
-            self._for_c = of, scans
-        return self._for_c[1]
+            self._for_c = of, {}
+        cached = self._for_c[1]
+        if code is not None and link in cached:
+            return code.explain(cached[link], poses)
+        kept = self._kept[:, at, : len(self._links[link].layout)]
+        variance = self.slack.variance(self.newest - self.number[at])
+        sensor, silent = self._sensor[at], self.silent[at]
+        if code is None:
+            return self._met(self._links[link], kept, sensor, variance, silent, poses)
+        cached[link] = code.scans(kept, sensor, variance, silent)
+        return code.explain(cached[link], poses)
 
     def _met(
-        self, kept: Grid, sensor: Floats, variance: Floats, silent: Bools, poses: Poses
+        self,
+        model: ObservationModel,
+        kept: Grid,
+        sensor: Floats,
+        variance: Floats,
+        silent: Bools,
+        poses: Poses,
     ) -> Floats:
         """`Compiled.explain` in numpy: what pressed taxels add to log p(scan | pose), (N, K)."""
-        n, k, taxels = len(poses), len(sensor), len(self._model.layout)
+        n, k, taxels = len(poses), len(sensor), len(model.layout)
         order = np.argsort(silent, kind="stable")  # contacts first
         about = k - int(np.count_nonzero(silent))
-        near = self._model.pressed_from(sensor[order], poses, about)
+        near = model.pressed_from(sensor[order], poses, about)
         scan = order.take(near.row // max(n, 1))
         fields = kept.reshape(len(Kept), -1).take(scan * taxels + near.taxel, axis=1)
         z, level, _, untouched, sigma2, gain2, _, _, _, _, _, live = fields
         first, added = slice(0, len(near.gx)), np.zeros(k * n)
         met = self._pressed(near, fields[:, first], np.repeat(variance[order[:about]], n))
-        hidden = (HIDDEN / self._model.depth_max_m) * np.sqrt(variance)
+        hidden = (HIDDEN / model.depth_max_m) * np.sqrt(variance)
         depth = near.depth - hidden.astype(np.float32).take(scan)
         h = np.minimum(np.maximum(depth, 0.0), 1.0)
         h[first], added[: about * n] = met.h, met.added
@@ -306,13 +330,14 @@ class Memory:
         more = np.minimum(sagging(depth, farther), 1.0) - h
         return Pressed(h, more, h * np.maximum(1.0 - depth / rate, 0.0), added)
 
-    def contacts_at(self, poses: Poses) -> Lesson:
-        """The remembered contacts, and the depths expected of an object at equally likely poses
-        (N, 3)."""
-        scans, n, taxels = np.flatnonzero(self.contact), len(poses), len(self._model.layout)
-        near = self._model.pressed_from(self._sensor[scans], poses, len(scans))
+    def contacts_at(self, poses: Poses, link: int = 0) -> Lesson:
+        """The remembered contacts, all of one link, and the depths expected of an object at equally
+        likely poses (N, 3)."""
+        model = self._links[link]
+        scans, n, taxels = np.flatnonzero(self.contact), len(poses), len(model.layout)
+        near = model.pressed_from(self._sensor[scans], poses, len(scans))
         at = near.row // n * taxels + near.taxel
-        kept = self._kept[:, scans]
+        kept = self._kept[:, scans, :taxels]
         variance = self.slack.variance(self.newest - self.number[scans])
         fields = kept.reshape(len(Kept), -1).take(at, axis=1)
         met = self._pressed(near, fields, np.repeat(variance, n))

@@ -69,14 +69,15 @@ class Mixture:
         belief, metric = self.belief, self.metric
         if not belief.ground.size:
             belief.ground = assumed(len(belief), self._rng)
+        model = self._model.links[after.link]
         pose, pushed = self.push(
-            self._model,
+            model,
             metric,
             belief.pose,
             belief.ground,
             before.sensor,
             after.sensor,
-            float(after.z.max()) * self._model.depth_max_m,
+            float(after.z.max()) * model.depth_max_m,
             self._rng,
         )
         pushed_m = float(belief.weight @ pushed)
@@ -199,13 +200,13 @@ class Mixture:
         touch, silence = memory.runs.apart(remembered)
         return touch[:, memory.runs.touched], silence.sum(axis=1)
 
-    def expected(self, after: int, /) -> Lesson | None:
-        told = self.memory.contact & (self.memory.number > after)
-        memory = self.memory.only(told, prior=False)
+    def expected(self, after: int, link: int, /) -> Lesson | None:
+        memory = self.memory
+        told = memory.contact & (memory.number > after) & (memory.link == link)
         if not told.any():
             return None
         drawn = pf.resample(self.belief, EXPECTING, np.random.default_rng(0))
-        return memory.contacts_at(drawn.pose)
+        return memory.only(told, prior=False).contacts_at(drawn.pose, link)
 
     def _wanted(self) -> int:
         """Number of samples: as configured, and more while the belief is wide or unlikely."""

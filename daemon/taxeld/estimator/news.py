@@ -8,7 +8,7 @@
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,12 +22,20 @@ RELEASE_S = 0.15  # silence this long ends a contact: a flicker starts no new on
 
 
 @dataclass(slots=True)
+class Tally:
+    """Contacts begun so far, on all links."""
+
+    contacts: int = 0
+
+
+@dataclass(slots=True)
 class News:
     """Follows the contacts of a skin of radius `radius_m`, and picks the scans to learn from."""
 
     radius_m: float
     contact: bool = False
-    contacts: int = 0  # contacts begun so far
+    tally: Tally = field(default_factory=Tally)
+    contacts: int = 0  # number of the last contact on this link
     _used: Observation | None = None  # the last scan that was used
     _strongest: float = 0.0  # the strongest activation of the previous scan
     _pending: Observation | None = None  # the strongest scan of a press that is not used yet
@@ -57,7 +65,9 @@ class News:
     def _pressed(self, t: float, observation: Observation, *, rising: bool) -> Observation | None:
         begun = not self.contact
         self.contact = True
-        self.contacts += begun
+        if begun:
+            self.tally.contacts += 1
+            self.contacts = self.tally.contacts
         self._pressed_s = t
         if begun or self._pending is not None:
             if self._pending is None or observation.z.max() > self._pending.z.max():

@@ -43,14 +43,15 @@ class Paper:
         belief = self.belief
         if not belief.ground.size:
             belief.ground = assumed(len(belief), self._rng)
+        model = self._model.links[after.link]
         belief.pose, pushed = push(
-            self._model,
+            model,
             self.metric,
             belief.pose,
             belief.ground,
             before.sensor,
             after.sensor,
-            float(after.z.max()) * self._model.depth_max_m,
+            float(after.z.max()) * model.depth_max_m,
             self._rng,
         )
         if belief.weight @ pushed >= PUSHED_M:
@@ -80,7 +81,7 @@ class Paper:
             pf.roughen(self.belief, self._rng, self.metric.scale)
         return evidence
 
-    def expected(self, _after: int) -> Lesson | None:
+    def expected(self, _after: int, _link: int) -> Lesson | None:
         return None
 
     def revisit(self, draw: Draw) -> int:  # noqa: ARG002

@@ -63,9 +63,9 @@ class Rule(Protocol):
         samples injected, and the scan's log evidence."""
         ...
 
-    def expected(self, after: int, /) -> Lesson | None:
-        """The remembered contacts after number `after`, and the depths that the belief expects of
-        them; None where nothing is remembered."""
+    def expected(self, after: int, link: int, /) -> Lesson | None:
+        """The remembered contacts of a link after number `after`, and the depths that the belief
+        expects of them; None where nothing is remembered."""
         ...
 
     def revisit(self, draw: Draw) -> int:

@@ -3,6 +3,7 @@
 h(q)_i = clip(−σ_k(i)(q⁻¹ p_i) / δ_max, 0, 1); `noise` says how readings err about it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -29,6 +30,7 @@ class Observation:
     floor: Floats | float = FLOOR  # (M,) a reading below it is 0
     residue: Floats | float = 0.0  # (M,) part of a reading that earlier presses may have left
     noise: Noise | None = None  # errors of each taxel, where they are known
+    link: int = 0  # number of the link whose skin it is
 
     @property
     def is_contact(self) -> bool:
@@ -71,7 +73,15 @@ class ObservationModel:
     A pose presses few taxels, so all work beyond finding those few is done on them alone.
     """
 
-    def __init__(self, scene: Scene, layout: Layout, depth_max_m: float) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        layout: Layout,
+        depth_max_m: float,
+        further: Sequence["ObservationModel"] = (),
+    ) -> None:
+        """`further`: of the same object on further links."""
+        self.links = (self, *further)
         self.scene = scene
         self.layout = layout
         self.depth_max_m = depth_max_m
