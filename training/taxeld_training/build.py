@@ -4,7 +4,7 @@ follow one another on the way there."""
 import shlex
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -35,11 +35,13 @@ def build(
     asked: touches.EndTrials,
     out: Path,
     progress: Progress,
+    further: Sequence[tuple[Layout, float]] = (),
 ) -> Path:
     """Build the bundle of `name` (a YCB id or a mesh file) for `layout` in the directory `out`.
 
     `height_m` is the sensor frame's origin above the object's lowest point, `depth_m` the depth of
-    a press at full scale. What is made is tried as `asked`; without `given` samplers the table is
+    a press at full scale. `further`: layouts and heights of further links; samplers are of the
+    first. What is made is tried as `asked`; without `given` samplers the table is
     left to propose, and nothing is tried. An older bundle in `out` is replaced once the new one is
     complete.
 
@@ -49,11 +51,14 @@ def build(
     bundles.check_place(out)
     path, attribution = meshes.find(name)
     mesh = meshes.load(path)
-    model = ObservationModel(scenes.build(mesh, layout, height_m), layout, depth_m)
+    scene, *more = scenes.build_all(mesh, [(layout, height_m), *further])
+    model = ObservationModel(scene, layout, depth_m)
     info: dict[str, Any] = {"object": path.stem, "attribution": attribution}
     if Path(name).suffix:  # the harness has the meshes of YCB objects
         info["mesh"] = bundles.MESH + path.suffix
     info |= _describe(mesh, model, height_m)
+    if further:
+        info["links"] = bundles.links(further)
     progress(SCENE, 1.0)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent) as temporary:
@@ -65,10 +70,10 @@ def build(
             info |= candidates.make(model, given, made, progress)
         if "mesh" in info:
             shutil.copyfile(path, made / info["mesh"])
-        bundles.write(model.scene, info, made)
+        bundles.write(scene, info, made, more)
         if given is not None:
             info["touches"] = touches.counted(made, layout, asked, progress)
-            bundles.write(model.scene, info, made)
+            bundles.write(scene, info, made, more)
         bundles.replace(made, out)
     return out
 

@@ -107,7 +107,8 @@ def _build_one(
             ended_s[stage] = time.monotonic()
             tell(stage, share)
 
-        build(name, skin, args.height_m, depth_m, given, asked, out, progress)
+        further = _further(args)
+        build(name, skin, args.height_m, depth_m, given, asked, out, progress, further)
     info = json.loads((out / "bundle.json").read_text(encoding="utf-8"))
     for repair in info["repairs"]:
         print(f"taxeld-train: {name}: {repair}", file=sys.stderr)
@@ -149,7 +150,8 @@ def _build_several(
     with stages.shown(made, sys.stderr) as tell:
         for number, (name, out) in enumerate(places.items(), 1):
             if given is None:
-                build(name, skin, args.height_m, depth_m, None, asked, out, lambda *_: None)
+                quiet, further = (lambda *_: None), _further(args)
+                build(name, skin, args.height_m, depth_m, None, asked, out, quiet, further)
                 tell(SCENE, number / len(places))
         told = alike.pairs(list(places.values()), skin, asked, tell)
     for out in places.values() if given is None else ():
@@ -158,6 +160,21 @@ def _build_several(
     print(f"took       {time.monotonic() - began_s:.0f} s")
     print(several.key_line(list(places.values())))
     return 0
+
+
+def _further(args: argparse.Namespace) -> "list[tuple[Layout, float]]":
+    """Layouts and heights of further links: each as often as the other, or one height for all.
+    Raises SetupError."""
+    from taxeld.layout import read as layouts
+
+    named, heights = getattr(args, "layout_more", []), getattr(args, "height_m_more", [])
+    if heights and len(heights) != len(named):
+        raise SetupError(
+            f"--height-m: {len(heights) + 1} heights for {len(named) + 1} layouts; give one for "
+            "all, or one for each --layout"
+        )
+    heights = heights or [args.height_m] * len(named)
+    return [(layouts.load(one), height) for one, height in zip(named, heights, strict=True)]
 
 
 def _depth_m(args: argparse.Namespace) -> float:
@@ -308,15 +325,36 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+class _OneALink(argparse.Action):
+    """An option that may be given for each link: what follows the first is kept apart."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,  # noqa: ARG002
+        namespace: argparse.Namespace,
+        values: object,
+        option_string: str | None = None,  # noqa: ARG002
+    ) -> None:
+        more = f"{self.dest}_more"
+        if hasattr(namespace, more):
+            getattr(namespace, more).append(values)
+        else:
+            setattr(namespace, self.dest, values)
+            setattr(namespace, more, [])
+
+
 def _with_object(one: argparse.ArgumentParser, nargs: str | None = None) -> argparse.ArgumentParser:
     """The parser with the arguments of `scene` and `build`."""
+    action = "store" if nargs is None else _OneALink
     add = one.add_argument
     about = "a YCB id (025_mug), or a mesh file in metres whose z axis points up"
     add("object", metavar="OBJECT", nargs=nargs, help=about)
     about = "as skin.layout in the configuration (default %(default)s)"
-    add_renamed(one, "--skin", add("--layout", default=SkinConfig().layout, help=about))
+    about += "" if nargs is None else "; again for each further link"
+    layout = add("--layout", action=action, default=SkinConfig().layout, help=about)
+    add_renamed(one, "--skin", layout)
     about = "the sensor frame's origin above the object's lowest point (default %(default)s)"
-    add("--height-m", type=float, default=HEIGHT_M, metavar="H", help=about)
+    add("--height-m", action=action, type=float, default=HEIGHT_M, metavar="H", help=about)
     about = "depth of a press at full scale (default %(default)g)"
     add("--depth-mm", type=float, default=1e3 * DEPTH_MAX_M, metavar="D", help=about)
     return one

@@ -131,8 +131,8 @@ class Estimator:
         return self.estimate
 
     def taught(self, least: int, link: int = 0) -> Lesson | None:
-        """Contacts that a sure belief has not told a link of yet, beside the depths that it expects;
-        None where there were less than `least` contacts, or none on this link."""
+        """Contacts of which a sure belief has not told a link yet, beside the depths that it
+        expects; None where there were less than `least` contacts, or none on this link."""
         number, before = self.estimate.contacts, self._taught[link]
         if self.estimate.status != Status.CONVERGED or number - before < least:
             return None

@@ -2,7 +2,9 @@
 
 import contextlib
 import math
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,7 +17,7 @@ from taxeld.model.proposal import Proposal
 from taxeld.proposals import manifest, scene_file
 from taxeld.proposals.analytic import ANALYTIC, Table, check_contacts
 from taxeld.proposals.ladder import Ladder, Rung, Step
-from taxeld.proposals.manifest import Manifest, SamplerEntry
+from taxeld.proposals.manifest import LinkEntry, Manifest, SamplerEntry
 from taxeld.proposals.sampler import Sampler
 
 KEY = "scene.bundle"  # of the configuration, which names a bundle
@@ -141,31 +143,73 @@ def _shipped() -> dict[str, Path]:
     return {path.parent.name: path.parent for path in folder.glob(f"*/{manifest.NAME}")}
 
 
-def load(name: str, layout: Layout, depth_max_m: float | None = None, key: str = KEY) -> Bundle:
+def load(
+    name: str,
+    layout: Layout,
+    depth_max_m: float | None = None,
+    key: str = KEY,
+    further: Sequence[Layout] = (),
+) -> Bundle:
     """Load and validate a bundle for a skin, at the depth that it was built for; `key` of the
-    configuration names it.
+    configuration names it. `further`: the layouts of further links.
 
     Raises:
         SetupError: it is missing, damaged, or of another layout, or of another depth than given.
     """
     path = find(name, key)
     found, info = manifest.parse(manifest.read(path / manifest.NAME), path / manifest.NAME)
-    if found.layout.digest != layout.digest:
-        raise SetupError(
-            f"{key}: {path.name} is for the layout {found.layout.name} "
-            f"({found.layout.digest}), not for {layout.name} ({layout.digest}); name that layout "
-            "(skin.layout, or --layout), or build a bundle for this one "
-            "('taxeld-train build --layout')"
-        )
+    links = _links(path, found, (layout, *further), key)
     check_depth(path.name, found, depth_max_m)
     files = manifest.unbroken(path, found.files)
-    scene = scene_file.parse(files[manifest.SCENE], path / manifest.SCENE)
+    first, *more = (
+        _model(path / link.scene, files[link.scene], each, found.depth_max_m)
+        for link, each in zip(links, (layout, *further), strict=True)
+    )
+    if more:
+        first = ObservationModel(first.scene, layout, found.depth_max_m, more)
+    if links[0].scene != manifest.SCENE:  # the samplers are of another link
+        at, height_m = links[0].layout, links[0].height_m
+        found = replace(found, layout=at, height_m=height_m, samplers=[], auto=[Table.name])
+    return Bundle(path, found, info, files, first)
+
+
+def _links(path: Path, found: Manifest, layouts: Sequence[Layout], key: str) -> list[LinkEntry]:
+    """The links of a bundle that belong to the layouts; links of one layout take its scenes in
+    their order, and the last serves all others.
+
+    Raises:
+        SetupError: there is none of a layout.
+    """
+    taken, links = Counter[str](), list[LinkEntry]()
+    for layout in layouts:
+        fit = [link for link in found.all_links if link.layout.digest == layout.digest]
+        if not fit:
+            built = [f"{link.layout.name} ({link.layout.digest})" for link in found.all_links]
+            cure = (
+                "name that layout (skin.layout, or --layout), or build a bundle for this one "
+                "('taxeld-train build --layout')"
+            )
+            if len(layouts) > 1:
+                cure = "build it for all links ('taxeld-train build', with a --layout for each)"
+            s = "s" * (len(built) != 1)
+            raise SetupError(
+                f"{key}: {path.name} is for the layout{s} {' and '.join(built)}, "
+                f"not for {layout.name} ({layout.digest}); {cure}"
+            )
+        links.append(fit[min(taken[layout.digest], len(fit) - 1)])
+        taken[layout.digest] += 1
+    return links
+
+
+def _model(path: Path, data: bytes, layout: Layout, depth_max_m: float) -> ObservationModel:
+    """The model of the scene in the file at `path` on a layout. Raises SetupError."""
+    scene = scene_file.parse(data, path)
     try:
-        model = ObservationModel(scene, layout, found.depth_max_m)
+        model = ObservationModel(scene, layout, depth_max_m)
         check_contacts(model)
     except SetupError as error:
-        raise SetupError(f"{path / manifest.SCENE}: {error}") from None
-    return Bundle(path, found, info, files, model)
+        raise SetupError(f"{path}: {error}") from None
+    return model
 
 
 def check_depth(name: str, found: Manifest, depth_max_m: float | None) -> None:

@@ -84,8 +84,14 @@ class Ladder:
     ) -> Poses:
         """Like `Proposal.propose` of the k-th object, with the share of the samples that the rung
         has: z (M,), live (M,) → (≤ n, 3)."""
-        start, rung = self.clock(), self.rung
-        poses = rung.of(k).propose(z, live, max(round(rung.share * n), 1), rng)
+        return self.drawn(self.rung.of(k), z, live, n, rng)
+
+    def drawn(
+        self, proposal: Proposal, z: Floats, live: Bools, n: int, rng: np.random.Generator
+    ) -> Poses:
+        """Samples of any proposal, as few of n as the rung has, and counted in the time."""
+        start = self.clock()
+        poses = proposal.propose(z, live, max(round(self.rung.share * n), 1), rng)
         self.spent_ns += self.clock() - start
         return poses
 
@@ -117,3 +123,19 @@ class OfObject:
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
         """z (M,), live (M,) → object poses (≤ n, 3) in the sensor frame."""
         return self.ladder.propose(z, live, n, rng, self.k)
+
+
+@dataclass(frozen=True, slots=True)
+class Beside:
+    """A proposal that saves samples as a ladder does."""
+
+    ladder: Ladder
+    proposal: Proposal
+
+    @property
+    def name(self) -> str:
+        return self.proposal.name
+
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
+        """z (M,), live (M,) → object poses (≤ n, 3) in the sensor frame."""
+        return self.ladder.drawn(self.proposal, z, live, n, rng)

@@ -5,7 +5,7 @@ Each file is read once: the compared bytes are the ones that are parsed.
 
 import hashlib
 import json
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
@@ -25,6 +25,15 @@ class BuiltFor:
 
     name: str
     digest: str
+
+
+@dataclass(frozen=True, slots=True)
+class LinkEntry:
+    """A further link for which a bundle was built."""
+
+    layout: BuiltFor
+    height_m: float
+    scene: str  # the object at the heights of this link: a file
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +57,7 @@ class Manifest:
     files: dict[str, str]  # name → SHA-256 of each file beside bundle.json
     samplers: list[SamplerEntry]
     auto: list[str]  # proposals by preference
+    links: list[LinkEntry] = field(default_factory=list)  # the first one's is `layout`
     mesh: str = ""  # a file of the bundle with the mesh, where the object is not one of YCB's
 
     def __post_init__(self) -> None:
@@ -55,7 +65,8 @@ class Manifest:
         for name in (*self.files, self.mesh):
             if Path(name).name != name:
                 raise ValueError(f"files, mesh: {name!r:.70} is no file's name")
-        for name in (SCENE, *(sampler.file for sampler in self.samplers)):
+        scenes = [link.scene for link in self.all_links]
+        for name in (*scenes, *(sampler.file for sampler in self.samplers)):
             if name not in self.files:
                 raise ValueError(f"files has no SHA-256 of {name!r:.70}")
         for sampler in self.samplers:
@@ -64,6 +75,11 @@ class Manifest:
         for name in self.auto:
             if name not in {*ANALYTIC, *(sampler.name for sampler in self.samplers)}:
                 raise ValueError(f"auto: no such proposal or sampler: {name!r:.70}")
+
+    @property
+    def all_links(self) -> list[LinkEntry]:
+        """The links for which the bundle was built, the one that has the samplers first."""
+        return [LinkEntry(self.layout, self.height_m, SCENE), *self.links]
 
 
 def parse(text: bytes, path: Path) -> tuple[Manifest, dict[str, Any]]:
@@ -122,7 +138,8 @@ def _checked(kind: Any, value: object, key: str) -> Any:
     inner, origin = get_args(kind), get_origin(kind)
     if hasattr(kind, "__dataclass_fields__") and isinstance(value, dict):
         kinds, at = get_type_hints(kind), f"{key}." if key else ""
-        names = [f.name for f in fields(kind) if f.name in value or f.default is MISSING]
+        due = {f.name for f in fields(kind) if f.default is f.default_factory is MISSING}
+        names = [f.name for f in fields(kind) if f.name in value or f.name in due]
         return kind(**{name: _checked(kinds[name], value.get(name), at + name) for name in names})
     if origin is list and isinstance(value, list):
         return [_checked(inner[0], one, f"{key}[{i}]") for i, one in enumerate(value)]

@@ -7,30 +7,39 @@ from pathlib import Path
 from taxeld.config.tables import FilterConfig, SceneConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
+from taxeld.model.observation import ObservationModel
+from taxeld.model.proposal import Proposal
 from taxeld.model.scene import Scene
 from taxeld.proposals import bundle
+from taxeld.proposals.analytic import ANALYTIC, Table
 from taxeld.proposals.bundle import Bundle
-from taxeld.proposals.ladder import Ladder, Rung, Step
+from taxeld.proposals.ladder import Beside, Ladder, Rung, Step
 from taxeld.proposals.manifest import Manifest
 
 OTHER = "other"  # taken among the names in messages, for none of them
 
 
-def load(scene: SceneConfig, layout: Layout, depth_max_m: float | None = None) -> list[Bundle]:
+def load(
+    scene: SceneConfig,
+    layout: Layout,
+    depth_max_m: float | None = None,
+    further: Sequence[Layout] = (),
+) -> list[Bundle]:
     """Load and validate all bundles that a configuration names, as `bundle.load` does each.
+    `further`: the layouts of further links.
 
     Raises:
         SetupError: one cannot be used, or two do not belong together.
     """
     if len(scene.names) == 1:
         key = "scene.bundles" if scene.bundles else "scene.bundle"
-        return [bundle.load(scene.names[0], layout, depth_max_m, key)]
+        return [bundle.load(scene.names[0], layout, depth_max_m, key, further)]
     key = "scene.bundles"
     paths = [bundle.find(name, key).resolve() for name in scene.names]
     for (name, path), (again, same) in combinations(zip(scene.names, paths, strict=True), 2):
         if path == same:
             raise SetupError(f"{key}: {name} and {again} are one bundle; name it once")
-    found = [bundle.load(name, layout, None, key) for name in scene.names]
+    found = [bundle.load(name, layout, None, key, further) for name in scene.names]
     for one, two in combinations(found, 2):
         a, b = one.manifest, two.manifest
         if a.object == b.object:
@@ -65,6 +74,13 @@ def leading(bundles: Sequence[Bundle]) -> Bundle:
     """The bundle whose proposals are chosen from: the first with the most of them. An object that
     has none of the chosen name has the table."""
     return max(bundles, key=lambda one: len(one.order))
+
+
+def beside(model: ObservationModel, ladder: Ladder) -> list[Proposal]:
+    """Samples of contacts on the further links of a model: samplers are of the first link, so the
+    others have the table, or the analytic proposal that was chosen."""
+    kind = ANALYTIC.get(ladder.rungs[0].proposal.name, Table)
+    return [Beside(ladder, kind(each)) for each in model.links[1:]]
 
 
 def untimed(bundles: Sequence[Bundle], config: FilterConfig) -> Ladder:

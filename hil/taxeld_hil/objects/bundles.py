@@ -3,6 +3,7 @@
 import json
 import shutil
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,27 @@ def check_place(out: Path) -> None:
         raise SetupError(f"--out: {out} is a directory with other content; name an empty one")
 
 
-def write(scene: Scene, info: dict[str, Any], directory: Path) -> None:
-    """Write `scene.npz`, then `bundle.json` about it and the samplers that are there."""
+def write(
+    scene: Scene, info: dict[str, Any], directory: Path, further: Sequence[Scene] = ()
+) -> None:
+    """Write `scene.npz`, the scenes on further links, which `info` names, and then `bundle.json`
+    about them and the samplers that are there."""
     scene_file.save(scene, directory / manifest.SCENE)
+    for link, one in zip(info.get("links", ()), further, strict=True):
+        scene_file.save(one, directory / link["scene"])
     _write(info, directory)
+
+
+def links(at: Sequence[tuple[Layout, float]]) -> list[dict[str, Any]]:
+    """The entries in `bundle.json` of further links: their layouts and heights."""
+    return [
+        {
+            "layout": {"name": layout.name, "digest": layout.digest},
+            "height_m": height_m,
+            "scene": f"scene-{number}.npz",
+        }
+        for number, (layout, height_m) in enumerate(at, 2)
+    ]
 
 
 def bare(name: str, layout: Layout, height_m: float, depth_m: float, out: Path) -> None:
@@ -81,7 +99,7 @@ def seal(directory: Path) -> None:
 
 def _write(info: dict[str, Any], directory: Path) -> None:
     """Raises SetupError where the daemon would refuse it."""
-    paths = [directory / manifest.SCENE, *sorted(directory.glob("*.onnx"))]
+    paths = [*sorted(directory.glob("scene*.npz")), *sorted(directory.glob("*.onnx"))]
     digests = {path.name: manifest.digest(manifest.read(path)) for path in paths}
     sealed = {"format": manifest.FORMAT} | info  # the format stands first
     sealed |= {"format": manifest.FORMAT, "files": digests}

@@ -1,6 +1,7 @@
 """Scenes from meshes: slices at the skin's heights, their grids, how exact these are, symmetry and
 surface points."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,6 +71,22 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
         symmetry=order,
         centre=centre,
     )
+
+
+def build_all(mesh: trimesh.Trimesh, at: Sequence[tuple[Layout, float]]) -> list[Scene]:
+    """The scene of `mesh` on each of several links: their layouts, and the heights of their frames'
+    origins above its lowest point. What turns leave it unchanged is a question of all heights.
+
+    Raises:
+        SetupError: as of `build`.
+    """
+    scenes = [build(mesh, *link) for link in at]
+    if len(scenes) > 1:
+        shapes = [cut.shape for link in at for cut in outlines(mesh, *link)]
+        order, centre = symmetry(shapes, meshes.fill(shapely.union_all(shapes)))
+        surface = scenes[0].surface
+        scenes = [replace(s, symmetry=order, centre=centre, surface=surface) for s in scenes]
+    return scenes
 
 
 def outlines(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> list[meshes.Outline]:
