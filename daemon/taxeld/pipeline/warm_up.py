@@ -13,7 +13,6 @@ from taxeld.model import contacts, se2
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.calibration_check import CalibrationCheck
-from taxeld.proposals import several
 from taxeld.proposals.ladder import ClockNs, Ladder
 
 TOUCHES = 5  # touches on each rung; the first of all are slow, because their code is cold
@@ -32,10 +31,8 @@ def warm_up(
     rng = np.random.default_rng(0)
     radius_m, depth_m = model.layout.radius_m, model.depth_max_m
     poses = contacts.synthesise(model.scene, radius_m, depth_m, 8 * TOUCHES, rng).pose[:TOUCHES]
-    others = [
-        Known(one, ladder.of(k), several.beside(one, ladder)) for k, one in enumerate(more, 1)
-    ]
-    beside = several.beside(model, ladder)
+    others = [Known(one, ladder.of(k), ladder.beside(one)) for k, one in enumerate(more, 1)]
+    beside = ladder.beside(model)
     subject = Estimator(model, ladder, config, more=others, beside=beside)
     while np.median(_costs_ns(subject, poses, cpu)) > limit_ns and not ladder.is_lowest:
         ladder.step_down()

@@ -12,7 +12,9 @@ from enum import IntEnum
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Poses
+from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
+from taxeld.proposals.analytic import ANALYTIC, Table
 
 PATIENCE = 3  # touches in a row that may take too long
 
@@ -78,6 +80,12 @@ class Ladder:
     def of(self, k: int) -> Proposal:
         """The samples of the k-th object: all objects are on one rung."""
         return OfObject(self, k) if k else self
+
+    def beside(self, model: ObservationModel) -> list[Proposal]:
+        """Samples of contacts on the further links of a model. Samplers are of the first link, so
+        the others have the table, or the analytic proposal that was chosen."""
+        kind = ANALYTIC.get(self.rungs[0].proposal.name, Table)
+        return [Beside(self, kind(each)) for each in model.links[1:]]
 
     def propose(
         self, z: Floats, live: Bools, n: int, rng: np.random.Generator, k: int = 0

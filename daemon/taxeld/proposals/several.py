@@ -7,13 +7,10 @@ from pathlib import Path
 from taxeld.config.tables import FilterConfig, SceneConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
-from taxeld.model.observation import ObservationModel
-from taxeld.model.proposal import Proposal
 from taxeld.model.scene import Scene
 from taxeld.proposals import bundle
-from taxeld.proposals.analytic import ANALYTIC, Table
 from taxeld.proposals.bundle import Bundle
-from taxeld.proposals.ladder import Beside, Ladder, Rung, Step
+from taxeld.proposals.ladder import Ladder, Rung, Step
 from taxeld.proposals.manifest import Manifest
 
 OTHER = "other"  # taken among the names in messages, for none of them
@@ -74,13 +71,6 @@ def leading(bundles: Sequence[Bundle]) -> Bundle:
     """The bundle whose proposals are chosen from: the first with the most of them. An object that
     has none of the chosen name has the table."""
     return max(bundles, key=lambda one: len(one.order))
-
-
-def beside(model: ObservationModel, ladder: Ladder) -> list[Proposal]:
-    """Samples of contacts on the further links of a model: samplers are of the first link, so the
-    others have the table, or the analytic proposal that was chosen."""
-    kind = ANALYTIC.get(ladder.rungs[0].proposal.name, Table)
-    return [Beside(ladder, kind(each)) for each in model.links[1:]]
 
 
 def untimed(bundles: Sequence[Bundle], config: FilterConfig) -> Ladder:
