@@ -133,6 +133,7 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
         "stability",
         "reliability",
         "recognise",
+        "links",
         "ablation",
         "push",
     ],
@@ -160,6 +161,8 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
         ("push --cells noise", "--cells: push has no cells to choose from"),
         ("recognise --cells noise", "--cells: recognise has no cells to choose from"),
         ("recognise --objects 025_mug,999_none", "999_none: no such YCB object"),
+        ("links --cells noise", "--cells: links has no cells to choose from"),
+        ("links --layout cylinder:rows=2,columns=8,radius_m=0.03,pitch_m=0.02", "takes two, not 1"),
         ("push --objects 016_pear", "016_pear has no shipped bundle"),
     ],
 )
@@ -168,6 +171,18 @@ def test_what_there_is_not_is_refused_in_one_line_that_says_what_there_is(
 ) -> None:
     place = ["--out", str(tmp_path), "--memory", str(tmp_path), "--workers", "1"]
     assert fault in refused("evaluate", *arguments.split(" "), *place, main=main)
+
+
+def test_links_are_compared_on_the_same_touches(tmp_path: Path) -> None:
+    assert evaluate("links", "003_cracker_box", tmp_path, "--seeds", "2") == 0
+    found = {(row["skin"], row["links"]): row for row in rows(tmp_path, "links")}
+    assert {links for _, links in found} == {"first", "second", "both"}
+    for row in found.values():
+        assert row["trials"] == 2
+        assert row["found"][-1] == 1.0
+        assert row["misleading"] == 0
+    first, both = found["exact", "first"], found["exact", "both"]
+    assert first["found"][0] == both["found"][0]  # the first touch is the same
 
 
 def test_samplers_are_measured_on_the_touches_of_trials_under_chosen_conditions(

@@ -35,6 +35,7 @@ EXPERIMENTS = (
     "stability",
     "reliability",
     "recognise",
+    "links",
     "ablation",
     "push",
 )
@@ -253,11 +254,19 @@ def _evaluate(args: argparse.Namespace) -> int:
 
     taxeld-train evaluate proposals --quick --out results
     """
-    from taxeld_training.filters import ablation, experiment, push, recognise, reliability, sampled
+    from taxeld_training.filters import (
+        ablation,
+        experiment,
+        linked,
+        push,
+        recognise,
+        reliability,
+        sampled,
+    )
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment in ("frontier", "push", "recognise"):
+    if args.cells and args.experiment in ("frontier", "push", "recognise", "links"):
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
     given["layouts"] = _layouts(args)
@@ -269,6 +278,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "stability": experiment.stability_rows,
         "reliability": reliability.reliability_rows,
         "recognise": recognise.recognise_rows,
+        "links": linked.link_rows,
         "ablation": ablation.ablation_rows,
         "push": push.run,
     }
