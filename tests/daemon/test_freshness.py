@@ -26,14 +26,20 @@ def estimate(disc_model: ObservationModel) -> Estimate:
 def used(centre_m: tuple[float, float] = (0.0, 0.0), half_width_m: float = np.inf) -> Freshness:
     """Of an object that reaches 0.1 m, after a scan that was used."""
     inputs = Freshness(STALE_S, centre_m, half_width_m, reach_m=0.1)
-    inputs.last = Why.VALID
+    inputs.links[0].last = Why.VALID
     return inputs
 
 
 def test_what_became_of_the_last_scan_decides_until_the_next(estimate: Estimate) -> None:
     inputs = Freshness(STALE_S)
     seen = [(inputs.judged(estimate).status.name, inputs.why(estimate).name)]
-    for inputs.last in (Why.VALID, Why.NO_POSE, Why.SCANS_MISTIMED, Why.VALID, Why.STARTING):
+    for inputs.links[0].last in (
+        Why.VALID,
+        Why.NO_POSE,
+        Why.SCANS_MISTIMED,
+        Why.VALID,
+        Why.STARTING,
+    ):
         seen.append((inputs.judged(estimate).status.name, inputs.why(estimate).name))
     assert seen == [
         ("STARTING", "STARTING"),
@@ -51,7 +57,7 @@ def test_without_a_scan_for_too_long_everything_is_stale(estimate: Estimate) -> 
     assert inputs.judged(estimate, 10.5).status is Status.STARTING
     assert inputs.judged(estimate, 10.6).status is Status.STALE
     assert inputs.why(estimate, 10.6) is Why.NO_SCAN
-    inputs.last = Why.VALID
+    inputs.links[0].last = Why.VALID
     assert inputs.is_silent(10.6)
     assert inputs.judged(estimate, 10.6).status is Status.STALE
     assert inputs.judged(estimate).status is Status.AMBIGUOUS  # in a replay time does not pass
@@ -83,7 +89,7 @@ def test_an_estimate_without_a_touch_or_with_less_probability_than_one_leaves_is
 
 def test_while_modules_are_missing_no_estimate_is_valid(estimate: Estimate) -> None:
     inputs = used()
-    inputs.is_whole = False
+    inputs.links[0].is_whole = False
     assert inputs.why(estimate) is Why.MODULES_MISSING
 
 

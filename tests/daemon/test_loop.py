@@ -237,7 +237,7 @@ def test_the_status_line_has_p_where_the_estimate_is_valid(daemon: Daemon) -> No
     pipeline.estimate = replace(pipeline.estimate, contacts=2, p=0.5)
     daemon.tick(now)
     assert daemon._status_line(now) == "starting, not valid, contacts 2, overruns 0"
-    pipeline.freshness.last = Why.VALID
+    pipeline.freshness.links[0].last = Why.VALID
     pipeline.estimate = replace(pipeline.estimate, status=Status.CONVERGED, p=0.9962)
     daemon.tick(now)
     assert daemon._status_line(now) == "converged, p 99.6%, contacts 2, overruns 0"
@@ -248,12 +248,12 @@ def test_no_second_opinion_is_taken_while_a_scan_waits(touches: Touches) -> None
     while not pipeline.has_thought:
         touches.tick([touches.next()], Ready(device=True))
     thoughts = pipeline.estimator.counters.thoughts
-    pipeline._waiting.append((pipeline.estimate.t, touches.next()))
-    pipeline._is_due = lambda *_: False  # type: ignore[method-assign]  # its pose has not come
+    pipeline.stages[0].waiting.append((pipeline.estimate.t, touches.next()))
+    pipeline.stages[0].is_due = lambda *_: False  # type: ignore[method-assign]  # no pose has come
     touches.tick([], Ready())
     assert not pipeline.has_thought
     assert pipeline.estimator.counters.thoughts == thoughts
-    pipeline._waiting.clear()
+    pipeline.stages[0].waiting.clear()
     touches.tick([], Ready())
     assert pipeline.estimator.counters.thoughts == thoughts + 1
 

@@ -5,7 +5,7 @@ the status. Both are decided nowhere else.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
@@ -46,8 +46,21 @@ CURES = {  # the reason and its cure, in the width of a terminal (docs/stream.md
 }
 
 
+@dataclass(slots=True)
+class LinkInputs:
+    """What became of a link's last scan, and when it came."""
+
+    last: Why = Why.STARTING  # VALID where the estimator has taken it
+    is_whole: bool = True  # the hubs have the modules that the layout has
+    came_s: float = 0.0  # monotonic time
+
+
 class Freshness:
-    """What became of the last scan, and its age."""
+    """What became of the last scan of each link, and its age.
+
+    An estimate is of use while one link works: a link that does not only leaves its own touches
+    out.
+    """
 
     def __init__(
         self,
@@ -55,22 +68,36 @@ class Freshness:
         centre_m: tuple[float, float] = (0.0, 0.0),
         half_width_m: float = math.inf,
         reach_m: float = math.inf,
+        links: int = 1,
     ) -> None:
         """`stale_s`: age of the last scan [s] beyond which the inputs are stale. An object may be
         `half_width_m` from `centre_m` along x and y, and is felt up to `reach_m` from the link's
         axis."""
-        self.last = Why.STARTING  # of the last scan: VALID where the estimator has taken it
-        self.is_whole = True  # the hubs have the modules that the layout has
-        self._stale_s, self._came_s = stale_s, 0.0
+        self.links = [LinkInputs() for _ in range(links)]
+        self._stale_s = stale_s
         self._centre_m, self._half_width_m, self._reach_m = centre_m, half_width_m, reach_m
 
-    def came(self, now_s: float) -> None:
-        """A scan has come, used or not, at the monotonic time `now_s`."""
-        self._came_s = now_s
+    def came(self, now_s: float, link: int | None = None) -> None:
+        """A scan of a link, or of each, has come at the monotonic time `now_s`, used or not."""
+        for each in self.links if link is None else [self.links[link]]:
+            each.came_s = now_s
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether no link lacks modules."""
+        return all(each.is_whole for each in self.links)
 
     def is_silent(self, now_s: float) -> bool:
-        """Whether no scan has come for too long."""
-        return now_s - self._came_s > self._stale_s
+        """Whether no scan has come for too long, on any link."""
+        return all(now_s - each.came_s > self._stale_s for each in self.links)
+
+    def of_links(self, now_s: float | None = None) -> list[Why]:
+        """For each link, why its scans are of no use, VALID where they are; `now_s` as in
+        `judged`."""
+        return [
+            Why.MODULES_MISSING if why is Why.VALID and not each.is_whole else why
+            for why, each in zip(self._inputs(now_s), self.links, strict=True)
+        ]
 
     def judged(self, estimate: Estimate, now_s: float | None = None) -> Estimate:
         """The estimate with the status that its inputs allow; with `now_s`, also by their age."""
@@ -89,7 +116,7 @@ class Freshness:
         places = np.array([estimate.map, estimate.mean])[:, :2]
         off_m = np.abs(places - self._centre_m).max()
         holds = {
-            Why.MODULES_MISSING: not self.is_whole,
+            Why.MODULES_MISSING: Why.VALID not in self.of_links(now_s),
             Why.BLIND: estimate.status is Status.BLIND,
             Why.INCONSISTENT: estimate.status is Status.INCONSISTENT,
             Why.UNTOUCHED: estimate.contacts == 0,
@@ -111,5 +138,13 @@ class Freshness:
         return f"{CURES[why]} ({fact})" if fact else CURES[why]
 
     def _of_inputs(self, now_s: float | None) -> Why:
-        is_silent = now_s is not None and self.is_silent(now_s)
-        return Why.NO_SCAN if is_silent else self.last
+        """VALID where a link works, else the reason of the link that is nearest to it."""
+        whys = self._inputs(now_s)
+        return Why.VALID if Why.VALID in whys else max(whys)
+
+    def _inputs(self, now_s: float | None) -> list[Why]:
+        is_silent = [now_s is not None and now_s - e.came_s > self._stale_s for e in self.links]
+        return [
+            Why.NO_SCAN if silent else each.last
+            for silent, each in zip(is_silent, self.links, strict=True)
+        ]

@@ -22,6 +22,7 @@ class Outcome:
     skin_ns: int = 0
     propose_ns: int = 0
     filter_ns: int = 0
+    link: int = 0  # number of the link whose scan it was
 
     @property
     def is_used(self) -> bool:

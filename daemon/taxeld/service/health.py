@@ -34,7 +34,7 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
             "firmware": dict(source.firmware),
         },
         "inputs": {
-            **pipeline.input_counts(),
+            **pipeline.stages[0].counts(),
             "scans_stale": pipeline.freshness.is_silent(now_s),
             "poses_stale": t - pipeline.poses.latest_t > AGE_S,
             "poses_malformed": report.robot.malformed,
@@ -43,7 +43,7 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
             "poses_age_s": poses.age_s,
             "poses_offset_s": poses.offset_s,
         },
-        "calibration": told(pipeline.calibration, pipeline.check.doubt, t),
+        "calibration": told(pipeline.stages[0].calibration, pipeline.check.doubt, t),
         "door": {
             "starts": daemon.door.starts,
             "confined": report.confined,

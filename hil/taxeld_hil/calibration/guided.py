@@ -99,7 +99,7 @@ class Guided:
     def _on_poll(self, scans: list[Scan], track: PoseTrack) -> None:
         """Follow the scans and poses since the last call."""
         now_s = time.monotonic()
-        self._pipeline.poses = track
+        self._pipeline.stages[0].poses = track
         self._came |= bool(scans)
         for outcome in self._pipeline.advance(scans, time.time()):
             self._observer.on_outcome(outcome)

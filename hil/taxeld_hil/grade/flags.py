@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from taxeld.config.tables import SensorPoseConfig
-from taxeld.pipeline import pipeline, poses
+from taxeld.pipeline import poses, stage
 from taxeld_hil.scenario.scenario import Fault
 
 HEALTH_S = 1.5  # /taxeld/health comes once a second
-STALE_S = pipeline.SCAN_AGE_S + 0.15  # with a scan's period, and a tick
+STALE_S = stage.SCAN_AGE_S + 0.15  # with a scan's period, and a tick
 POSE_STALE_S = poses.AGE_S + SensorPoseConfig().wait_s + 0.15
 STUCK_S = 12.5  # 200 scans without a count of change, a slice of a second, and a health message
 JUMP_S = 4.0  # found when the sensor moves on, or by readings under the baseline

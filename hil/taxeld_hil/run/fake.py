@@ -71,7 +71,7 @@ class FakeDaemon:
             "uptime_s": t - self._start_s,
             "loop": {"scans": self.scans},
             "source": self.source.wire.stats(),
-            "inputs": {**self.pipeline.input_counts(), "poses_malformed": 0},
+            "inputs": {**self.pipeline.stages[0].counts(), "poses_malformed": 0},
             **self.pipeline.health(),
         }
         return messages.health(0, t, parts)
