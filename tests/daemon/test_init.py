@@ -76,7 +76,8 @@ def test_each_key_is_there_with_the_documented_words_and_its_default(
     path = tmp_path / "skin.toml"
     main(["init", str(path), *flags])
     text = path.read_text(encoding="utf-8")
-    for table in fields(Config):
+    tables = [each for each in fields(Config) if "tables" not in each.metadata]
+    for table in tables:
         for key in fields(get_type_hints(Config)[table.name]):
             assert f"# {key.metadata['doc']}\n" in text, (table.name, key.name)
     bare = "\n".join(
@@ -84,7 +85,7 @@ def test_each_key_is_there_with_the_documented_words_and_its_default(
         for line in text.splitlines()
     )
     assert asdict(parse(bare)) == asdict(parse(text)), "a default that is written is the code's"
-    assert set(tomllib.loads(bare)) == {table.name for table in fields(Config)}
+    assert set(tomllib.loads(bare)) == {table.name for table in tables}
 
 
 def test_a_file_that_is_there_is_not_overwritten(tmp_path: Path, flags: list[str]) -> None:

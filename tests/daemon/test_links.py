@@ -1,118 +1,183 @@
-"""Several links touch one object: one belief learns from all of them."""
+"""Skins of several links that touch one object: one belief, whatever one of them does."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from taxeld.config.tables import FilterConfig
-from taxeld.estimator.estimate import Status
-from taxeld.estimator.estimator import Estimator
+from taxeld.config.file import parse
+from taxeld.config.toml_tables import ConfigError
+from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.model import se2
-from taxeld.model.activation import Activation
-from taxeld.model.observation import ObservationModel
-from taxeld.proposals import bundle
-from taxeld.proposals.analytic import Table
+from taxeld.pipeline.freshness import Why
+from taxeld.service.loop import Daemon
+from taxeld.source.sources import joint
+from tests.rig.clocks import until
+from tests.rig.simulated_skin import SimulatedSkin
+from tests.rig.virtual_hub import VirtualHub
 
-RING = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-OBJECT = np.array([0.1, -0.05, 0.7])
-
-
-@pytest.fixture(scope="module")
-def model() -> ObservationModel:
-    ring = layouts.load(RING)
-    return bundle.load("box", ring, further=[ring]).model
+SPEC = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+SECOND = SPEC + ",sui=9"
+HEAD = '[scene]\nbundle = "box"\n[filter]\nproposal = "manifold"\n'
 
 
-def touches(model: ObservationModel, links: list[int]) -> Iterator[tuple[int, float, np.ndarray]]:
-    """Presses of the box at other sides, each by one of the links: (link, side, sensor)."""
-    for k, link in enumerate(links):
-        side = 2.4 * k + 0.3
-        out = np.array([np.cos(side), np.sin(side)])
-        far = 0.3
-        scene = model.links[link].scene
-        while True:  # approach until the link is pressed in by 3 mm
-            x, y = OBJECT[:2] + far * out
-            at = se2.compose(se2.inverse(OBJECT), np.array([x, y, 0.0]))
-            if scene.clearance(at[:1], at[1:2])[0][0] < model.layout.radius_m - 0.003:
-                break
-            far -= 0.0005
-        yield link, side, np.array([x, y, 0.4 * k])
+def links(*tables: str) -> str:
+    """A configuration of links with these keys each."""
+    return HEAD + "".join(f"[[skin]]\n{table}\n" for table in tables)
 
 
-def press(subject: Estimator, model: ObservationModel, links: list[int]) -> None:
-    for k, (link, _, sensor) in enumerate(touches(model, links)):
-        seen = se2.compose(se2.inverse(sensor), OBJECT)
-        z = model.links[link].activation(seen[None])[0]
-        z = np.where(z > 0.05, z, 0.0)
-        live = np.ones(len(z), dtype=np.bool_)
-        for after, each in ((0.0, z), (0.05, z), (0.1, 0.0 * z), (0.5, 0.0 * z)):
-            subject.on_scan(Activation(float(k) + after, each, live), sensor, link)
+def source(device: Path) -> str:
+    return f'source = {{kind = "serial", channel = "{device}", period_ms = 10}}'
 
 
-def subject_of(model: ObservationModel) -> Estimator:
-    return Estimator(
-        model, Table(model, 4000), FilterConfig(), beside=[Table(model.links[1], 4000)]
-    )
-
-
-def test_touches_of_two_links_find_one_object(model: ObservationModel) -> None:
-    subject = subject_of(model)
-    press(subject, model, [0, 1, 0, 1, 0, 1])
-    estimate = subject.estimate
-    assert estimate.contacts == 6
-    assert estimate.status == Status.CONVERGED
-    off = subject.rule.metric.distance(estimate.map, OBJECT)
-    assert off < 0.01
-
-
-def test_a_link_that_never_touches_changes_nothing(model: ObservationModel) -> None:
-    alone = bundle.load("box", model.layout).model
-    one = Estimator(alone, Table(alone, 4000), FilterConfig())
-    two = subject_of(model)
-    press(one, alone, [0] * 4)
-    press(two, model, [0] * 4)
-    assert np.array_equal(one.estimate.map, two.estimate.map)
-    assert one.estimate.p == two.estimate.p
-
-
-def test_a_contact_has_one_number_on_all_links(model: ObservationModel) -> None:
-    subject = subject_of(model)
-    press(subject, model, [1, 0, 1])
-    memory = subject.rule.memory  # type: ignore[attr-defined]
-    assert memory.link[memory.contact].tolist() == [1, 0, 1]
-    assert memory.number[memory.contact].tolist() == [1, 2, 3]
-
-
-def test_links_of_other_sizes_are_remembered_together() -> None:
-    big, small = layouts.load(RING), layouts.load(RING.replace("rows=5", "rows=3"))
-    scene = bundle.load("box", big).model.scene
-    of_small = ObservationModel(scene, small, 0.005)
-    model = ObservationModel(scene, big, 0.005, [of_small])
-    subject = subject_of(model)
-    press(subject, model, [0, 1, 0, 1, 1, 0])
-    assert subject.rule.metric.distance(subject.estimate.map, OBJECT) < 0.01
-
-
-def test_numpy_explains_scans_of_two_links_as_c_does(
-    model: ObservationModel, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("tables", "fault"),
+    [
+        (('name = "a"', 'name = "a"'), "skin[1].name: 'a' is that of skin[0] already"),
+        (
+            ('calibration = "a.toml"', 'calibration = "a.toml"'),
+            "skin[1].calibration: 'a.toml' is that of skin[0] already",
+        ),
+        (("", 'layuot = "x"'), "skin[1].layuot: unknown key; did you mean layout?"),
+        (
+            ("", "source = {chanel = 1}"),
+            "skin[1].source.chanel: unknown key; did you mean channel?",
+        ),
+        (("", 'source = {channel = "x"}'), "skin[1].source.kind: is required"),
+        (("", 'name = "../x"'), "skin.name: must be the name of a directory, without /"),
+    ],
+)
+def test_what_is_wrong_with_several_links_is_named_by_its_path(
+    tables: tuple[str, ...], fault: str
 ) -> None:
-    subject = subject_of(model)
-    press(subject, model, [0, 1, 1])
-    memory, poses = subject.rule.memory, subject.rule.belief.pose  # type: ignore[attr-defined]
-    fast = memory.explain(poses)
-    memory = memory.only(np.ones(len(memory), dtype=np.bool_))
-    monkeypatch.setattr(memory, "_compiled", [None, None])
-    np.testing.assert_allclose(memory.explain(poses), fast, atol=2e-3)
+    text = '[source]\nkind = "can"\nchannel = "can0"\n' + links(*tables)
+    with pytest.raises(ConfigError) as raised:
+        parse(text)
+    assert raised.value.faults == [fault]
 
 
-def test_a_sure_belief_teaches_each_link_of_its_own_contacts(model: ObservationModel) -> None:
-    subject = subject_of(model)
-    press(subject, model, [0, 1, 0, 1, 0, 1])
-    first, second = subject.taught(4, 0), subject.taught(4, 1)
-    assert first is not None
-    assert second is not None
-    assert len(first.z) >= 3
-    assert len(second.z) >= 3
-    assert subject.taught(4, 1) is None
+def test_poses_of_two_links_come_by_two_topics() -> None:
+    text = '[source]\nkind = "can"\nchannel = "can0"\n[sensor_pose]\nendpoint = "tcp://x:1"\n'
+    with pytest.raises(ConfigError, match=r"skin\[1\]\.sensor_pose\.topic"):
+        parse(text + links("", ""))
+
+
+def test_one_link_in_an_array_of_tables_is_the_one_skin() -> None:
+    text = f'[source]\nkind = "can"\nchannel = "can0"\n{HEAD}'
+    one, same = parse(text + "[skin]\nlearn = false"), parse(text + "[[skin]]\nlearn = false")
+    assert same.source == one.source
+    assert same.skin.layout == one.skin.layout
+    assert not same.skin.learn
+
+
+class TwoHubs:
+    """A daemon, and the hubs of its links."""
+
+    def __init__(self, daemon: Daemon, hubs: list[tuple[VirtualHub, SimulatedSkin]]) -> None:
+        self.daemon, self.hubs = daemon, hubs
+        self.off: set[int] = set()  # hubs that send no more
+
+    def tick(self) -> None:
+        for k, (hub, skin) in enumerate(self.hubs):
+            if k not in self.off:
+                hub.serve(time.monotonic(), lambda _, skin=skin: skin.scan().counts)  # type: ignore[misc]
+        self.daemon.tick(time.monotonic())
+
+    def until(self, holds: Callable[[], bool]) -> None:
+        until(holds, self.tick)
+
+    @property
+    def whys(self) -> list[Why]:
+        return self.daemon.pipeline.freshness.of_links(time.monotonic())
+
+
+@pytest.fixture
+def open_links(tmp_path: Path) -> Iterator[Callable[[bool], TwoHubs]]:
+    opened: list[TwoHubs] = []
+
+    def make(one_bus: bool) -> TwoHubs:
+        skins = [layouts.load(SPEC), layouts.load(SECOND)]
+        wired = [joint(skins)] if one_bus else skins
+        simulated = [SimulatedSkin(layout, seed=k) for k, layout in enumerate(wired)]
+        hubs = [
+            (VirtualHub(tmp_path / f"skin{k}", skin.modules, native=True), skin)
+            for k, skin in enumerate(simulated)
+        ]
+        tables = [
+            f'layout = "{spec}"\nstate_dir = "{tmp_path / "state"}"' for spec in (SPEC, SECOND)
+        ]
+        devices = [tmp_path / f"skin{k}" for k in ((0, 0) if one_bus else (0, 1))]
+        text = links(*(f"{t}\n{source(d)}" for t, d in zip(tables, devices, strict=True)))
+        served = '[publish]\nendpoints = []\n[control]\nendpoint = ""\n'
+        found = TwoHubs(Daemon(parse(served + text)), hubs)
+        opened.append(found)
+        return found
+
+    yield make
+    for each in opened:
+        each.daemon.close()
+        for hub, _ in each.hubs:
+            hub.unplug()
+
+
+@pytest.mark.parametrize("one_bus", [True, False])
+def test_touches_of_two_links_are_one_beliefs(
+    open_links: Callable[[bool], TwoHubs], one_bus: bool, tmp_path: Path
+) -> None:
+    rig = open_links(one_bus)
+    rig.until(lambda: rig.whys == [Why.VALID, Why.VALID])
+    pipeline = rig.daemon.pipeline
+    assert len(rig.daemon.buses) == 2 - one_bus
+    assert [stage.skin.wiring.foreign for stage in pipeline.stages] == [(), ()]
+    for k in range(2):
+        skin, at = (rig.hubs[0][1], 80 * k) if one_bus else (rig.hubs[k][1], 0)
+        skin.press[at + 40 : at + 43] = 12_000.0
+        rig.until(lambda k=k: pipeline.estimate.contacts == k + 1)  # type: ignore[misc]
+        assert pipeline.estimator.used is None or pipeline.estimator.used.link == k
+        assert pipeline.stages[k].skin.touched
+        skin.press[:] = 0.0
+        rig.until(lambda: not pipeline.estimate.contact)
+    rig.daemon.close()
+    state = tmp_path / "state"
+    assert (state / "skin.json").is_file()
+    assert (state / "link2" / "skin.json").is_file()
+
+
+def test_a_silent_link_leaves_the_other_working(open_links: Callable[[bool], TwoHubs]) -> None:
+    rig = open_links(False)
+    rig.until(lambda: rig.whys == [Why.VALID, Why.VALID])
+    rig.hubs[1][1].press[40:43] = 12_000.0
+    rig.until(lambda: rig.daemon.pipeline.estimate.contacts == 1)
+    rig.hubs[1][1].press[:] = 0.0
+    rig.until(lambda: not rig.daemon.pipeline.estimate.contact)
+    rig.off.add(1)
+    rig.until(lambda: rig.whys == [Why.VALID, Why.NO_SCAN])
+    now_s = time.monotonic()
+    rig.daemon._next_estimate_s = rig.daemon._next_health_s = 0.0
+    rig.tick()
+    estimate, health = rig.daemon.state()["estimate"], rig.daemon.state()["health"]
+    assert estimate["links"] == [Why.VALID, Why.NO_SCAN]
+    assert estimate["why"] not in (Why.NO_SCAN, Why.STARTING)
+    assert health["links"]["link2"]["why"] == Why.NO_SCAN
+    assert rig.daemon.of_each(now_s)["link1"] is Why.VALID
+    rig.off.add(0)
+    rig.until(lambda: rig.daemon.pipeline.freshness.is_silent(time.monotonic()))
+    assert rig.daemon._estimate(time.monotonic()).status.name == "STALE"
+
+
+def test_two_links_of_the_same_modules_are_not_on_one_bus(tmp_path: Path) -> None:
+    with VirtualHub(tmp_path / "skin", SimulatedSkin(layouts.load(SPEC)).modules, native=True):
+        table = f'layout = "{SPEC}"\n{source(tmp_path / "skin")}'
+        text = '[publish]\nendpoints = []\n[control]\nendpoint = ""\n' + links(table, table)
+        with pytest.raises(
+            SetupError, match="link1 and link2 are on one bus, and both have module"
+        ):
+            Daemon(parse(text))
+
+
+def test_the_first_module_of_a_layout_changes_no_bundle() -> None:
+    one, two = layouts.load(SPEC), layouts.load(SECOND)
+    assert one.digest == two.digest
+    assert np.array_equal(one.uid + (8 << 4), two.uid)

@@ -157,7 +157,7 @@ def test_modules_that_are_missing_may_be_allowed_for() -> None:
     pipeline, skin = hub_of(7)
     assert not pipeline.freshness.is_whole
     allowed = replace(pipeline.config.skin, missing_modules=1)
-    pipeline.config = replace(pipeline.config, skin=allowed)
+    pipeline.stages[0].config = replace(pipeline.config, skin=allowed)
     list(pipeline.advance([skin.scan()], skin.scan().t))
     assert pipeline.freshness.is_whole
 

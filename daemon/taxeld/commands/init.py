@@ -66,7 +66,7 @@ def _text(path: Path, given: Tables) -> str:
         "# The link that carries the skin must stand upright, its axis within 0.1 rad of vertical;",
         "# a daemon cannot notice that it is tilted.",
     ]
-    for table in fields(Config):
+    for table in (each for each in fields(Config) if "tables" not in each.metadata):
         text += ["", f"[{table.name}]"]
         values = given.get(table.name, {})
         for key in fields(get_type_hints(Config)[table.name]):

@@ -35,7 +35,10 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
         raise SetupError("source.kind: 'replay' is a recording already; use can, serial or array")
     named = Path(config.skin.calibration) if config.skin.calibration else None
     moves = bool(config.sensor_pose.endpoint)
-    return Recorder(directory, moves=moves, config=config_path, calibration=named)
+    recorder = Recorder(directory, moves=moves, config=config_path, calibration=named)
+    for k, name in enumerate(config.names[1:], 1):
+        recorder.beside[k] = Recorder(directory / name, moves=moves)
+    return recorder
 
 
 class Recording:

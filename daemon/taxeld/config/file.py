@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
-from taxeld.config import endpoints, toml_tables
+from taxeld.config import endpoints, links, toml_tables
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld_protocol import icub
@@ -27,9 +27,17 @@ def load(path: Path) -> Config:
         # an absolute path stays unchanged
         skin = replace(skin, calibration=str(path.parent / skin.calibration))
     skin = replace(skin, layout=_beside(path, skin.layout))
+    further = tuple(
+        replace(
+            link,
+            layout=_beside(path, link.layout),
+            calibration=str(path.parent / link.calibration) if link.calibration else "",
+        )
+        for link in config.links
+    )
     several = tuple(_beside(path, name, SHIPPED) for name in scene.bundles)
     scene = replace(scene, bundle=_beside(path, scene.bundle, SHIPPED), bundles=several)
-    return replace(config, skin=skin, scene=scene)
+    return replace(config, skin=skin, scene=scene, links=further)
 
 
 def opened(path: Path, most: int | None = None) -> BinaryIO:
@@ -70,8 +78,8 @@ def parse(text: str, name: str = "configuration") -> Config:
     Raises:
         ConfigError: all faults at once.
     """
-    config = toml_tables.parse(Config, text, name)
-    faults: list[str] = []
+    config = links.completed(toml_tables.parse(Config, text, name))
+    faults: list[str] = links.faults(config)
     _check_source(config.source, faults)
     _check_scene(config, faults)
     _check_endpoints(config, faults)

@@ -4,10 +4,10 @@ Names of keys end in their units.
 """
 
 from collections import Counter
-from dataclasses import dataclass, field
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
-from taxeld.config.toml_tables import between, key, one_of
+from taxeld.config.toml_tables import Given, between, key, one_of
 from taxeld_protocol import icub
 from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
@@ -175,6 +175,20 @@ class SensorPoseConfig:
 
 
 @dataclass(frozen=True, slots=True)
+class LinkPoseConfig:
+    topic: str = key("", doc="the robot's topic for this link; empty: /robot/sensor_pose")
+
+
+@dataclass(frozen=True, slots=True)
+class LinkConfig(SkinConfig):
+    """`[[skin]]`: the skin of one of several links, which touch the same object."""
+
+    name: str = key("", doc="of the link; empty: link1, link2, …")
+    source: Given[SourceConfig] = field(default_factory=Given)
+    sensor_pose: LinkPoseConfig = field(default_factory=LinkPoseConfig)
+
+
+@dataclass(frozen=True, slots=True)
 class LoopConfig:
     rate_hz: float = key(
         100.0,
@@ -308,5 +322,32 @@ class Config:
     relay: RelayConfig = field(default_factory=RelayConfig)
     curve: CurveConfig = field(default_factory=CurveConfig)
     log: LogConfig = field(default_factory=LogConfig)
+    links: tuple[LinkConfig, ...] = field(default=(), metadata={"tables": "skin"})
+
+    @staticmethod
+    def filled(data: dict[str, Any]) -> dict[str, Any]:
+        """The tables with the first link's source in place of one for all."""
+        match data:
+            case {"skin": [{"source": own}, *_]} if "source" not in data:
+                return data | {"source": own}
+        return data
+
+    def of_link(self, number: int) -> "Config":
+        """The configuration as if this link were the only one."""
+        if not self.links:
+            return self
+        link = self.links[number]
+        own = link.source.over(SourceConfig("can")) if link.source.keys else self.source
+        return replace(self, skin=link, source=own, links=())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The links' names; one without a name where there is one skin."""
+        return tuple(link.name for link in self.links) or ("",)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """The topics of the links' sensor poses; empty: the usual one."""
+        return tuple(link.sensor_pose.topic for link in self.links) or ("",)
 
     GONE: ClassVar = {"metrics.file": "run examples/metrics.py, which subscribes"}

@@ -106,6 +106,7 @@ def parse(cls: type[T], text: str, name: str) -> T:
 def _table(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> object:
     """A dataclass from a TOML table; None where its faults make that impossible."""
     before = len(faults)
+    data = getattr(cls, "filled", lambda given: given)(data)
     values = _values(cls, data, path, faults)
     for name, spec in ((f.name, f) for f in fields(cls) if f.name not in data):
         if spec.default is MISSING and spec.default_factory is MISSING:
@@ -115,7 +116,11 @@ def _table(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> obj
 
 def _values(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> dict[str, Any]:
     """The keys that a TOML table gives of a dataclass."""
-    known = {f.name: f for f in fields(cls)}
+    known = {f.name: f for f in fields(cls) if "tables" not in f.metadata}
+    for spec in fields(cls):  # a table that may also be given as several, [[table]]
+        name = str(spec.metadata.get("tables", ""))
+        if isinstance(data.get(name), list):
+            known[name] = spec
     hints = get_type_hints(cls)
     gone: Mapping[str, str] = getattr(cls, "GONE", {})  # key, or TABLE.key → what replaces it
     for name in data.keys() - known:
@@ -127,7 +132,7 @@ def _values(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> di
         hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
         faults.append(f"{path}{name[:KEY_SHOWN]}: unknown key; {hint}")
     return {
-        name: _value(hints[name], spec, data[name], path + name, faults)
+        spec.name: _value(hints[spec.name], spec, data[name], path + name, faults)
         for name, spec in known.items()
         if name in data
     }

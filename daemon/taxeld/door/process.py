@@ -190,7 +190,9 @@ class Door:
             return []
         return [INFO, self._latest[INFO], b"%.6f" % time.time()]
 
-    def _on_poses(self, packed: bytes) -> bool:
+    def _on_poses(self, packed: bytes, link: int) -> bool:
+        if link:
+            return pair.send(self._end, Kind.POSES_OF, bytes([link]) + packed)
         return pair.send(self._end, Kind.POSES, packed)
 
     def _on_array(self, packed: bytes) -> bool:
@@ -240,7 +242,9 @@ class Door:
         self._serve(context, settings.relay_control, "relay.control", lambda _: refused)
         if settings.robot:
             now_s = time.monotonic()
-            self._robot = Robot(context, settings.robot, self._on_poses, keys.robot, now_s)
+            self._robot = Robot(
+                context, settings.robot, self._on_poses, keys.robot, now_s, settings.topics
+            )
             self._report.robot = self._robot.line
         if settings.array:
             self._array = open_arrays(context, settings.array, self._on_array)

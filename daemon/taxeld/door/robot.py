@@ -6,7 +6,7 @@ publishes is listened to for a moment, so that a wrong topic can be named.
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import zmq
@@ -27,7 +27,7 @@ NAME = re.compile(rb"[!-~]{0,%d}" % TOPIC_MAX)  # a topic up to where it is no t
 SILENT_S = 1.0  # without a pose for so long, other topics are listened to
 LISTEN_S, PAUSE_S = 3.0, 30.0  # for so long, and then not again
 
-OnPoses = Callable[[bytes], object]
+OnPoses = Callable[[bytes, int], object]
 Pose = tuple[float, float, float, float]
 
 
@@ -44,16 +44,20 @@ class Robot(Heard):
         on_poses: OnPoses,
         keys: RobotKeys | None,
         now_s: float,
+        topics: Sequence[str] = (),
     ) -> None:
-        """`on_poses` is given up to `pair.POSES_MAX` well-formed poses, packed as `pair.POSE`;
-        `now_s` is monotonic.
+        """`topics`: of the links' sensors, where there are several; `on_poses` is given
+        up to `pair.POSES_MAX` well-formed poses, packed as `pair.POSE`, and the number of their
+        link; `now_s` is monotonic.
 
         Raises:
             SetupError: the endpoint is none.
         """
         self.is_awaited = False  # whether the loop waits for the next pose
         self._on_poses = on_poses
-        self._packed: list[bytes] = []  # poses that have not been passed on
+        # the links' topics with their numbers, and their poses that have not been passed on
+        self._links = {topic.encode(): k for k, topic in enumerate(topics)} or {SENSOR_POSE: 0}
+        self._packed: list[list[bytes]] = [[] for _ in self._links]
         self._pose_s = now_s  # when the last one came
         self._listens_s: float | None = None  # since when to other topics
         self._pauses_s = -math.inf  # until then not again
@@ -69,10 +73,13 @@ class Robot(Heard):
     def _open(self) -> None:
         self._listens_s = None
         super()._open()
+        for topic in self._links.keys() - {SENSOR_POSE}:
+            self.socket.setsockopt(zmq.SUBSCRIBE, topic)
 
     def _take(self, now_s: float, parts: list[bytes]) -> None:
-        is_glued = len(parts) == 1 and parts[0].startswith(SENSOR_POSE)
-        if parts[0] != SENSOR_POSE and not is_glued:  # its prefix is all that ZeroMQ looks at
+        link = self._links.get(parts[0])
+        is_glued = len(parts) == 1 and parts[0].startswith(tuple(self._links))
+        if link is None and not is_glued:  # its prefix is all that ZeroMQ looks at
             name = NAME.findall(parts[0])[0].decode() or "a topic that is no text"
             known = self.line.topics
             if self._listens_s is not None and name not in known and len(known) < TOPICS_MAX:
@@ -88,14 +95,16 @@ class Robot(Heard):
             self.line.reason = pose[:REASON_MAX]
             return
         self._pose_s, self.is_awaited = now_s, False
-        self._packed.append(pair.POSE.pack(*pose))
-        if len(self._packed) == pair.POSES_MAX:
+        packed = self._packed[link or 0]
+        packed.append(pair.POSE.pack(*pose))
+        if len(packed) == pair.POSES_MAX:
             self._pass_on()
 
     def _pass_on(self) -> None:
-        if self._packed:
-            self._on_poses(b"".join(self._packed))
-        self._packed.clear()
+        for link, packed in enumerate(self._packed):
+            if packed:
+                self._on_poses(b"".join(packed), link)
+            packed.clear()
 
     def _note(self, event: int, now_s: float) -> None:
         super()._note(event, now_s)

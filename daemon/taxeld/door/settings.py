@@ -19,6 +19,7 @@ class Settings:
     relay_publish: tuple[str, ...] = ()  # TCP
     relay_control: str = ""  # TCP; empty: none
     relay_change: bool = False  # tare and reset are taken there
+    topics: tuple[str, ...] = ()  # of the links' poses, where there are several
     array: str = ""  # where arrays are heard; empty: nowhere
     keys: str = ""  # directory of CURVE's keys; empty: none
 
@@ -34,5 +35,5 @@ class Settings:
     @classmethod
     def parse(cls, text: str) -> Self:
         given = json.loads(text)
-        lists = {name: tuple(given[name]) for name in ("publish", "relay_publish")}
+        lists = {name: tuple(given[name]) for name in ("publish", "relay_publish", "topics")}
         return cls(**given | lists)

@@ -15,6 +15,7 @@ from taxeld_protocol.modules import MAX_MODULES
 TAXELS_PER_MODULE = 10  # wiring of a generated cylinder; a real CySkin triangle has ten as well
 MAX_TAXELS = MAX_MODULES * TAXELS_PER_MODULE  # modules that an IHB can address × taxels
 LENGTH_MAX_M = 10.0
+SUI_MAX = 1_000_000
 
 # Measured places of T1..T10 in a CySkin triangle: from its middle, base above, apex below.
 TRIANGLE_M = 1e-3 * np.array(
@@ -32,8 +33,9 @@ EXAMPLES = {
 }
 
 
-def cylinder(rows: int, columns: int, radius_m: float, pitch_m: float) -> Layout:
-    """An even grid: row by row from below, column 0 at angle 0, counter-clockwise.
+def cylinder(rows: int, columns: int, radius_m: float, pitch_m: float, sui: int = 1) -> Layout:
+    """An even grid: row by row from below, column 0 at angle 0, counter-clockwise; `sui`: of the
+    first module.
 
     Raises:
         ValueError: no taxels, more than a hub carries, or a length that is not positive.
@@ -44,7 +46,10 @@ def cylinder(rows: int, columns: int, radius_m: float, pitch_m: float) -> Layout
     r, c = (a.ravel() for a in np.mgrid[0:rows, 0:columns])
     name = f"cylinder:rows={rows},columns={columns},radius_m={radius_m:g},pitch_m={pitch_m:g}"
     height = (r - (rows - 1) / 2.0) * pitch_m
-    return _around(name, 2.0 * np.pi * c / columns, height, radius_m)
+    if not 0 < sui <= SUI_MAX:
+        raise ValueError(f"sui must be 1..{SUI_MAX}, not {sui}")
+    name += f",sui={sui}" if sui > 1 else ""
+    return _around(name, 2.0 * np.pi * c / columns, height, radius_m, sui)
 
 
 def wrap(modules: int, radius_m: float, rows: int = 1) -> Layout:
@@ -101,19 +106,19 @@ def parse(spec: str) -> Layout | None:
             values[key] = keys[key](text)
         except ValueError:
             raise ValueError(f"'{item}' is not {key}=<{keys[key].__name__}>") from None
-    missing = keys.keys() - values - ({"rows"} if make is wrap else set())
+    missing = keys.keys() - values - ({"rows"} if make is wrap else {"sui"})
     if missing:
         raise ValueError(f"{kind} lacks {', '.join(sorted(missing))}; use '{EXAMPLES[kind]}'")
     return make(**values)
 
 
-def _around(name: str, angle: Floats, height_m: Floats, radius_m: float) -> Layout:
+def _around(name: str, angle: Floats, height_m: Floats, radius_m: float, sui: int = 1) -> Layout:
     """Taxels on a cylinder, at angles (M,) [rad] and heights (M,)."""
     normal = np.stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))], axis=1)
     position = radius_m * normal
     position[:, 2] = height_m
     i = np.arange(len(angle))
-    uid = (i // TAXELS_PER_MODULE + 1) << 4 | (i % TAXELS_PER_MODULE + 1)
+    uid = (i // TAXELS_PER_MODULE + sui) << 4 | (i % TAXELS_PER_MODULE + 1)
     return Layout(name, uid, position, normal, radius_m)
 
 

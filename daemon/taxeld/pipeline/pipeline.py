@@ -21,6 +21,7 @@ from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
 from taxeld.pipeline.stage import SCAN_AGE_S, LinkStage
+from taxeld.proposals import several
 from taxeld.proposals.ladder import Ladder
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
@@ -44,27 +45,43 @@ class Pipeline:
         model: ObservationModel,
         ladder: Ladder,
         on_pose: OnPose | None = None,
-        calibration: Calibration | None = None,
+        calibration: Calibration | Sequence[Calibration | None] | None = None,
         extrapolate_s: float = EXTRAPOLATE_S,
         more: Sequence[ObservationModel] = (),
+        on_poses: Sequence[OnPose | None] = (),
     ) -> None:
         """`more`: of further objects that may be felt, which the ladder has as well. `on_pose` is
-        called with every accepted sensor pose (t, x, y, θ), as the robot sends it. `calibration`:
-        of the skin and its mount on the robot. `extrapolate_s`: as of PoseTrack."""
-        config = calibrated(config, calibration)
-        self.config = config
+        called with every accepted sensor pose (t, x, y, θ) of the first link, as the robot sends
+        it, `on_poses` with those of the further ones. `calibration`: of the skin and its mount on
+        the robot, or one for each link. `extrapolate_s`: as of PoseTrack."""
+        given = calibration if isinstance(calibration, Sequence) else [calibration]
+        each = [calibrated(config.of_link(k), one) for k, one in enumerate(given)]
+        self.config = config = each[0]
         self.ladder = ladder
-        period_s = config.source.period_ms / 1000.0
-        silent_s = max(SCAN_AGE_S, SILENT_PERIODS * period_s)
         square = config.filter.centre_m, config.filter.half_width_m
-        self.freshness = Freshness(silent_s, *square, max(map(_reach_m, [model, *more])))
-        (fresh,) = self.freshness.links
+        reach_m = max(_reach_m(link) for one in [model, *more] for link in one.links)
+        silent_s = [max(SCAN_AGE_S, SILENT_PERIODS * one.source.period_ms / 1e3) for one in each]
+        self.freshness = Freshness(max(silent_s), *square, reach_m, len(each))
         self.stages = [
-            LinkStage(config, model.layout, silent_s, fresh, on_pose, calibration, extrapolate_s)
+            LinkStage(
+                one,
+                link.layout,
+                s,
+                fresh,
+                [on_pose, *on_poses][k] if k <= len(on_poses) else None,
+                given[k],
+                extrapolate_s,
+            )
+            for k, (one, link, s, fresh) in enumerate(
+                zip(each, model.links, silent_s, self.freshness.links, strict=True)
+            )
         ]
-        others = [Known(one, ladder.of(k)) for k, one in enumerate(more, 1)]
+        others = [
+            Known(one, ladder.of(k), several.beside(one, ladder)) for k, one in enumerate(more, 1)
+        ]
         robot_m, most = config.sensor_pose.sigma_m, config.scene.max_objects
-        self.estimator = Estimator(model, ladder, config.filter, robot_m, others, most)
+        beside = several.beside(model, ladder)
+        self.estimator = Estimator(model, ladder, config.filter, robot_m, others, most, beside)
         self._judge_by(self.estimator.estimate.object)
         self._learns = config.skin.learn and config.filter.motion == "none"
         self.estimate = self.freshness.judged(self.estimator.estimate)
@@ -180,6 +197,8 @@ class Pipeline:
 
     def _next(self) -> LinkStage:
         """The link whose first waiting scan is the earliest of all links'."""
+        if len(self.stages) == 1:
+            return self.stages[0]
         waiting = (stage for stage in self.stages if stage.waiting)
         return min(waiting, key=lambda stage: stage.waiting[0][1].t)
 
@@ -207,8 +226,9 @@ class Pipeline:
         if believed.object != self._judged:
             self._judge_by(believed.object)
         own = [mode for mode in believed.modes if mode.object == believed.object]
-        estimate = self.estimator.learn(activation, sensor)
-        self.check.on_scan(self.estimator.used, own, estimate.contacts)
+        estimate = self.estimator.learn(activation, sensor, link)
+        if not link:  # a full scale or mount in doubt is the first link's
+            self.check.on_scan(self.estimator.used, own, estimate.contacts)
         if self.thinks_at_once:
             self._consider()
             while self.estimator.is_behind:
@@ -228,10 +248,11 @@ class Pipeline:
         self._judged, self.check = number, CalibrationCheck(model, self.config.filter)
 
     def _learn(self, least: int) -> None:
-        """Have a sure belief teach the skin, once it can tell of so many contacts more."""
-        lesson = self.estimator.taught(least) if self._learns else None
-        if lesson is not None:
-            self.skin.teach(lesson)
+        """Have a sure belief teach the skins, once it can tell of so many contacts more."""
+        for number, stage in enumerate(self.stages if self._learns else ()):
+            lesson = self.estimator.taught(least, number)
+            if lesson is not None:
+                stage.skin.teach(lesson)
 
     def _consider(self) -> bool:
         """Take a step of the check and a second opinion; → whether the estimate has changed."""

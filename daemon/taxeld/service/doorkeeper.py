@@ -17,6 +17,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+from taxeld.config import links
 from taxeld.config.tables import Config
 from taxeld.door.settings import OOM_SCORE, Settings
 from taxeld.errors import SetupError
@@ -166,6 +167,7 @@ def settings_of(config: Config, robot: str) -> Settings:
         control=config.control.endpoint,
         change_group=config.control.group,
         robot=robot,
+        topics=_topics_of(config),
         array=_array_of(config),
         queue=max(round(QUEUE_S * messages_hz), QUEUE_LEAST),
         relay_publish=config.relay.publish,
@@ -182,10 +184,15 @@ def poses_alone(config: Config) -> Settings:
         control="",
         change_group="",
         robot=config.sensor_pose.endpoint,
+        topics=_topics_of(config),
         array=_array_of(config),
         queue=QUEUE_LEAST,
         keys=config.curve.directory,
     )
+
+
+def _topics_of(config: Config) -> tuple[str, ...]:
+    return tuple(links.topics(config)) if config.links else ()
 
 
 @contextlib.contextmanager
@@ -211,7 +218,8 @@ def array_heard(source: Source, endpoint: str) -> Iterator[None]:
 
 
 def _array_of(config: Config) -> str:
-    return config.source.endpoint if config.source.kind == "array" else ""
+    found = (bus.endpoint for bus, _ in links.buses(config) if bus.kind == "array")
+    return next(found, "")
 
 
 def _environment() -> dict[str, str]:

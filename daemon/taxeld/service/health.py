@@ -15,7 +15,12 @@ if TYPE_CHECKING:
 
 def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
     """The message; `seq`: of the last estimate, `now_s` is monotonic, `t` Unix time."""
-    pipeline, source, recorder = daemon.pipeline, daemon.source, daemon.recorder
+    config, pipeline, source, recorder = (
+        daemon.config,
+        daemon.pipeline,
+        daemon.source,
+        daemon.recorder,
+    )
     report, poses = daemon.link.report, daemon.pose_figures(t)
     written = recorder.counters if recorder else None
     parts = {
@@ -57,4 +62,19 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
         },
         **pipeline.health(),
     }
+    if len(daemon.layouts) > 1:
+        parts["links"] = {name: _link(daemon, k, now_s, t) for k, name in enumerate(config.names)}
     return messages.health(seq, t, parts)
+
+
+def _link(daemon: "Daemon", number: int, now_s: float, t: float) -> dict[str, Any]:
+    """What one of several links adds: why its scans are of no use, its source, and its skin."""
+    stage = daemon.pipeline.stages[number]
+    source = next(bus.source for bus in daemon.buses if number in bus.links)
+    return {
+        "why": int(daemon.pipeline.freshness.of_links(now_s)[number]),
+        "waiting": bool(source.waits_for),
+        "lost": source.counters.lost,
+        "inputs": {**stage.counts(), "poses_stale": t - stage.poses.latest_t > AGE_S},
+        **stage.health(),
+    }

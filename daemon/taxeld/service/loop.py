@@ -9,21 +9,25 @@ import contextlib
 import hashlib
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from taxeld.arrays import Poses
+from taxeld.config import links
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
+from taxeld.layout.layout import Layout
 from taxeld.model.activation import Activation
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.pose_watch import PoseFigures, PoseWatch
+from taxeld.pipeline.poses import OnPose
 from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import choice, several
 from taxeld.service import calibration_file, health, realtime, state_file
@@ -37,7 +41,7 @@ from taxeld.service.ticker import ALL, Ready, Ticker, wait
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.source import Source
-from taxeld.source.sources import open_source
+from taxeld.source.sources import Bus, check_uids, joint, open_source
 from taxeld.stream import messages
 from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Scan
@@ -92,20 +96,41 @@ class Daemon:
     def _prepare(self, config: Config, recorder: Recorder | None) -> None:
         """Build everything except devices and files."""
         self.counters = LoopCounters()
-        self.layout = layouts.load(config.skin.layout)
-        bundles = several.load(config.scene, self.layout, config.skin.full_scale_depth_m)
-        calibration = calibration_file.of(config, self.layout)
+        self.of_links = [config.of_link(k) for k in range(len(config.names))]
+        self.layouts = [layouts.load(one.skin.layout) for one in self.of_links]
+        self.layout, *further = self.layouts
+        depth_m = config.skin.full_scale_depth_m
+        bundles = several.load(config.scene, self.layout, depth_m, further)
+        calibration = [
+            calibration_file.of(one, layout)
+            for one, layout in zip(self.of_links, self.layouts, strict=True)
+        ]
         ladder = choice.ladder(bundles, config, time.perf_counter_ns)
         on_pose = recorder.pose if recorder else None
         model, *self._more = (one.model for one in bundles)
-        self.pipeline = Pipeline(config, model, ladder, on_pose, calibration, more=self._more)
+        self.pipeline = Pipeline(
+            config,
+            model,
+            ladder,
+            on_pose,
+            calibration,
+            more=self._more,
+            on_poses=self._recorded_beside(recorder),
+        )
         self.pipeline.thinks_at_once = False
         self.recorder = recorder
         self.latencies = Latencies(messages.STAGES)
         self.clock = WallClock()
-        place, pipeline = state_file.directory(config), self.pipeline
-        self.kept = StateFile(place, pipeline.skin, pipeline.skin_state)
-        self.kept.restore(time.time())
+        self.kept = [
+            StateFile(
+                state_file.directory(one, config.names[k] if k else ""),
+                self.pipeline.stages[k].skin,
+                partial(self.pipeline.skin_state, k),
+            )
+            for k, one in enumerate(self.of_links)
+        ]
+        for kept in self.kept:
+            kept.restore(time.time())
         self.realtime = realtime.RealTime()
         self._publish_us = 0.0  # time of sending the last estimate [µs]
         self._seq = 0
@@ -122,22 +147,40 @@ class Daemon:
         self._notices = Notices(self._names, self.pipeline.ladder.name, paths)
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
-        digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
-        self._info = messages.info(self.layout, scenes, digest)
-        self._watch = _watch_of(config)
+        given = asdict(config)
+        if not config.links:
+            del given["links"]
+        digest = hashlib.sha256(repr(given).encode()).hexdigest()[:16]
+        self._info = messages.info(self.layout, scenes, digest, self._named)
+        self._watches = [_watch_of(one) for one in self.of_links]
         changes = {"tare": self.pipeline.tare, "reset": self.pipeline.reset}
         self.link = Link(self._info, self._on_pose, changes)
+        for k in range(1, len(self.layouts)):
+            self.link.on_poses[k] = partial(self._on_pose, link=k)
 
     def _open(self, opened: contextlib.ExitStack, config: Config) -> None:
         opened.callback(self.link.detach)
-        opened.callback(self.kept.close)
+        for kept in self.kept:
+            opened.callback(kept.close)
         if self.recorder:
             opened.enter_context(self.recorder)
-        self.source: Source = open_source(
-            config.source, self.layout, self.recorder, self.pipeline.poses.add, wait=True
-        )
-        opened.callback(self.source.close)
-        self.link.on_array = self.source.hear
+        self.buses = list[Bus]()
+        for bus, numbers in links.buses(config):
+            own = [self.layouts[k] for k in numbers]
+            check_uids([config.names[k] for k in numbers], own)
+            suis = {int(uid) >> 4 for layout in own for uid in layout.uid}
+            for k in numbers:
+                wiring = self.pipeline.stages[k].skin.wiring
+                wiring.neighbours = suis - set(wiring.suis)
+            source = open_source(
+                bus, joint(own), self._recorder_of(numbers[0]), self.pipeline.poses.add, wait=True
+            )
+            opened.callback(source.close)
+            if source.comes_by_door:
+                self.link.on_array = source.hear
+            self.buses.append(Bus(source, numbers, own))
+        self.source: Source = self.buses[0].source  # of the first link
+        self.sources = [bus.source for bus in self.buses]
         self.door.wait(self.link)
 
     def stop(self) -> None:
@@ -175,24 +218,26 @@ class Daemon:
             self.counters.overruns = ticker.missed
             self.tick(now, ready)
             notifier.tick(now, self._status_line)
-            opened = self.source.counters.unopened + self.source.counters.reopened
-            collector.tick(now, opened, pressed=self.pipeline.skin.touched)
+            opened = sum(s.counters.unopened + s.counters.reopened for s in self.sources)
+            collector.tick(now, opened, pressed=self._is_pressed)
             between()
-            if self.source.fault:
-                raise SetupError(self.source.fault)
-            if self.source.finished and not self.pipeline.has_waiting:
+            fault = next((source.fault for source in self.sources if source.fault), "")
+            if fault:
+                raise SetupError(fault)
+            if all(source.finished for source in self.sources) and not self.pipeline.has_waiting:
                 break
             ready = self._wait(ticker)
 
     def _wait(self, ticker: Ticker) -> Ready:
         """Wait until the next pass is due, by an arrival or by the clock."""
-        pipeline, source = self.pipeline, self.source
+        pipeline, sources = self.pipeline, self.sources
         if pipeline.has_waiting:
             self.link.ask_poses(also_next=True)
-        is_busy = pipeline.has_waiting or pipeline.has_thought or source.is_busy
+        is_busy = pipeline.has_waiting or pipeline.has_thought or any(s.is_busy for s in sources)
         until_s = ticker.until(busy=is_busy)
-        hears = pipeline.has_waiting or source.comes_by_door
-        ready = wait(source.device, self.link.end if hears else None, until_s)
+        hears = pipeline.has_waiting or self._by_door
+        door, further = self.link.end if hears else None, [s.device for s in sources[1:]]
+        ready = wait(sources[0].device, door, until_s, further)
         if ready.device:
             self.link.ask_poses(also_next=False)
             self._gather()
@@ -203,7 +248,7 @@ class Daemon:
         than all work on the scan."""
         held = 0
         for _ in range(GATHERS):
-            before, held = held, self.source.gather()
+            before, held = held, sum(source.gather() for source in self.sources)
             if held == before:
                 return
             time.sleep(GATHER_S)
@@ -216,30 +261,61 @@ class Daemon:
         wall_s, stepped = self.clock.read()
         if stepped:
             self.pipeline.clock_stepped(stepped)
-            self.source.clock_stepped(stepped)
-            self._watch.clock_stepped()
-        if self.source.comes_by_door:
+            for source in self.sources:
+                source.clock_stepped(stepped)
+            for watch in self._watches:
+                watch.clock_stepped()
+        if self._by_door:
             self._look_at_door(now_s, asked=ready.door)
-        scans = self.source.poll(now_s)
-        self.counters.scans += len(scans)
-        came = (ready.door or bool(scans)) and not self.source.comes_by_door  # else it has looked
+        scans, *further = self._poll(now_s)
+        has_scans = any((scans, *further))
+        came = (ready.door or has_scans) and not self._by_door  # else it has looked
         self._look_at_door(now_s, asked=came or self.pipeline.has_waiting)
-        self._work(scans, start, wall_s, now_s)
-        if not (scans or ready.device) and self.pipeline.has_thought:
+        self._work(scans, start, wall_s, now_s, further)
+        if not (has_scans or ready.device) and self.pipeline.has_thought:
             self._think(now_s)
-        self.kept.keep(now_s)
+        for kept in self.kept:
+            kept.keep(now_s)
         self._publish_due(now_s)
         own_s = (time.thread_time_ns() - cpu) / 1e9
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
 
-    def _work(self, scans: list[Scan], start_ns: int, wall_s: float, now_s: float) -> None:
+    def _poll(self, now_s: float) -> list[list[Scan]]:
+        """The scans that have come, of each link."""
+        came: list[list[Scan]] = [[] for _ in self.layouts]
+        for bus in self.buses:
+            scans = bus.source.poll(now_s)
+            self.counters.scans += len(scans)
+            for scan in scans:
+                for link in bus.links_of(scan):
+                    came[link].append(scan)
+        return came
+
+    @property
+    def _by_door(self) -> bool:
+        """Whether scans come by the door, as those of an array do."""
+        return any(source.comes_by_door for source in self.sources)
+
+    @property
+    def _is_pressed(self) -> bool:
+        return any(stage.skin.touched for stage in self.pipeline.stages)
+
+    def _work(
+        self,
+        scans: list[Scan],
+        start_ns: int,
+        wall_s: float,
+        now_s: float,
+        further: Sequence[list[Scan]] = (),
+    ) -> None:
         """Work on each scan to its end, and publish its outcome. `start_ns`: when the pass began,
-        on `perf_counter_ns`."""
+        on `perf_counter_ns`; `further`: scans of further links."""
         source_us = (time.perf_counter_ns() - start_ns) / 1000.0
         cpu = time.thread_time_ns()
         # scans are stamped while polled, so the time must be read after that
-        for outcome in self.pipeline.advance(scans, time.time() if scans else wall_s):
-            self.pipeline.freshness.came(now_s)
+        now = time.time() if any((scans, *further)) else wall_s
+        for outcome in self.pipeline.advance(scans, now, *further):
+            self.pipeline.freshness.came(now_s, outcome.link)
             start_ns = self._publish(outcome, source_us, start_ns, now_s)
             source_us = 0.0  # the time counts for the first scan alone
             before, cpu = cpu, time.thread_time_ns()
@@ -248,7 +324,10 @@ class Daemon:
 
     def _judge_touch(self, took_ns: int) -> None:
         """Let the ladder know the CPU time of a touch."""
-        ladder, limit_ns = self.pipeline.ladder, self._touch_ns(self.pipeline.skin.hubs)
+        ladder, limit_ns = (
+            self.pipeline.ladder,
+            self._touch_ns(sum(stage.skin.hubs for stage in self.pipeline.stages)),
+        )
         if ladder.took(took_ns, limit_ns):
             log.warning(
                 "touches take %.0f ms, and have %.0f: samples from now on by %s, %.0f %% of them",
@@ -275,11 +354,11 @@ class Daemon:
             self._next_look_s = now_s + LOOK_S
             self.door.look(self.link, now_s)
 
-    def _on_pose(self, t: float, x: float, y: float, theta: float) -> None:
-        now, poses = time.time(), self.pipeline.poses
+    def _on_pose(self, t: float, x: float, y: float, theta: float, link: int = 0) -> None:
+        now, poses = time.time(), self.pipeline.stages[link].poses
         far = poses.far
         poses.add(t, x, y, theta, now)
-        self._watch.add(t, now, is_far=poses.far > far)
+        self._watches[link].add(t, now, is_far=poses.far > far)
 
     def close(self) -> None:
         """Stop the skin and free everything that is open."""
@@ -300,7 +379,7 @@ class Daemon:
         if outcome.is_used or self._is_news(outcome.estimate):
             self._send_estimate(self._estimate(now_s), lat_us, now_s)
         if outcome.activation is not None:
-            self._send_activation(outcome.activation, outcome.sensor, now_s)
+            self._send_activation(outcome.activation, outcome.sensor, now_s, outcome.link)
         self.latencies.add(lat_us)
         end_ns = time.perf_counter_ns()
         self._publish_us = (end_ns - begin_ns) / 1000.0
@@ -328,13 +407,16 @@ class Daemon:
             overruns=self.counters.overruns,
             degraded=int(self.pipeline.ladder.rung.step),
             lat_us=lat_us,
+            links=self.pipeline.freshness.of_links(now_s),
         )
         self.link.send(messages.ESTIMATE, self._estimate_sent, estimate.t)
 
-    def _send_activation(self, activation: Activation, sensor: Poses | None, now_s: float) -> None:
+    def _send_activation(
+        self, activation: Activation, sensor: Poses | None, now_s: float, number: int
+    ) -> None:
         t, link = activation.t, self.link
         if link.wants(messages.TAXELS):
-            link.send(messages.TAXELS, messages.taxels(activation, sensor, self._seq), t)
+            link.send(messages.TAXELS, messages.taxels(activation, sensor, self._seq, number), t)
         due = self.pipeline.estimate.contact and now_s >= self._next_particles_s
         if due and link.wants(messages.PARTICLES):
             self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
@@ -352,13 +434,17 @@ class Daemon:
             wall_s = time.time()
             self._next_health_s = now_s + HEALTH_S
             array = self.link.report.array
-            self.source.heed(
-                connected=array.connected, malformed=array.malformed, reason=array.reason
-            )
+            for source in self.sources:
+                source.heed(
+                    connected=array.connected, malformed=array.malformed, reason=array.reason
+                )
             self._health_sent = health.of(self, self._seq, now_s, wall_s)
             self.link.send(messages.HEALTH, self._health_sent, wall_s)
-            fault, match = self._watch.fault, self.pipeline.freshness.is_whole
-            self._notices.inputs(fault, self.pipeline.skin.wiring, match=match, now_s=now_s)
+            for k, stage in enumerate(self.pipeline.stages):
+                fault, match = self._watches[k].fault, stage.fresh.is_whole
+                name, wiring = self.config.names[k], stage.skin.wiring
+                self._notices.inputs(fault, wiring, match=match, now_s=now_s, link=name)
+            self._notices.links(self.of_each(now_s), now_s)
             self.link.tell(self._state())
 
     def _estimate(self, now_s: float) -> Estimate:
@@ -366,7 +452,7 @@ class Daemon:
         return self.pipeline.freshness.judged(self.pipeline.estimate, now_s)
 
     def _status_line(self, now_s: float) -> str:
-        if self.source.waits_for:
+        if all(source.waits_for for source in self.sources):
             return f"waiting, {self.source.waits_for}"
         estimate = self._estimate(now_s)
         sure = "not valid" if self._why else f"p {estimate.p:.1%}"
@@ -382,24 +468,54 @@ class Daemon:
         sensor_pose = {
             "endpoint": self.config.sensor_pose.endpoint,
             "topics": self.link.report.robot.topics,
-            "fault": self._watch.fault,
+            "fault": "; ".join(filter(None, (watch.fault for watch in self._watches))),
         }
-        waits_for, why = self.source.waits_for, self._reason()
+        waits_for, why = self._waits_for, self._reason()
         return {"waits_for": waits_for, "why": why, "sensor_pose": sensor_pose}
 
     def _reason(self) -> str:
         """Why the estimate published last is not valid, and the cure; empty where it is."""
-        facts = {Why.NO_SCAN: self.source.waits_for, Why.NO_POSE: self._watch.fault}
+        facts = {Why.NO_SCAN: self._waits_for, Why.NO_POSE: self._watches[0].fault}
         estimate, fact = self._told or self.pipeline.estimate, facts.get(self._why, "")
         return self.pipeline.freshness.sentence(self._why, estimate, fact)
 
-    def pose_figures(self, t: float) -> PoseFigures:
+    @property
+    def _named(self) -> dict[str, Layout]:
+        """The layouts by the links' names; none where there is one skin."""
+        several = len(self.layouts) > 1
+        return dict(zip(self.config.names, self.layouts, strict=True)) if several else {}
+
+    @property
+    def _waits_for(self) -> str:
+        """What each source waits for, with its links where there are several."""
+        if len(self.buses) == 1:
+            return self.source.waits_for
+        return "; ".join(
+            f"{', '.join(self.config.names[k] for k in bus.links)}: {bus.source.waits_for}"
+            for bus in self.buses
+            if bus.source.waits_for
+        )
+
+    def of_each(self, now_s: float) -> dict[str, Why]:
+        """For each link by its name, why its scans are of no use now, VALID where they are."""
+        whys = self.pipeline.freshness.of_links(now_s)
+        return dict(zip(self.config.names, whys, strict=True))
+
+    def _recorder_of(self, link: int) -> Recorder | None:
+        """The recorder of the bus that a link is the first on."""
+        return self.recorder if not link or self.recorder is None else self.recorder.beside[link]
+
+    @staticmethod
+    def _recorded_beside(recorder: Recorder | None) -> list[OnPose | None]:
+        return [] if recorder is None else [one.pose for one in recorder.beside.values()]
+
+    def pose_figures(self, t: float, link: int = 0) -> PoseFigures:
         """Figures of the robot's poses at the Unix time t; to be called once a second."""
         if not self.config.sensor_pose.endpoint or self._replays_poses:
             return PoseFigures()
         line = self.link.report.robot
-        link = {"connected": line.connected, "refused": line.refused}
-        return self._watch.look(t, line.malformed, line.reason, line.topics, **link)
+        state = {"connected": line.connected, "refused": line.refused}
+        return self._watches[link].look(t, line.malformed, line.reason, line.topics, **state)
 
 
 def _stages_us(outcome: Outcome) -> dict[str, float]:

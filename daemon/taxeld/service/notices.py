@@ -11,7 +11,7 @@ from typing import Any
 
 from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Estimate, Status
-from taxeld.pipeline.freshness import Why
+from taxeld.pipeline.freshness import CURES, Why
 from taxeld.skin.channels import Wiring, mismatch
 
 SURE = 0.99  # least probability of an object that is named
@@ -96,20 +96,29 @@ class Notices:
             self._object = number
             log.info("object: %s, p %.1f %%", self._names[number], 100.0 * p)
 
-    def inputs(self, poses_fault: str, wiring: Wiring, *, match: bool, now_s: float) -> None:
+    def links(self, whys: Mapping[str, Why], now_s: float) -> None:
+        """Log which of several links has ceased to work, and why."""
+        for name, why in whys.items() if len(whys) > 1 else ():
+            fault = "" if why in (Why.VALID, Why.STARTING) else f"is left out, {CURES[why]}"
+            self._say(f"link {name}", fault, "works", now_s)
+
+    def inputs(
+        self, poses_fault: str, wiring: Wiring, *, match: bool, now_s: float, link: str = ""
+    ) -> None:
         """Log what has changed of the robot's poses, and of the modules that the hubs have;
-        `match`: whether these suffice."""
-        self._say("sensor_pose", poses_fault, "poses come as they should", now_s)
+        `match`: whether these suffice; `link`: its name, where there are several."""
+        of = f"{link}: " if link else ""
+        self._say(f"{of}sensor_pose", poses_fault, "poses come as they should", now_s)
         for hub, suis in wiring.hubs.items():
             known = len(set(suis) & set(wiring.suis))
-            self._said.setdefault(f"hub {hub} sends", "nothing yet")
+            self._said.setdefault(f"{of}hub {hub} sends", "nothing yet")
             line = f"{len(suis)} modules, {known} of them in the layout"
-            if self._say(f"hub {hub} sends", "", line, now_s):
+            if self._say(f"{of}hub {hub} sends", "", line, now_s):
                 self._looks = 0
         self._looks += 1
         if wiring.hubs and self._looks > MODULES_LOOKS:
             line = mismatch(wiring.lacking, len(wiring.suis), len(wiring.foreign), match)
-            self._say("skin.layout", line, "all its modules are there", now_s)
+            self._say(f"{of}skin.layout", line, "all its modules are there", now_s)
 
     def _say(self, subject: str, fault: str, fine: str, now_s: float) -> bool:
         """Warn of a fault, or log `fine` where there is none; → whether that has changed."""

@@ -3,7 +3,7 @@
 import math
 import select
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Protocol
 
 IDLE_S = 0.05  # longest time between passes
@@ -25,12 +25,18 @@ class Ready(NamedTuple):
 ALL = Ready(device=True, door=True)
 
 
-def wait(device: Readable | None, door: Readable | None, until_s: float) -> Ready:
-    """Sleep until one of the inputs is ready, at most until the monotonic time `until_s`."""
-    numbers = [-1 if each is None else each.fileno() for each in (device, door)]
+def wait(
+    device: Readable | None,
+    door: Readable | None,
+    until_s: float,
+    further: Sequence[Readable | None] = (),
+) -> Ready:
+    """Sleep until one of the inputs is ready, at most until the monotonic time `until_s`;
+    `further`: devices of further links."""
+    numbers = [-1 if each is None else each.fileno() for each in (door, device, *further)]
     left_s = max(0.0, until_s - time.monotonic())
     found = select.select([number for number in numbers if number >= 0], (), (), left_s)[0]
-    return Ready(*(number in found for number in numbers))
+    return Ready(any(number in found for number in numbers[1:]), numbers[0] in found)
 
 
 class Ticker:

@@ -44,6 +44,7 @@ class Wiring:
         self.lacking: tuple[int, ...] = tuple(self.suis)  # modules on no hub
         self.foreign: tuple[int, ...] = ()  # modules that hubs declared and the layout lacks
         self._suis = set(self.suis)
+        self.neighbours: set[int] = set()  # modules of other links, which are not foreign
 
     def of(self, scan: Scan) -> Wired:
         """The map for this scan's module table."""
@@ -66,7 +67,7 @@ class Wiring:
         taxels are dead."""
         self.hubs[hub] = sorted(suis)
         self.lacking = tuple(sui for sui in self.lacking if sui not in suis)
-        self.foreign = tuple(sorted({*self.foreign, *suis} - self._suis))
+        self.foreign = tuple(sorted({*self.foreign, *suis} - self._suis - self.neighbours))
 
 
 def _pairs(uids: list[int], index: dict[int, int]) -> tuple[Index, Index]:

@@ -84,6 +84,7 @@ class Recorder:
         """
         self._directory = directory
         self._moves = moves
+        self.beside: dict[int, Recorder] = {}  # of further links, by their numbers
         self._beside = _beside(config, calibration)
         _check_free(directory, [ABOUT, *PARTS, *self._beside])
         self._waiting: deque[Item] = deque()
@@ -118,9 +119,13 @@ class Recorder:
 
     def __enter__(self) -> Self:
         self._thread.start()
+        for recorder in self.beside.values():
+            recorder.__enter__()
         return self
 
     def __exit__(self, *_: object) -> None:
+        for recorder in self.beside.values():
+            recorder.__exit__()
         self._closing.set()
         self._thread.join(CLOSE_S)
         if self._thread.is_alive():

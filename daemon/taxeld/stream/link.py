@@ -80,6 +80,7 @@ class Link:
         self._pack: Callable[[object], bytes] = msgpack.Packer().pack
         self._info = self._pack(info)
         self._on_pose = on_pose
+        self.on_poses: dict[int, OnPose] = {}  # of further links, by their numbers
         self.on_array: OnArray = lambda _: None  # is given each array whose time is finite
         self._handlers = handlers
         self._socket: socket.socket | None = None
@@ -161,15 +162,20 @@ class Link:
             log.warning("door: %s", "hangs" if self._allowed >= 0.0 else "sends without end")
             self.detach()
 
+    def _take_poses(self, on_pose: OnPose, body: bytes) -> None:
+        poses = list(pair.POSE.iter_unpack(body))
+        if all(map(math.isfinite, chain(*poses))):
+            self._allowed -= len(poses)
+            for pose in poses:
+                on_pose(*pose)
+
     def _take(self, kind: int, body: bytes) -> None:
         """Raises one of REFUSED where the packet is none that is known."""
         match kind:
             case Kind.POSES:
-                poses = list(pair.POSE.iter_unpack(body))
-                if all(map(math.isfinite, chain(*poses))):
-                    self._allowed -= len(poses)
-                    for pose in poses:
-                        self._on_pose(*pose)
+                self._take_poses(self._on_pose, body)
+            case Kind.POSES_OF:
+                self._take_poses(self.on_poses[body[0]], body[1:])
             case Kind.ARRAY:
                 frame = pair.unpack_array(body)
                 is_name = frame.id.isprintable() and len(frame.id) <= ID_MAX

@@ -7,6 +7,7 @@ booleans, lists and maps.
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from enum import IntEnum
+from types import MappingProxyType
 from typing import Any
 
 from taxeld import __version__
@@ -58,8 +59,10 @@ def estimate(
     overruns: int = 0,
     degraded: int = 0,
     lat_us: dict[str, float] | None = None,
+    links: Sequence[Why] = (Why.VALID,),
 ) -> dict[str, Any]:
-    """`/taxeld/estimate`; `names` are of the objects that it may be. In a replay, where time is not
+    """`/taxeld/estimate`; `names` are of the objects that it may be, `links` tells of each link why
+    its scans are of no use. In a replay, where time is not
     measured, the timing keys are 0."""
     return {
         "v": VERSION,
@@ -92,6 +95,7 @@ def estimate(
         "overruns": overruns,
         "degraded": degraded,
         "lat_us": lat_us or dict.fromkeys(STAGES, 0.0),
+        **({"links": [int(each) for each in links]} if len(links) > 1 else {}),
     }
 
 
@@ -119,12 +123,13 @@ def particles(t: float, seq: int, pose: Poses, weight: Poses) -> dict[str, Any]:
     return {"v": VERSION, "seq": seq, "t": t, "xytheta": pose.tolist(), "weight": weight.tolist()}
 
 
-def taxels(activation: Activation, sensor: Poses | None, seq: int) -> dict[str, Any]:
-    """`/taxeld/taxels`; `sensor` (3,) is None where it is not known."""
+def taxels(activation: Activation, sensor: Poses | None, seq: int, link: int = 0) -> dict[str, Any]:
+    """`/taxeld/taxels` of a link; `sensor` (3,) is None where it is not known."""
     return {
         "v": VERSION,
         "seq": seq,
         "t": activation.t,
+        **({"link": link} if link else {}),
         "z": activation.z.tolist(),
         "live": activation.live.tolist(),
         "placed": sensor is not None,
@@ -138,9 +143,14 @@ def health(seq: int, t: float, parts: dict[str, Any]) -> dict[str, Any]:
     return {"v": VERSION, "seq": seq, "t": t, **plain}
 
 
-def info(layout: Layout, scenes: Mapping[str, Scene], config_hash: str) -> dict[str, Any]:
+def info(
+    layout: Layout,
+    scenes: Mapping[str, Scene],
+    config_hash: str,
+    links: Mapping[str, Layout] = MappingProxyType({}),
+) -> dict[str, Any]:
     """`/taxeld/info`: which daemon this is, and what its numbers mean; `scenes` by the names of the
-    objects, in the order of their numbers."""
+    objects, in the order of their numbers, `links` by their names, where there are several."""
     objects = [
         {"name": name, "symmetry": scene.symmetry, "outline": scene.outline.tolist()}
         for name, scene in scenes.items()
@@ -153,18 +163,27 @@ def info(layout: Layout, scenes: Mapping[str, Scene], config_hash: str) -> dict[
         "why": {str(int(w)): w.name.lower() for w in Why},
         "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
         "degraded": {str(int(s)): s.name.lower() for s in Step},
-        "layout": {
-            "name": layout.name,
-            "digest": layout.digest,
-            "taxels": len(layout),
-            "radius_m": layout.radius_m,
-            "position_m": layout.position_m.tolist(),
-        },
+        "layout": _layout(layout),
         "object": objects[0]["name"],
         "symmetry": objects[0]["symmetry"],
         "outline": objects[0]["outline"],
         "objects": objects,
         "config_hash": config_hash,
+        **(
+            {"links": [{"name": k, "layout": _layout(v)} for k, v in links.items()]}
+            if links
+            else {}
+        ),
+    }
+
+
+def _layout(layout: Layout) -> dict[str, Any]:
+    return {
+        "name": layout.name,
+        "digest": layout.digest,
+        "taxels": len(layout),
+        "radius_m": layout.radius_m,
+        "position_m": layout.position_m.tolist(),
     }
 
 

@@ -13,6 +13,7 @@ To the loop:
     FAULT    a line: an endpoint or a key cannot be used, and the door ends
     WANTED   a bit for each topic that somebody has subscribed to (1 byte)
     POSES    t, x, y, theta of the sensor (4 doubles), once or more
+    POSES_OF number of a further link (1 byte), and its sensor's poses
     CHANGE   number of the request (4 bytes), and its command
     ARRAY    t, counts at rest, length of the id (12 bytes), id, counts (2 bytes each)
     REPORT   msgpack map: what the door counts, once a second
@@ -53,6 +54,7 @@ class Kind(IntEnum):
     REPORT = 21
     LOG = 22
     ARRAY = 23
+    POSES_OF = 24
 
 
 def pack_array(frame: ArrayFrame) -> bytes:
