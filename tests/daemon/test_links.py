@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld.config.file import parse
+from taxeld.commands import replay
+from taxeld.commands.record import recorder_of
+from taxeld.config.file import load, parse
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
@@ -111,7 +113,11 @@ def open_links(tmp_path: Path) -> Iterator[Callable[[bool], TwoHubs]]:
         devices = [tmp_path / f"skin{k}" for k in ((0, 0) if one_bus else (0, 1))]
         text = links(*(f"{t}\n{source(d)}" for t, d in zip(tables, devices, strict=True)))
         served = '[publish]\nendpoints = []\n[control]\nendpoint = ""\n'
-        found = TwoHubs(Daemon(parse(served + text)), hubs)
+        path = tmp_path / "skins.toml"
+        path.write_text(served + text, encoding="utf-8")
+        config = load(path)
+        recorder = recorder_of(config, path, tmp_path / "session")
+        found = TwoHubs(Daemon(config, recorder), hubs)
         opened.append(found)
         return found
 
@@ -143,6 +149,13 @@ def test_touches_of_two_links_are_one_beliefs(
     state = tmp_path / "state"
     assert (state / "skin.json").is_file()
     assert (state / "link2" / "skin.json").is_file()
+    session = tmp_path / "session"
+    again = replay.open_pipeline(session, load(session / "config.toml"))
+    found = list(replay.outcomes(session, again))
+    assert {outcome.link for outcome in found} == {0, 1}
+    scans = [stage.skin.counters.scans for stage in again.stages]
+    assert scans == pytest.approx([s.skin.counters.scans for s in pipeline.stages], abs=2)
+    assert again.estimate.contacts == pipeline.estimate.contacts == 2
 
 
 def test_a_silent_link_leaves_the_other_working(open_links: Callable[[bool], TwoHubs]) -> None:

@@ -9,6 +9,7 @@ from operator import itemgetter
 from pathlib import Path
 
 from taxeld.arrays import Floats, Poses
+from taxeld.config import links
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
@@ -21,9 +22,12 @@ from taxeld.service import calibration_file
 from taxeld.service.clock import is_step
 from taxeld.source import dialects, session
 from taxeld.source.session import Chunk, PoseRow
+from taxeld.source.source import Source
+from taxeld.source.sources import Bus, joint
 from taxeld.source.wire import Wire
 from taxeld.stream import messages
 from taxeld_protocol.array import ArrayFrame
+from taxeld_protocol.decoder import Scan
 from taxeld_protocol.frames import Frame
 
 Item = Frame | Chunk | ArrayFrame
@@ -88,7 +92,13 @@ def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator
     recorded = Replay(directory, config, seed)
     for seq, outcome in enumerate(recorded):
         why = recorded.why(outcome.estimate)
-        message = messages.estimate(outcome.estimate, names=recorded.names, seq=seq, why=why)
+        message = messages.estimate(
+            outcome.estimate,
+            names=recorded.names,
+            seq=seq,
+            why=why,
+            links=recorded.pipeline.freshness.of_links(),
+        )
         yield json.dumps(message, separators=(",", ":"))
 
 
@@ -101,8 +111,9 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     """
     where = str(directory) if session.has_poses(directory) else ""
     config = replace(config, sensor_pose=replace(config.sensor_pose, endpoint=where))
+    each = [config.of_link(k) for k in range(len(config.names))]
     try:
-        skin = layouts.load(config.skin.layout)
+        skin, *further = (layouts.load(one.skin.layout) for one in each)
         for name in config.scene.names:
             bundle.find(name, "scene.bundles" if config.scene.bundles else bundle.KEY)
     except SetupError as error:
@@ -110,10 +121,13 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
             f"{error}; a session does not hold its layout and its bundle: name them in "
             f"{directory / session.CONFIG}, by whole paths, or in another file with --config"
         ) from None
-    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m)
+    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m, further)
     model, *more = (one.model for one in bundles)
-    begun = session.begun(directory) if config.skin.calibration else 0.0
-    calibration = calibration_file.load(config.skin, skin, begun, recorded=True)
+    begun = session.begun(directory) if any(one.skin.calibration for one in each) else 0.0
+    calibration = [
+        calibration_file.load(one.skin, layout, begun, recorded=True)
+        for one, layout in zip(each, (skin, *further), strict=True)
+    ]
     # all poses are known, so each scan is placed between two and none is extrapolated
     return Pipeline(
         config,
@@ -131,30 +145,53 @@ def outcomes(directory: Path, pipeline: Pipeline) -> Iterator[Outcome]:
     Raises:
         SetupError: the session cannot be read, or its modules' order or boards are unknown.
     """
-    recorded = session.read(directory)
-    if not recorded.items:  # the session was cut before its first record
+    config, streams, firsts = pipeline.config, [], list[float]()
+    for source, numbers in links.buses(config):
+        place = _place(directory, config, numbers[0])
+        if numbers[0] and not place.is_dir():  # nothing came from this link
+            continue
+        own = [pipeline.stages[k].skin.layout for k in numbers]
+        recorded = session.read(place)
+        streams.append(_ordered(recorded.poses, numbers[0]))
+        for k in numbers[1:]:
+            path = _place(directory, config, k) / session.POSES
+            streams.append(_ordered(session.read_poses(path) if path.exists() else (), k))
+        if recorded.items:  # else the session was cut before its first record
+            firsts.append(recorded.items[0].t)
+            decoder = dialects.replayed(source, joint(own), recorded.items, str(place))
+            bus = Bus(Source(Wire(source, decoder)), numbers, own)
+            streams.append(_ordered(recorded.items, bus))
+    if not firsts:
         return
-    config, layout = pipeline.config.source, pipeline.skin.layout
-    wire = Wire(config, dialects.replayed(config, layout, recorded.items, str(directory)))
-    before = 0, recorded.items[0].t
+    before = 0, min(firsts)
     # as the daemon does: poses up to the arrival of a scan's last frame are known
-    arrivals = heapq.merge(_ordered(recorded.poses), _ordered(recorded.items), key=itemgetter(0))
-    for now, came in arrivals:
+    for now, came, of in heapq.merge(*streams, key=itemgetter(0)):
         if now[0] > before[0]:
             pipeline.clock_stepped(now[1] - before[1])
         before = now
-        if isinstance(came, Item):
-            scans = [scan for heard in wire.take([came]) for scan in heard.scans]
-            yield from pipeline.advance(scans, now[1])
-        else:
+        scans: list[list[Scan]] = [[] for _ in pipeline.stages]
+        if isinstance(of, Bus) and isinstance(came, Item):
+            for heard in of.source.wire.take([came]):
+                for scan in heard.scans:
+                    for k in of.links_of(scan):
+                        scans[k].append(scan)
+            yield from pipeline.advance(scans[0], now[1], *scans[1:])
+        elif isinstance(of, int) and not isinstance(came, Item):
             yield from pipeline.advance((), now[1])
-            pipeline.poses.add(*came)
+            pipeline.stages[of].poses.add(*came)
     yield from pipeline.flush()
 
 
-def _ordered(arrivals: Iterable[Arrival]) -> Iterator[tuple[tuple[int, float], Arrival]]:
-    """Arrivals with their keys of order: the number of earlier steps back of the clock, and the
-    time.
+def _place(directory: Path, config: Config, link: int) -> Path:
+    """Where a link's records are: a further link has a folder of its name."""
+    return directory / config.names[link] if link else directory
+
+
+def _ordered(
+    arrivals: Iterable[Arrival], of: int | Bus
+) -> Iterator[tuple[tuple[int, float], Arrival, int | Bus]]:
+    """Arrivals `of` a link or a bus with their keys of order: the number of earlier steps back of
+    the clock, and the time.
 
     Only a step back shows in a recording: a step forward looks like a pause.
     """
@@ -163,4 +200,4 @@ def _ordered(arrivals: Iterable[Arrival]) -> Iterator[tuple[tuple[int, float], A
         t = came.t if isinstance(came, Item) else came[0]
         steps += is_step(min(t - before, 0.0))
         before = t
-        yield (steps, t), came
+        yield (steps, t), came, of

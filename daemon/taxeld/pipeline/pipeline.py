@@ -21,7 +21,6 @@ from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
 from taxeld.pipeline.stage import SCAN_AGE_S, LinkStage
-from taxeld.proposals import several
 from taxeld.proposals.ladder import Ladder
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
@@ -56,7 +55,7 @@ class Pipeline:
         the robot, or one for each link. `extrapolate_s`: as of PoseTrack."""
         given = calibration if isinstance(calibration, Sequence) else [calibration]
         each = [calibrated(config.of_link(k), one) for k, one in enumerate(given)]
-        self.config = config = each[0]
+        self.config = config = replace(each[0], links=config.links)
         self.ladder = ladder
         square = config.filter.centre_m, config.filter.half_width_m
         reach_m = max(_reach_m(link) for one in [model, *more] for link in one.links)
@@ -76,11 +75,9 @@ class Pipeline:
                 zip(each, model.links, silent_s, self.freshness.links, strict=True)
             )
         ]
-        others = [
-            Known(one, ladder.of(k), several.beside(one, ladder)) for k, one in enumerate(more, 1)
-        ]
+        others = [Known(one, ladder.of(k), ladder.beside(one)) for k, one in enumerate(more, 1)]
         robot_m, most = config.sensor_pose.sigma_m, config.scene.max_objects
-        beside = several.beside(model, ladder)
+        beside = ladder.beside(model)
         self.estimator = Estimator(model, ladder, config.filter, robot_m, others, most, beside)
         self._judge_by(self.estimator.estimate.object)
         self._learns = config.skin.learn and config.filter.motion == "none"
