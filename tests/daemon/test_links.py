@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld.commands import replay
+from taxeld.commands import check, replay
 from taxeld.commands.record import recorder_of
 from taxeld.config.file import load, parse
 from taxeld.config.toml_tables import ConfigError
@@ -188,6 +188,10 @@ def test_two_links_of_the_same_modules_are_not_on_one_bus(tmp_path: Path) -> Non
             SetupError, match="link1 and link2 are on one bus, and both have module"
         ):
             Daemon(parse(text))
+        assert [fault for fault in check.faults(parse(text)) if "skin.layout" in fault] == [
+            "skin.layout: link1 and link2 are on one bus, and both have module 1; "
+            "give each link its own modules, or its own [skin.source]"
+        ]
 
 
 def test_the_first_module_of_a_layout_changes_no_bundle() -> None:

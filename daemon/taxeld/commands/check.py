@@ -4,10 +4,10 @@ Nothing is sent to a device, and no request of a peer is answered.
 """
 
 import contextlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from taxeld.config import endpoints
+from taxeld.config import endpoints, links
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.door.binding import Binding, ServedError
 from taxeld.errors import SetupError
@@ -19,6 +19,7 @@ from taxeld.source import dialects, session
 from taxeld.source.device import BusyError
 from taxeld.source.devices import open_device
 from taxeld.source.socketcan_device import bring_up
+from taxeld.source.sources import check_uids, joint
 from taxeld.stream import client, curve, messages
 
 SYS_NET = Path("/sys/class/net")
@@ -51,18 +52,25 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
         except SetupError as error:
             found.append(str(error))
 
-    def use_layout() -> None:
-        skin = layouts.load(config.skin.layout)
-        attempt(_read_source, config.source, skin)
-        attempt(_open_bundle, config, skin)
-        attempt(calibration_file.of, config, skin)
+    each = [config.of_link(k) for k in range(len(config.names))]
 
-    attempt(use_layout)
-    # python-can's drivers have no error of their own for a device in use
-    is_silent_on_use = config.source.interface not in ("socketcan", "slcan")
-    is_bus = config.source.kind == "can"
-    if config.source.kind in ("can", "serial") and not (is_running and is_bus and is_silent_on_use):
-        attempt(_open_device, config.source)
+    def use_layouts() -> None:
+        skins = [layouts.load(one.skin.layout) for one in each]
+        for bus, numbers in links.buses(config):
+            own = [skins[k] for k in numbers]
+            attempt(check_uids, [config.names[k] for k in numbers], own)
+            attempt(_read_source, bus, joint(own))
+        attempt(_open_bundle, config, skins)
+        for one, skin in zip(each, skins, strict=True):
+            attempt(calibration_file.of, one, skin)
+
+    attempt(use_layouts)
+    for bus, _ in links.buses(config):
+        # python-can's drivers have no error of their own for a device in use
+        is_silent_on_use = bus.interface not in ("socketcan", "slcan")
+        may_be_used = is_running and bus.kind == "can" and is_silent_on_use
+        if bus.kind in ("can", "serial") and not may_be_used:
+            attempt(_open_device, bus)
     attempt(_read_keys, config)
     for endpoint in config.publish.endpoints:
         attempt(_serve, endpoint, "publish.endpoints")
@@ -97,8 +105,8 @@ def _read_source(source: SourceConfig, skin: Layout) -> None:
         dialects.live(source, skin)
 
 
-def _open_bundle(config: Config, skin: Layout) -> None:
-    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m)
+def _open_bundle(config: Config, skins: Sequence[Layout]) -> None:
+    bundles = several.load(config.scene, skins[0], config.skin.full_scale_depth_m, skins[1:])
     first = several.leading(bundles)
     for name in choice.open_all(first, config.filter):
         for one in bundles:

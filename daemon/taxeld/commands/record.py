@@ -8,15 +8,16 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from taxeld.config import links
 from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
-from taxeld.pipeline.poses import PoseTrack
+from taxeld.pipeline.poses import OnPose, PoseTrack
 from taxeld.service.doorkeeper import Doorkeeper, poses_alone
 from taxeld.source import module_order
 from taxeld.source.recorder import Recorder
 from taxeld.source.source import Source
-from taxeld.source.sources import open_source
+from taxeld.source.sources import check_uids, joint, open_source
 from taxeld.stream.link import Link
 from taxeld_protocol.decoder import Decoder, Scan
 
@@ -39,6 +40,11 @@ def recorder_of(config: Config, config_path: Path, directory: Path) -> Recorder:
     for k, name in enumerate(config.names[1:], 1):
         recorder.beside[k] = Recorder(directory / name, moves=moves)
     return recorder
+
+
+def _taken(track: PoseTrack) -> OnPose:
+    """Has a track take poses as they come."""
+    return lambda t, x, y, yaw: track.add(t, x, y, yaw, time.time())
 
 
 class Recording:
@@ -70,21 +76,31 @@ class Recording:
             door = opened.enter_context(contextlib.closing(Doorkeeper(poses_alone(config))))
             recorder = opened.enter_context(self._recorder)
             track = PoseTrack(recorder.pose)
-            link = Link({}, lambda t, x, y, yaw: track.add(t, x, y, yaw, time.time()), {})
+            link = Link({}, _taken(track), {})
             opened.callback(link.detach)
-            source = open_source(config.source, layouts.load(config.skin.layout), recorder)
-            opened.callback(source.close)
-            link.on_array = source.hear
+            sources = list[Source]()
+            for bus, numbers in links.buses(config):
+                skins = [layouts.load(config.of_link(k).skin.layout) for k in numbers]
+                check_uids([config.names[k] for k in numbers], skins)
+                own = recorder.beside[numbers[0]] if numbers[0] else recorder
+                source = open_source(bus, joint(skins), own)
+                opened.callback(source.close)
+                if source.comes_by_door:
+                    link.on_array = source.hear
+                sources.append(source)
+            for k, beside in recorder.beside.items():
+                link.on_poses[k] = _taken(PoseTrack(beside.pose))
             door.wait(link)
             while not self.stopping and not self.failed:
                 now_s = time.monotonic()
                 door.look(link, now_s)
-                scans = source.poll(now_s)
+                scans, *further = (source.poll(now_s) for source in sources)
+                self.scans += sum(map(len, further))
                 self.scans += len(scans)
                 if on_poll is not None:
                     on_poll(scans, track)
                 time.sleep(POLL_S)
-        return self._summary() + self._listed(source)
+        return self._summary() + self._listed(sources[0])
 
     def _listed(self, source: Source) -> str:
         """Write the hubs' modules to a file for later listeners; → a line that names the file."""

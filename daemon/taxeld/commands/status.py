@@ -6,6 +6,7 @@ from typing import Any
 
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.calibration_check import Suspect
+from taxeld.pipeline.freshness import CURES, Why
 from taxeld.proposals.ladder import Step
 from taxeld.skin.channels import mismatch
 from taxeld.source import bus_faults
@@ -74,6 +75,8 @@ def _health_rows(health: dict[str, Any], waits_for: str | None) -> Iterator[tupl
     used = health.get("calibration")
     if used:
         yield "Calibration", _calibration(used)
+    for name, link in health.get("links", {}).items():
+        yield f"Link {name}", _link(link)
     dead = health["dead_taxels"]
     yield "Dead taxels", f"{len(dead)} ({', '.join(map(str, dead))})" if dead else "none"
     modules = health.get("modules")
@@ -107,6 +110,16 @@ def _input_rows(health: dict[str, Any], sensor_pose: dict[str, Any]) -> Iterator
         yield "Pose timing", f"{rate:.4g} a second, the last {age_s:.3g} s ago, {late}"
     if sensor_pose.get("fault"):
         yield "Pose fault", sensor_pose["fault"]
+
+
+def _link(link: dict[str, Any]) -> str:
+    """Whether one of several links works, or why not."""
+    dead = f"{len(link['dead_taxels'])} dead taxels"
+    try:
+        why = Why(link["why"])
+    except ValueError:
+        return f"is left out (by a newer daemon), {dead}"
+    return f"{'works' if why is Why.VALID else f'is left out, {CURES[why]}'}, {dead}"
 
 
 def _modules(modules: dict[str, Any], missing: list[int]) -> str:
