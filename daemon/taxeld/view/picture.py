@@ -111,7 +111,8 @@ class Picture:
         self._stream.log("world/object/slices", drawn, static=len(self._slices) == 1)
 
     def _taxels(self, m: dict[str, Any]) -> None:
-        if len(m["z"]) != len(self._stage.position_m):  # the daemon got another skin
+        # of a further link, or the daemon got another skin
+        if m.get("link") or len(m["z"]) != len(self._stage.position_m):
             return
         if m["placed"]:
             self._place("world/link", pose_of(m["sensor"]))

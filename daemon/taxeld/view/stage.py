@@ -118,7 +118,7 @@ def _messages(replay: Replay) -> Iterator[Message]:
     next_s = -np.inf  # the next cloud of particles is due at this time
     for seq, outcome in enumerate(replay):
         estimate, activation = outcome.estimate, outcome.activation
-        if activation is not None:
+        if activation is not None and not outcome.link:  # the first link alone is drawn
             yield messages.TAXELS, messages.taxels(activation, outcome.sensor, seq)
         if not estimate.t:  # nothing was measured yet
             continue

@@ -95,6 +95,8 @@ class Page:
     def take(self, message: Message, now_s: float) -> None:
         """Keep a message that came at `now_s`."""
         topic, m = message
+        if m.get("link"):  # the first link alone is drawn
+            return
         if topic == messages.INFO:
             stage = from_info(m)
             named = stage.things[0].name if len(stage.things) == 1 else ""
@@ -147,6 +149,11 @@ class Page:
             _row("  now", _in_ms(self._lat_us, messages.STAGES)),
             _row("  99 %", f"{p99_ms:{10 * len(messages.STAGES)}.2f}"),
             _row("health", counts + f"{len(health['dead_taxels'])} dead taxels"),
+            *(
+                _row(name, messages.reason_of(link["why"]))
+                for name, link in health.get("links", {}).items()
+                if link["why"]
+            ),
         ]
 
 
