@@ -43,6 +43,8 @@ def rows(seconds: float = 20.0) -> list[Row]:
         place = Path(name)
         touched = measure(Case(touched=True), seconds, place)
         idle = measure(Case(touched=False), seconds, place)
+        alone = measure(Case(touched=True, alone=True), seconds, place)
+        idle_alone = measure(Case(touched=False, alone=True), seconds, place)
         recording = measure(Case(touched=False, record=True), seconds, place)
         large = str(large_bundle(place / "large"))
         wide = measure(Case(touched=True, layout=LARGE, bundle=large), seconds, place)
@@ -50,7 +52,11 @@ def rows(seconds: float = 20.0) -> list[Row]:
         ("a core's share, 80 taxels, touched all the time: %", touched.cpu_percent, 6.0),
         ("  … scans with contact that were learned from, a second", touched.updates_hz, None),
         ("a core's share, untouched: %", idle.cpu_percent, 2.0),
-        ("  … and recorded: %", recording.cpu_percent, None),
+        ("  … without an object: %", idle_alone.cpu_percent, None),
+        ("  … and touched all the time: %", alone.cpu_percent, None),
+        ("  … start to ready: CPU s", idle_alone.start_cpu_s, None),
+        ("  … resident memory: MB", alone.resident_mb, None),
+        ("  … with it, recorded: %", recording.cpu_percent, None),
         ("a core's share, 640 taxels, touched all the time: %", wide.cpu_percent, 10.0),
         ("a scan's way through the loop, median: ms", touched.lat_us["p50"] / 1e3, 2.0),
         ("a scan's way through the loop, 99 %: ms", touched.lat_us["p99"] / 1e3, 5.0),

@@ -68,6 +68,7 @@ class Case:
     layout: str = SKIN
     bundle: str = "box"
     record: bool = False
+    alone: bool = False  # without an object: `bundle` is what is felt
     subscribers: int = 1
 
 
@@ -215,11 +216,12 @@ class RollingBox:
 def _daemon(case: Case, place: Path) -> Iterator[tuple[int, socket.socket]]:
     """`taxeld run`: its process and the socket on which it says that it is ready."""
     settings = place / "config.toml"
+    known = f'[scene]\nbundle = "{case.bundle}"\n[filter]\nparticles_max = 100\n'
     settings.write_text(
         f'[skin]\nlayout = "{case.layout}"\nfull_scale_counts = {FULL_SCALE}\n'
         f'[source]\nkind = "serial"\nframing = "slcan"\nchannel = "{place}/skin"\n'
-        f'[scene]\nbundle = "{case.bundle}"\n[sensor_pose]\nendpoint = "ipc://{place}/poses"\n'
-        f'[filter]\nparticles_max = 100\n[publish]\nendpoints = ["ipc://{place}/stream"]\n'
+        f'{"" if case.alone else known}[sensor_pose]\nendpoint = "ipc://{place}/poses"\n'
+        f'[publish]\nendpoints = ["ipc://{place}/stream"]\n'
         f'[control]\nendpoint = "ipc://{place}/control"\n',
         encoding="utf-8",
     )

@@ -95,7 +95,8 @@ def _init(args: argparse.Namespace) -> int:
     from taxeld.commands import init
 
     config = init.write(args.config, vars(args))
-    source = f"{config.source.kind} {config.source.where}, object {config.scene.bundle}"
+    source = f"{config.source.kind} {config.source.where}"
+    source += f", object {config.scene.bundle}" if config.scene.bundle else ", no object"
     print(f"written: {args.config} ({source}); next: taxeld check {args.config}")
     return 0
 
@@ -225,6 +226,7 @@ def _add_daemon(commands: Commands) -> None:
     add("config", type=Path, metavar="CONFIG", help="a new file")
     add("--source", help="can:can0, slcan:/dev/ttyACM0, serial:/dev/ttyACM0 or array:ENDPOINT")
     add("--bundle", help="the object: box, drill, mug, or what taxeld-train build made")
+    add("--no-object", action="store_true", help="the skin alone: contacts, and no estimate")
     add("--layout", help="the skin's (default: what the bundle was built for)")
     about = "where the robot publishes; '' if the sensor is fixed"
     add("--poses", metavar="ENDPOINT", help=about)

@@ -61,7 +61,6 @@ def changed(place: Path, name: str, **keys: object) -> Path:
 
 MANY = [f"object {k}" for k in range(OBJECTS_MAX + 1)]
 TABLES: list[tuple[dict[str, dict[str, Any]], str]] = [
-    ({"scene": {}}, "scene.bundle: is required; or name several objects in scene.bundles"),
     (
         {"scene": {"bundle": "box", "bundles": ["mug"]}},
         "scene.bundles: is given beside scene.bundle; keep one of the two",

@@ -14,7 +14,8 @@ from taxeld.door.robot import as_pose
 from taxeld.estimator.estimate import ProposalKind, Status
 from taxeld.pipeline.freshness import Why
 from taxeld.stream import client, messages
-from tests.rig.recorded import configuration, write_session
+from tests.rig.configurations import configuration, served
+from tests.rig.recorded import write_session
 
 from ..rig.stream_page import Types, documented, leaves, section
 
@@ -27,7 +28,9 @@ def heard(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, 
     """All that a daemon sends and answers while it replays a session, by topic and command."""
     place = tmp_path_factory.mktemp("run")
     write_session(place, touches=4, period_s=PERIOD_S)
-    command = [sys.executable, "-m", "taxeld.cli", "run", str(configuration(place))]
+    publish = {"publish": {**served(place)["publish"], "counts": True}}
+    path = configuration(place, **publish)
+    command = [sys.executable, "-m", "taxeld.cli", "run", str(path)]
     received: dict[str, list[dict[str, Any]]] = {}
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:
         socket.setsockopt(zmq.LINGER, 0)

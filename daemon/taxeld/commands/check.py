@@ -30,6 +30,8 @@ MODULES_TO_COME = (
     "which modules its hub has"
 )
 
+ALONE = "scene.bundle: is empty: the skin is served alone, and nothing is estimated"
+
 POSES_USUAL = "tcp://127.0.0.1:9874"  # address in the documents and examples
 HEAR_POSES_S = 0.3
 POSES_UNUSED = (
@@ -60,7 +62,8 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
             own = [skins[k] for k in numbers]
             attempt(check_uids, [config.names[k] for k in numbers], own)
             attempt(_read_source, bus, joint(own))
-        attempt(_open_bundle, config, skins)
+        if config.scene.names:
+            attempt(_open_bundle, config, skins)
         for one, skin in zip(each, skins, strict=True):
             attempt(calibration_file.of, one, skin)
 
@@ -82,9 +85,10 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
 def notes(config: Config) -> list[str]:
     """Lines on matters that no check can decide."""
     source = config.source
+    found = [] if config.scene.names else [ALONE]
     if source.kind == "replay":
-        return []
-    found = [line] if (line := _down(source)) else []
+        return found
+    found += [line] if (line := _down(source)) else []
     if not config.sensor_pose.endpoint:
         heard = client.hears(POSES_USUAL, messages.SENSOR_POSE, HEAR_POSES_S)
         found += [POSES_UNUSED] * heard

@@ -41,7 +41,8 @@ ICUB_COUNTS = 200.0  # full scale of an iCub's skin
 
 def write(path: Path, options: Mapping[str, Any]) -> Config:
     """Write the configuration of the options `source`, `bundle`, `layout`, `poses`, `where`,
-    `dialect` and `keys`; a person at the terminal is asked for those of `QUESTIONS` that are None.
+    `dialect`, `no_object` and `keys`; a person at the terminal is asked for those of `QUESTIONS`
+    that are None.
 
     Raises:
         SetupError: an answer is missing or cannot be used, or the file exists already.
@@ -86,15 +87,19 @@ def _toml(value: object) -> str:
 def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
     """The keys that follow from the options and the answers."""
     source = _source(_answer(options, "source"))
-    named = _answer(options, "bundle")
-    built = bundle.manifest_of(named)  # refuses a directory that is no bundle
-    own = built.layout.name if ":" in built.layout.name else ""  # a file is not found by its name
+    is_alone = options.get("no_object", False)
+    named = "" if is_alone else _answer(options, "bundle")
+    depth_m, own = SkinConfig().full_scale_depth_m, ""
+    if named:
+        built = bundle.manifest_of(named)  # refuses a directory that is no bundle
+        depth_m = built.depth_max_m
+        own = built.layout.name if ":" in built.layout.name else ""  # a file's name finds no file
     layout = options["layout"] or own or _answer(options, "layout")
     placed = layouts.load(layout)
     poses = _answer(options, "poses")
     skin: dict[str, Any] = {"layout": layout if generated.parse(layout) else _from(path, layout)}
-    if built.depth_max_m != SkinConfig().full_scale_depth_m:
-        skin["full_scale_depth_m"] = built.depth_max_m
+    if depth_m != SkinConfig().full_scale_depth_m:
+        skin["full_scale_depth_m"] = depth_m
     if options["dialect"] == "icub":
         source["dialect"] = "icub"
         skin["full_scale_counts"] = ICUB_COUNTS
@@ -104,11 +109,11 @@ def _tables(path: Path, options: Mapping[str, Any]) -> Tables:
         source["period_ms"] = least_ms
     keys = options["keys"]
     return {
-        "scene": {"bundle": _from(path, named)},
+        "scene": {"bundle": _from(path, named)} if named else {},
         "source": source,
         "skin": skin,
         "sensor_pose": {"endpoint": poses} if poses else {},
-        "filter": _square(_answer(options, "where")),
+        "filter": {} if is_alone else _square(_answer(options, "where")),
         "curve": {"directory": str(Path(keys).absolute())} if keys else {},
     }
 

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
+from typing import Any
 
 from taxeld.arrays import Floats, Poses
 from taxeld.config import links
@@ -14,12 +15,15 @@ from taxeld.config.tables import Config
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
+from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
+from taxeld.pipeline.skin_server import SkinServer
 from taxeld.proposals import bundle, several
 from taxeld.service import calibration_file
 from taxeld.service.clock import is_step
+from taxeld.skin.patches import Patches
 from taxeld.source import dialects, session
 from taxeld.source.session import Chunk, PoseRow
 from taxeld.source.source import Source
@@ -56,7 +60,11 @@ class Replay:
         self.pipeline = open_pipeline(self.directory, config)
         self.config = self.pipeline.config
         self.names = several.names(config.scene)  # of objects, by their numbers in estimates
-        self.model = self.pipeline.estimator.model  # of the first object
+        self.layout = self.pipeline.skin.layout
+        self.patches = [
+            Patches(stage.skin.layout, stage.config.skin.full_scale_depth_m)
+            for stage in self.pipeline.stages
+        ]
         self._outcomes = outcomes(self.directory, self.pipeline)
 
     def __iter__(self) -> Iterator[Outcome]:
@@ -66,6 +74,20 @@ class Replay:
             SetupError: the session cannot be read, or is damaged.
         """
         return self._outcomes
+
+    @property
+    def model(self) -> ObservationModel:
+        """Of the first object."""
+        return self.pipeline.estimator.model
+
+    def contacts(self, outcome: Outcome, seq: int) -> dict[str, Any]:
+        """The map of `/taxeld/contacts` of the last scan, which was felt."""
+        felt, link = outcome.activation, outcome.link
+        patches, t = self.patches[link], outcome.estimate.t
+        if felt is not None:
+            patches.on_scan(felt.z)
+            t = felt.t
+        return messages.contacts(t, patches, outcome.sensor, seq, link)
 
     @property
     def belief(self) -> tuple[Poses, Floats]:
@@ -83,14 +105,17 @@ class Replay:
 
 
 def replay(directory: Path, config: Config, seed: int | None = None) -> Iterator[str]:
-    """One JSON line a scan: the map of `/taxeld/estimate`. The same input and seed give the same
-    bytes.
+    """One JSON line a scan: the map of `/taxeld/estimate`, or of `/taxeld/contacts` where there is
+    no object. The same input and seed give the same bytes.
 
     Raises:
         SetupError: the session, or a file named by the configuration, cannot be used.
     """
     recorded = Replay(directory, config, seed)
     for seq, outcome in enumerate(recorded):
+        if not recorded.pipeline.has_object:
+            yield json.dumps(recorded.contacts(outcome, seq), separators=(",", ":"))
+            continue
         why = recorded.why(outcome.estimate)
         message = messages.estimate(
             outcome.estimate,
@@ -121,13 +146,15 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
             f"{error}; a session does not hold its layout and its bundle: name them in "
             f"{directory / session.CONFIG}, by whole paths, or in another file with --config"
         ) from None
-    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m, further)
-    model, *more = (one.model for one in bundles)
     begun = session.begun(directory) if any(one.skin.calibration for one in each) else 0.0
     calibration = [
         calibration_file.load(one.skin, layout, begun, recorded=True)
         for one, layout in zip(each, (skin, *further), strict=True)
     ]
+    if not config.scene.names:
+        return SkinServer(config, [skin, *further], calibration=calibration, extrapolate_s=0.0)
+    bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m, further)
+    model, *more = (one.model for one in bundles)
     # all poses are known, so each scan is placed between two and none is extrapolated
     return Pipeline(
         config,

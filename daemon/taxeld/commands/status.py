@@ -34,6 +34,8 @@ def estimate_rows(e: dict[str, Any], reason: str = "") -> Iterator[tuple[str, st
     yield "Status", f"{name_of(Status, e['status'])}, {'valid' if e['valid'] else 'not valid'}"
     if not e["valid"]:
         yield "Not valid", reason or reason_of(e["why"])
+    if not e["modes"]:
+        return
     pose, cov = e["map"], e["cov"]
     yield "Pose", f"x {pose['x']:.4f} m, y {pose['y']:.4f} m, yaw {pose['theta']:.3f} rad"
     if named := object_of(e):

@@ -1,12 +1,12 @@
 """The configuration file: reading, and checks across keys."""
 
 import errno
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import BinaryIO
 
 from taxeld.config import endpoints, links, toml_tables
-from taxeld.config.tables import Config, SourceConfig
+from taxeld.config.tables import Config, SceneConfig, SourceConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld_protocol import icub
 
@@ -117,8 +117,12 @@ def _check_source(source: SourceConfig, faults: list[str]) -> None:
 
 def _check_scene(config: Config, faults: list[str]) -> None:
     scene, learned = config.scene, config.filter
-    if not scene.bundle and not scene.bundles:
-        faults.append("scene.bundle: is required; or name several objects in scene.bundles")
+    if not scene.names:
+        faults += [
+            f"{key}: needs an object: name it in scene.bundle, or leave this out"
+            for key in _of_objects(config)
+        ]
+        return
     if scene.bundle and scene.bundles:
         faults.append("scene.bundles: is given beside scene.bundle; keep one of the two")
     if len(scene.names) == scene.max_objects == 1:
@@ -128,6 +132,16 @@ def _check_scene(config: Config, faults: list[str]) -> None:
         faults.append(f"filter.injection: 'paper' knows one object: {cure}")
     if learned.motion == "push":
         faults.append(f"filter.motion: a pushed object must be known: {cure}")
+
+
+def _of_objects(config: Config) -> list[str]:
+    """Keys that are set and mean nothing without an object."""
+    found = ["scene.max_objects"] * (config.scene != SceneConfig())
+    for name, table in (("filter", config.filter), ("budget", config.budget)):
+        usual = type(table)()
+        keys = (each.name for each in fields(table))
+        found += [f"{name}.{key}" for key in keys if getattr(table, key) != getattr(usual, key)]
+    return found
 
 
 def _check_endpoints(config: Config, faults: list[str]) -> None:

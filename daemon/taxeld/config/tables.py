@@ -142,7 +142,7 @@ class SourceConfig:
 
 @dataclass(frozen=True, slots=True)
 class SceneConfig:
-    bundle: str = key("", doc="the object: a shipped bundle's name, or a path")
+    bundle: str = key("", doc="the object: a shipped bundle's name, or a path; empty: none")
     bundles: tuple[str, ...] = key(
         (), _bundles, "in place of bundle: the objects that it may be, by name or path"
     )
@@ -154,7 +154,7 @@ class SceneConfig:
     @property
     def names(self) -> tuple[str, ...]:
         """The bundles of all objects that it may be."""
-        return self.bundles or (self.bundle,)
+        return self.bundles or ((self.bundle,) if self.bundle else ())
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,6 +269,7 @@ class PublishConfig:
         20.0, between(0.1, 1000), "estimates a second while no scan brings one, at least"
     )
     endpoints: tuple[str, ...] = key(("ipc:///run/taxeld/stream",), doc="XPUB endpoints, ipc alone")
+    counts: bool = key(False, doc="whether the taxels' counts are published as well")
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,11 +307,11 @@ class LogConfig:
     )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Config:
     """A whole configuration, table by table."""
 
-    scene: SceneConfig
+    scene: SceneConfig = field(default_factory=SceneConfig)
     source: SourceConfig
     skin: SkinConfig = field(default_factory=SkinConfig)
     sensor_pose: SensorPoseConfig = field(default_factory=SensorPoseConfig)

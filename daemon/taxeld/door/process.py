@@ -72,6 +72,7 @@ class Door:
         asked = filter(None, (settings.control, settings.relay_control))
         # all that is read of files comes before the process is confined
         self._connections = Connections((*served, *asked), _heard(settings))
+        self._estimates = settings.estimates
         keys = _keys(settings)
         members = control.for_members(settings.change_group)
         self._report.confined = _confine(settings)
@@ -180,6 +181,8 @@ class Door:
             if not self._is_at_work:  # requests have waited for the loop's first estimate
                 self._is_at_work = True
                 self._make_poller()
+            if not self._estimates:  # it is for `status` alone
+                return
         frames = [topic, body, b"%.6f" % t]
         for stream in self._streams:
             stream.send(frames)

@@ -21,6 +21,7 @@ class Settings:
     relay_change: bool = False  # tare and reset are taken there
     topics: tuple[str, ...] = ()  # of the links' poses, where there are several
     array: str = ""  # where arrays are heard; empty: nowhere
+    estimates: bool = True  # there is an object, of which estimates are published
     keys: str = ""  # directory of CURVE's keys; empty: none
 
     @property

@@ -29,6 +29,7 @@ class Why(IntEnum):
     UNTOUCHED = 8
     VAGUE = 9
     OUTSIDE = 10
+    NO_OBJECT = 11
 
 
 CURES = {  # the reason and its cure, in the width of a terminal (docs/stream.md)
@@ -43,6 +44,7 @@ CURES = {  # the reason and its cure, in the width of a terminal (docs/stream.md
     Why.UNTOUCHED: "nothing was touched yet: touch the object",
     Why.VAGUE: f"p is under {LEAST_P:.0%}: touch another side; is it this object?",
     Why.OUTSIDE: "outside filter.centre_m ± filter.half_width_m: widen or move that square",
+    Why.NO_OBJECT: "no object is configured: /taxeld/contacts has what is touched",
 }
 
 
@@ -117,6 +119,7 @@ class Freshness:
         off_m = np.abs(places - self._centre_m).max()
         holds = {
             Why.MODULES_MISSING: Why.VALID not in self.of_links(now_s),
+            Why.NO_OBJECT: not estimate.objects,
             Why.BLIND: estimate.status is Status.BLIND,
             Why.INCONSISTENT: estimate.status is Status.INCONSISTENT,
             Why.UNTOUCHED: estimate.contacts == 0,

@@ -11,12 +11,15 @@ from typing import Any
 
 import numpy as np
 
+from taxeld.arrays import Poses
 from taxeld.config.tables import Config
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.rule import EstimatorCounters
+from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
 from taxeld.pipeline.calibrated import calibrated
-from taxeld.pipeline.calibration_check import CalibrationCheck
+from taxeld.pipeline.calibration_check import CalibrationCheck, CalibrationDoubt
 from taxeld.pipeline.freshness import Freshness, Why
 from taxeld.pipeline.outcome import InputCounters, Outcome, later
 from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose, PoseTrack, StandingStill
@@ -109,6 +112,21 @@ class Pipeline:
             yield self._take(self._next())
 
     @property
+    def has_object(self) -> bool:
+        """Whether an object is known; else the skin is served alone."""
+        return True
+
+    @property
+    def counted(self) -> EstimatorCounters:
+        """Counters of the estimator, since start."""
+        return self.estimator.counters
+
+    @property
+    def doubt(self) -> CalibrationDoubt:
+        """The doubt that touches raise about the calibration."""
+        return self.check.doubt
+
+    @property
     def skin(self) -> Skin:
         """The first link's skin."""
         return self.stages[0].skin
@@ -161,7 +179,7 @@ class Pipeline:
 
     def health(self) -> dict[str, Any]:
         """Counters of the estimator, and of the first link's skin, since start."""
-        counted = self.estimator.counters
+        counted = self.counted
         return {
             "estimator": {
                 "scans": counted.scans,
@@ -218,6 +236,13 @@ class Pipeline:
             stage.fresh.last = Why.NO_POSE
             return replace(self._unused(scan, skin_ns, link), activation=later(activation, by))
         stage.fresh.last = Why.VALID
+        spent_ns = skin_ns, *self._believe(activation, sensor, link)
+        return Outcome(self.estimate, later(activation, by), sensor, *spent_ns, link)
+
+    def _believe(self, activation: Activation, sensor: Poses, link: int) -> tuple[int, int]:
+        """Learn from a link's activation at its sensor's pose (3,); → the time that samples took,
+        and that all the rest took [ns]."""
+        clock = self.ladder.clock
         start, proposed_ns = clock(), self.ladder.spent_ns
         believed = self.estimator.estimate
         if believed.object != self._judged:
@@ -235,9 +260,8 @@ class Pipeline:
         filter_ns = clock() - start - propose_ns
         if not estimate.contact:
             self._learn(CONTACTS)
-        self.estimate = self.freshness.judged(later(estimate, by))
-        spent_ns = skin_ns, propose_ns, filter_ns
-        return Outcome(self.estimate, later(activation, by), sensor, *spent_ns, link)
+        self.estimate = self.freshness.judged(later(estimate, self._stepped_s))
+        return propose_ns, filter_ns
 
     def _judge_by(self, number: int) -> None:
         """Judge the calibration by touches of the object of this number, from now on."""

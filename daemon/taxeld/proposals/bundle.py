@@ -18,7 +18,6 @@ from taxeld.proposals import manifest, scene_file
 from taxeld.proposals.analytic import ANALYTIC, Table, check_contacts
 from taxeld.proposals.ladder import Ladder, Rung, Step
 from taxeld.proposals.manifest import LinkEntry, Manifest, SamplerEntry
-from taxeld.proposals.sampler import Sampler
 
 KEY = "scene.bundle"  # of the configuration, which names a bundle
 DEPTH_ALIKE_M = 1e-6  # depths that differ less are one
@@ -95,6 +94,8 @@ class Bundle:
             return ANALYTIC[name](self.model)
         entry = self._samplers()[name]
         path = self.path / entry.file
+        from taxeld.proposals.sampler import Sampler  # noqa: PLC0415  (it loads onnxruntime)
+
         return Sampler(self.files[entry.file], self.model.layout, entry.kind, path)
 
     def own(self, name: str) -> str:

@@ -173,6 +173,7 @@ def settings_of(config: Config, robot: str) -> Settings:
         relay_publish=config.relay.publish,
         relay_control=config.relay.control,
         relay_change=config.relay.change,
+        estimates=bool(config.scene.names),
         keys=config.curve.directory,
     )
 

@@ -48,7 +48,7 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
             "poses_age_s": poses.age_s,
             "poses_offset_s": poses.offset_s,
         },
-        "calibration": told(pipeline.stages[0].calibration, pipeline.check.doubt, t),
+        "calibration": told(pipeline.stages[0].calibration, pipeline.doubt, t),
         "door": {
             "starts": daemon.door.starts,
             "confined": report.confined,

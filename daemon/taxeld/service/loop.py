@@ -28,6 +28,7 @@ from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.pipeline.pose_watch import PoseFigures, PoseWatch
 from taxeld.pipeline.poses import OnPose
+from taxeld.pipeline.skin_server import SkinServer
 from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import choice, several
 from taxeld.service import calibration_file, health, realtime, state_file
@@ -38,6 +39,7 @@ from taxeld.service.notices import Notices
 from taxeld.service.notify import Notifier
 from taxeld.service.state_file import StateFile
 from taxeld.service.ticker import ALL, Ready, Ticker, wait
+from taxeld.skin.patches import Patches
 from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.source.source import Source
@@ -99,24 +101,35 @@ class Daemon:
         self.of_links = [config.of_link(k) for k in range(len(config.names))]
         self.layouts = [layouts.load(one.skin.layout) for one in self.of_links]
         self.layout, *further = self.layouts
-        depth_m = config.skin.full_scale_depth_m
-        bundles = several.load(config.scene, self.layout, depth_m, further)
+        bundles = []
+        if config.scene.names:
+            depth_m = config.skin.full_scale_depth_m
+            bundles = several.load(config.scene, self.layout, depth_m, further)
+        self.patches = [
+            Patches(layout, one.skin.full_scale_depth_m)
+            for one, layout in zip(self.of_links, self.layouts, strict=True)
+        ]
         calibration = [
             calibration_file.of(one, layout)
             for one, layout in zip(self.of_links, self.layouts, strict=True)
         ]
-        ladder = choice.ladder(bundles, config, time.perf_counter_ns)
-        on_pose = recorder.pose if recorder else None
-        model, *self._more = (one.model for one in bundles)
-        self.pipeline = Pipeline(
-            config,
-            model,
-            ladder,
-            on_pose,
-            calibration,
-            more=self._more,
-            on_poses=self._recorded_beside(recorder),
-        )
+        clock, on_pose = time.perf_counter_ns, recorder.pose if recorder else None
+        on_poses = self._recorded_beside(recorder)
+        self._more = [one.model for one in bundles[1:]]
+        if bundles:
+            self.pipeline = Pipeline(
+                config,
+                bundles[0].model,
+                choice.ladder(bundles, config, clock),
+                on_pose,
+                calibration,
+                more=self._more,
+                on_poses=on_poses,
+            )
+        else:
+            self.pipeline = SkinServer(
+                config, self.layouts, clock, on_pose, calibration, on_poses=on_poses
+            )
         self.pipeline.thinks_at_once = False
         self.recorder = recorder
         self.latencies = Latencies(messages.STAGES)
@@ -137,7 +150,7 @@ class Daemon:
         self.start_s = time.monotonic()
         self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
         self._next_health_s = self._next_particles_s = self._next_estimate_s = 0.0
-        self._estimate_s = 1.0 / config.publish.rate_hz
+        self._estimate_s = 1.0 / config.publish.rate_hz if bundles else HEALTH_S
         self._next_look_s = 0.0
         self._told: Estimate | None = None  # the estimate published last
         self._why = Why.STARTING  # why that one is not valid
@@ -153,7 +166,7 @@ class Daemon:
         digest = hashlib.sha256(repr(given).encode()).hexdigest()[:16]
         self._info = messages.info(self.layout, scenes, digest, self._named)
         self._watches = [_watch_of(one) for one in self.of_links]
-        changes = {"tare": self.pipeline.tare, "reset": self.pipeline.reset}
+        changes = {"tare": self.pipeline.tare, "reset": self._reset}
         self.link = Link(self._info, self._on_pose, changes)
         for k in range(1, len(self.layouts)):
             self.link.on_poses[k] = partial(self._on_pose, link=k)
@@ -197,9 +210,8 @@ class Daemon:
         notifier = Notifier()
         try:
             realtime.trim()
-            model, ladder = self.pipeline.estimator.model, self.pipeline.ladder
-            limit_ns = self._touch_ns(hubs=1)
-            warm_up(model, ladder, self.config.filter, time.thread_time_ns, limit_ns, self._more)
+            if self.pipeline.has_object:
+                self._warm_up()
             self.pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
             with realtime.thread(self.config.loop.priority) as self.realtime:
                 notifier.ready()
@@ -209,8 +221,13 @@ class Daemon:
             notifier.stopping()
             self.close()
 
+    def _warm_up(self) -> None:
+        model, ladder = self.pipeline.estimator.model, self.pipeline.ladder
+        limit_ns = self._touch_ns(hubs=1)
+        warm_up(model, ladder, self.config.filter, time.thread_time_ns, limit_ns, self._more)
+
     def _loop(self, notifier: Notifier, between: Callable[[], None]) -> None:
-        ticker = Ticker(self.config.loop.rate_hz, 1.0 / self.config.publish.rate_hz)
+        ticker = Ticker(self.config.loop.rate_hz, self._estimate_s)
         collector = realtime.Collector()
         ready = ALL
         while not self.stopping:
@@ -354,6 +371,14 @@ class Daemon:
             self._next_look_s = now_s + LOOK_S
             self.door.look(self.link, now_s)
 
+    def _reset(self) -> str:
+        """Forget all touches; → why that was not done."""
+        try:
+            self.pipeline.reset()
+        except SetupError as error:
+            return str(error)
+        return ""
+
     def _on_pose(self, t: float, x: float, y: float, theta: float, link: int = 0) -> None:
         now, poses = time.time(), self.pipeline.stages[link].poses
         far = poses.far
@@ -376,8 +401,14 @@ class Daemon:
             "publish": publish_us,
             "total": total_us,
         }
-        if outcome.is_used or self._is_news(outcome.estimate):
+        is_used = outcome.is_used and self.pipeline.has_object
+        if is_used or self._is_news(outcome.estimate):
             self._send_estimate(self._estimate(now_s), lat_us, now_s)
+        is_read = self.pipeline.freshness.links[outcome.link].last is not Why.SCANS_MISTIMED
+        if self.config.publish.counts and is_read and self.link.wants(messages.COUNTS):
+            t, raw = outcome.estimate.t, self.pipeline.stages[outcome.link].skin.counts
+            told = messages.counts(t, raw, self._seq, outcome.link)
+            self.link.send(messages.COUNTS, told, t)
         if outcome.activation is not None:
             self._send_activation(outcome.activation, outcome.sensor, now_s, outcome.link)
         self.latencies.add(lat_us)
@@ -387,7 +418,9 @@ class Daemon:
 
     def _is_news(self, estimate: Estimate) -> bool:
         told = self._told
-        return told is None or told.status is not estimate.status or told.t != estimate.t
+        if told is None or told.status is not estimate.status:
+            return True
+        return told.t != estimate.t and self.pipeline.has_object
 
     def _send_estimate(self, estimate: Estimate, lat_us: dict[str, float], now_s: float) -> None:
         self._seq += 1
@@ -417,8 +450,13 @@ class Daemon:
         t, link = activation.t, self.link
         if link.wants(messages.TAXELS):
             link.send(messages.TAXELS, messages.taxels(activation, sensor, self._seq, number), t)
+        patches, skin = self.patches[number], self.pipeline.stages[number].skin
+        if link.wants(messages.CONTACTS) and (skin.touched or patches.now):
+            patches.on_scan(activation.z)
+            told = messages.contacts(t, patches, sensor, self._seq, number)
+            link.send(messages.CONTACTS, told, t)
         due = self.pipeline.estimate.contact and now_s >= self._next_particles_s
-        if due and link.wants(messages.PARTICLES):
+        if due and self.pipeline.has_object and link.wants(messages.PARTICLES):
             self._next_particles_s = now_s + 1.0 / PARTICLES_HZ
             belief = self.pipeline.estimator.rule.belief
             cloud = messages.particles(t, self._seq, belief.pose, belief.weight)

@@ -47,7 +47,12 @@ class Notices:
 
     def __init__(self, names: Sequence[str], proposal: str, bundles: Sequence[Path]) -> None:
         """`names`: of the objects that it may be."""
-        self._samples = f"{proposal or 'no samples'} of {', '.join(map(str, bundles))}"
+        self._of = ["no object: the skin alone"]
+        if bundles:
+            self._of = [
+                f"object {' or '.join(names)}",
+                f"samples by {proposal or 'no samples'} of {', '.join(map(str, bundles))}",
+            ]
         self._names = names
         self._object = 0 if len(names) == 1 else -1  # number of the last one that was logged
         self._status: tuple[Status, Why] | None = None  # the last, and why it was not valid
@@ -62,8 +67,7 @@ class Notices:
         where = source.where
         parts = [
             f"skin {info['layout']['name']}, {info['layout']['taxels']} taxels",
-            f"object {' or '.join(self._names)}",
-            f"samples by {self._samples}",
+            *self._of,
             f"source {source.kind} {where}, {'not there yet' if waits_for else 'open'}",
             f"sensor poses {f'from {poses}' if poses else 'none: it stands still'}",
             f"streams at {', '.join(config.publish.endpoints) or 'nowhere'}",
@@ -74,7 +78,8 @@ class Notices:
     def estimate(self, estimate: Estimate, why: Why, reason: str, now_s: float) -> None:
         """Log a published estimate if its status, or why it is not valid, has changed; `reason`:
         the same in words. So is the object, once it is known."""
-        self._name(estimate, now_s)
+        if estimate.objects:
+            self._name(estimate, now_s)
         status, left_out = estimate.status, self._of_status.left_out
         if (status, why) == self._status:
             return

@@ -38,7 +38,7 @@ log = logging.getLogger(__name__)
 
 OnPose = Callable[[float, float, float, float], None]
 OnArray = Callable[[ArrayFrame], None]
-Handler = Callable[[], None]
+Handler = Callable[[], str | None]  # → why it was not done
 
 
 @dataclass(slots=True)
@@ -201,7 +201,7 @@ class Link:
             why = f"more than {CHANGES_HZ:.0f} a second are not done; ask again"
         else:
             self._changes -= 1.0
-            handler()
+            why = handler() or ""
         self._give(Kind.ANSWER, pair.REQUEST.pack(number) + why.encode())
 
     def _send(self, topic: bytes, body: bytes, t: float) -> None:

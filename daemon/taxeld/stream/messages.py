@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from taxeld import __version__
-from taxeld.arrays import Poses
+from taxeld.arrays import Floats, Poses
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status, Target
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
@@ -19,9 +19,22 @@ from taxeld.model.activation import Activation
 from taxeld.model.scene import Scene
 from taxeld.pipeline.freshness import CURES, Why
 from taxeld.proposals.ladder import Step
-from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, PARTICLES, SENSOR_POSE, TAXELS, TOPICS
+from taxeld.skin.patches import Patches, in_world
+from taxeld.stream.topics import (
+    CONTACTS,
+    COUNTS,
+    ESTIMATE,
+    HEALTH,
+    INFO,
+    PARTICLES,
+    SENSOR_POSE,
+    TAXELS,
+    TOPICS,
+)
 
 __all__ = [
+    "CONTACTS",
+    "COUNTS",
     "ESTIMATE",
     "HEALTH",
     "INFO",
@@ -31,6 +44,8 @@ __all__ = [
     "TAXELS",
     "TOPICS",
     "VERSION",
+    "contacts",
+    "counts",
     "estimate",
     "health",
     "info",
@@ -137,6 +152,48 @@ def taxels(activation: Activation, sensor: Poses | None, seq: int, link: int = 0
     }
 
 
+def contacts(
+    t: float, patches: Patches, sensor: Poses | None, seq: int, link: int = 0
+) -> dict[str, Any]:
+    """`/taxeld/contacts` of a link: the patches of touch of its last scan, at Unix time t."""
+    at = se2.IDENTITY if sensor is None else sensor
+    return {
+        "v": VERSION,
+        "seq": seq,
+        "t": t,
+        **({"link": link} if link else {}),
+        "placed": sensor is not None,
+        "left_out": patches.left_out,
+        "patches": [
+            {
+                "id": one.id,
+                "taxels": len(one.taxels),
+                "area_m2": one.area_m2,
+                "sum": one.sum,
+                "peak": one.peak,
+                "depth_m": one.depth_m,
+                "position": _vector(one.position_m),
+                "normal": _vector(one.normal),
+                "world_position": _vector(in_world(at, one.position_m, is_place=True)),
+                "world_normal": _vector(in_world(at, one.normal, is_place=False)),
+            }
+            for one in patches.now
+        ],
+    }
+
+
+def counts(t: float, counts: Floats, seq: int, link: int = 0) -> dict[str, Any]:
+    """`/taxeld/counts` of a link: its last readings (M,), 0 where none is valid."""
+    return {
+        "v": VERSION,
+        "seq": seq,
+        "t": t,
+        **({"link": link} if link else {}),
+        "counts": counts.tolist(),
+        "came": (counts > 0.0).tolist(),
+    }
+
+
 def health(seq: int, t: float, parts: dict[str, Any]) -> dict[str, Any]:
     """`/taxeld/health`: counters and dataclasses of counters, by part."""
     plain = {k: _plain(v) for k, v in parts.items()}
@@ -164,9 +221,9 @@ def info(
         "proposal": {str(int(p)): p.name.lower() for p in ProposalKind},
         "degraded": {str(int(s)): s.name.lower() for s in Step},
         "layout": _layout(layout),
-        "object": objects[0]["name"],
-        "symmetry": objects[0]["symmetry"],
-        "outline": objects[0]["outline"],
+        "object": objects[0]["name"] if objects else "",
+        "symmetry": objects[0]["symmetry"] if objects else 0,
+        "outline": objects[0]["outline"] if objects else [],
         "objects": objects,
         "config_hash": config_hash,
         **(
@@ -191,7 +248,7 @@ def object_of(e: Mapping[str, Any]) -> str:
     """The name of the object that an estimate's map is of, with its probability where it might be
     another one; empty in the map of an older daemon."""
     likely = list(e.get("objects", {}).items())
-    if not likely:
+    if len(likely) < ALONE:  # `other` alone
         return ""
     name, p = likely[e["object"]]
     return f"{name} {p:.1%}" if len(likely) > ALONE else str(name)
@@ -212,6 +269,10 @@ def _plain(part: Any) -> Any:
     if not is_dataclass(part):
         return part
     return {f.name: _plain(getattr(part, f.name)) for f in fields(part)}
+
+
+def _vector(v: Floats) -> dict[str, float]:
+    return {"x": float(v[0]), "y": float(v[1]), "z": float(v[2])}
 
 
 def _pose(pose: Poses) -> dict[str, float]:

@@ -60,7 +60,9 @@ class Picture:
         self._shown = 0  # number of the object that is drawn
         self._slices = [slices_of(stage, thing) for thing in stage.things]
         self._outlines = [max((line[:, :2] for line in own), key=len) for own in self._slices]
-        self._middle_m = float(np.mean([line[0, 2] for line in self._slices[0]]))
+        self._middle_m = float(
+            np.mean([line[0, 2] for own in self._slices[:1] for line in own] or 0.0)
+        )
         self._arrange(None)
         self._draw_still()
 
@@ -95,14 +97,15 @@ class Picture:
             "plot/spread": rr.SeriesLines(names=list(SPREADS), colors=list(SPREADS.values())),
             "plot/latency": rr.SeriesLines(names=[f"{stage} [ms]" for stage in messages.STAGES]),
         }
-        if stage.truth is not None:
+        if stage.truth is not None and self._slices:
             lines = [
                 _at(se2.apply(stage.truth, line[:, :2]), line[0, 2]) for line in self._slices[0]
             ]
             still["world/truth"] = rr.LineStrips3D(lines, colors=TRUTH, radii=LINE_M / 2)
         for entity, thing in still.items():
             self._stream.log(entity, thing, static=True)
-        self._draw_object(0)
+        if self._slices:
+            self._draw_object(0)
 
     def _draw_object(self, number: int) -> None:
         """Draw the object of this number where the last one was."""
@@ -196,7 +199,8 @@ class Picture:
         if look_at is not None:
             target = np.array([look_at[0], look_at[1], 0.0])
             eye = rrb.EyeControls3D(position=target + EYE_M, look_target=target)
-        has_errors = self._stage.things[0].scene is not None and self._stage.truth is not None
+        known = [thing.scene for thing in self._stage.things[:1]]
+        has_errors = known not in ([], [None]) and self._stage.truth is not None
         plots = {"spread": "spread: 1 standard deviation", "belief": "p and the hypotheses"}
         if has_errors:
             plots["error"] = "error: ADD [mm]"

@@ -43,7 +43,7 @@ class Stage:
 
     def error_mm(self, estimate: dict[str, Any]) -> float | None:
         """Symmetry-aware ADD of the heaviest mode; None without scene, truth or valid estimate."""
-        scene = self.things[0].scene
+        scene = self.things[0].scene if self.things else None
         if scene is None or self.truth is None or not estimate["valid"]:
             return None
         return 1e3 * add_m(scene, pose_of(estimate["map"]), self.truth)[1]
@@ -77,6 +77,8 @@ def scenes_of(config: Config) -> list[Scene]:
         SetupError: what the configuration names cannot be used.
     """
     skin = layouts.load(config.skin.layout)
+    if not config.scene.names:
+        return []
     bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m)
     return [one.model.scene for one in bundles]
 
@@ -90,8 +92,9 @@ def recorded(directory: Path, config: Path | None = None) -> tuple[Stage, Iterat
             messages are read, also: the session is damaged.
     """
     replay = Replay(directory, session.config_of(directory, config))
-    skin = replay.pipeline.skin.layout
-    scenes = [known.model.scene for known in replay.pipeline.estimator.known]
+    skin = replay.layout
+    pipeline = replay.pipeline
+    scenes = [known.model.scene for known in pipeline.estimator.known] if replay.names else []
     pairs = zip(replay.names, scenes, strict=True)
     truth = truth_of(directory / session.TRUTH)
     stage = Stage(
@@ -120,7 +123,9 @@ def _messages(replay: Replay) -> Iterator[Message]:
         estimate, activation = outcome.estimate, outcome.activation
         if activation is not None and not outcome.link:  # the first link alone is drawn
             yield messages.TAXELS, messages.taxels(activation, outcome.sensor, seq)
-        if not estimate.t:  # nothing was measured yet
+            if replay.patches[outcome.link].now or activation.z.any():
+                yield messages.CONTACTS, replay.contacts(outcome, seq)
+        if not (estimate.t and replay.names):  # nothing was measured yet
             continue
         message = messages.estimate(estimate, names=replay.names, seq=seq, why=replay.why(estimate))
         yield messages.ESTIMATE, message

@@ -18,6 +18,7 @@ NEEDED = {  # keys that the pictures and the ROS messages read
     messages.ESTIMATE: "t valid why status p radius_m hypotheses contact contacts map mean cov "
     "modes ess particles injected proposal log_evidence age_us overruns lat_us",
     messages.TAXELS: "t z live placed sensor",
+    messages.CONTACTS: "t patches",
     messages.PARTICLES: "t xytheta",
     messages.HEALTH: "loop source inputs lat_us dead_taxels",
     messages.INFO: "layout outline object",

@@ -68,13 +68,13 @@ def show(stage: Stage, heard: Iterable[Message], target: Destination) -> bool:
         viewer = _open_viewer(stream, web=target.web)
     else:
         _save(stream, target.save)
-    begun_s = 0.0
+    begun_s, leading = 0.0, messages.ESTIMATE if stage.things else messages.TAXELS
     try:
         picture = Picture(stage, stream)
         for topic, message in heard:
             if target.stopping() or _has_ended(viewer):
                 break
-            if topic == messages.ESTIMATE and message["t"]:
+            if topic == leading and message["t"]:
                 begun_s = begun_s or message["t"]
                 if message["t"] - begun_s > target.seconds:
                     break

@@ -87,6 +87,7 @@ class Page:
         self.heard_s = -math.inf
         self._endpoint = endpoint
         self._object = ""
+        self._is_alone = False  # there is no object
         self._map: SkinMap | None = None
         self._last: dict[bytes, dict[str, Any]] = {}
         self._lat_us: dict[str, float] = {}  # latencies of the last scan by stage
@@ -101,6 +102,7 @@ class Page:
             stage = from_info(m)
             named = stage.things[0].name if len(stage.things) == 1 else ""
             self._object, self._map = named, SkinMap(stage)
+            self._is_alone = not stage.things
         if topic == messages.ESTIMATE and m["lat_us"].get("skin"):
             self._lat_us = m["lat_us"]
         self._last[topic], self.heard_s = m, now_s
@@ -110,6 +112,11 @@ class Page:
         lines = [self._title(now_s)]
         if self._map is not None:
             lines += self._map.lines(self._last.get(messages.TAXELS))
+        if self._is_alone:
+            lines += [
+                *self._touches(),
+                _row("rates", f"{self._hz(messages.TAXELS, now_s):.1f} scans/s"),
+            ]
         if messages.ESTIMATE in self._last:
             lines += [*_belief(self._last[messages.ESTIMATE]), *self._running(now_s)]
         return Group(*lines)
@@ -124,11 +131,23 @@ class Page:
             return text.append(f"nothing for {silent_s:.0f} s: {self.waits}", style="red")
         return text.append(self._endpoint, style="dim")
 
+    def _hz(self, topic: bytes, now_s: float) -> float:
+        """Messages of a topic a second, of late."""
+        return sum(now_s - s <= RATE_S for s in self._seen.get(topic, ())) / RATE_S
+
+    def _touches(self) -> list[Text]:
+        """A line for each of the strongest patches of touch."""
+        lines = [Text("patch    x [mm]    y [mm]    z [mm]  taxels   depth [mm]", style="dim")]
+        for one in self._last.get(messages.CONTACTS, {"patches": []})["patches"][:MODES]:
+            x, y, z = (1e3 * one["world_position"][axis] for axis in "xyz")
+            row = f"{one['id']:5d} {x:9.1f} {y:9.1f} {z:9.1f} {one['taxels']:7d}"
+            lines.append(Text(f"{row} {1e3 * one['depth_m']:12.2f}"))
+        return lines if len(lines) > 1 else [*lines, Text("nothing is touched", style="dim")]
+
     def _running(self, now_s: float) -> list[Text]:
         e, health = self._last[messages.ESTIMATE], self._last.get(messages.HEALTH)
         scans, estimates = (
-            sum(now_s - s <= RATE_S for s in self._seen.get(topic, ())) / RATE_S
-            for topic in (messages.TAXELS, messages.ESTIMATE)
+            self._hz(topic, now_s) for topic in (messages.TAXELS, messages.ESTIMATE)
         )
         rates = _row("rates", f"{scans:.1f} scans/s, {estimates:.1f} estimates/s")
         age = _row("age", f"{e['age_us'] / 1e3:.1f} ms since the scan")

@@ -69,9 +69,10 @@ def uncalibrated(config: Config) -> Config:
     Raises:
         SetupError: it does not say which object is pressed.
     """
-    if len(config.scene.names) > 1:
+    if len(config.scene.names) != 1:
+        key = "scene.bundles" if config.scene.bundles else "scene.bundle"
         raise SetupError(
-            "scene.bundles: a skin is calibrated by presses of one object: name one scene.bundle"
+            f"{key}: a skin is calibrated by presses of one object: name one scene.bundle"
         )
     return replace(config, skin=replace(config.skin, calibration=""))
 

@@ -1,0 +1,167 @@
+"""A daemon without an object: it serves the skin alone."""
+
+import io
+import json
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+from typing import Any
+
+import msgpack
+import pytest
+import zmq
+from rich.console import Console
+
+from taxeld.cli import main
+from taxeld.commands import check, status
+from taxeld.commands.replay import replay
+from taxeld.config.file import load
+from taxeld.config.tables import SkinConfig
+from taxeld.config.toml_tables import ConfigError
+from taxeld.stream import client, messages
+from taxeld.view.export import export
+from taxeld.view.stage import recorded
+from taxeld.view.watch import Page
+from tests.rig.configurations import config, configuration
+from tests.rig.recorded import write_session
+
+from ..rig.stream_page import documented, leaves
+
+NO_SCENE: dict[str, Any] = {"scene": {}}
+LOADED = "import sys; from taxeld import cli; cli.main(); print(*sys.modules)"
+
+
+def shown(page: Page, now_s: float) -> str:
+    out = io.StringIO()
+    Console(file=out, width=80, height=24, force_terminal=False).print(page.render(now_s))
+    return out.getvalue()
+
+
+@pytest.fixture(scope="module")
+def ran(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
+    """What a daemon sends and answers while it replays a session of two touches, by topic and
+    command; and the modules that it has loaded."""
+    place = tmp_path_factory.mktemp("alone")
+    write_session(place, touches=2)
+    path = configuration(place, **NO_SCENE)
+    received: dict[str, list[Any]] = {}
+    command = [sys.executable, "-c", LOADED, "run", str(path)]
+    with zmq.Context() as context, context.socket(zmq.SUB) as socket:
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.SUBSCRIBE, b"")
+        socket.connect(f"ipc://{place}/stream")
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as daemon:
+            try:
+                deadline = time.monotonic() + 60.0
+                while daemon.poll() is None:
+                    assert time.monotonic() < deadline, "the replay does not end"
+                    if socket.poll(20):
+                        topic, body, _ = socket.recv_multipart()
+                        received.setdefault(topic.decode(), []).append(msgpack.unpackb(body))
+                    if "status" not in received and messages.CONTACTS.decode() in received:
+                        for name in ("status", "info"):
+                            answer = client.ask(f"ipc://{place}/control", name, timeout_s=20.0)
+                            received[name] = [answer]
+                        with zmq.Context() as more, more.socket(zmq.REQ) as asking:
+                            asking.setsockopt(zmq.LINGER, 0)
+                            asking.connect(f"ipc://{place}/control")
+                            asking.send(msgpack.packb({"cmd": "reset"}))
+                            assert asking.poll(20_000)
+                            received["reset"] = [msgpack.unpackb(asking.recv())]
+                out, _ = daemon.communicate()
+            finally:
+                daemon.kill()
+    received["modules"] = out.split()
+    return received
+
+
+def test_taxels_contacts_health_and_info_are_sent_and_no_estimate(
+    ran: dict[str, list[Any]],
+) -> None:
+    sent = {topic for topic in ran if topic.startswith("/")}
+    topics = messages.TAXELS, messages.CONTACTS, messages.HEALTH, messages.INFO
+    assert sent == {topic.decode() for topic in topics}
+    (info,) = ran["info"]
+    assert (info["info"]["object"], info["info"]["objects"]) == ("", [])
+    assert info["info"].keys() == documented("/taxeld/info")[1].keys()
+    assert ran["/taxeld/health"][-1].keys() == documented("/taxeld/health")[1].keys()
+
+
+def test_a_patch_is_told_while_it_is_pressed_and_its_end_once(ran: dict[str, list[Any]]) -> None:
+    ids = [[one["id"] for one in m["patches"]] for m in ran["/taxeld/contacts"]]
+    assert ids == [[1]] * 10 + [[]] + [[2]] * 10 + [[]]
+    assert leaves(ran["/taxeld/contacts"][0]) == documented("/taxeld/contacts")[0]
+
+
+def test_status_says_that_there_is_no_object(ran: dict[str, list[Any]]) -> None:
+    (answer,) = ran["status"]
+    lines = list(status.lines(answer))
+    assert "no object is configured" in lines[1]
+    assert not any(line.startswith(("Pose ", "Modes", "Contacts")) for line in lines)
+
+
+def test_reset_answers_that_there_is_nothing_to_forget(ran: dict[str, list[Any]]) -> None:
+    (answer,) = ran["reset"]
+    assert not answer["ok"]
+    assert answer["error"].endswith("nothing to forget")
+
+
+def test_no_sampler_is_loaded(ran: dict[str, list[Any]]) -> None:
+    assert "taxeld.service.loop" in ran["modules"]
+    assert "onnxruntime" not in ran["modules"]
+
+
+def test_a_session_without_an_object_is_replayed_as_its_contacts(tmp_path: Path) -> None:
+    write_session(tmp_path, touches=1)
+    whole = load(configuration(tmp_path, **NO_SCENE))
+    lines = list(replay(tmp_path, whole))
+    said = [json.loads(line) for line in lines]
+    assert [len(m["patches"]) for m in said[24:36]] == [0, *[1] * 10, 0]
+    assert lines == list(replay(tmp_path, whole))
+
+
+def test_keys_that_need_an_object_are_refused_by_name() -> None:
+    tables = {"filter": {"particles": 50, "seed": 0}, "budget": {"propose_ms": 9.0}}
+    with pytest.raises(ConfigError) as caught:
+        config(scene={"max_objects": 2}, **tables)
+    named = [fault.split(":")[0] for fault in caught.value.faults]
+    assert named == ["scene.max_objects", "filter.particles", "budget.propose_ms"]
+
+
+def test_check_notes_that_nothing_will_be_estimated(tmp_path: Path) -> None:
+    write_session(tmp_path)
+    whole = load(configuration(tmp_path, **NO_SCENE))
+    assert check.faults(whole) == []
+    assert check.notes(whole) == [check.ALONE]
+
+
+def test_the_page_of_a_terminal_shows_the_patches(ran: dict[str, list[Any]]) -> None:
+    page = Page("ipc:///nowhere")
+    page.take((messages.INFO, ran["info"][0]["info"]), 0.0)
+    page.take((messages.TAXELS, ran["/taxeld/taxels"][-1]), 0.0)
+    assert "nothing is touched" in shown(page, 0.0)
+    page.take((messages.CONTACTS, ran["/taxeld/contacts"][0]), 0.0)
+    (patch,) = ran["/taxeld/contacts"][0]["patches"]
+    assert f"{1e3 * patch['world_position']['y']:.1f}" in shown(page, 0.0)
+
+
+def test_a_session_without_an_object_is_drawn_and_exported(tmp_path: Path) -> None:
+    write_session(tmp_path)
+    configuration(tmp_path, **NO_SCENE)
+    stage, heard = recorded(tmp_path)
+    assert stage.things == []
+    topics = Counter(topic for topic, _ in heard)
+    assert topics.keys() == {messages.TAXELS, messages.CONTACTS}
+    written = export(tmp_path, tmp_path / "out.mcap")
+    assert written["/taxeld/taxels"] == topics[messages.TAXELS]
+
+
+def test_init_writes_a_configuration_without_an_object(tmp_path: Path) -> None:
+    path = tmp_path / "skin.toml"
+    layout = SkinConfig().layout
+    options = ["--source", "can:can0", "--no-object", "--layout", layout, "--poses", ""]
+    assert main(["init", str(path), *options]) == 0
+    written = load(path)
+    assert (written.scene.names, written.skin.layout) == ((), layout)
