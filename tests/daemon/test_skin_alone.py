@@ -17,15 +17,18 @@ from rich.console import Console
 from taxeld.cli import main
 from taxeld.commands import check, status
 from taxeld.commands.replay import replay
-from taxeld.config.file import load
+from taxeld.config.file import load, parse
 from taxeld.config.tables import SkinConfig
 from taxeld.config.toml_tables import ConfigError
+from taxeld.pipeline.skin_server import SkinServer
 from taxeld.stream import client, messages
 from taxeld.view.export import export
 from taxeld.view.stage import recorded
 from taxeld.view.watch import Page
 from tests.rig.configurations import config, configuration
 from tests.rig.recorded import write_session
+from tests.rig.simulated_skin import SimulatedSkin
+from tests.rig.skins import SKIN
 
 from ..rig.stream_page import documented, leaves
 
@@ -165,3 +168,16 @@ def test_init_writes_a_configuration_without_an_object(tmp_path: Path) -> None:
     assert main(["init", str(path), *options]) == 0
     written = load(path)
     assert (written.scene.names, written.skin.layout) == ((), layout)
+
+
+def test_each_of_several_links_is_served() -> None:
+    text = '[source]\nkind = "can"\nchannel = "can0"\n' + "[[skin]]\n" * 2
+    server = SkinServer(parse(text), [SKIN, SKIN], calibration=[None, None])
+    skins = [SimulatedSkin(SKIN, seed=k) for k in range(2)]
+    for scan in range(30):
+        skins[1].press[40] = 9000.0 * (scan >= 25)
+        scans = [[skin.scan()] for skin in skins]
+        outcomes = list(server.advance(scans[0], skins[0].t, scans[1]))
+    felt = {one.link: one.activation for one in outcomes}
+    assert [felt[k] is not None and felt[k].z.any() for k in range(2)] == [False, True]  # type: ignore[union-attr]
+    assert server.estimate.contact
