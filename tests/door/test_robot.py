@@ -55,6 +55,21 @@ def test_the_poses_of_another_arm_are_not_taken(robot: Robot) -> None:
     assert robot.line.malformed == 0
 
 
+def test_poses_of_a_further_link_come_by_its_own_topic(tmp_path: Path) -> None:
+    endpoint, topics = robots_endpoint(), ("/robot/sensor_pose", "/robot/wrist")
+    with Stand(tmp_path, robot=endpoint, topics=topics) as stand:
+        further: list[tuple[float, ...]] = []
+        stand.link.on_poses[1] = lambda *given: further.append(given)
+        robot = Robot(stand, endpoint)
+        robot.socket.bind(endpoint)
+        robot.until_heard(0.0)
+        robot.socket.send_multipart([b"/robot/wrist", *pose(7.0)[1:]])
+        stand.until(lambda: bool(further))
+        robot.until_heard(1.0)
+    assert [p[1] for p in further] == [7.0]
+    assert {p[1] for p in stand.poses} == {0.0, 1.0}
+
+
 def test_messages_of_very_many_frames_starve_no_pose(robot: Robot) -> None:
     for _ in range(100):
         robot.socket.send_multipart([b"/robot/sensor_pose", *[b"x"] * 5000])

@@ -47,6 +47,11 @@ class Heard:
         self._context, self._endpoint, self._keys = context, endpoint, keys
         self._open()
 
+    @property
+    def topics(self) -> list[bytes]:
+        """Prefixes of the messages that are wanted."""
+        return [self.topic]
+
     def poll(self, now_s: float) -> bool:
         """Take the messages that have arrived; → whether the socket is another one now."""
         try:
@@ -93,9 +98,11 @@ class Heard:
 
     def _open(self) -> None:
         self.socket = open_socket(
-            self._context, zmq.SUB, send=1, receive=QUEUED, largest=self.largest
+            self._context, zmq.SUB, send=len(self.topics) + 1, receive=QUEUED, largest=self.largest
         )
-        self.socket.setsockopt(zmq.SUBSCRIBE, self.topic)
+        # a queue of one would hold only one subscription
+        for topic in self.topics:
+            self.socket.setsockopt(zmq.SUBSCRIBE, topic)
         if self._keys is not None:
             keys = self._keys
             curve.as_client(self.socket, keys.robot, keys.public, keys.secret)

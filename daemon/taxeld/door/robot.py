@@ -73,8 +73,10 @@ class Robot(Heard):
     def _open(self) -> None:
         self._listens_s = None
         super()._open()
-        for topic in self._links.keys() - {SENSOR_POSE}:
-            self.socket.setsockopt(zmq.SUBSCRIBE, topic)
+
+    @property
+    def topics(self) -> list[bytes]:
+        return sorted({self.topic, *self._links})
 
     def _take(self, now_s: float, parts: list[bytes]) -> None:
         link = self._links.get(parts[0])
