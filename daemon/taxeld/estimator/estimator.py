@@ -27,6 +27,7 @@ from taxeld.model.activation import Activation
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
+from taxeld.model.told import ToldPose
 
 RULES: dict[str, Callable[[ObservationModel, FilterConfig, float, np.random.Generator], Rule]] = {
     "paper": Paper,
@@ -138,6 +139,17 @@ class Estimator:
             return None
         self._taught[link] = number
         return self.bank.expected(before, link)
+
+    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> bool:
+        """Take a told pose, of the objects numbered `of`, else of any; → whether it changed the
+        estimate. With several targets, or by the paper's rule, nothing is told."""
+        if self.most > 1 or not isinstance(self.rule, Mixture):
+            return False
+        numbers = range(len(self.known)) if of is None else of
+        if not self.bank.tell(pose, self._tally.contacts, numbers):
+            return False
+        self.estimate = self._estimate(self.estimate.t)
+        return True
 
     @property
     def _t(self) -> float:
