@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import signal
 import socket
 import sys
@@ -20,6 +21,7 @@ from taxeld.door.arrays import Datagrams, Published, open_arrays
 from taxeld.door.connections import Connections
 from taxeld.door.control import Control, MayChange, packed_error, packed_ok
 from taxeld.door.robot import Robot
+from taxeld.model.told import ToldPose
 from taxeld.door.settings import Settings
 from taxeld.door.streams import Streams, open_publisher
 from taxeld.errors import SetupError
@@ -196,8 +198,13 @@ class Door:
     def _on_array(self, packed: bytes) -> bool:
         return pair.send(self._end, Kind.ARRAY, packed)
 
-    def _pass_on(self, number: int, command: str) -> bool:
-        return pair.send(self._end, Kind.CHANGE, pair.REQUEST.pack(number) + command.encode())
+    def _on_prior(self, packed: bytes) -> bool:
+        return pair.send(self._end, Kind.PRIOR, packed)
+
+    def _pass_on(self, number: int, what: str | ToldPose) -> bool:
+        if isinstance(what, ToldPose):
+            return self._on_prior(pair.pack_prior(what, math.nan, number))
+        return pair.send(self._end, Kind.CHANGE, pair.REQUEST.pack(number) + what.encode())
 
     def _on_status(self) -> bytes:
         if time.monotonic() > self._estimate_s + SILENT_S:
@@ -240,7 +247,9 @@ class Door:
         self._serve(context, settings.relay_control, "relay.control", lambda _: refused)
         if settings.robot:
             now_s = time.monotonic()
-            self._robot = Robot(context, settings.robot, self._on_poses, keys.robot, now_s)
+            self._robot = Robot(
+                context, settings.robot, self._on_poses, self._on_prior, keys.robot, now_s
+            )
             self._report.robot = self._robot.line
         if settings.array:
             self._array = open_arrays(context, settings.array, self._on_array)

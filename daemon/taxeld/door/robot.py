@@ -1,6 +1,7 @@
 """The robot's sensor poses, and the connection they come by.
 
-SUB to `/robot/sensor_pose`, a map {t, x, y, theta}. While no pose comes, whatever else the robot
+SUB to `/robot/sensor_pose`, a map {t, x, y, theta}, and to `/robot/object_pose`, of which the newest
+is passed on: a prior (`told`). While no pose comes, whatever else the robot
 publishes is listened to for a moment, so that a wrong topic can be named.
 """
 
@@ -12,11 +13,12 @@ from typing import Any
 import zmq
 
 from taxeld.door.heard import Heard
+from taxeld.model.told import told_pose
 from taxeld.stream import pair
 from taxeld.stream.curve import RobotKeys
 from taxeld.stream.link import REASON_MAX, TOPIC_MAX, TOPICS_MAX
 from taxeld.stream.sockets import unpack
-from taxeld.stream.topics import SENSOR_POSE
+from taxeld.stream.topics import OBJECT_POSE, SENSOR_POSE
 
 POSE_FRAMES = 3
 POSE_KEYS = ("t", "x", "y", "theta")
@@ -42,17 +44,19 @@ class Robot(Heard):
         context: zmq.Context[Any],
         endpoint: str,
         on_poses: OnPoses,
+        on_prior: OnPoses,
         keys: RobotKeys | None,
         now_s: float,
     ) -> None:
         """`on_poses` is given up to `pair.POSES_MAX` well-formed poses, packed as `pair.POSE`;
-        `now_s` is monotonic.
+        `on_prior` a prior, packed by `pair.pack_prior`; `now_s` is monotonic.
 
         Raises:
             SetupError: the endpoint is none.
         """
         self.is_awaited = False  # whether the loop waits for the next pose
-        self._on_poses = on_poses
+        self._on_poses, self._on_prior = on_poses, on_prior
+        self._prior = b""  # the newest that has not been passed on
         self._packed: list[bytes] = []  # poses that have not been passed on
         self._pose_s = now_s  # when the last one came
         self._listens_s: float | None = None  # since when to other topics
@@ -69,8 +73,16 @@ class Robot(Heard):
     def _open(self) -> None:
         self._listens_s = None
         super()._open()
+        self.socket.setsockopt(zmq.SUBSCRIBE, OBJECT_POSE)
 
     def _take(self, now_s: float, parts: list[bytes]) -> None:
+        if parts[0] == OBJECT_POSE:
+            prior = as_prior(parts)
+            if isinstance(prior, str):
+                self._refuse(f"{OBJECT_POSE.decode()}: {prior}")
+            else:
+                self._prior = prior
+            return
         is_glued = len(parts) == 1 and parts[0].startswith(SENSOR_POSE)
         if parts[0] != SENSOR_POSE and not is_glued:  # its prefix is all that ZeroMQ looks at
             name = NAME.findall(parts[0])[0].decode() or "a topic that is no text"
@@ -84,15 +96,21 @@ class Robot(Heard):
         elif now_s < self._doubted_s and not isinstance(pose, str):
             pose = DEGREES
         if isinstance(pose, str):
-            self.line.malformed += 1
-            self.line.reason = pose[:REASON_MAX]
+            self._refuse(pose)
             return
         self._pose_s, self.is_awaited = now_s, False
         self._packed.append(pair.POSE.pack(*pose))
         if len(self._packed) == pair.POSES_MAX:
             self._pass_on()
 
+    def _refuse(self, reason: str) -> None:
+        self.line.malformed += 1
+        self.line.reason = reason[:REASON_MAX]
+
     def _pass_on(self) -> None:
+        if self._prior:
+            self._on_prior(self._prior)
+            self._prior = b""
         if self._packed:
             self._on_poses(b"".join(self._packed))
         self._packed.clear()
@@ -113,6 +131,18 @@ class Robot(Heard):
             self.socket.setsockopt(zmq.UNSUBSCRIBE, b"")
         if now_s <= self._pose_s + SILENT_S:
             self.line.topics, self._pauses_s = [], -math.inf
+
+
+def as_prior(parts: list[bytes]) -> bytes | str:
+    """The packet of a message, or the reason why it is no prior, with the cure."""
+    message = unpack(parts[1]) if len(parts) == POSE_FRAMES else {}
+    if not message:
+        return "send three frames: the topic, a msgpack map {t, x, y, theta, cov}, the time as text"
+    t = message.pop("t", None)
+    if type(t) not in (int, float) or not math.isfinite(t):
+        return "t is no finite number"
+    pose = told_pose(message, "topic")
+    return pose if isinstance(pose, str) else pair.pack_prior(pose, float(t))
 
 
 def as_pose(parts: list[bytes]) -> Pose | str:

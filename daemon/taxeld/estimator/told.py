@@ -49,7 +49,7 @@ class Told:
     def __init__(self, pose: ToldPose, table: TableTop, step: int) -> None:
         self.pose, self.table, self.step = pose, table, step
         metric, self._theta = table.metric, pose.theta
-        cov = pose.covariance
+        cov = np.reshape(pose.cov, (3, 3))
         # a yaw that is as wide as the turns that differ is none
         wide = np.isnan(pose.theta) or np.sqrt(cov[2, 2]) > table.turns / 4.0
         self._has_yaw = not wide and metric.order != CONTINUOUS

@@ -1,13 +1,9 @@
 """A pose of the object that somebody told: a camera, an operator, a planner. Never the truth."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
-
-from taxeld.arrays import Floats
 
 KEYS = ("x", "y", "theta", "cov", "weight", "object")
 WEIGHT = 0.9  # probability that a prior means this object, unless it says so
@@ -15,6 +11,7 @@ WEIGHTS = 0.01, 0.95  # its bounds: no prior makes an estimate sure by itself
 FAR_M = 10.0  # a pose whose |x| or |y| is larger is in a wrong unit
 THETA_MAX = 3.0 * math.pi  # beyond it an angle is in degrees
 LEAST_SD, MOST_SD = (5e-4, 5e-4, 5e-3), (10.0, 10.0, 10.0)  # m, m, rad
+PAIRS = (0, 1), (0, 2), (1, 2), (1, 0), (2, 0), (2, 1)  # off the diagonal
 NAME_MAX = 64  # characters of an object's name
 
 
@@ -31,11 +28,6 @@ class ToldPose:
     source: str = "control"  # the newest of a source replaces the one before
 
     @property
-    def covariance(self) -> Floats:
-        """(3, 3)"""
-        return np.reshape(self.cov, (3, 3))
-
-    @property
     def fault(self) -> str:
         """Why it cannot be used, with the cure; empty where it can."""
         if not all(map(math.isfinite, (self.x, self.y, *self.cov, self.weight))):
@@ -50,15 +42,18 @@ class ToldPose:
             return f"weight must be from {WEIGHTS[0]} to {WEIGHTS[1]}: no prior is certain"
         if len(self.object) > NAME_MAX or not self.object.isprintable():
             return f"object is no name of at most {NAME_MAX} characters"
-        return _cov_fault(self.covariance)
+        return _cov_fault(self.cov)
 
 
-def _cov_fault(cov: Floats) -> str:
-    sd = np.sqrt(np.maximum(np.diag(cov), 0.0))
-    if (sd < LEAST_SD).any() or (sd > MOST_SD).any():
+def _cov_fault(cov: Sequence[float]) -> str:
+    sd = [math.sqrt(max(value, 0.0)) for value in cov[::4]]
+    bounds = zip(sd, LEAST_SD, MOST_SD, strict=True)
+    if not all(0.999 * least <= value <= 1.001 * most for value, least, most in bounds):
         return "cov: standard deviations must be from 0.5 mm and 0.005 rad to 10 m and 10 rad"
-    alike = cov / np.outer(sd, sd)
-    if np.abs(alike - alike.T).max() > 1e-6 or np.linalg.eigvalsh(alike)[0] < 1e-6:
+    a, b, c, d, e, f = (cov[3 * i + j] / (sd[i] * sd[j]) for i, j in PAIRS)
+    is_symmetric = max(abs(a - d), abs(b - e), abs(c - f)) < 1e-6
+    is_positive = abs(a) < 1.0 and 1.0 + 2.0 * a * b * c - a * a - b * b - c * c > 1e-6
+    if not (is_symmetric and is_positive):
         return "cov is not symmetric and positive definite"
     return ""
 

@@ -17,6 +17,7 @@ from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.rule import noise_of
 from taxeld.model.observation import ObservationModel
+from taxeld.model.told import ToldPose
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.calibration_check import CalibrationCheck
 from taxeld.pipeline.freshness import Freshness, Why
@@ -190,6 +191,18 @@ class Pipeline:
         self.estimator.reset()
         self.check.reset()
         self.estimate = self.freshness.judged(self.estimator.estimate)
+
+    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
+        """Take a told pose of the objects numbered `of`, else of any; → why it cannot be taken,
+        empty where it was, or says nothing new."""
+        config = self.config
+        if config.filter.injection != "mixture" or config.scene.max_objects > 1:
+            return "prior: needs filter.injection = mixture and scene.max_objects = 1"
+        if self.estimator.tell(pose, of):
+            self.estimate = self.freshness.judged(
+                later(self.estimator.estimate, self._stepped_s)
+            )
+        return ""
 
     def _is_due(self, arrived: float, scan: Scan, now: float) -> bool:
         waited = now - arrived >= self.config.sensor_pose.wait_s

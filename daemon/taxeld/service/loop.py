@@ -20,6 +20,7 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.model.activation import Activation
+from taxeld.model.told import ToldPose
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
@@ -48,6 +49,7 @@ GATHER_S = 0.0002  # silence after a whole scan: its frames follow each other mo
 GATHERS = 20  # looks at the device for further frames, GATHER_S apart
 TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
 START_S = 2.0  # time that a skin may take to start, before the lack of scans is a fault
+PRIOR_S = 2.0  # a prior whose time is farther off is not taken
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
 log = logging.getLogger(__name__)
@@ -127,6 +129,7 @@ class Daemon:
         self._watch = _watch_of(config)
         changes = {"tare": self.pipeline.tare, "reset": self.pipeline.reset}
         self.link = Link(self._info, self._on_pose, changes)
+        self.link.on_prior = self._on_prior
 
     def _open(self, opened: contextlib.ExitStack, config: Config) -> None:
         opened.callback(self.link.detach)
@@ -280,6 +283,15 @@ class Daemon:
         far = poses.far
         poses.add(t, x, y, theta, now)
         self._watch.add(t, now, is_far=poses.far > far)
+
+    def _on_prior(self, pose: ToldPose, t: float) -> str:
+        late_s = abs(time.time() - t)
+        if late_s > PRIOR_S:
+            return f"its time is {late_s:.0f} s off this clock"
+        numbers = [k for k, name in enumerate(self._names) if name == pose.object]
+        if pose.object and not numbers:
+            return f"no object {pose.object}; there are {', '.join(self._names)}"
+        return self.pipeline.tell(pose, numbers or None)
 
     def close(self) -> None:
         """Stop the skin and free everything that is open."""

@@ -7,3 +7,4 @@ HEALTH = b"/taxeld/health"
 INFO = b"/taxeld/info"
 TOPICS = (ESTIMATE, PARTICLES, TAXELS, HEALTH, INFO)
 SENSOR_POSE = b"/robot/sensor_pose"
+OBJECT_POSE = b"/robot/object_pose"
