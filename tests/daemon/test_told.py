@@ -7,7 +7,7 @@ import pytest
 
 from taxeld.estimator.estimate import SURE, Status
 from taxeld.estimator.mixture import Mixture
-from taxeld.estimator.told import TableTop, Told
+from taxeld.estimator.told import TableTop, PriorTerm
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
 from taxeld.model.told import ToldPose, told_pose
@@ -65,7 +65,7 @@ def test_its_density_over_the_table_is_one_on_average(
     box_model: ObservationModel, theta: float | None
 ) -> None:
     metric = PoseMetric(box_model.scene)
-    made = Told(told(theta=theta), TableTop(metric, (0.0, 0.0), 0.5, 0.0), 1)
+    made = PriorTerm(told(theta=theta), TableTop(metric, (0.0, 0.0), 0.5, 0.0), 1)
     rng = np.random.default_rng(0)
     poses = rng.uniform([-0.5, -0.5, -np.pi], [0.5, 0.5, np.pi], (400_000, 3))
     assert np.exp(made.log_density(poses)).mean() == pytest.approx(1.0, abs=0.1)

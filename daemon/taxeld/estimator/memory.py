@@ -18,7 +18,7 @@ from taxeld.estimator.compiled import Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.reader import Kept, Reader
 from taxeld.estimator.runs import HAZARD, MEANINGLESS, SWAPPED, Runs
-from taxeld.estimator.told import Told
+from taxeld.estimator.told import PriorTerm
 from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Nearby, Observation, ObservationModel
@@ -29,6 +29,7 @@ from taxeld.model.symmetry import Mode, PoseMetric
 Number = TypeVar("Number", np.intp, np.float64)
 
 LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
+LOG_HAZARD = float(np.log(HAZARD))
 TOLD_MAX = 4  # told poses remembered, each of another source
 FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
 
@@ -112,7 +113,7 @@ class Memory:
 
     def _forget(self, prior: Prior | None) -> None:
         self.prior = prior
-        self.told: tuple[Told, ...] = ()
+        self.told: tuple[PriorTerm, ...] = ()
         self._sensor = np.empty((0, 3))
         taxels = max(len(each.layout) for each in self._links)
         self._kept: Grid = np.empty((len(Kept), 0, taxels), np.float32)
@@ -123,6 +124,8 @@ class Memory:
         self.anything = np.empty(0)  # (K,) log p(scan | whatever was pressed, or nothing)
         self._untouched = np.empty(0)
         self.before: dict[int, float] = {}  # log evidence of all before a step
+        # log probability that the object moved before a step, where it is not the usual
+        self.moves: dict[int, float] = {}
         self._runs: Runs | None = None  # cached `runs`
         self._for_c: tuple[tuple[int, int, Slack], dict[int, Scans]] | None = None
 
@@ -182,7 +185,8 @@ class Memory:
         touched = np.zeros(r, np.bool_)
         touched[which[self.contact]] = True
         begun = np.array([self.before[step] for step in steps.tolist()])
-        begun += np.log(HAZARD) - begun[:1]
+        moves = [self.moves.get(step, LOG_HAZARD) for step in steps.tolist()]
+        begun += np.array(moves) - begun[:1]
         begun[:1] = 0.0  # evidence is of the remembered scans alone
         opens = touched.copy()
         for each, step in zip(self.told, of_told.tolist(), strict=True):
@@ -211,7 +215,7 @@ class Memory:
         made.before = {number + (not told.pressed): log_z} | self.before
         return made
 
-    def plus_told(self, told: Told, log_z: float) -> "Memory":
+    def plus_told(self, told: PriorTerm, log_z: float) -> "Memory":
         """A memory of a told pose more, in place of the one of its source before. `log_z`: as of
         `plus`."""
         kept = [each for each in self.told if each.pose.source != told.pose.source]
@@ -254,7 +258,7 @@ class Memory:
         made = copy.copy(self)
         made._forget(None)
         scans = ("_sensor", "_kept", "link", "number", "pressed", "anything", "_untouched")
-        for name in (*scans, "newest", "slack"):
+        for name in (*scans, "newest", "slack", "moves"):
             setattr(made, name, getattr(other, name))
         first = min(other.before, default=0)
         made.told = self.told

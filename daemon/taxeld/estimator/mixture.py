@@ -15,7 +15,7 @@ from taxeld.estimator.evidence import UNTOUCHED, ModelEvidence, odds
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
-from taxeld.estimator.told import SAME, TableTop, Told
+from taxeld.estimator.told import SAME, TableTop, PriorTerm
 from taxeld.estimator.verdict import Place, placed
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
@@ -109,7 +109,7 @@ class Mixture:
         """Take a told pose after contact number `contacts`; → whether it says anything new."""
         config, memory = self._config, self.memory
         table = TableTop.of(self.metric, config, self._evidence.log_volume)
-        told = Told(pose, table, contacts + 1)
+        told = PriorTerm(pose, table, contacts + 1)
         earlier = [each for each in memory.told if each.pose.source == pose.source]
         for before in earlier:
             if not told.is_news(before):
@@ -138,7 +138,7 @@ class Mixture:
         self._judge(opinions=0)
         return True
 
-    def _believe_told(self, told: Told) -> None:
+    def _believe_told(self, told: PriorTerm) -> None:
         """Before the first touch: particles of the told pose, and of the whole table."""
         n = max(round(told.pose.weight * self._config.particles), 1)
         belief = anew(self._config, self._rng)

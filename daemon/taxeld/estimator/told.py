@@ -43,7 +43,7 @@ class TableTop:
         return 1.0 if order == CONTINUOUS else 2.0 * np.pi / order
 
 
-class Told:
+class PriorTerm:
     """One told pose, for one object, since the step that it counts in."""
 
     def __init__(self, pose: ToldPose, table: TableTop, step: int) -> None:
@@ -84,7 +84,7 @@ class Told:
         theta = self._theta + off[:, 2] if self._has_yaw else rng.uniform(-np.pi, np.pi, n)
         return metric.placed(self._centre + off[:, :2], theta)
 
-    def apart(self, other: "Told") -> float:
+    def apart(self, other: "PriorTerm") -> float:
         """How far another of the same source is off, in standard deviations of both."""
         if self._has_yaw is not other._has_yaw:
             return np.inf
@@ -95,7 +95,7 @@ class Told:
             off = np.append(off, turn)
         return float(np.sqrt(off @ np.linalg.solve(self._cov + other._cov, off)))
 
-    def is_news(self, before: "Told") -> bool:
+    def is_news(self, before: "PriorTerm") -> bool:
         """Whether it says more than the one of the same source before."""
         alike = np.allclose(self._cov, before._cov, rtol=0.5, atol=0.0)
         return not alike or self.pose.weight != before.pose.weight or self.apart(before) > NOT_NEW

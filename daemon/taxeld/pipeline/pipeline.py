@@ -15,6 +15,7 @@ import numpy as np
 from taxeld.config.tables import Config
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.history import Used
 from taxeld.estimator.rule import noise_of
 from taxeld.model.observation import ObservationModel
 from taxeld.model.told import ToldPose
@@ -191,6 +192,12 @@ class Pipeline:
         self.estimator.reset()
         self.check.reset()
         self.estimate = self.freshness.judged(self.estimator.estimate)
+
+    def restore(self, scans: Sequence[Used]) -> None:
+        """Learn again from what an earlier daemon has felt."""
+        if scans:
+            self.estimator.restore(scans)
+            self.estimate = self.freshness.judged(self.estimator.estimate)
 
     def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
         """Take a told pose of the objects numbered `of`, else of any; → why it cannot be taken,

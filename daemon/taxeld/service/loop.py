@@ -28,6 +28,7 @@ from taxeld.pipeline.pose_watch import PoseFigures, PoseWatch
 from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import choice, several
 from taxeld.service import calibration_file, health, realtime, state_file
+from taxeld.service.belief_file import BeliefFile
 from taxeld.service.clock import WallClock
 from taxeld.service.doorkeeper import Doorkeeper, settings_of
 from taxeld.service.latency import Latencies
@@ -108,6 +109,7 @@ class Daemon:
         place, pipeline = state_file.directory(config), self.pipeline
         self.kept = StateFile(place, pipeline.skin, pipeline.skin_state)
         self.kept.restore(time.time())
+        self.belief = BeliefFile(place, pipeline.estimator)
         self.realtime = realtime.RealTime()
         self._publish_us = 0.0  # time of sending the last estimate [µs]
         self._seq = 0
@@ -127,13 +129,14 @@ class Daemon:
         digest = hashlib.sha256(repr(asdict(config)).encode()).hexdigest()[:16]
         self._info = messages.info(self.layout, scenes, digest)
         self._watch = _watch_of(config)
-        changes = {"tare": self.pipeline.tare, "reset": self.pipeline.reset}
+        changes = {"tare": self.pipeline.tare, "reset": self._reset}
         self.link = Link(self._info, self._on_pose, changes)
         self.link.on_prior = self._on_prior
 
     def _open(self, opened: contextlib.ExitStack, config: Config) -> None:
         opened.callback(self.link.detach)
         opened.callback(self.kept.close)
+        opened.callback(lambda: self.belief.close(time.time()))
         if self.recorder:
             opened.enter_context(self.recorder)
         self.source: Source = open_source(
@@ -160,6 +163,7 @@ class Daemon:
             model, ladder = self.pipeline.estimator.model, self.pipeline.ladder
             limit_ns = self._touch_ns(hubs=1)
             warm_up(model, ladder, self.config.filter, time.thread_time_ns, limit_ns, self._more)
+            self.pipeline.restore(self.belief.read(time.time()))
             self.pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
             with realtime.thread(self.config.loop.priority) as self.realtime:
                 notifier.ready()
@@ -231,6 +235,7 @@ class Daemon:
         if not (scans or ready.device) and self.pipeline.has_thought:
             self._think(now_s)
         self.kept.keep(now_s)
+        self.belief.keep(now_s, wall_s)
         self._publish_due(now_s)
         own_s = (time.thread_time_ns() - cpu) / 1e9
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
@@ -283,6 +288,10 @@ class Daemon:
         far = poses.far
         poses.add(t, x, y, theta, now)
         self._watch.add(t, now, is_far=poses.far > far)
+
+    def _reset(self) -> None:
+        self.pipeline.reset()
+        self.belief.remove()
 
     def _on_prior(self, pose: ToldPose, t: float) -> str:
         late_s = abs(time.time() - t)
