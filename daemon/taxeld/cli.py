@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from taxeld import command_line
 from taxeld.command_line import FAILED, Commands, command, documented
@@ -204,7 +205,7 @@ def _ask(args: argparse.Namespace) -> int:
     return 0
 
 
-def _prior(args: argparse.Namespace) -> dict[str, object]:
+def _prior(args: argparse.Namespace) -> dict[str, Any]:
     """The keys of a request."""
     (x, y), (sx, sy, turn) = args.at, args.sd
     found = {"x": x, "y": y, "theta": args.yaw, "cov": [sx, sy, turn]}

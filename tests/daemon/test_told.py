@@ -7,11 +7,11 @@ import pytest
 
 from taxeld.estimator.estimate import SURE, Status
 from taxeld.estimator.mixture import Mixture
-from taxeld.estimator.told import TableTop, PriorTerm
+from taxeld.estimator.told import PriorTerm, TableTop
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import PoseMetric
-from taxeld.model.told import ToldPose, told_pose
 from taxeld.stream import pair
+from taxeld.told import ToldPose, told_pose
 from tests.rig.pressed_box import TRUTH, World, estimator
 
 SD = [0.02, 0.02, 0.1]

@@ -17,9 +17,9 @@ import msgpack
 import zmq
 
 from taxeld.door.binding import Binding
-from taxeld.model.told import ToldPose, told_pose
 from taxeld.stream import sockets
 from taxeld.stream.sockets import credentials, open_socket, sender, unpack
+from taxeld.told import ToldPose, told_pose
 
 REQUESTS_AT_ONCE = 64
 REQUEST_BYTES = 4096

@@ -21,7 +21,6 @@ from taxeld.door.arrays import Datagrams, Published, open_arrays
 from taxeld.door.connections import Connections
 from taxeld.door.control import Control, MayChange, packed_error, packed_ok
 from taxeld.door.robot import Robot
-from taxeld.model.told import ToldPose
 from taxeld.door.settings import Settings
 from taxeld.door.streams import Streams, open_publisher
 from taxeld.errors import SetupError
@@ -30,6 +29,7 @@ from taxeld.stream.curve import RelayKeys, RobotKeys
 from taxeld.stream.link import SEVERITIES, Report, line_of
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, TOPICS
+from taxeld.told import ToldPose
 
 WAIT_MS, HURRY_MS = 100, 2  # for a peer or the loop; the second while memory grows
 LOOK_S, REPORT_S = 0.1, 1.0

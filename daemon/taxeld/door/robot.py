@@ -1,7 +1,7 @@
 """The robot's sensor poses, and the connection they come by.
 
-SUB to `/robot/sensor_pose`, a map {t, x, y, theta}, and to `/robot/object_pose`, of which the newest
-is passed on: a prior (`told`). While no pose comes, whatever else the robot
+SUB to `/robot/sensor_pose`, a map {t, x, y, theta}, and to `/robot/object_pose`, a prior, of which
+the newest is passed on. While no pose comes, whatever else the robot
 publishes is listened to for a moment, so that a wrong topic can be named.
 """
 
@@ -13,12 +13,12 @@ from typing import Any
 import zmq
 
 from taxeld.door.heard import Heard
-from taxeld.model.told import told_pose
 from taxeld.stream import pair
 from taxeld.stream.curve import RobotKeys
 from taxeld.stream.link import REASON_MAX, TOPIC_MAX, TOPICS_MAX
 from taxeld.stream.sockets import unpack
 from taxeld.stream.topics import OBJECT_POSE, SENSOR_POSE
+from taxeld.told import told_pose
 
 POSE_FRAMES = 3
 POSE_KEYS = ("t", "x", "y", "theta")

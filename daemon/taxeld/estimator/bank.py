@@ -23,7 +23,7 @@ from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import Mode
-from taxeld.model.told import ToldPose
+from taxeld.told import ToldPose
 
 FOLLOWED = 2  # objects that learn from every scan
 LATER_MAX = 64  # scans that an object may have to learn later

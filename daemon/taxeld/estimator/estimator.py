@@ -28,7 +28,7 @@ from taxeld.model.activation import Activation
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
-from taxeld.model.told import ToldPose
+from taxeld.told import ToldPose
 
 RULES: dict[str, Callable[[ObservationModel, FilterConfig, float, np.random.Generator], Rule]] = {
     "paper": Paper,

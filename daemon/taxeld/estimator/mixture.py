@@ -15,13 +15,13 @@ from taxeld.estimator.evidence import UNTOUCHED, ModelEvidence, odds
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
-from taxeld.estimator.told import SAME, TableTop, PriorTerm
+from taxeld.estimator.told import SAME, PriorTerm, TableTop
 from taxeld.estimator.verdict import Place, placed
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.push import STRIDE, Push, assumed, changed, push
 from taxeld.model.symmetry import PoseMetric
-from taxeld.model.told import ToldPose
+from taxeld.told import ToldPose
 
 ROOM = 3.0  # half-widths of the table around the last touch: the whole table, and more
 MOVES = 2  # Metropolis steps a contact

@@ -1,7 +1,7 @@
 """A told pose as a term of a belief: a density in relation to a uniform one over the table.
 
-It may mean nothing, as a contact may, so touches refute it. It counts in a step of its own, with the
-contact that comes next: the object may have moved since the one before.
+It may mean nothing, as a contact may, so touches refute it. It counts in a step of its own, with
+the contact that comes next: the object may have moved since the one before.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from taxeld.arrays import Floats, Poses
 from taxeld.config.tables import FilterConfig
 from taxeld.model.scene import CONTINUOUS
 from taxeld.model.symmetry import PoseMetric
-from taxeld.model.told import ToldPose
+from taxeld.told import ToldPose
 
 SAME = 3.0  # standard deviations: a source's next pose within them is the same fact, put better
 NOT_NEW = 0.5  # the same, and as good: nothing is learned
@@ -75,7 +75,9 @@ class PriorTerm:
         """Of poses (N, 3) → (N,), in relation to a uniform density over the table."""
         off, weight = self._off(poses), self.pose.weight
         square = np.einsum("ni,ij,nj->n", off, self._inverse, off)
-        return np.logaddexp(np.log(weight) + self._height - 0.5 * square, np.log1p(-weight))
+        return np.asarray(
+            np.logaddexp(np.log(weight) + self._height - 0.5 * square, np.log1p(-weight))
+        )
 
     def samples(self, n: int, rng: np.random.Generator) -> Poses:
         """(n, 3) poses, if it means this object."""

@@ -18,7 +18,6 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.history import Used
 from taxeld.estimator.rule import noise_of
 from taxeld.model.observation import ObservationModel
-from taxeld.model.told import ToldPose
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.calibration_check import CalibrationCheck
 from taxeld.pipeline.freshness import Freshness, Why
@@ -28,6 +27,7 @@ from taxeld.proposals.ladder import Ladder
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
+from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
 FUTURE_S = 0.1  # a scan stamped farther in the future was stamped wrongly
@@ -206,9 +206,7 @@ class Pipeline:
         if config.filter.injection != "mixture" or config.scene.max_objects > 1:
             return "prior: needs filter.injection = mixture and scene.max_objects = 1"
         if self.estimator.tell(pose, of):
-            self.estimate = self.freshness.judged(
-                later(self.estimator.estimate, self._stepped_s)
-            )
+            self.estimate = self.freshness.judged(later(self.estimator.estimate, self._stepped_s))
         return ""
 
     def _is_due(self, arrived: float, scan: Scan, now: float) -> bool:

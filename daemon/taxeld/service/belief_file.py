@@ -1,8 +1,8 @@
 """The file that the scans a belief has learned from are kept in, over restarts.
 
 A line of JSON, then single-precision numbers, a row a scan; at most some MB, written seldom, by a
-thread of its own, and replaced whole. A file that is damaged, old or of another configuration is not
-used, and said so in a line.
+thread of its own, and replaced whole. A file that is damaged, old or of another configuration is
+not used, and said so in a line.
 """
 
 import hashlib
@@ -12,7 +12,9 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -83,7 +85,7 @@ def parse(data: bytes, form: Form) -> tuple[float, list[Used]]:
     """
     line, _, body = data.partition(b"\n")
     try:
-        head = json.loads(line) if len(line) < HEAD_MAX else None
+        head: Any = json.loads(line) if len(line) < HEAD_MAX else None
         t, count = float(head["t"]), head["scans"]
         is_own = (head["version"], head["digest"]) == (VERSION, form.digest)
         is_whole = type(count) is int and len(body) == 4 * count * form.columns
@@ -96,7 +98,7 @@ def parse(data: bytes, form: Form) -> tuple[float, list[Used]]:
     rows = np.frombuffer(body, "<f4").reshape(count, form.columns)
     scans = [_scan(row, form) for row in rows]
     numbers = [number + (not scan.is_contact) for scan, number in scans]
-    if any(b < a for a, b in zip(numbers, numbers[1:], strict=False)):
+    if any(b < a for a, b in pairwise(numbers)):
         raise ValueError("it is damaged")
     return t, scans
 
@@ -181,15 +183,16 @@ class BeliefFile:
         scans = history.kept()
         if not scans or (self._writer is not None and self._writer.is_alive()):
             return
-        args = replace(history, scans=scans), wall_s
+        if self._path is None:
+            return
+        args = self._path, replace(history, scans=scans), wall_s
         self._writer = threading.Thread(target=self._write, args=args, name="belief", daemon=True)
         self._writer.start()
 
-    def _write(self, history: History, wall_s: float) -> None:
-        assert self._path is not None
+    def _write(self, path: Path, history: History, wall_s: float) -> None:
         try:
-            replaced(self._path, dump(history.scans, wall_s, self._form))
+            replaced(path, dump(history.scans, wall_s, self._form))
         except OSError as error:
             if not self._failed:
-                log.warning("%s: not written (%s)", self._path, error.strerror)
+                log.warning("%s: not written (%s)", path, error.strerror)
             self._failed = True

@@ -20,7 +20,6 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout import read as layouts
 from taxeld.model.activation import Activation
-from taxeld.model.told import ToldPose
 from taxeld.pipeline.freshness import Why
 from taxeld.pipeline.outcome import Outcome
 from taxeld.pipeline.pipeline import Pipeline
@@ -42,6 +41,7 @@ from taxeld.source.source import Source
 from taxeld.source.sources import open_source
 from taxeld.stream import messages
 from taxeld.stream.link import Link
+from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
 PARTICLES_HZ = 20.0

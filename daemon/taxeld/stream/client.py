@@ -36,8 +36,8 @@ def ask(
     timeout_s: float | None = None,
     **what: object,
 ) -> dict[str, Any] | None:
-    """The answer, or None where none comes; `what` are further keys of the request; `keys` is a directory with server.key and
-    client.key_secret, for a daemon that takes keys.
+    """The answer, or None where none comes; `what` are further keys of the request; `keys` is a
+    directory with server.key and client.key_secret, for a daemon that takes keys.
 
     Raises:
         SetupError: the endpoint is none, or a key cannot be used.

@@ -13,10 +13,10 @@ from typing import Any
 
 import msgpack
 
-from taxeld.model.told import ToldPose
 from taxeld.stream import pair
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import INFO, OBJECT_POSE, TOPICS
+from taxeld.told import ToldPose
 from taxeld_protocol.array import ID_MAX, ArrayFrame
 
 PACKETS_PER_LOOK = 64
@@ -186,8 +186,8 @@ class Link:
                 (number,) = pair.REQUEST.unpack_from(body)
                 self._change(number, self._handlers[body[pair.REQUEST.size :].decode()])
             case Kind.PRIOR:
-                number, t, pose = pair.unpack_prior(body)
-                self._change(number, lambda: self.on_prior(pose, t))
+                number, t, told = pair.unpack_prior(body)
+                self._change(number, lambda: self.on_prior(told, t))
             case Kind.REPORT:
                 self.report = read_report(msgpack.unpackb(body))
             case Kind.LOG:

@@ -30,7 +30,7 @@ import socket
 import struct
 from enum import IntEnum
 
-from taxeld.model.told import ToldPose
+from taxeld.told import ToldPose
 from taxeld_protocol.array import ArrayFrame
 
 SO_PASSRIGHTS = 83  # Linux 6.16

@@ -82,11 +82,13 @@ def told_pose(message: Mapping[str, Any], source: str = "control") -> ToldPose |
         return "cov is neither 3 standard deviations [m, m, rad] nor a matrix of 3 by 3"
     try:
         made = ToldPose(
-            *(float(numbers[key]) for key in ("x", "y", "theta")),
-            cov=cov,
-            weight=float(numbers["weight"]),
-            object=name or "",
-            source=source,
+            float(numbers["x"]),
+            float(numbers["y"]),
+            float(numbers["theta"]),
+            cov,
+            float(numbers["weight"]),
+            name or "",
+            source,
         )
     except OverflowError:
         return "a number is too large"
