@@ -12,6 +12,7 @@ from taxeld.stream.link import PeerLine
 from taxeld.stream.sockets import connect, open_socket
 
 MESSAGES_PER_LOOK = 200
+SENT = 8  # subscriptions on their way: beyond, ZeroMQ drops them
 QUEUED = 256  # messages, between two looks as well
 EVENTS_PER_LOOK = 64
 LOST_S = 2.0  # a connection that does not come back by itself in so long is made anew
@@ -93,7 +94,7 @@ class Heard:
 
     def _open(self) -> None:
         self.socket = open_socket(
-            self._context, zmq.SUB, send=1, receive=QUEUED, largest=self.largest
+            self._context, zmq.SUB, send=SENT, receive=QUEUED, largest=self.largest
         )
         self.socket.setsockopt(zmq.SUBSCRIBE, self.topic)
         if self._keys is not None:
