@@ -187,7 +187,7 @@ class Link:
                 self._change(number, self._handlers[body[pair.REQUEST.size :].decode()])
             case Kind.PRIOR:
                 number, t, told = pair.unpack_prior(body)
-                self._change(number, lambda: self.on_prior(told, t))
+                self._change(number or None, lambda: self.on_prior(told, t))
             case Kind.REPORT:
                 self.report = read_report(msgpack.unpackb(body))
             case Kind.LOG:
@@ -197,15 +197,15 @@ class Link:
             case Kind.FAULT:
                 self.fault = line_of(body)
 
-    def _change(self, number: int, handler: Callable[[], str | None]) -> None:
-        """Answer request `number`; 0: nobody has asked."""
+    def _change(self, number: int | None, handler: Callable[[], str | None]) -> None:
+        """Answer request `number`; None: nobody has asked."""
         why: str | None = ""
         if self._changes < 1.0:
             why = f"more than {CHANGES_HZ:.0f} a second are not done; ask again"
         else:
             self._changes -= 1.0
             why = handler()
-        if number:
+        if number is not None:
             self._give(Kind.ANSWER, pair.REQUEST.pack(number) + (why or "").encode())
         elif why and why != self._untold:
             log.warning("%s: not taken, %s", OBJECT_POSE.decode(), why)
