@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from taxeld import command_line
 from taxeld.command_line import FAILED, Commands, command, documented
@@ -19,6 +20,7 @@ from taxeld.view import cli as view_cli
 DIALECTS = ("cyskin", "icub")
 DONE = {
     "tare": "the idle baseline is being learned again; leave the skin untouched until it is",
+    "prior": "the prior is taken; touches may refute it",
     "reset": "all touches are forgotten",
 }
 OWN_CONFIG = "in place of the session's own config.toml"
@@ -191,7 +193,8 @@ def _ask(args: argparse.Namespace) -> int:
         endpoint = load(args.config).control.endpoint
         if not endpoint:
             raise SetupError("control.endpoint: is empty, so this daemon cannot be asked")
-    answer = client.ask(endpoint, args.name, args.keys)
+    what = _prior(args) if args.name == "prior" else {}
+    answer = client.ask(endpoint, args.name, args.keys, **what)
     if answer is None or not answer.get("ok"):
         fault = f"{endpoint}: {(answer or {}).get('error', 'an answer of another kind')}"
         print(unanswered(endpoint) if answer is None else fault, file=sys.stderr)
@@ -201,6 +204,13 @@ def _ask(args: argparse.Namespace) -> int:
     else:
         print(DONE[args.name])
     return 0
+
+
+def _prior(args: argparse.Namespace) -> dict[str, Any]:
+    """The keys of a request."""
+    (x, y), (sx, sy, turn) = args.at, args.sd
+    found = {"x": x, "y": y, "theta": args.yaw, "cov": [sx, sy, turn]}
+    return found | {"weight": args.weight, "object": args.object}
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -292,11 +302,24 @@ def _add_asking(commands: Commands) -> None:
         ("status", "Show what a running daemon believes and counts."),
         ("tare", "Have a running daemon learn the idle baseline again; do not touch the skin."),
         ("reset", "Have a running daemon forget all touches."),
+        ("prior", "Tell a running daemon where the object may be."),
     ):
+        at = " --at 0.4 0.1" if name == "prior" else ""
         endings = "", " can0.toml", " --endpoint ipc:///run/taxeld/control"
-        examples = (f"taxeld {name}{ending}" for ending in endings)
+        examples = (f"taxeld {name}{ending}{at}" for ending in endings)
         ask = command(commands, name, text, *examples, run=_ask)
         command_line.add_endpoint(ask, "a control endpoint of the daemon")
+        if name == "prior":
+            add = ask.add_argument
+            about = "of the object in the world [m]"
+            add("--at", nargs=2, type=float, required=True, metavar=("X", "Y"), help=about)
+            add("--yaw", type=float, help="[rad]; without it X Y are of the object's middle")
+            about = "standard deviations [m, m, rad] (default 0.02 0.02 0.2)"
+            deviations = ("SX", "SY", "SYAW")
+            usual = (0.02, 0.02, 0.2)
+            add("--sd", nargs=3, type=float, default=usual, metavar=deviations, help=about)
+            add("--weight", type=float, help="probability that it means this object (default 0.9)")
+            add("--object", help="name, where several may be felt")
         if name == "status":
             ask.add_argument("--json", action="store_true", help="the whole answer as JSON")
         ask.set_defaults(name=name)

@@ -15,6 +15,7 @@ import zmq
 from taxeld.door.settings import Settings
 from taxeld.service.doorkeeper import Doorkeeper
 from taxeld.stream.link import Link
+from taxeld.told import ToldPose
 
 from ..rig.clocks import until
 from ..rig.processes import free_port
@@ -37,6 +38,8 @@ class Stand(contextlib.ExitStack):
         self.done: list[str] = []
         changes = {name: lambda name=name: self.done.append(name) for name in ("tare", "reset")}
         self.link = Link(INFO, lambda *pose: self.poses.append(pose), changes)
+        self.priors: list[ToldPose] = []
+        self.link.on_prior = self._on_prior
         group = {"change_group": "", "queue": QUEUE}
         self.keeper = Doorkeeper(Settings(**group | served))
         self.callback(self.keeper.close)
@@ -56,6 +59,10 @@ class Stand(contextlib.ExitStack):
         process = self.keeper._process
         assert process is not None
         return process.pid
+
+    def _on_prior(self, pose: ToldPose, t: float) -> str:  # noqa: ARG002
+        self.priors.append(pose)
+        return "" if pose.object != "cup" else "no object cup"
 
     def look(self) -> None:
         """As the loop does: an estimate twenty times a second, and a look at the door."""

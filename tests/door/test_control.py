@@ -41,7 +41,7 @@ def test_status_and_info_are_the_last_messages(stand: Stand) -> None:
 
 
 def test_unknown_requests_are_named(stand: Stand) -> None:
-    known = "known: status, info, tare, reset"
+    known = "known: status, info, tare, reset, prior"
     assert stand.answer({"cmd": "play"})["error"] == f"unknown cmd 'play'; {known}"
     assert (
         stand.answer({"cmd": "tare", "hard": 1})["error"] == "unknown key 'hard'; tare takes none"
@@ -55,6 +55,20 @@ def test_changes_are_done_by_the_loop(stand: Stand) -> None:
     assert stand.answer({"cmd": "tare"}) == {"ok": True}
     assert stand.answer({"cmd": "reset"}) == {"ok": True}
     assert stand.done == ["tare", "reset"]
+
+
+PRIOR = {"cmd": "prior", "x": 0.1, "y": 0.2, "theta": 0.3, "cov": [0.02, 0.02, 0.1]}
+
+
+def test_a_prior_is_checked_and_taken_by_the_loop(stand: Stand) -> None:
+    assert stand.answer(PRIOR) == {"ok": True}
+    assert [(p.x, p.source) for p in stand.priors] == [(0.1, "control")]
+    assert stand.answer(PRIOR | {"object": "cup"})["error"] == "no object cup"
+    for bad in ({"x": None}, {"cov": [[0.0] * 3] * 3}, {"cov": "wide"}, {"weight": 2}, {"z": 1}):
+        error = stand.answer(PRIOR | bad)["error"]
+        assert error.startswith("prior: ")
+        assert "\n" not in error
+    assert len(stand.priors) == 2
 
 
 def test_a_loop_that_does_not_answer_is_said_to_the_client(stand: Stand) -> None:

@@ -250,6 +250,11 @@ class FilterConfig:
     within_m: float = key(
         0.01, between(0.001, 0.1), "p of an estimate: how likely its pose is this near the true one"
     )
+    keep_s: float = key(
+        600.0,
+        between(0, 86_400),
+        "what was felt is kept in skin.state_dir, and used by a start that comes so soon; 0: never",
+    )
     risk: float = key(1e-3, between(1e-6, 0.5), "of being farther from it than radius_m, at most")
 
     GONE: ClassVar = {

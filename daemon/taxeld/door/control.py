@@ -1,7 +1,7 @@
 """Requests and their answers: msgpack {"cmd": …} → {"ok": bool, …}.
 
-`status` and `info` are answered from the last messages; `tare` and `reset` are passed on to the
-loop, for those who may.
+`status` and `info` are answered from the last messages; `tare`, `reset` and `prior` are passed on
+to the loop, for those who may.
 """
 
 import contextlib
@@ -19,21 +19,23 @@ import zmq
 from taxeld.door.binding import Binding
 from taxeld.stream import sockets
 from taxeld.stream.sockets import credentials, open_socket, sender, unpack
+from taxeld.told import ToldPose, told_pose
 
 REQUESTS_AT_ONCE = 64
 REQUEST_BYTES = 4096
 QUEUED = 16  # requests and answers of a client
-CHANGES = ("tare", "reset")
+PRIOR = "prior"
+CHANGES = ("tare", "reset", PRIOR)
 PENDING_MAX = 64  # changes that the loop has not answered
 PENDING_S = 2.0  # without the loop's answer for so long, the client is told
 SO_PEERGROUPS = 59
 GROUPS_BYTES = 1024  # getsockopt of Python gives no more: 256 groups
 
-NUMBERS = itertools.count()  # numbers of the requests that the loop answers, of all endpoints
+NUMBERS = itertools.count(1)  # numbers of the requests that the loop answers, of all endpoints
 
 Body = bytes
 MayChange = Callable[[zmq.Frame], str]  # a frame of the peer → why it may not, or an empty text
-Change = Callable[[int, str], bool]  # number of the request, command → whether the loop was told
+Change = Callable[[int, str | ToldPose], bool]  # request, and what to do → whether it was passed on
 
 
 class Control:
@@ -51,7 +53,7 @@ class Control:
         may_change: MayChange,
     ) -> None:
         """`opened` makes a socket from `open_router`; `may_change`: why the peer that sent a frame
-        may not tare and reset, empty where it may.
+        may not change anything, empty where it may.
 
         Raises:
             SetupError: the endpoint cannot be had, in the name of `key`.
@@ -115,7 +117,12 @@ class Control:
         if not isinstance(command, str) or command not in (*answers, *CHANGES):
             known = ", ".join((*answers, *CHANGES))
             return packed_error(f"unknown cmd {command!r:.100}; known: {known}")
-        if request:
+        what: str | ToldPose = command
+        if command == PRIOR:
+            what = told_pose(request)
+            if isinstance(what, str):
+                return packed_error(f"prior: {what}")
+        elif request:
             return packed_error(f"unknown key {next(iter(request))!r:.100}; {command} takes none")
         if command in answers:
             return answers[command]()
@@ -123,7 +130,7 @@ class Control:
         if refusal:
             return packed_error(f"{command}: {refusal}")
         number = next(NUMBERS)
-        if len(self._pending) >= PENDING_MAX or not change(number, command):
+        if len(self._pending) >= PENDING_MAX or not change(number, what):
             return packed_error("the loop is busy; ask again")
         self._pending[number] = now_s, route
         return None
@@ -151,7 +158,7 @@ def packed_error(error: str) -> Body:
 
 
 def for_members(group: str) -> MayChange:
-    """Who may tare and reset at an ipc endpoint: root, the daemon's own user, and members of the
+    """Who may change something at an ipc endpoint: root, the daemon's own user, and members of the
     group, as the kernel knew them when they connected. The function gives the reason for a refusal
     of the peer that sent a frame, empty where there is none."""
     try:

@@ -2,6 +2,7 @@
 
 import contextlib
 import logging
+import math
 import signal
 import socket
 import sys
@@ -28,6 +29,7 @@ from taxeld.stream.curve import RelayKeys, RobotKeys
 from taxeld.stream.link import SEVERITIES, Report, line_of
 from taxeld.stream.pair import Kind
 from taxeld.stream.topics import ESTIMATE, HEALTH, INFO, TOPICS
+from taxeld.told import ToldPose
 
 WAIT_MS, HURRY_MS = 100, 2  # for a peer or the loop; the second while memory grows
 LOOK_S, REPORT_S = 0.1, 1.0
@@ -201,8 +203,13 @@ class Door:
     def _on_array(self, packed: bytes) -> bool:
         return pair.send(self._end, Kind.ARRAY, packed)
 
-    def _pass_on(self, number: int, command: str) -> bool:
-        return pair.send(self._end, Kind.CHANGE, pair.REQUEST.pack(number) + command.encode())
+    def _on_prior(self, packed: bytes) -> bool:
+        return pair.send(self._end, Kind.PRIOR, packed)
+
+    def _pass_on(self, number: int, what: str | ToldPose) -> bool:
+        if isinstance(what, ToldPose):
+            return self._on_prior(pair.pack_prior(what, math.nan, number))
+        return pair.send(self._end, Kind.CHANGE, pair.REQUEST.pack(number) + what.encode())
 
     def _on_status(self) -> bytes:
         if time.monotonic() > self._estimate_s + SILENT_S:
@@ -246,7 +253,13 @@ class Door:
         if settings.robot:
             now_s = time.monotonic()
             self._robot = Robot(
-                context, settings.robot, self._on_poses, keys.robot, now_s, settings.topics
+                context,
+                settings.robot,
+                self._on_poses,
+                self._on_prior,
+                keys.robot,
+                now_s,
+                settings.topics,
             )
             self._report.robot = self._robot.line
         if settings.array:

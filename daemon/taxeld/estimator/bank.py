@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from taxeld.arrays import Floats
-from taxeld.estimator.estimate import MODES_MAX, Target
+from taxeld.estimator.estimate import MODES_MAX, Hypotheses, Target
 from taxeld.estimator.evidence import Odds, odds
+from taxeld.estimator.history import MOVED
 from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.rule import Draw, Rule
 from taxeld.estimator.runs import SWAPPED
@@ -22,6 +23,7 @@ from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import Mode
+from taxeld.told import ToldPose
 
 FOLLOWED = 2  # objects that learn from every scan
 LATER_MAX = 64  # scans that an object may have to learn later
@@ -51,6 +53,7 @@ class Bank:
         self._followed = [first]
         self.ruled_out: set[int] = set()
         self.due: list[int] = []  # to be tried on what is remembered, the likeliest first
+        self._restarted = -1  # number of the last contact that an earlier daemon felt
         self._best_before = np.zeros(len(rules))  # log evidence of the best when each was tried
         self._later: list[list[tuple[Observation, int]]] = [[] for _ in rules]  # not learned yet
         self._contact = self._touches = 0  # number of the last contact, and how many there were
@@ -72,7 +75,19 @@ class Bank:
 
     @property
     def verdict(self) -> Verdict:
-        return Verdict(self.rule.place, float(self.odds.here[self.best]), self.odds.hypotheses)
+        here, left = float(self.odds.here[self.best]), self.odds.hypotheses
+        if self._contact <= self._restarted:  # no touch since says that it was not moved
+            here *= 1.0 - MOVED
+            stands = left.stands * (1.0 - MOVED)
+            left = Hypotheses(stands, left.moved + left.stands - stands, left.other)
+        return Verdict(self.rule.place, here, left)
+
+    def restarted(self, contact: int) -> None:
+        """All so far, up to this contact, was felt by an earlier daemon: the object may have been
+        moved since."""
+        self._restarted = contact
+        for rule in self._mixtures:
+            rule.memory.moves = {contact + 1: float(np.log(MOVED))}
 
     def modes(self) -> tuple[Mode, ...]:
         """The heaviest modes of all objects; those of the likeliest object come first."""
@@ -158,6 +173,12 @@ class Bank:
         if is_new and self._is_doubted:
             self.due += sorted(self.ruled_out)
         return injected, evidence
+
+    def tell(self, pose: ToldPose, contacts: int, of: Sequence[int]) -> bool:
+        """Take a told pose of the objects `of`; → whether it says anything new."""
+        told = [rule.tell(pose, contacts) for k, rule in enumerate(self._mixtures) if k in of]
+        self._weigh()
+        return any(told)
 
     def expected(self, after: int, link: int) -> Lesson | None:
         """As `Rule.expected`, of the likeliest object."""

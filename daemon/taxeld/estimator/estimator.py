@@ -15,9 +15,10 @@ from taxeld.config.tables import FilterConfig, SensorPoseConfig
 from taxeld.estimator import injection
 from taxeld.estimator.bank import Bank, Known
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status
+from taxeld.estimator.history import History, Used
 from taxeld.estimator.intake import Intake
 from taxeld.estimator.mixture import Mixture
-from taxeld.estimator.news import News, Tally
+from taxeld.estimator.news import ContactCount, News
 from taxeld.estimator.paper import Paper
 from taxeld.estimator.rule import EstimatorCounters, Rule
 from taxeld.estimator.targets import Targets
@@ -27,6 +28,7 @@ from taxeld.model.activation import Activation
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
+from taxeld.told import ToldPose
 
 RULES: dict[str, Callable[[ObservationModel, FilterConfig, float, np.random.Generator], Rule]] = {
     "paper": Paper,
@@ -75,7 +77,8 @@ class Estimator:
         self._rng = rng
         self._kind = ProposalKind.NONE  # proposal of the last samples
         self._intakes = [Intake(each, self.counters, k) for k, each in enumerate(links)]
-        self._tally = Tally()
+        self._tally = ContactCount()
+        self.history = History()
         self._news = [News(each.layout.radius_m, tally=self._tally) for each in links]
         self._before: list[Observation | None] = [None] * len(links)
         self._moved = 0.0  # probability in the last estimate that the object has moved
@@ -124,6 +127,7 @@ class Estimator:
             self.counters.updates += 1
             # silence is after the last contact on any link
             number = news.contacts if self.used.is_contact else self._tally.contacts
+            self.history.add(self.used, number)
             self._conclude(observation, *self.targets.learn(self.used, number))
         else:
             self._conclude(observation)
@@ -138,6 +142,34 @@ class Estimator:
             return None
         self._taught[link] = number
         return self.bank.expected(before, link)
+
+    def restore(self, scans: Sequence[Used]) -> None:
+        """Learn again from the scans that an earlier estimator has learned from; the object may
+        have been moved meanwhile."""
+        for observation, number in scans:
+            self.history.add(observation, number)
+            self.targets.learn(observation, number)
+            while self.targets.is_behind:
+                self.targets.revisit()
+        while self.targets.is_open and self.targets.revisit():
+            pass
+        last = max((number for _, number in scans), default=0)
+        self._tally.contacts = last
+        self._taught = [last] * len(self._taught)  # the skin has its lessons of these
+        for bank in self.targets.banks:
+            bank.restarted(last)
+        self.estimate = self._estimate(0.0)
+
+    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> bool:
+        """Take a told pose, of the objects numbered `of`, else of any; → whether it changed the
+        estimate. With several targets, or by the paper's rule, nothing is told."""
+        if self.most > 1 or not isinstance(self.rule, Mixture):
+            return False
+        numbers = range(len(self.known)) if of is None else of
+        if not self.bank.tell(pose, self._tally.contacts, numbers):
+            return False
+        self.estimate = self._estimate(self.estimate.t)
+        return True
 
     @property
     def _t(self) -> float:

@@ -18,6 +18,7 @@ from taxeld.estimator.compiled import Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
 from taxeld.estimator.reader import Kept, Reader
 from taxeld.estimator.runs import HAZARD, MEANINGLESS, SWAPPED, Runs
+from taxeld.estimator.told import PriorTerm
 from taxeld.model.lesson import Lesson
 from taxeld.model.noise import Noise
 from taxeld.model.observation import Nearby, Observation, ObservationModel
@@ -28,6 +29,8 @@ from taxeld.model.symmetry import Mode, PoseMetric
 Number = TypeVar("Number", np.intp, np.float64)
 
 LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
+LOG_HAZARD = float(np.log(HAZARD))
+TOLD_MAX = 4  # told poses remembered, each of another source
 FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
 
 
@@ -110,6 +113,7 @@ class Memory:
 
     def _forget(self, prior: Prior | None) -> None:
         self.prior = prior
+        self.told: tuple[PriorTerm, ...] = ()
         self._sensor = np.empty((0, 3))
         taxels = max(len(each.layout) for each in self._links)
         self._kept: Grid = np.empty((len(Kept), 0, taxels), np.float32)
@@ -120,6 +124,8 @@ class Memory:
         self.anything = np.empty(0)  # (K,) log p(scan | whatever was pressed, or nothing)
         self._untouched = np.empty(0)
         self.before: dict[int, float] = {}  # log evidence of all before a step
+        # log probability that the object moved before a step, where it is not the usual
+        self.moves: dict[int, float] = {}
         self._runs: Runs | None = None  # cached `runs`
         self._for_c: tuple[tuple[int, int, Slack], dict[int, Scans]] | None = None
 
@@ -128,8 +134,8 @@ class Memory:
 
     @property
     def terms(self) -> int:
-        """Columns of `explain`: the prior's, if there is one, and then one a scan."""
-        return len(self) + (self.prior is not None)
+        """Columns of `explain`: the prior's, if there is one, of told poses, and of scans."""
+        return len(self) + len(self.told) + (self.prior is not None)
 
     @property
     def contact(self) -> Bools:
@@ -165,18 +171,29 @@ class Memory:
 
     def _in_steps(self) -> Runs:
         """A silent scan belongs to the next contact: the object may have moved since the last."""
-        steps, which = np.unique(self.number + self.silent, return_inverse=True)
-        prior, r = self.terms - len(self), len(steps)
+        told = [each.step for each in self.told]
+        of_all = np.concatenate([np.array(told, np.intp), self.number + self.silent])
+        steps, which = np.unique(of_all, return_inverse=True)
+        of_told, which = which[: len(told)], which[len(told) :]
+        known, r = self.terms - len(self), len(steps)
+        prior = known - len(told)
         shares = np.zeros((self.terms, 2 * r))
         shares[:prior, r : r + 1] = 1.0  # the prior counts in the first step
+        shares[prior + np.arange(len(told)), r + of_told] = 1.0
         self.of_scans(shares.T).T[np.arange(len(self)), which + r * self.silent] = self.share
-        usual = self.anything @ shares[prior:]
+        usual = self.anything @ shares[known:]
         touched = np.zeros(r, np.bool_)
         touched[which[self.contact]] = True
         begun = np.array([self.before[step] for step in steps.tolist()])
-        begun += np.log(HAZARD) - begun[:1]
+        moves = [self.moves.get(step, LOG_HAZARD) for step in steps.tolist()]
+        begun += np.array(moves) - begun[:1]
         begun[:1] = 0.0  # evidence is of the remembered scans alone
-        return Runs(shares, usual, touched, begun, self.least, is_known=prior > 0)
+        opens = touched.copy()
+        for each, step in zip(self.told, of_told.tolist(), strict=True):
+            if not touched[step]:  # evidence is in relation to poses that touch, and none did yet
+                opens[step] = True
+                begun[step] -= (step > 0) * (each.table.log_volume - each.table.log_touched)
+        return Runs(shares, usual, touched, begun, self.least, is_known=prior > 0, opens=opens)
 
     def plus(self, observation: Observation, number: int = 0, log_z: float = 0.0) -> "Memory":
         """A memory of one scan more, of contact `number`, or a silent scan after that contact.
@@ -198,6 +215,16 @@ class Memory:
         made.before = {number + (not told.pressed): log_z} | self.before
         return made
 
+    def plus_told(self, told: PriorTerm, log_z: float) -> "Memory":
+        """A memory of a told pose more, in place of the one of its source before. `log_z`: as of
+        `plus`."""
+        kept = [each for each in self.told if each.pose.source != told.pose.source]
+        made = copy.copy(self)
+        made._runs = made._for_c = None
+        made.told = (*kept[1 - TOLD_MAX :], told)
+        made.before = {told.step: log_z} | self.before
+        return made
+
     def scan(self, k: int) -> Observation:
         """The k-th scan as an observation."""
         link = int(self.link[k])
@@ -211,12 +238,12 @@ class Memory:
     def only(self, kept: Bools, *, prior: bool = True) -> "Memory":
         """A memory of the scans in the mask `kept` (K,), with the prior or without."""
         made = copy.copy(self)
-        made.prior = self.prior if prior else None
+        made.prior, made.told = (self.prior, self.told) if prior else (None, ())
         made._runs = made._for_c = None
         made._kept = self._kept.compress(kept, axis=1)  # contiguous, as the C code needs it
         for name in ("_sensor", "link", "number", "pressed", "anything", "_untouched"):
             setattr(made, name, getattr(self, name)[kept])
-        steps = set((made.number + made.silent).tolist())
+        steps = {*(made.number + made.silent).tolist(), *(each.step for each in made.told)}
         made.before = {step: log_z for step, log_z in self.before.items() if step in steps}
         return made
 
@@ -231,10 +258,12 @@ class Memory:
         made = copy.copy(self)
         made._forget(None)
         scans = ("_sensor", "_kept", "link", "number", "pressed", "anything", "_untouched")
-        for name in (*scans, "newest", "slack"):
+        for name in (*scans, "newest", "slack", "moves"):
             setattr(made, name, getattr(other, name))
         first = min(other.before, default=0)
-        made.before = {k: z + SWAPPED * (k > first) for k, z in other.before.items()}
+        made.told = self.told
+        made.before = {each.step: other.before.get(each.step, 0.0) for each in made.told}
+        made.before |= {k: z + SWAPPED * (k > first) for k, z in other.before.items()}
         return made
 
     def slack_m(self, k: int) -> float:
@@ -246,12 +275,13 @@ class Memory:
         return explained[..., self.terms - len(self) :]
 
     def explain(self, poses: Poses) -> Floats:
-        """Log-density of the prior, if there is one, and log p(scan | pose) over the live taxels of
-        each scan: poses (N, 3) → (N, terms)."""
+        """Log-densities of the prior, if there is one, and of told poses, and log p(scan | pose)
+        over the live taxels of each scan: poses (N, 3) → (N, terms)."""
         scans = self._explain(poses, 0)
-        if self.prior is None:
+        known = [*((self.prior,) if self.prior else ()), *self.told]
+        if not known:
             return scans
-        return np.hstack([self.prior.log_density(poses)[:, None], scans])
+        return np.column_stack([*(each.log_density(poses) for each in known), scans])
 
     def explain_newest(self, poses: Poses) -> Floats:
         """log p(scan | pose) of the newest scan: poses (N, 3) → (N,)."""

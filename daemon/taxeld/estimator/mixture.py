@@ -15,11 +15,13 @@ from taxeld.estimator.evidence import UNTOUCHED, ModelEvidence, odds
 from taxeld.estimator.memory import Memory, Prior, Slack
 from taxeld.estimator.particles import Belief
 from taxeld.estimator.rule import PUSHED_M, Draw, anew, drawn, noise_of
+from taxeld.estimator.told import SAME, PriorTerm, TableTop
 from taxeld.estimator.verdict import Place, placed
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.push import STRIDE, Push, assumed, changed, push
 from taxeld.model.symmetry import PoseMetric
+from taxeld.told import ToldPose
 
 ROOM = 3.0  # half-widths of the table around the last touch: the whole table, and more
 MOVES = 2  # Metropolis steps a contact
@@ -102,6 +104,49 @@ class Mixture:
         if len(samples) or (is_felt and abs(log_evidence) > 1.0 - SURE):
             self._judge(opinions=int(len(samples) > 0))
         return len(samples), log_evidence
+
+    def tell(self, pose: ToldPose, contacts: int) -> bool:
+        """Take a told pose after contact number `contacts`; → whether it says anything new."""
+        config, memory = self._config, self.memory
+        table = TableTop.of(self.metric, config, self._evidence.log_volume)
+        told = PriorTerm(pose, table, contacts + 1)
+        earlier = [each for each in memory.told if each.pose.source == pose.source]
+        for before in earlier:
+            if not told.is_news(before):
+                return False
+            if told.apart(before) <= SAME:  # else it says that the object is elsewhere
+                told.step = before.step
+        self.memory = memory.plus_told(told, self.log_z)
+        if not memory.contact.any() and memory.prior is None:
+            self._believe_told(told)
+            return True
+        belief, known = self.belief, memory.runs.support(self.belief.remembered)
+        belief.remembered = self.memory.explain(belief.pose)
+        pf.reweight(belief, self.memory.runs.support(belief.remembered) - known)
+        samples = told.samples(max(self._wanted(), 1), self._rng)
+        at = self.memory.terms - len(self.memory) - 1  # the newest told pose comes last
+        opinion = injection.anneal(
+            pf.equal(samples, self.memory.explain(samples)),
+            lambda explained: np.asarray(explained[:, at]),
+            self.memory.runs.support,
+            self.memory.explain,
+            self._rng,
+            self._scale,
+        )
+        self._become(self._merged(opinion), moves=1)
+        self._revisits = self._agreed = 0
+        self._judge(opinions=0)
+        return True
+
+    def _believe_told(self, told: PriorTerm) -> None:
+        """Before the first touch: particles of the told pose, and of the whole table."""
+        n = max(round(told.pose.weight * self._config.particles), 1)
+        belief = anew(self._config, self._rng)
+        belief.pose[:n] = told.samples(n, self._rng)
+        belief.remembered = self.memory.explain(belief.pose)
+        silence = self.memory.of_scans(belief.remembered).sum(axis=1)
+        pf.reweight(belief, silence)
+        self.belief, self._place = belief, None
 
     def _update(self, observation: Observation, samples: Poses, number: int) -> float | None:
         """Learn from a scan of contact `number`, or a silent scan after it, and from `samples` (S,
@@ -283,7 +328,8 @@ class Mixture:
         self._revisits = 0
         memory = self.memory
         opinion = self._opinion(samples, len(memory) - 1)
-        if np.count_nonzero(memory.contact) > 1 or memory.prior is not None:
+        is_known = memory.prior is not None or bool(memory.told)
+        if np.count_nonzero(memory.contact) > 1 or is_known:
             opinion = self._merged(opinion)
         self._become(opinion, moves=MOVES)
 

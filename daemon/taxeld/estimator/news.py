@@ -22,7 +22,7 @@ RELEASE_S = 0.15  # silence this long ends a contact: a flicker starts no new on
 
 
 @dataclass(slots=True)
-class Tally:
+class ContactCount:
     """Contacts begun so far, on all links."""
 
     contacts: int = 0
@@ -34,7 +34,7 @@ class News:
 
     radius_m: float
     contact: bool = False
-    tally: Tally = field(default_factory=Tally)
+    tally: ContactCount = field(default_factory=ContactCount)
     contacts: int = 0  # number of the last contact on this link
     _used: Observation | None = None  # the last scan that was used
     _strongest: float = 0.0  # the strongest activation of the previous scan

@@ -26,13 +26,15 @@ class Runs:
     touched: Bools  # (R,) whether a step has a contact
     begun: Floats  # (R,) log prior of a run from each step on, with the evidence before it
     least: float = float(np.log(MEANINGLESS))  # log odds that a contact is of something else
+    opens: Bools | None = None  # (R,) steps that runs may begin with; None: those with a contact
     is_known: bool = False  # whether a prior tells where the object was before the first step
 
     @property
     def open(self) -> Floats:
         """(R,) `begun` of the runs that poses may belong to: silence alone tells no new pose."""
         first = np.arange(len(self.begun)) == 0
-        return np.where(self.touched | first, self.begun, -np.inf)
+        opens = self.touched if self.opens is None else self.opens
+        return np.where(opens | first, self.begun, -np.inf)
 
     def each(self, explained: Floats) -> Floats:
         """Log-densities of poses by run: explained (N, terms) as from `Memory.explain` → (N, R)."""

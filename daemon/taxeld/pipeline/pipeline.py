@@ -15,6 +15,7 @@ from taxeld.arrays import Poses
 from taxeld.config.tables import Config
 from taxeld.estimator.bank import Known
 from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.history import Used
 from taxeld.estimator.rule import EstimatorCounters
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
@@ -28,6 +29,7 @@ from taxeld.proposals.ladder import Ladder
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.skin import Skin
 from taxeld.skin.state import SkinState
+from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
 CONTACTS, LEAST_CONTACTS = 12, 4  # contacts of a lesson, and of one before all is forgotten
@@ -216,6 +218,22 @@ class Pipeline:
             return self.stages[0]
         waiting = (stage for stage in self.stages if stage.waiting)
         return min(waiting, key=lambda stage: stage.waiting[0][1].t)
+
+    def restore(self, scans: Sequence[Used]) -> None:
+        """Learn again from what an earlier daemon has felt."""
+        if scans:
+            self.estimator.restore(scans)
+            self.estimate = self.freshness.judged(self.estimator.estimate)
+
+    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
+        """Take a told pose of the objects numbered `of`, else of any; → why it cannot be taken,
+        empty where it was, or says nothing new."""
+        config = self.config
+        if config.filter.injection != "mixture" or config.scene.max_objects > 1:
+            return "prior: needs filter.injection = mixture and scene.max_objects = 1"
+        if self.estimator.tell(pose, of):
+            self.estimate = self.freshness.judged(later(self.estimator.estimate, self._stepped_s))
+        return ""
 
     def _take(self, stage: LinkStage) -> Outcome:
         """Work on a link's first waiting scan to its end; the sensor's poses up to its time have

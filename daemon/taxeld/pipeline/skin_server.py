@@ -27,6 +27,7 @@ from taxeld.pipeline.poses import EXTRAPOLATE_S, OnPose
 from taxeld.pipeline.stage import SCAN_AGE_S, LinkStage
 from taxeld.proposals.ladder import ClockNs, Ladder, Rung, Step, no_clock
 from taxeld.skin.calibration import Calibration
+from taxeld.told import ToldPose
 
 NOTHING = Estimate(
     t=0.0,
@@ -113,6 +114,10 @@ class SkinServer(Pipeline):
 
     def think(self) -> Outcome | None:
         return None
+
+    def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
+        del pose, of
+        return "there is no object (scene.bundle is empty)"
 
     def reset(self) -> None:
         """Raises SetupError: there is nothing to forget."""

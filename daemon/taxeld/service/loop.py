@@ -32,6 +32,7 @@ from taxeld.pipeline.skin_server import SkinServer
 from taxeld.pipeline.warm_up import warm_up
 from taxeld.proposals import choice, several
 from taxeld.service import calibration_file, health, realtime, state_file
+from taxeld.service.belief_file import BeliefFile
 from taxeld.service.clock import WallClock
 from taxeld.service.doorkeeper import Doorkeeper, settings_of
 from taxeld.service.latency import Latencies
@@ -46,6 +47,7 @@ from taxeld.source.source import Source
 from taxeld.source.sources import Bus, check_uids, joint, open_source
 from taxeld.stream import messages
 from taxeld.stream.link import Link
+from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
 PARTICLES_HZ = 20.0
@@ -54,6 +56,7 @@ GATHER_S = 0.0002  # silence after a whole scan: its frames follow each other mo
 GATHERS = 20  # looks at the device for further frames, GATHER_S apart
 TOUCH_SHARE = 0.8  # share of the time until the next scan that a touch may take
 START_S = 2.0  # time that a skin may take to start, before the lack of scans is a fault
+PRIOR_S = 2.0  # a prior whose time is farther off is not taken
 LOOK_S = 0.05  # time between looks at the door while no scan waits for a pose
 
 log = logging.getLogger(__name__)
@@ -134,16 +137,7 @@ class Daemon:
         self.recorder = recorder
         self.latencies = Latencies(messages.STAGES)
         self.clock = WallClock()
-        self.kept = [
-            StateFile(
-                state_file.directory(one, config.names[k] if k else ""),
-                self.pipeline.stages[k].skin,
-                partial(self.pipeline.skin_state, k),
-            )
-            for k, one in enumerate(self.of_links)
-        ]
-        for kept in self.kept:
-            kept.restore(time.time())
+        self._prepare_kept(config)
         self.realtime = realtime.RealTime()
         self._publish_us = 0.0  # time of sending the last estimate [µs]
         self._seq = 0
@@ -168,13 +162,33 @@ class Daemon:
         self._watches = [_watch_of(one) for one in self.of_links]
         changes = {"tare": self.pipeline.tare, "reset": self._reset}
         self.link = Link(self._info, self._on_pose, changes)
+        self.link.on_prior = self._on_prior
         for k in range(1, len(self.layouts)):
             self.link.on_poses[k] = partial(self._on_pose, link=k)
+
+    def _prepare_kept(self, config: Config) -> None:
+        """Take what the skins learned before, and see what is kept of the belief."""
+        self.kept = [
+            StateFile(
+                state_file.directory(one, config.names[k] if k else ""),
+                self.pipeline.stages[k].skin,
+                partial(self.pipeline.skin_state, k),
+            )
+            for k, one in enumerate(self.of_links)
+        ]
+        for kept in self.kept:
+            kept.restore(time.time())
+        self.belief: BeliefFile | None = None
+        if self.pipeline.has_object:
+            self.belief = BeliefFile(state_file.directory(config), self.pipeline.estimator)
 
     def _open(self, opened: contextlib.ExitStack, config: Config) -> None:
         opened.callback(self.link.detach)
         for kept in self.kept:
             opened.callback(kept.close)
+        if self.belief is not None:
+            belief = self.belief
+            opened.callback(lambda: belief.close(time.time()))
         if self.recorder:
             opened.enter_context(self.recorder)
         self.buses = list[Bus]()
@@ -210,8 +224,9 @@ class Daemon:
         notifier = Notifier()
         try:
             realtime.trim()
-            if self.pipeline.has_object:
+            if self.belief is not None:
                 self._warm_up()
+                self.pipeline.restore(self.belief.read(time.time()))
             self.pipeline.freshness.came(time.monotonic() + START_S)  # no fault before
             with realtime.thread(self.config.loop.priority) as self.realtime:
                 notifier.ready()
@@ -293,6 +308,8 @@ class Daemon:
             self._think(now_s)
         for kept in self.kept:
             kept.keep(now_s)
+        if self.belief is not None:
+            self.belief.keep(now_s, wall_s)
         self._publish_due(now_s)
         own_s = (time.thread_time_ns() - cpu) / 1e9
         self.counters.own_overruns += own_s * self.config.loop.rate_hz > 1.0
@@ -377,6 +394,8 @@ class Daemon:
             self.pipeline.reset()
         except SetupError as error:
             return str(error)
+        if self.belief is not None:
+            self.belief.remove()
         return ""
 
     def _on_pose(self, t: float, x: float, y: float, theta: float, link: int = 0) -> None:
@@ -384,6 +403,15 @@ class Daemon:
         far = poses.far
         poses.add(t, x, y, theta, now)
         self._watches[link].add(t, now, is_far=poses.far > far)
+
+    def _on_prior(self, pose: ToldPose, t: float) -> str:
+        late_s = abs(time.time() - t)
+        if late_s > PRIOR_S:
+            return f"its time is {late_s:.0f} s off this clock"
+        numbers = [k for k, name in enumerate(self._names) if name == pose.object]
+        if pose.object and not numbers:
+            return f"no object {pose.object}; there are {', '.join(self._names)}"
+        return self.pipeline.tell(pose, numbers or None)
 
     def close(self) -> None:
         """Stop the skin and free everything that is open."""

@@ -97,6 +97,22 @@ def directory(config: Config, link: str = "") -> Path | None:
     return Path(name) / link if name else None
 
 
+def replaced(path: Path, data: bytes) -> None:
+    """Write data in place of a file, or of a link, which is not followed.
+
+    Raises:
+        OSError: the disk does not take it.
+    """
+    beside = path.with_suffix(".new")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside.unlink(missing_ok=True)
+    with beside.open("xb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    beside.replace(path)
+
+
 class StateFile:
     """Keeps the state of one skin, if there is a directory to keep it in."""
 
@@ -163,16 +179,8 @@ class StateFile:
             self._writer.start()
 
     def _write(self, path: Path, state: SkinState) -> None:
-        """In place of a file, or of a link, which is not followed."""
-        beside = path.with_suffix(".new")
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            beside.unlink(missing_ok=True)
-            with beside.open("xb") as file:
-                file.write(dump(state))
-                file.flush()
-                os.fsync(file.fileno())
-            beside.replace(path)
+            replaced(path, dump(state))
         except OSError as error:
             if not self._failed:
                 log.warning("%s: not written (%s)", path, error.strerror)

@@ -30,10 +30,14 @@ def hears(endpoint: str, topic: bytes, within_s: float) -> bool:
 
 
 def ask(
-    endpoint: str, command: str, keys: Path | None = None, timeout_s: float | None = None
+    endpoint: str,
+    command: str,
+    keys: Path | None = None,
+    timeout_s: float | None = None,
+    **what: object,
 ) -> dict[str, Any] | None:
-    """The answer, or None where none comes; `keys` is a directory with server.key and
-    client.key_secret, for a daemon that takes keys.
+    """The answer, or None where none comes; `what` are further keys of the request; `keys` is a
+    directory with server.key and client.key_secret, for a daemon that takes keys.
 
     Raises:
         SetupError: the endpoint is none, or a key cannot be used.
@@ -42,7 +46,7 @@ def ask(
     with zmq.Context() as context:
         while (left_s := deadline_s - time.monotonic()) > 0.0:
             with client_socket(context, zmq.REQ, endpoint, keys) as socket:
-                socket.send(msgpack.packb({"cmd": command}))
+                socket.send(msgpack.packb({"cmd": command} | what))
                 if socket.poll(round(min(left_s, AGAIN_S) * 1000)):
                     return unpack(socket.recv())
     return None

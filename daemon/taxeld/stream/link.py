@@ -15,13 +15,14 @@ import msgpack
 
 from taxeld.stream import pair
 from taxeld.stream.pair import Kind
-from taxeld.stream.topics import INFO, TOPICS
+from taxeld.stream.topics import INFO, OBJECT_POSE, TOPICS
+from taxeld.told import ToldPose
 from taxeld_protocol.array import ID_MAX, ArrayFrame
 
 PACKETS_PER_LOOK = 64
 PACKETS_HZ = 20_000.0  # with more packets and poses a second the door is not one of ours
 BODY_MAX = 16_384  # bytes of a packet from the door: an array of 5000 values has 10 000
-CHANGES_HZ = 20.0  # tare and reset that are done, at most
+CHANGES_HZ = 20.0  # tare, reset and priors that are done, at most
 COUNT_MAX = 2**53
 TEXT_MAX = 500  # characters of a line
 REASON_MAX = 120  # characters of why a message is no pose
@@ -39,6 +40,8 @@ log = logging.getLogger(__name__)
 OnPose = Callable[[float, float, float, float], None]
 OnArray = Callable[[ArrayFrame], None]
 Handler = Callable[[], str | None]  # → why it was not done
+OnPrior = Callable[[ToldPose, float], str]
+"""A pose of the object and its time, nan for now → why it is not taken, empty where it is."""
 
 
 @dataclass(slots=True)
@@ -75,6 +78,7 @@ class Link:
         finite; `handlers` do what clients may change, by command."""
         self.unsent = 0  # messages that the door did not take in time, since the loop's start
         self.report = Report()
+        self._untold = ""  # why the topic's last prior was not taken
         self.is_ready = False
         self.fault = ""  # why the door has ended, if it said so
         self._pack: Callable[[object], bytes] = msgpack.Packer().pack
@@ -82,6 +86,7 @@ class Link:
         self._on_pose = on_pose
         self.on_poses: dict[int, OnPose] = {}  # of further links, by their numbers
         self.on_array: OnArray = lambda _: None  # is given each array whose time is finite
+        self.on_prior: OnPrior = lambda *_: "no prior is taken here"
         self._handlers = handlers
         self._socket: socket.socket | None = None
         self._wanted = 0
@@ -186,6 +191,9 @@ class Link:
             case Kind.CHANGE:
                 (number,) = pair.REQUEST.unpack_from(body)
                 self._change(number, self._handlers[body[pair.REQUEST.size :].decode()])
+            case Kind.PRIOR:
+                number, t, told = pair.unpack_prior(body)
+                self._change(number or None, lambda: self.on_prior(told, t))
             case Kind.REPORT:
                 self.report = read_report(msgpack.unpackb(body))
             case Kind.LOG:
@@ -195,14 +203,19 @@ class Link:
             case Kind.FAULT:
                 self.fault = line_of(body)
 
-    def _change(self, number: int, handler: Handler) -> None:
+    def _change(self, number: int | None, handler: Handler) -> None:
+        """Answer request `number`; None: nobody has asked."""
         why = ""
         if self._changes < 1.0:
             why = f"more than {CHANGES_HZ:.0f} a second are not done; ask again"
         else:
             self._changes -= 1.0
             why = handler() or ""
-        self._give(Kind.ANSWER, pair.REQUEST.pack(number) + why.encode())
+        if number is not None:
+            self._give(Kind.ANSWER, pair.REQUEST.pack(number) + why.encode())
+        elif why and why != self._untold:
+            log.warning("%s: not taken, %s", OBJECT_POSE.decode(), why)
+            self._untold = why
 
     def _send(self, topic: bytes, body: bytes, t: float) -> None:
         self._give(Kind.MESSAGE, pair.HEAD.pack(TOPICS.index(topic), t) + body)

@@ -9,3 +9,4 @@ HEALTH = b"/taxeld/health"
 INFO = b"/taxeld/info"
 TOPICS = (ESTIMATE, PARTICLES, TAXELS, CONTACTS, COUNTS, HEALTH, INFO)
 SENSOR_POSE = b"/robot/sensor_pose"
+OBJECT_POSE = b"/robot/object_pose"

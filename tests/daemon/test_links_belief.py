@@ -1,0 +1,118 @@
+"""Several links touch one object: one belief learns from all of them."""
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+
+from taxeld.config.tables import FilterConfig
+from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimator import Estimator
+from taxeld.layout import read as layouts
+from taxeld.model import se2
+from taxeld.model.activation import Activation
+from taxeld.model.observation import ObservationModel
+from taxeld.proposals import bundle
+from taxeld.proposals.analytic import Table
+
+RING = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
+OBJECT = np.array([0.1, -0.05, 0.7])
+
+
+@pytest.fixture(scope="module")
+def model() -> ObservationModel:
+    ring = layouts.load(RING)
+    return bundle.load("box", ring, further=[ring]).model
+
+
+def touches(model: ObservationModel, links: list[int]) -> Iterator[tuple[int, float, np.ndarray]]:
+    """Presses of the box at other sides, each by one of the links: (link, side, sensor)."""
+    for k, link in enumerate(links):
+        side = 2.4 * k + 0.3
+        out = np.array([np.cos(side), np.sin(side)])
+        far = 0.3
+        scene = model.links[link].scene
+        while True:  # approach until the link is pressed in by 3 mm
+            x, y = OBJECT[:2] + far * out
+            at = se2.compose(se2.inverse(OBJECT), np.array([x, y, 0.0]))
+            if scene.clearance(at[:1], at[1:2])[0][0] < model.layout.radius_m - 0.003:
+                break
+            far -= 0.0005
+        yield link, side, np.array([x, y, 0.4 * k])
+
+
+def press(subject: Estimator, model: ObservationModel, links: list[int]) -> None:
+    for k, (link, _, sensor) in enumerate(touches(model, links)):
+        seen = se2.compose(se2.inverse(sensor), OBJECT)
+        z = model.links[link].activation(seen[None])[0]
+        z = np.where(z > 0.05, z, 0.0)
+        live = np.ones(len(z), dtype=np.bool_)
+        for after, each in ((0.0, z), (0.05, z), (0.1, 0.0 * z), (0.5, 0.0 * z)):
+            subject.on_scan(Activation(float(k) + after, each, live), sensor, link)
+
+
+def subject_of(model: ObservationModel) -> Estimator:
+    return Estimator(
+        model, Table(model, 4000), FilterConfig(), beside=[Table(model.links[1], 4000)]
+    )
+
+
+def test_touches_of_two_links_find_one_object(model: ObservationModel) -> None:
+    subject = subject_of(model)
+    press(subject, model, [0, 1, 0, 1, 0, 1])
+    estimate = subject.estimate
+    assert estimate.contacts == 6
+    assert estimate.status == Status.CONVERGED
+    off = subject.rule.metric.distance(estimate.map, OBJECT)
+    assert off < 0.01
+
+
+def test_a_link_that_never_touches_changes_nothing(model: ObservationModel) -> None:
+    alone = bundle.load("box", model.layout).model
+    one = Estimator(alone, Table(alone, 4000), FilterConfig())
+    two = subject_of(model)
+    press(one, alone, [0] * 4)
+    press(two, model, [0] * 4)
+    assert np.array_equal(one.estimate.map, two.estimate.map)
+    assert one.estimate.p == two.estimate.p
+
+
+def test_a_contact_has_one_number_on_all_links(model: ObservationModel) -> None:
+    subject = subject_of(model)
+    press(subject, model, [1, 0, 1])
+    memory = subject.rule.memory  # type: ignore[attr-defined]
+    assert memory.link[memory.contact].tolist() == [1, 0, 1]
+    assert memory.number[memory.contact].tolist() == [1, 2, 3]
+
+
+def test_links_of_other_sizes_are_remembered_together() -> None:
+    big, small = layouts.load(RING), layouts.load(RING.replace("rows=5", "rows=3"))
+    scene = bundle.load("box", big).model.scene
+    of_small = ObservationModel(scene, small, 0.005)
+    model = ObservationModel(scene, big, 0.005, [of_small])
+    subject = subject_of(model)
+    press(subject, model, [0, 1, 0, 1, 1, 0])
+    assert subject.rule.metric.distance(subject.estimate.map, OBJECT) < 0.01
+
+
+def test_numpy_explains_scans_of_two_links_as_c_does(
+    model: ObservationModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    subject = subject_of(model)
+    press(subject, model, [0, 1, 1])
+    memory, poses = subject.rule.memory, subject.rule.belief.pose  # type: ignore[attr-defined]
+    fast = memory.explain(poses)
+    memory = memory.only(np.ones(len(memory), dtype=np.bool_))
+    monkeypatch.setattr(memory, "_compiled", [None, None])
+    np.testing.assert_allclose(memory.explain(poses), fast, atol=2e-3)
+
+
+def test_a_sure_belief_teaches_each_link_of_its_own_contacts(model: ObservationModel) -> None:
+    subject = subject_of(model)
+    press(subject, model, [0, 1, 0, 1, 0, 1])
+    first, second = subject.taught(4, 0), subject.taught(4, 1)
+    assert first is not None
+    assert second is not None
+    assert len(first.z) >= 3
+    assert len(second.z) >= 3
+    assert subject.taught(4, 1) is None

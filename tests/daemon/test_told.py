@@ -1,0 +1,112 @@
+"""A told pose: what is none, what it does to a belief, and how touches refute it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from taxeld.estimator.estimate import SURE, Status
+from taxeld.estimator.mixture import Mixture
+from taxeld.estimator.told import PriorTerm, TableTop
+from taxeld.model.observation import ObservationModel
+from taxeld.model.symmetry import PoseMetric
+from taxeld.stream import pair
+from taxeld.told import ToldPose, told_pose
+from tests.rig.pressed_box import TRUTH, World, estimator
+
+SD = [0.02, 0.02, 0.1]
+GOOD = {"x": 0.1, "y": 0.05, "theta": 0.3, "cov": SD}
+SIDES = (0.2, 1.3, 2.9, 4.5, 3.6, 5.2)
+
+
+def told(**keys: object) -> ToldPose:
+    made = told_pose(GOOD | keys)
+    assert isinstance(made, ToldPose), made
+    return made
+
+
+@pytest.mark.parametrize(
+    ("keys", "says"),
+    [
+        ({"x": math.nan}, "not finite"),
+        ({"x": "0.1"}, "x is no number"),
+        ({"x": 10**400}, "too large"),
+        ({"y": 400.0}, "metres"),
+        ({"theta": 90.0}, "radians"),
+        ({"theta": math.nan}, "null is an unknown yaw"),
+        ({"cov": [0.02, 0.02]}, "cov is neither"),
+        ({"cov": [[1e-4, 0, 0], [0, 1e-4, 0], [0, 0]]}, "cov is neither"),
+        ({"cov": [[1e-4, 1e-3, 0], [1e-3, 1e-4, 0], [0, 0, 1e-2]]}, "positive definite"),
+        ({"cov": [[1e-4, 5e-5, 0], [0, 1e-4, 0], [0, 0, 1e-2]]}, "symmetric"),
+        ({"cov": [-0.02, 0.02, 0.1]}, "not finite"),
+        ({"cov": [1e-9, 0.02, 0.1]}, "standard deviations"),
+        ({"weight": 1.0}, "no prior is certain"),
+        ({"object": 7}, "object is no name"),
+        ({"object": "a" * 100}, "object is no name"),
+        ({"zeta": 1.0}, "unknown key"),
+    ],
+)
+def test_what_is_none_is_said_in_a_line(keys: dict[str, object], says: str) -> None:
+    found = told_pose(GOOD | keys)
+    assert isinstance(found, str)
+    assert says in found
+    assert "\n" not in found
+
+
+def test_the_door_passes_on_what_was_told() -> None:
+    pose = told(theta=None, weight=0.5, object="mug")
+    number, t, found = pair.unpack_prior(pair.pack_prior(pose, 7.0, 3))
+    assert (number, t, math.isnan(found.theta)) == (3, 7.0, True)
+    assert (found.cov, found.weight, found.object) == (pose.cov, 0.5, "mug")
+
+
+@pytest.mark.parametrize("theta", [0.3, None])
+def test_its_density_over_the_table_is_one_on_average(
+    box_model: ObservationModel, theta: float | None
+) -> None:
+    metric = PoseMetric(box_model.scene)
+    made = PriorTerm(told(theta=theta), TableTop(metric, (0.0, 0.0), 0.5, 0.0), 1)
+    rng = np.random.default_rng(0)
+    poses = rng.uniform([-0.5, -0.5, -np.pi], [0.5, 0.5, np.pi], (400_000, 3))
+    assert np.exp(made.log_density(poses)).mean() == pytest.approx(1.0, abs=0.1)
+
+
+def test_alone_it_is_believed_and_never_sure(box_model: ObservationModel) -> None:
+    subject = estimator(box_model)
+    assert subject.tell(told(cov=[0.001, 0.001, 0.01], weight=0.95))
+    found = subject.estimate
+    assert found.status is Status.SEARCHING
+    assert 0.8 < found.p < SURE
+    assert np.allclose(found.map[:2], TRUTH[:2], atol=0.005)
+
+
+def test_a_camera_that_says_the_same_again_says_nothing(box_model: ObservationModel) -> None:
+    subject = estimator(box_model)
+    assert subject.tell(told())
+    for _ in range(100):
+        assert not subject.tell(told(x=0.101))
+    assert subject.tell(told(x=0.15))
+    assert isinstance(subject.rule, Mixture)
+    assert len(subject.rule.memory.told) == 1
+
+
+@pytest.mark.parametrize("after", [0, 3])
+def test_touches_refute_a_wrong_one(box_model: ObservationModel, after: int) -> None:
+    subject, world = estimator(box_model), World(box_model)
+    for touch, side in enumerate(SIDES):
+        if touch == after:
+            subject.tell(told(x=0.3))
+        found = world.press(subject, side)
+    assert found.status is Status.CONVERGED
+    assert subject.rule.metric.distance(found.map, TRUTH) < 0.005
+    assert found.hypotheses.stands > SURE
+
+
+def test_one_that_is_elsewhere_does_not_move_a_sure_belief(box_model: ObservationModel) -> None:
+    subject, world = estimator(box_model), World(box_model)
+    for side in SIDES:
+        world.press(subject, side)
+    subject.tell(told(x=0.3))
+    found = subject.estimate
+    assert found.hypotheses.stands > 0.9
+    assert subject.rule.metric.distance(found.map, TRUTH) < 0.005
