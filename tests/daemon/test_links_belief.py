@@ -17,6 +17,7 @@ from taxeld.proposals.analytic import Table
 
 RING = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 OBJECT = np.array([0.1, -0.05, 0.7])
+AWAY = np.array([0.5, 0.0, 0.0])
 
 
 @pytest.fixture(scope="module")
@@ -116,3 +117,20 @@ def test_a_sure_belief_teaches_each_link_of_its_own_contacts(model: ObservationM
     assert len(first.z) >= 3
     assert len(second.z) >= 3
     assert subject.taught(4, 1) is None
+
+
+def test_a_link_that_falls_silent_in_a_touch_touches_nothing_any_more(
+    model: ObservationModel,
+) -> None:
+    subject = subject_of(model)
+    _, _, sensor = next(touches(model, [1]))
+    seen = se2.compose(se2.inverse(sensor), OBJECT)
+    z = model.links[1].activation(seen[None])[0]
+    live = np.ones(len(z), dtype=np.bool_)
+    for t in (0.0, 0.05):
+        subject.on_scan(Activation(t, z, live), sensor, 1)
+    assert subject.estimate.contact
+    subject.on_scan(Activation(0.5, 0.0 * z, live), sensor + AWAY, 0)
+    assert subject.estimate.contact
+    subject.on_scan(Activation(2.0, 0.0 * z, live), sensor + AWAY, 0)
+    assert not subject.estimate.contact

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from taxeld.arrays import Poses
 from taxeld_training.cli import main
-from taxeld_training.filters import cells
+from taxeld_training.filters import cells, priors
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import TouchResult
 from taxeld_training.jobs import options, statistics
@@ -134,6 +134,7 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
         "reliability",
         "recognise",
         "links",
+        "prior",
         "ablation",
         "push",
     ],
@@ -183,6 +184,17 @@ def test_links_are_compared_on_the_same_touches(tmp_path: Path) -> None:
         assert row["misleading"] == 0
     first, both = found["exact", "first"], found["exact", "both"]
     assert first["found"][0] == both["found"][0]  # the first touch is the same
+
+
+def test_priors_and_restarts_are_compared_on_the_same_touches(tmp_path: Path) -> None:
+    assert evaluate("prior", "003_cracker_box", tmp_path, "--seeds", "1") == 0
+    found = {row["case"]: row for row in rows(tmp_path, "prior")}
+    assert set(found) == set(priors.CASES)
+    for row in found.values():
+        assert row["trials"] == 1
+        assert row["found"][priors.RESTARTED_AFTER - 1] == 1.0
+    before = slice(priors.RESTARTED_AFTER)
+    assert found["restart"]["sure"][before] == found["none"]["sure"][before]
 
 
 def test_samplers_are_measured_on_the_touches_of_trials_under_chosen_conditions(

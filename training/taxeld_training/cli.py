@@ -36,6 +36,7 @@ EXPERIMENTS = (
     "reliability",
     "recognise",
     "links",
+    "prior",
     "ablation",
     "push",
 )
@@ -258,6 +259,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         ablation,
         experiment,
         linked,
+        priors,
         push,
         recognise,
         reliability,
@@ -266,7 +268,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment in ("frontier", "push", "recognise", "links"):
+    if args.cells and args.experiment in ("frontier", "push", "recognise", "links", "prior"):
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
     given["layouts"] = _layouts(args)
@@ -279,6 +281,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "reliability": reliability.reliability_rows,
         "recognise": recognise.recognise_rows,
         "links": linked.link_rows,
+        "prior": priors.prior_rows,
         "ablation": ablation.ablation_rows,
         "push": push.run,
     }

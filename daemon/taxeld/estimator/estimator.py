@@ -36,6 +36,9 @@ RULES: dict[str, Callable[[ObservationModel, FilterConfig, float, np.random.Gene
 }
 
 
+LOST_S = 1.0  # a link that is heard no more for so long, while another is, touches nothing
+
+
 class Estimator:
     """A belief about one object, changed by one scan at a time; the same scans and seed give the
     same estimates, bit for bit."""
@@ -225,6 +228,10 @@ class Estimator:
         poses = injection.project(model, poses)  # one step for samples that miss the object
         return se2.compose(observation.sensor, poses)
 
+    def _touches(self, link: int) -> bool:
+        """Whether a link touches something, as far as is known: one that fell silent does not."""
+        return self._news[link].contact and self._t - self._intakes[link].t <= LOST_S
+
     def _size_m(self, k: int) -> float:
         """The size of an object: the largest one is not where the skin met nothing."""
         return self.known[k].model.scene.size
@@ -252,7 +259,7 @@ class Estimator:
         return Estimate(
             t=t,
             status=status(verdict, self._tally.contacts, blind=blind),
-            contact=any(news.contact for news in self._news),
+            contact=any(map(self._touches, range(len(self._news)))),
             contacts=self._tally.contacts,
             map=summary.modes[0].pose,
             mean=summary.mean,
