@@ -90,7 +90,9 @@ def test_reset_removes_it(box_model: ObservationModel, tmp_path: Path) -> None:
     kept.keep(60.0, 1000.0)
     kept.close(1001.0)
     assert (tmp_path / NAME).exists()
+    before.reset()
     kept.remove()
+    kept.close(1002.0)
     assert not (tmp_path / NAME).exists()
 
 

@@ -5,6 +5,7 @@ thread of its own, and replaced whole. A file that is damaged, old or of another
 not used, and said so in a line.
 """
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -170,9 +171,11 @@ class BeliefFile:
             self._is_free()
 
     def remove(self) -> None:
-        """All is forgotten."""
-        if self._path is not None and self._is_free():
-            self._path.unlink(missing_ok=True)
+        """All is forgotten. Never blocks."""
+        if self._path is not None:
+            args = self._path, self._writer
+            self._writer = threading.Thread(target=_unlink, args=args, name="belief", daemon=True)
+            self._writer.start()
 
     def _is_free(self) -> bool:
         if self._writer is not None:
@@ -196,3 +199,11 @@ class BeliefFile:
             if not self._failed:
                 log.warning("%s: not written (%s)", path, error.strerror)
             self._failed = True
+
+
+def _unlink(path: Path, writer: threading.Thread | None) -> None:
+    """Remove a file, once it is written."""
+    if writer is not None:
+        writer.join()
+    with contextlib.suppress(OSError):
+        path.unlink()
