@@ -1,6 +1,7 @@
 """What was felt, kept over restarts."""
 
 import logging
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -33,10 +34,18 @@ def restarted(model: ObservationModel, before: Estimator, place: Path) -> Estima
     return after
 
 
+@dataclass(repr=False)
+class Written:
+    """A file, which hypothesis does not print."""
+
+    data: bytes
+    form: Form
+
+
 @pytest.fixture(scope="module")
-def written(box_model: ObservationModel) -> tuple[bytes, Form]:
+def written(box_model: ObservationModel) -> Written:
     subject, _ = felt(box_model)
-    return dump(subject.history.kept(), 1.0, Form.of(subject)), Form.of(subject)
+    return Written(dump(subject.history.kept(), 1.0, Form.of(subject)), Form.of(subject))
 
 
 def near(found: Estimate, truth: np.ndarray) -> bool:
@@ -97,10 +106,8 @@ def test_reset_removes_it(box_model: ObservationModel, tmp_path: Path) -> None:
 
 
 @given(at=st.integers(0, 10**6), damage=st.binary(min_size=1, max_size=40), cut=st.booleans())
-def test_no_damage_ends_the_daemon(
-    written: tuple[bytes, Form], at: int, damage: bytes, *, cut: bool
-) -> None:
-    data, form = written
+def test_no_damage_ends_the_daemon(written: Written, at: int, damage: bytes, *, cut: bool) -> None:
+    data, form = written.data, written.form
     at %= len(data)
     damaged = data[:at] + damage + (b"" if cut else data[at + len(damage) :])
     try:
