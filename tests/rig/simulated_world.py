@@ -2,7 +2,7 @@
 
 import errno
 import select
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -167,8 +167,11 @@ class SimulatedDevice(MemoryDevice):
         return items
 
 
-def simulated_wait(world: World, device: Any, door: Any, until_s: float) -> Ready:
-    """`ticker.wait` on the fake clock."""
+def simulated_wait(
+    world: World, device: Any, door: Any, until_s: float, further: Sequence[Any] = ()
+) -> Ready:
+    """`ticker.wait` on the fake clock, with one link."""
+    assert not further
 
     def ready() -> Ready:
         has_pose = door is not None and bool(select.select([door], [], [], 0)[0])

@@ -29,7 +29,6 @@ from taxeld.model.symmetry import Mode, PoseMetric
 Number = TypeVar("Number", np.intp, np.float64)
 
 LEAST_SD = np.array([5e-4, 5e-4, 5e-3])  # m, m, rad: least sd of a prior's mode
-LOG_HAZARD = float(np.log(HAZARD))
 TOLD_MAX = 4  # told poses remembered, each of another source
 FLOOR = np.exp(-14.0)  # share of a prior's peak density everywhere: lets the prior be refuted
 
@@ -185,7 +184,8 @@ class Memory:
         touched = np.zeros(r, np.bool_)
         touched[which[self.contact]] = True
         begun = np.array([self.before[step] for step in steps.tolist()])
-        moves = [self.moves.get(step, LOG_HAZARD) for step in steps.tolist()]
+        usually = float(np.log(HAZARD))
+        moves = [self.moves.get(step, usually) for step in steps.tolist()]
         begun += np.array(moves) - begun[:1]
         begun[:1] = 0.0  # evidence is of the remembered scans alone
         opens = touched.copy()
