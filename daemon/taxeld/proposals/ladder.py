@@ -87,17 +87,15 @@ class Ladder:
         kind = ANALYTIC.get(self.rungs[0].proposal.name, Table)
         return [Beside(self, kind(each)) for each in model.links[1:]]
 
-    def propose(
-        self, z: Floats, live: Bools, n: int, rng: np.random.Generator, k: int = 0
-    ) -> Poses:
-        """Like `Proposal.propose` of the k-th object, with the share of the samples that the rung
-        has: z (M,), live (M,) → (≤ n, 3)."""
-        return self.drawn(self.rung.of(k), z, live, n, rng)
+    def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
+        """Like `Proposal.propose` of the first object: z (M,), live (M,) → (≤ n, 3)."""
+        return self.drawn(self.rung.proposal, z, live, n, rng)
 
     def drawn(
         self, proposal: Proposal, z: Floats, live: Bools, n: int, rng: np.random.Generator
     ) -> Poses:
-        """Samples of any proposal, as few of n as the rung has, and counted in the time."""
+        """Samples (≤ n, 3) of any proposal, with the share of them that the rung has; their time is
+        counted."""
         start = self.clock()
         poses = proposal.propose(z, live, max(round(self.rung.share * n), 1), rng)
         self.spent_ns += self.clock() - start
@@ -130,7 +128,7 @@ class OfObject:
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
         """z (M,), live (M,) → object poses (≤ n, 3) in the sensor frame."""
-        return self.ladder.propose(z, live, n, rng, self.k)
+        return self.ladder.drawn(self.ladder.rung.of(self.k), z, live, n, rng)
 
 
 @dataclass(frozen=True, slots=True)

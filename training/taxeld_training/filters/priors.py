@@ -17,8 +17,8 @@ from taxeld.estimator.estimate import SURE
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
+from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import add_m
-from taxeld.proposals.analytic import Table
 from taxeld.told import ToldPose, told_pose
 from taxeld_hil.jobs import Job
 from taxeld_training.filters.cells import COLUMNS, seed_of, setting_of
@@ -89,13 +89,13 @@ def prior_rows(options: Options) -> list[Path]:
 def play(told: PriorCase, first: int, count: int) -> list[list[PriorTouch]]:
     """Results of the trials of `count` seeds, of each touch."""
     known = known_of(told.setting)
-    table = known.proposal
-    if not isinstance(table, Table):
-        raise SetupError("the table proposes here")
-    return [_played(told.case, known.model, table, seed) for seed in range(first, first + count)]
+    return [
+        _played(told.case, known.model, known.proposal, seed)
+        for seed in range(first, first + count)
+    ]
 
 
-def _played(case: str, model: ObservationModel, table: Table, seed: int) -> list[PriorTouch]:
+def _played(case: str, model: ObservationModel, table: Proposal, seed: int) -> list[PriorTouch]:
     kidnapped = RESTARTED_AFTER if case.endswith("moved") else 0
     trial = Trial(model, seed, TOUCHES, TrialConditions(kidnapped_after=kidnapped))
     config = TABLED.config(OWN_SEEDS + seed)
