@@ -96,7 +96,8 @@ def parse(data: bytes, form: Form) -> tuple[float, list[Used]]:
         raise ValueError("it is of another scene, skin, configuration or version")
     if not is_whole or not math.isfinite(t) or count > REMEMBERED + SILENT_MAX:
         raise ValueError("it is damaged")
-    rows = np.frombuffer(body, "<f4").reshape(count, form.columns)
+    with np.errstate(invalid="ignore"):  # of a signalling NaN
+        rows = np.frombuffer(body, "<f4").astype(np.float64).reshape(count, form.columns)
     scans = [_scan(row, form) for row in rows]
     numbers = [number + (not scan.is_contact) for scan, number in scans]
     if any(b < a for a, b in pairwise(numbers)):
@@ -105,11 +106,11 @@ def parse(data: bytes, form: Form) -> tuple[float, list[Used]]:
 
 
 def _scan(row: Grid, form: Form) -> Used:
-    link, number, contact, *sensor, outliers = row[:HEAD].astype(np.float64).tolist()
+    link, number, contact, *sensor, outliers = row[:HEAD].tolist()
     is_fine = link in range(len(form.taxels)) and number in range(NUMBER_MAX)
     if not is_fine or not all(abs(value) <= PLACE_MAX for value in sensor):
         raise ValueError("it is damaged")
-    own = row[HEAD:].reshape(OF_TAXELS, -1)[:, : form.taxels[int(link)]].astype(np.float64)
+    own = row[HEAD:].reshape(OF_TAXELS, -1)[:, : form.taxels[int(link)]]
     z, live, floor, residue, sigma, gain_cv, sag_m, sag_sd = own
     noise = None
     if not np.isnan(sigma).all():
