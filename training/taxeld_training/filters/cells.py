@@ -72,8 +72,10 @@ def chosen(methods: Sequence[Method], names: Sequence[str]) -> list[Method]:
     ]
 
 
-def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Results]:
-    """Results of cells, of as many trials of each as given, or as time allows.
+def run(
+    wanted: Iterable[tuple[Cell, int]], options: Options, size: int = BLOCK
+) -> dict[Cell, Results]:
+    """Results of cells, of as many trials of each as given, or as time allows, by blocks of `size`.
 
     Models are trained first. Then every cell gets a first block of trials before any gets a
     second one; the grid filter, which takes longest, comes last.
@@ -85,7 +87,7 @@ def run(wanted: Iterable[tuple[Cell, int]], options: Options) -> dict[Cell, Resu
         file = files.get((cell.setting, cell.method.proposal))
         if file is None:
             continue
-        block = GRID_BLOCK if cell.method.proposal == GRID else BLOCK
+        block = GRID_BLOCK if cell.method.proposal == GRID else size
         for first in range(0, count, block):
             arguments = (cell, seed_of(options, first), min(block, count - first))
             todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))
@@ -130,7 +132,9 @@ def _read(
     radius_m: float,
     hypotheses: Sequence[float],
     cpu_ms: float,
+    idle_ms: float,
 ) -> TouchResult:
     """A touch as `play` has it."""
     known = None if status is None else Status(status)
-    return TouchResult(map_mm, known, particles, p, radius_m, Hypotheses(*hypotheses), cpu_ms)
+    promised = p, radius_m, Hypotheses(*hypotheses)
+    return TouchResult(map_mm, known, particles, *promised, cpu_ms, idle_ms)

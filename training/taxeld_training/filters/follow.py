@@ -18,7 +18,7 @@ from taxeld.model.symmetry import SILENT_MM, add_m
 from taxeld_training.filters import gridded, methods, pushing
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.pushing import PushedTrial, by_ground
-from taxeld_training.filters.trials import Trial, TrialScan
+from taxeld_training.filters.trials import SCAN_S, Trial, TrialScan
 
 TOLD = "told"
 OWN_SEEDS = 2**31  # added to a trial's seed, so that a filter does not draw what its trial drew
@@ -33,14 +33,17 @@ def follow(
     estimator = Estimator(model, proposal, method.config(OWN_SEEDS + trial.seed))
     found = []
     for _, moments in groupby(trial, key=lambda moment: moment.touch):
-        cpu_s = 0.0
+        all_s, idle_s = list[float](), list[float]()
         for moment in moments:
-            began_s = time.process_time()
+            thoughts, began_s = estimator.counters.thoughts, time.process_time()
             now = estimator.on_scan(moment.activation, moment.sensor)
-            cpu_s += time.process_time() - began_s
+            all_s.append(time.process_time() - began_s)
+            if estimator.used is None and estimator.counters.thoughts == thoughts:
+                idle_s.append(all_s[-1])
         error_mm = _error_mm(trial, model, moment, now.map)
         promised = now.p, now.radius_m, now.hypotheses
-        found.append(TouchResult(error_mm, now.status, now.particles, *promised, 1e3 * cpu_s))
+        spent_ms = 1e3 * math.fsum(all_s), 1e3 * float(np.mean(idle_s or math.nan)) / SCAN_S
+        found.append(TouchResult(error_mm, now.status, now.particles, *promised, *spent_ms))
     return found
 
 
@@ -48,12 +51,14 @@ def _follow_grid(
     trial: Trial, model: ObservationModel, touches: Sequence[int]
 ) -> list[TouchResult]:
     """The result of each touch by the grid filter, which looks after some touches, or after
-    each."""
-    found = []
+    each. The trial's own processor time, little beside the grid's, is counted with it."""
+    found, began_s = [], time.process_time()
     for moment, grid in gridded.after_touches(trial, model):
         size = len(grid) if not touches or moment.touch + 1 in touches else 0
         error_mm = _error_mm(trial, model, moment, grid.estimate()[0]) if size else math.nan
-        found.append(TouchResult(error_mm, None, size))
+        spent_ms = 1e3 * (time.process_time() - began_s)
+        found.append(TouchResult(error_mm, None, size, cpu_ms=spent_ms))
+        began_s = time.process_time()
     return found
 
 

@@ -25,14 +25,31 @@ class Method:
     injection: str = ""
     particles: int = 0
     particles_max: int = 0  # 0: as many as `particles`
+    samples: int = -1  # that a touch brings; negative: half as many as `particles`
     touches: tuple[int, ...] = ()  # the grid looks at its belief after these; none: after each
+
+    @property
+    def injected(self) -> int:
+        """Samples that a touch brings."""
+        return self.particles // 2 if self.samples < 0 else self.samples
+
+    @property
+    def is_shipped(self) -> bool:
+        """Whether it is the daemon's own choice, but for the proposal."""
+        one = self.injection, self.particles, self.particles_max, self.injected
+        return one == (
+            SHIPPED.injection,
+            SHIPPED.particles,
+            SHIPPED.particles_max,
+            SHIPPED.injected,
+        )
 
     def config(self, seed: int, motion: str = FilterConfig().motion) -> FilterConfig:
         """The daemon's configuration with these parts."""
         return FilterConfig(
             particles=self.particles,
             particles_max=self.particles_max or self.particles,
-            injected=self.particles // 2,
+            injected=self.injected,
             injection=self.injection,
             motion=motion,
             seed=seed,
@@ -57,6 +74,7 @@ class TouchResult(NamedTuple):
     radius_m: float = math.nan
     hypotheses: Hypotheses = Hypotheses(math.nan, math.nan, math.nan)
     cpu_ms: float = math.nan  # processor time of the filter for all scans of the touch
+    idle_ms: float = math.nan  # and for a second of scans that tell nothing
 
     @property
     def succeeded(self) -> bool:
@@ -65,6 +83,16 @@ class TouchResult(NamedTuple):
     @property
     def converged(self) -> bool:
         return self.status is Status.CONVERGED
+
+    @property
+    def is_right(self) -> bool:
+        """Found and sure."""
+        return self.converged and self.succeeded
+
+    @property
+    def misleads(self) -> bool:
+        """Sure, and not found."""
+        return self.converged and not self.succeeded
 
     @property
     def failed_silently(self) -> bool:

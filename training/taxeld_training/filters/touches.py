@@ -90,6 +90,6 @@ def _played(folder: Path, layout: Layout, asked: EndTrials, seeds: range) -> dic
             trial = Trial(made.model, own, TOUCHES, FOAMS[asked.foam])
             touches = follow(trial, SHIPPED, made.model, proposal)
             found.setdefault(name, []).append(
-                [(t.converged and t.succeeded, t.converged and not t.succeeded) for t in touches]
+                [(touch.is_right, touch.misleads) for touch in touches]
             )
     return found

@@ -1,0 +1,228 @@
+"""`taxeld-train evaluate whole`: what whole filters cost, and how soon they have found an object
+and are sure of it.
+
+A filter is its rule, sampler, particles, samples and memory. All meet the same touches. What else
+runs on a machine may double the processor time of any work. So a touch is timed in relation to
+scans of the same trial that tell nothing, which are the same work for every filter.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from taxeld.estimator.mixture import REMEMBERED
+from taxeld_hil.objects import meshes
+from taxeld_training.filters import cells, enough, experiment, levels
+from taxeld_training.filters.cells import Cell, Results
+from taxeld_training.filters.constants import Change
+from taxeld_training.filters.levels import LEVELS, Level
+from taxeld_training.filters.methods import Method, TouchResult
+from taxeld_training.jobs.options import Options, write
+from taxeld_training.jobs.rows import GRID, Row, condition, object_name, table
+from taxeld_training.jobs.statistics import of_share, rounded
+from taxeld_training.objects.setting import OBJECTS
+from taxeld_training.samplers.trained import DENSITY, PAPER
+
+SEEDS, QUICK_SEEDS = 40, 1
+BLOCK = 4  # trials of a job
+GRID_SHARE = 4  # of as many trials the grid has one
+AFTER = 6  # touches by which a filter is judged, and at which the grid looks
+MOST_FOUND = 0.9
+QUIET = 0.1  # share of the quickest seconds that tell what a quiet machine takes
+
+
+class Filter(NamedTuple):
+    """A whole filter: its parts, and how many scans of touches it remembers."""
+
+    method: Method
+    remembered: int = REMEMBERED
+
+    @property
+    def change(self) -> Change | None:
+        if self.remembered == REMEMBERED:
+            return None
+        return Change("mixture", "REMEMBERED", self.remembered)
+
+
+def _mixture(proposal: str, particles: int, most: int, samples: int) -> Filter:
+    return Filter(Method(proposal, "mixture", particles, most, samples))
+
+
+FILTERS = (
+    *(  # N of one size
+        _mixture(proposal, n, n, n // 2)
+        for proposal in (DENSITY, "table")
+        for n in (25, 50, 100, 200, 400, 800)
+    ),
+    *(  # N that follows the belief, the second as it ships
+        _mixture(proposal, n, 4 * n, n // 2)
+        for proposal in (DENSITY, "table")
+        for n in (25, 50, 100, 200)
+    ),
+    *(_mixture(proposal, 100, 400, 50) for proposal in ("manifold", "projection", PAPER)),
+    *(
+        _mixture(proposal, 100, 400, samples)
+        for proposal in (DENSITY, "table")
+        for samples in (10, 25, 100, 200)
+    ),
+    *(
+        Filter(Method(proposal, "mixture", 100, 400, 50), remembered)
+        for proposal in (DENSITY, "table")
+        for remembered in (4, 8, 32)
+    ),
+    Filter(Method(PAPER, "paper", 100)),  # as published: its Fig. 3
+    Filter(Method(DENSITY, "paper", 100)),
+    Filter(Method("table", "paper", 100)),
+    Filter(Method("table", "paper", 800)),
+    Filter(Method("table", "paper", 800, samples=0)),  # a particle filter alone: no samples
+    Filter(Method(GRID, touches=(AFTER,))),  # what it does not find, no filter finds
+)
+
+
+def whole_rows(options: Options) -> list[Path]:
+    """Rows {object, factor, level, proposal, injection, particles, particles_max, samples,
+    remembered, ms, idle_ms, found_and_sure, …}, a table of what each scene needs, and the chart.
+
+    Raises:
+        SetupError: no such object, group, layout or cell.
+    """
+    from taxeld_training.charts import whole_chart  # noqa: PLC0415  # matplotlib is not needed to train
+
+    objects = (options.objects or OBJECTS)[: 2 if options.quick else None]
+    for name in objects:
+        meshes.find(name)
+    usual = [LEVELS[0], *(level for level in LEVELS if level.name == "skin=typical")]
+    asked = levels.asked_for(options, LEVELS, usual)
+    chosen = cells.chosen([each.method for each in FILTERS], options.groups)
+    count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
+    scenes = [(level, name) for level in asked for name in level.objects or objects]
+    wanted: dict[tuple[Level, str], dict[Cell, int]] = {
+        (level, name): {
+            cell: max(count // GRID_SHARE, 1) if each.method.proposal == GRID else count
+            for each in FILTERS
+            if each.method in chosen
+            for cell in [_cell(each, level, name, options)]
+        }
+        for level, name in scenes
+    }
+    counts = {cell: count for each in wanted.values() for cell, count in each.items()}
+    done = cells.run(counts.items(), options, BLOCK)
+    idle_ms = quiet_ms(
+        touch for each in done.values() for trial in each.values() for touch in trial
+    )
+    found = [
+        row | {"effort": options.effort}
+        for (level, _), each in wanted.items()
+        for row in _rows(level, {cell: done[cell] for cell in each if cell in done}, idle_ms)
+    ]
+    data = write(options, "whole", found, _table(found) if found else "")
+    whole_chart.draw(found, data.with_suffix(".png"))
+    return [data, data.with_suffix(".png")]
+
+
+def _cell(each: Filter, level: Level, name: str, options: Options) -> Cell:
+    """A filter's trials in a scene: where nothing is trained, the table proposes."""
+    setting = level.setting(name, options)
+    cell = experiment.cell_of(level, experiment.placed(each.method, setting, level), setting)
+    return replace(cell, change=each.change)
+
+
+def quiet_ms(touches: Iterable[TouchResult]) -> float:
+    """Processor time of a second of scans that tell nothing [ms], where little else runs."""
+    idle = [touch.idle_ms for touch in touches if math.isfinite(touch.idle_ms)]
+    return float(np.quantile(idle, QUIET)) if idle else math.nan
+
+
+def _rows(level: Level, found: dict[Cell, Results], idle_ms: float) -> list[dict[str, Any]]:
+    """The rows of one scene's filters, cheapest first, the grid last; `idle_ms` is the time of the
+    whole run's quiet seconds."""
+    rows = {cell: _row(level, cell, results, idle_ms) for cell, results in found.items()}
+    order = sorted(rows, key=lambda cell: (cell.method.proposal == GRID, rows[cell]["ms"]))
+    ranked = [cell for cell in order if cell.method.proposal != GRID]
+    most = -math.inf
+    for cell in ranked:
+        share = rows[cell]["found_and_sure"][AFTER - 1]
+        rows[cell]["on_front"], most = share > most, max(share, most)
+    if ranked:
+        first = enough.first([enough.worth(found[cell]) for cell in ranked])
+        rows[ranked[first]]["enough"] = True
+    return [rows[cell] for cell in order]
+
+
+def _row(level: Level, cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
+    own, trials = cell.method, list(results.values())
+    touches = [touch for trial in trials for touch in trial]
+    row = {
+        "object": cell.setting.object,
+        "factor": level.factor,
+        "level": level.level,
+        "proposal": own.proposal,
+        "injection": own.injection,
+        "particles": own.particles,
+        "particles_max": own.particles_max or own.particles,
+        "samples": own.injected,
+        "remembered": REMEMBERED if cell.change is None else cell.change.value,
+        "ships": cell.change is None and own.is_shipped,
+        "enough": False,
+        "on_front": False,
+        "seeds": len(trials),
+    }
+    right = [[touch.succeeded for touch in trial] for trial in trials]
+    if own.proposal == GRID:
+        by_look = sum(touch.cpu_ms for touch in touches) / len(trials)
+        return row | {"ms": round(by_look, 1), "found": np.mean(right, axis=0).round(4).tolist()}
+    spent_ms = [
+        touch.cpu_ms * idle_ms / float(np.nanmedian([each.idle_ms for each in trial]))
+        for trial in trials
+        for touch in trial
+    ]
+    both = [[touch.is_right for touch in trial] for trial in trials]
+    share = np.mean(both, axis=0).round(4).tolist()
+    return row | {
+        "ms": round(float(np.median(spent_ms)), 3),
+        "ms_mean": round(float(np.mean(spent_ms)), 3),
+        "idle_ms": round(quiet_ms(touches), 3),
+        "found": np.mean(right, axis=0).round(4).tolist(),
+        "found_and_sure": share,
+        "found_and_sure_ci": rounded(of_share([trial[AFTER - 1] for trial in both])),
+        "touches_to_90": next((k for k, each in enumerate(share, 1) if each >= MOST_FOUND), None),
+        "misleading": sum(touch.misleads for touch in touches),
+    }
+
+
+def label(row: Row) -> str:
+    """A filter by its parts: table 100..400, 50 samples."""
+    least, most = row["particles"], row["particles_max"]
+    size = f"{least}..{most}" if most > least else str(least)
+    rule = "" if row["injection"] == "mixture" else f" {row['injection']}"
+    return (
+        f"{row['proposal']}{rule} {size}, {row['samples']} samples, {row['remembered']} remembered"
+    )
+
+
+def _table(rows: Sequence[Row]) -> str:
+    """A line a scene: the best filter, what ships, and the cheapest that is enough."""
+    ranked = [row for row in rows if row["proposal"] != GRID]
+
+    def shown(one: Callable[[list[Row]], Row | None]) -> Callable[[list[Row]], str]:
+        def text(of: list[Row]) -> str:
+            row = one(of)
+            if row is None:
+                return ""
+            return f"{row['found_and_sure'][AFTER - 1]:.0%}, {row['ms']:.1f} ms: {label(row)}"
+
+        return text
+
+    return table(
+        ranked,
+        {"object": lambda row: object_name(str(row["object"])), "condition": condition},
+        {
+            "best": shown(lambda of: max(of, key=lambda row: row["found_and_sure"][AFTER - 1])),
+            "ships": shown(lambda of: next((row for row in of if row["ships"]), None)),
+            "enough": shown(lambda of: next((row for row in of if row["enough"]), None)),
+        },
+    )
