@@ -105,7 +105,7 @@ def test_a_bundle_says_in_touches_how_good_it_is(info: dict[str, Any]) -> None:
     told = info["touches"]
     assert (told["foam"], told["trials"]) == ("poor", 3)
     for rule in ("found_and_sure", "sure_and_wrong"):
-        assert list(told[rule]) == [_sampler(info), "table"]
+        assert list(told[rule]) == ["table 100..400", f"{_sampler(info)} 100..400"]
         for counts in told[rule].values():
             assert len(counts) == 8
             assert all(0 <= count <= 3 for count in counts)
@@ -120,23 +120,47 @@ def _sampler(info: dict[str, Any]) -> str:
 def test_trials_are_the_same_by_any_number_of_workers(built: Path, info: dict[str, Any]) -> None:
     skin = layouts.load(SKIN)
     asked = touches.EndTrials("poor", 3, workers=1)
-    assert touches.counted(built, skin, asked, lambda *_: None) == info["touches"]
+    assert touches.counted(built, skin, asked, lambda *_: None) == {"touches": info["touches"]}
 
 
 @pytest.mark.parametrize(("own", "is_cured"), [(20, True), (32, False)])
 def test_the_summary_counts_trials_and_has_a_cure_where_the_table_finds_clearly_more(
     built: Path, info: dict[str, Any], own: int, is_cured: bool
 ) -> None:
-    found = {"density-64": [0] * 5 + [own, 38, 39], "table": [0] * 5 + [34, 38, 39]}
-    wrong = {"density-64": [0, 1, 1, 0, 0, 0, 0, 0], "table": [0] * 8}
+    found = {
+        "table 100..400": [0] * 5 + [34, 38, 39],
+        "density-64 100..400": [0] * 5 + [own, 38, 39],
+    }
+    wrong = {"table 100..400": [0] * 8, "density-64 100..400": [0, 1, 1, 0, 0, 0, 0, 0]}
     told = {"foam": "typical", "trials": 40, "found_and_sure": found, "sure_and_wrong": wrong}
     said = "\n".join(summary(built, info | {"touches": told}, SKIN, "the cure"))
     assert (
-        f"how good   density-64: {own} of 40 found and sure after 6 touches on typical foam, "
-        "39 after 8; 2 of 320 estimates sure and wrong\n"
-        "           table: 34, 39 after 8; 0 sure and wrong\n"
+        f"how good   density-64 100..400: {own} of 40 found and sure after 6 touches on typical "
+        "foam, 39 after 8; 2 of 320 estimates sure and wrong\n"
+        "           table 100..400: 34, 39 after 8; 0 sure and wrong\n"
     ) in said
     assert ("\n           the cure\n" in said) == is_cured
+
+
+@pytest.mark.parametrize("trials", [2, 3])
+def test_trials_choose_the_filter_that_the_daemon_runs_if_there_are_enough_of_them(
+    built: Path, info: dict[str, Any], trials: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(touches, "LEAST", 3)
+    asked = touches.EndTrials("exact", trials, workers=1)
+    told = touches.counted(built, layouts.load(SKIN), asked, lambda *_: None)
+    if trials < 3:
+        assert told.keys() == {"touches"}
+        return
+    filters = touches.tried(_sampler(info), asked)
+    assert list(told["touches"]["found_and_sure"]) == list(filters)
+    assert sorted(told["auto"]) == sorted(info["auto"])
+    keys = told["filter"]
+    name = f"{told['auto'][0]} {keys['particles']}..{keys['particles_max']}"
+    assert filters[name].injected == keys["injected"]
+    said = list(summary(built, info | told, SKIN, ""))
+    assert f"enough     {name} particles, {keys['injected']} samples" in said
+    assert said[3].startswith(f"how good   {name}: ")
 
 
 def test_an_unknown_foam_is_refused_before_anything_is_built(tmp_path: Path) -> None:

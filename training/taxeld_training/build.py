@@ -17,6 +17,8 @@ from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import Table
 from taxeld_hil.objects import bundles, meshes, scenes
 from taxeld_training.filters import touches
+from taxeld_training.filters.cells import TOUCHES
+from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.jobs.statistics import of_count
 from taxeld_training.samplers import candidates
 from taxeld_training.samplers.candidates import Candidates, Progress
@@ -72,7 +74,7 @@ def build(
             shutil.copyfile(path, made / info["mesh"])
         bundles.write(scene, info, made, more)
         if given is not None:
-            info["touches"] = touches.counted(made, layout, asked, progress)
+            info |= touches.counted(made, layout, asked, progress)
             bundles.write(scene, info, made, more)
         bundles.replace(made, out)
     return out
@@ -107,21 +109,27 @@ def summary(out: Path, info: dict[str, Any], layout: str, more: str) -> Iterator
     size = sum(path.stat().st_size for path in out.iterdir())
     yield f"made       {out}: {info['object']} on {info['layout']['name']}, {size / 1e6:.1f} MB"
     yield f"samplers   {', '.join(s['name'] for s in info['samplers'])}; auto: {info['auto'][0]}"
-    tried = info["touches"]
-    after, last = SURE_AFTER
-    for name, found in tried["found_and_sure"].items():
-        first, then = found[after - 1], found[last - 1]
+    tried, enough = info["touches"], info.get("filter")
+    found, (after, last) = tried["found_and_sure"], SURE_AFTER
+    table, sampler = (name for name in found if name.endswith(touches.size(SHIPPED)))
+    shown = [sampler, table]
+    if enough:
+        own = Method(info["auto"][0], "", enough["particles"], enough["particles_max"])
+        shown.insert(0, f"{own.proposal} {touches.size(own)}")
+        yield f"enough     {shown[0]} particles, {enough['injected']} samples"
+    for k, name in enumerate(dict.fromkeys(shown)):
+        first, then = found[name][after - 1], found[name][last - 1]
         wrong = sum(tried["sure_and_wrong"][name])
-        if name == Table.name:
+        if k:
             yield f"           {name}: {first}, {then} after {last}; {wrong} sure and wrong"
             continue
         yield (
             f"how good   {name}: {first} of {tried['trials']} found and sure after {after} touches "
             f"on {tried['foam']} foam, {then} after {last}; "
-            f"{wrong} of {tried['trials'] * len(found)} estimates sure and wrong"
+            f"{wrong} of {tried['trials'] * TOUCHES} estimates sure and wrong"
         )
-    own, table = (found[after - 1] for found in tried["found_and_sure"].values())
-    if of_count(own, tried["trials"])[1] < table / tried["trials"]:  # by more than chance
+    counts = found[sampler][after - 1], found[table][after - 1]
+    if of_count(counts[0], tried["trials"])[1] < counts[1] / tried["trials"]:  # beyond chance
         yield f"           {more}"
     run = ["taxeld-hil", "run", "demo", "--object", str(out), *_layout(layout)]
     yield f"next       {shlex.join([*run, '--out', f'{out.name}_demo'])}"

@@ -13,7 +13,8 @@ from taxeld.door.binding import Binding, ServedError
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
 from taxeld.layout.layout import Layout
-from taxeld.proposals import choice, several
+from taxeld.proposals import bundle, choice, several
+from taxeld.proposals.manifest import FilterEntry
 from taxeld.service import calibration_file
 from taxeld.source import dialects, session
 from taxeld.source.device import BusyError
@@ -85,7 +86,7 @@ def faults(config: Config, is_running: bool = False) -> list[str]:
 def notes(config: Config) -> list[str]:
     """Lines on matters that no check can decide."""
     source = config.source
-    found = [] if config.scene.names else [ALONE]
+    found = _sizes(config) if config.scene.names else [ALONE]
     if source.kind == "replay":
         return found
     found += [line] if (line := _down(source)) else []
@@ -99,6 +100,17 @@ def notes(config: Config) -> list[str]:
         f"source.channel: the boards must hang on {source.channel} itself; behind an Ethernet "
         "board (EMS), as on most iCubs, they cannot be reached over CAN",
     ]
+
+
+def _sizes(config: Config) -> list[str]:
+    """Whose numbers of particles and samples hold, where a bundle says how many were enough."""
+    found = [bundle.manifest_of(name) for name in config.scene.names]
+    if all(one.filter == FilterEntry() for one in found):
+        return []
+    whose = "this configuration says" if config.is_sized else "was enough when the bundle was built"
+    now = several.sized(config, found).filter
+    size = f"{now.particles}..{now.particles_max} particles, {now.injected} samples"
+    return [f"filter: {size}, as {whose}"]
 
 
 def _read_source(source: SourceConfig, skin: Layout) -> None:

@@ -154,6 +154,7 @@ def open_pipeline(directory: Path, config: Config) -> Pipeline:
     if not config.scene.names:
         return SkinServer(config, [skin, *further], calibration=calibration, extrapolate_s=0.0)
     bundles = several.load(config.scene, skin, config.skin.full_scale_depth_m, further)
+    config = several.sized(config, [one.manifest for one in bundles])
     model, *more = (one.model for one in bundles)
     # all poses are known, so each scan is placed between two and none is extrapolated
     return Pipeline(

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from taxeld.config import endpoints, links, toml_tables
-from taxeld.config.tables import Config, SceneConfig, SourceConfig
+from taxeld.config.tables import SIZES, Config, SceneConfig, SourceConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld_protocol import icub
 
@@ -79,6 +79,8 @@ def parse(text: str, name: str = "configuration") -> Config:
         ConfigError: all faults at once.
     """
     config = links.completed(toml_tables.parse(Config, text, name))
+    given = toml_tables.loads(text).get("filter", {})
+    config = replace(config, is_sized=not given.keys().isdisjoint(SIZES))
     faults: list[str] = links.faults(config)
     _check_source(config.source, faults)
     _check_scene(config, faults)

@@ -7,12 +7,13 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
-from taxeld.config.toml_tables import Given, between, key, one_of
+from taxeld.config.toml_tables import Given, between, key, one_of, unwritten
 from taxeld_protocol import icub
 from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
 from taxeld_protocol.slcan import BITRATES
 
+SIZES = ("particles", "particles_max", "injected")  # keys of the filter's size
 OBJECTS_MAX = 16  # objects that one skin may touch
 LEVELS = ("debug", "info", "warning", "error")  # levels of the log
 
@@ -329,6 +330,7 @@ class Config:
     curve: CurveConfig = field(default_factory=CurveConfig)
     log: LogConfig = field(default_factory=LogConfig)
     links: tuple[LinkConfig, ...] = field(default=(), metadata={"tables": "skin"})
+    is_sized: bool = unwritten(default=False)  # whether the file gives any of SIZES
 
     @staticmethod
     def filled(data: dict[str, Any]) -> dict[str, Any]:

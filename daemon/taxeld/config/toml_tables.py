@@ -59,6 +59,11 @@ def key(default: Any = MISSING, check: Bound | None = None, doc: str = "") -> An
     return field(default=default, metadata={"check": check, "doc": doc})
 
 
+def unwritten(default: Any) -> Any:
+    """A field that no file sets."""
+    return field(default=default, metadata={"tables": None})
+
+
 def loads(text: str) -> dict[str, Any]:
     """The values of TOML text. Raises ValueError with the fault."""
     deep = _TOO_DEEP.search(text)
@@ -118,8 +123,8 @@ def _values(cls: type, data: dict[str, Any], path: str, faults: list[str]) -> di
     """The keys that a TOML table gives of a dataclass."""
     known = {f.name: f for f in fields(cls) if "tables" not in f.metadata}
     for spec in fields(cls):  # a table that may also be given as several, [[table]]
-        name = str(spec.metadata.get("tables", ""))
-        if isinstance(data.get(name), list):
+        name = spec.metadata.get("tables")
+        if name and isinstance(data.get(name), list):
             known[name] = spec
     hints = get_type_hints(cls)
     gone: Mapping[str, str] = getattr(cls, "GONE", {})  # key, or TABLE.key → what replaces it

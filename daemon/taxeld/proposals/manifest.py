@@ -5,10 +5,11 @@ Each file is read once: the compared bytes are the ones that are parsed.
 
 import hashlib
 import json
-from dataclasses import MISSING, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_args, get_origin, get_type_hints
 
+from taxeld.config.tables import FilterConfig
 from taxeld.errors import SetupError
 from taxeld.proposals.analytic import ANALYTIC
 
@@ -17,6 +18,7 @@ SCENE = "scene.npz"
 FORMAT = 3  # version 2 had no digests
 KINDS = ("density", "ddpm")  # kinds of samplers
 LARGEST = 1e18  # limit of numbers
+USUAL = FilterConfig()
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,16 @@ class SamplerEntry:
 
 
 @dataclass(frozen=True, slots=True)
+class FilterEntry:
+    """Numbers of particles and samples that were enough for the object when the bundle was built,
+    as the configuration's keys of the same names."""
+
+    particles: int = USUAL.particles
+    particles_max: int = USUAL.particles_max
+    injected: int = USUAL.injected
+
+
+@dataclass(frozen=True, slots=True)
 class Manifest:
     """The keys of `bundle.json` that the daemon and the harness use. Lengths in metres."""
 
@@ -59,6 +71,7 @@ class Manifest:
     auto: list[str]  # proposals by preference
     links: list[LinkEntry] = field(default_factory=list)  # the first one's is `layout`
     mesh: str = ""  # a file of the bundle with the mesh, where the object is not one of YCB's
+    filter: FilterEntry = field(default_factory=FilterEntry)
 
     def __post_init__(self) -> None:
         """Raises ValueError where the values do not belong together."""
@@ -72,6 +85,10 @@ class Manifest:
         for sampler in self.samplers:
             if sampler.kind not in KINDS:
                 raise ValueError(f"samplers: {sampler.kind!r:.70} is none of {', '.join(KINDS)}")
+        for key, given in asdict(self.filter).items():
+            fault = FilterConfig.__dataclass_fields__[key].metadata["check"](given)
+            if fault:
+                raise ValueError(f"filter.{key}: {fault}")
         for name in self.auto:
             if name not in {*ANALYTIC, *(sampler.name for sampler in self.samplers)}:
                 raise ValueError(f"auto: no such proposal or sampler: {name!r:.70}")
@@ -147,7 +164,9 @@ def _checked(kind: Any, value: object, key: str) -> Any:
         return {_checked(str, k, key): _checked(str, v, f"{key}.{k}") for k, v in value.items()}
     if kind is str and isinstance(value, str) and value.isprintable():
         return value
+    if kind is int and type(value) is int:
+        return value
     if kind is float and isinstance(value, int | float) and abs(value) < LARGEST:
         return float(value)
-    words = {str: "line of text", float: "number", list: "list"}
+    words = {str: "line of text", int: "whole number", float: "number", list: "list"}
     raise ValueError(f"{key} is missing or no {words.get(origin or kind, 'map')}")

@@ -1,10 +1,11 @@
 """The bundles of all objects that may be felt, in the order of their numbers."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
-from taxeld.config.tables import FilterConfig, SceneConfig
+from taxeld.config.tables import SIZES, Config, FilterConfig, SceneConfig
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.model.scene import Scene
@@ -71,6 +72,15 @@ def leading(bundles: Sequence[Bundle]) -> Bundle:
     """The bundle whose proposals are chosen from: the first with the most of them. An object that
     has none of the chosen name has the table."""
     return max(bundles, key=lambda one: len(one.order))
+
+
+def sized(config: Config, found: Sequence[Manifest]) -> Config:
+    """The configuration with as many particles and samples as were enough for the objects when
+    their bundles were built, unless it says itself how many. Of several the most count."""
+    if config.is_sized or not found:
+        return config
+    most = {key: max(getattr(one.filter, key) for one in found) for key in SIZES}
+    return replace(config, filter=replace(config.filter, **most))
 
 
 def untimed(bundles: Sequence[Bundle], config: FilterConfig) -> Ladder:

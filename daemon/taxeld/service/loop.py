@@ -108,6 +108,7 @@ class Daemon:
         if config.scene.names:
             depth_m = config.skin.full_scale_depth_m
             bundles = several.load(config.scene, self.layout, depth_m, further)
+        config = self.config = several.sized(config, [one.manifest for one in bundles])
         self.patches = [
             Patches(layout, one.skin.full_scale_depth_m)
             for one, layout in zip(self.of_links, self.layouts, strict=True)
@@ -154,7 +155,7 @@ class Daemon:
         self._notices = Notices(self._names, self.pipeline.ladder.name, paths)
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
-        given = asdict(config)
+        given = asdict(replace(config, is_sized=False))  # what holds, whoever says it
         if not config.links:
             del given["links"]
         digest = hashlib.sha256(repr(given).encode()).hexdigest()[:16]

@@ -56,6 +56,7 @@ class Guided:
         config = uncalibrated(config)
         layout = layouts.load(config.skin.layout)
         (scene,) = several.load(config.scene, layout, config.skin.full_scale_depth_m)
+        config = several.sized(config, [scene.manifest])
         self._pipeline = Pipeline(config, scene.model, scene.untimed(config.filter))
         self._observer = Observer(self._pipeline)
         self._recording = Recording(config, config_path, directory)

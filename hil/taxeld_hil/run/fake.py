@@ -40,6 +40,7 @@ class FakeDaemon:
         def device(_: SourceConfig, __: ToFrames) -> MemoryDevice:
             return MemoryDevice(line)
 
+        config = several.sized(config, [scene.manifest for scene in scenes])
         samples = several.untimed(scenes, config.filter)
         model, *more = (scene.model for scene in scenes)
         self.pipeline = Pipeline(config, model, samples, calibration=calibration, more=more)

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -13,7 +14,7 @@ from taxeld_training.jobs.rows import GRID, Row, condition, object_name
 
 ACROSS = 5  # panels side by side
 AFTER = 6  # touches
-GIVEN = {"ls": "none", "mfc": "none", "mec": "black"}
+GIVEN: dict[str, Any] = {"ls": "none", "mfc": "none", "mec": "black"}
 MARKS = {  # keys of rows → marker, size and name in the legend
     "ships": ("s", 10.0, "as it ships"),
     "enough": ("*", 13.0, "the cheapest shown to be as good as the best"),
@@ -68,7 +69,7 @@ def _panel(axes: Axes, rows: Sequence[Row], style: dict[str, Style]) -> None:
     for row in rows:
         colour, marker = style[row["proposal"]]
         fill = "white" if row["injection"] == "paper" else colour
-        given = {"ms": 4.0, "mec": colour, "mfc": fill, "mew": 0.8, "alpha": 0.85}
+        given: dict[str, Any] = {"ms": 4.0, "mec": colour, "mfc": fill, "mew": 0.8, "alpha": 0.85}
         axes.plot(row["ms"], _share(row), marker, **given)
         for key, (mark, size, _) in MARKS.items():
             if row[key]:

@@ -1,36 +1,42 @@
 """Which of several filters is enough: the first that is shown to be as good as the best."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from typing import TypeAlias
 
 import numpy as np
 
 from taxeld.arrays import Floats
-from taxeld_training.filters.cells import Results
+from taxeld_training.filters.methods import TouchResult
 from taxeld_training.jobs.statistics import of_mean
 
 MARGIN = 0.01  # share of the touches by which a filter that is as good may fall behind
-MISLED = 10  # touches found and sure that one sure and wrong takes away
+MISLED = 10.0  # touches found and sure that one sure and wrong takes away
+
+Told: TypeAlias = list[tuple[bool, bool]]  # found and sure, sure and wrong; of each touch
 
 
-def worth(results: Results) -> Floats:
-    """(T,) of each trial, by its seed: the share of its touches after which the object was found
-    and the filter sure. A touch after which it was sure and wrong takes `MISLED` of them away."""
-    return np.array(
-        [
-            np.mean([t.is_right - MISLED * t.misleads for t in results[seed]])
-            for seed in sorted(results)
-        ]
-    )
+def told(trial: Iterable[TouchResult]) -> Told:
+    """What a filter told in a trial."""
+    return [(touch.is_right, touch.misleads) for touch in trial]
 
 
-def first(worths: Sequence[Floats]) -> int:
+def worth(trials: Sequence[Told]) -> Floats:
+    """(T,) of each trial: the share of its touches after which the object was found and the filter
+    sure. A touch after which it was sure and wrong takes `MISLED` of them away."""
+    return np.asarray((np.array(trials, dtype=float) @ (1.0, -MISLED)).mean(axis=1))
+
+
+def first(worths: Sequence[Floats], usual: int) -> int:
     """Index of the first filter that is shown to fall behind the best by at most `MARGIN`, of
-    filters with worths (T,) in the same trials.
+    filters with worths (T,) in the same trials, T > 1.
 
-    It is shown where the interval of the paired difference, over trials drawn anew, says so: what
-    too few trials tell apart is not as good.
+    The best is the `usual` one, unless another is shown to be better. It is shown where the
+    interval of the paired difference, over trials drawn anew, says so: of what too few trials tell
+    apart the usual one is kept.
     """
-    best = max(worths, key=lambda each: float(each.mean()))
     rng = np.random.default_rng(0)
-    behind = (of_mean([best - each], rng)[1] for each in worths)
-    return next(k for k, most in enumerate(behind) if most <= MARGIN or worths[k] is best)
+    best = max(range(len(worths)), key=lambda k: float(worths[k].mean()))
+    if of_mean([worths[best] - worths[usual]], rng)[0] <= 0.0:
+        best = usual
+    behind = (of_mean([worths[best] - each], rng)[1] for each in worths)
+    return next(k for k, most in enumerate(behind) if k == best or most <= MARGIN)

@@ -1,7 +1,9 @@
-"""How good a bundle is, in touches: trials at the end of its build, of its own sampler and table.
+"""How good a bundle is, in touches: trials at the end of its build, and the filter that is enough.
 
-A trial is a random sequence of touches of the object on the bundle's own skin. After each touch the
-shipped filter has *found* the object or not, and is *sure* or not, as everywhere.
+A trial is a random sequence of touches of the object on the bundle's own skin. After each touch a
+filter has *found* the object or not, and is *sure* or not, as everywhere. Filters of several sizes,
+with the bundle's own sampler and with the table, meet the same touches. The bundle says which of
+them is enough, and the daemon runs that one.
 """
 
 from collections.abc import Callable
@@ -11,14 +13,17 @@ from typing import Any
 
 import joblib
 
+from taxeld.config import tables
 from taxeld.errors import SetupError
 from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC, Table
+from taxeld_training.filters import enough
 from taxeld_training.filters.cells import SEEDS_APART, TOUCHES
 from taxeld_training.filters.conditions import TrialConditions
+from taxeld_training.filters.enough import Told
 from taxeld_training.filters.follow import follow
-from taxeld_training.filters.methods import SHIPPED
+from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.filters.trials import Trial
 
 STAGE = "trials"
@@ -28,7 +33,8 @@ FOAMS = {  # levels of filters/levels.py
     "poor": TrialConditions(skin="poor"),
 }
 
-Told = list[tuple[bool, bool]]  # found and sure, sure and wrong; of each touch of a trial
+SIZES = (25, 50, SHIPPED.particles, 200)  # N at least, of the filters that are tried
+LEAST = 40  # trials; fewer choose nothing
 
 
 @dataclass(frozen=True)
@@ -47,18 +53,39 @@ class EndTrials:
             raise SetupError("--trials: must be 1 or more")
 
 
+def size(method: Method) -> str:
+    """A filter's number of particles, as bundle.json names it: 100..400."""
+    return f"{method.particles}..{method.particles_max}"
+
+
+def tried(sampler: str, asked: EndTrials) -> dict[str, Method]:
+    """The filters that are tried, by name, cheapest first; the table's before the sampler's, which
+    takes a training. Of few trials, which choose nothing, only those of the usual size."""
+    sizes = SIZES if asked.trials >= LEAST else (SHIPPED.particles,)
+    most = SHIPPED.particles_max // SHIPPED.particles
+    filters = (
+        Method(name, SHIPPED.injection, n, most * n)
+        for n in sizes
+        for name in (Table.name, sampler)
+    )
+    return {f"{each.proposal} {size(each)}": each for each in filters}
+
+
 def counted(
     folder: Path, layout: Layout, asked: EndTrials, progress: Callable[[str, float], None]
 ) -> dict[str, Any]:
-    """Of the trials of the bundle in `folder`, how many had found their object and were sure of it
-    after each touch, and how many were sure and wrong; by proposal. All meet the same touches."""
+    """The part of bundle.json about the trials of the bundle in `folder`: of each filter, how many
+    had found their object and were sure of it after each touch, and how many were sure and wrong;
+    and the filter that is enough. All meet the same touches."""
+    made = bundle.load(str(folder), layout)
+    sampler = next(name for name in made.order if name not in ANALYTIC)
+    filters = tried(sampler, asked)
     jobs = (
-        joblib.delayed(_played)(folder, layout, asked, range(first, asked.trials, asked.workers))
-        for first in range(asked.workers)
+        joblib.delayed(_played)(folder, layout, asked, filters, k) for k in range(asked.workers)
     )
     done: dict[str, list[Told]] = {}
-    made = joblib.Parallel(asked.workers, return_as="generator")(jobs)
-    for finished, part in enumerate(made, 1):
+    played = joblib.Parallel(asked.workers, return_as="generator")(jobs)
+    for finished, part in enumerate(played, 1):
         for name, trials in part.items():
             done.setdefault(name, []).extend(trials)
         progress(STAGE, finished / asked.workers)
@@ -69,27 +96,42 @@ def counted(
         }
         for rule in (0, 1)
     )
-    return {
-        "foam": asked.foam,
-        "trials": asked.trials,
-        "seed": asked.seed,
-        "found_and_sure": right,
-        "sure_and_wrong": wrong,
+    return _chosen(filters, done, made.order) | {
+        "touches": {
+            "foam": asked.foam,
+            "trials": asked.trials,
+            "seed": asked.seed,
+            "found_and_sure": right,
+            "sure_and_wrong": wrong,
+        }
     }
 
 
-def _played(folder: Path, layout: Layout, asked: EndTrials, seeds: range) -> dict[str, list[Told]]:
-    """Trials of some seeds, by proposal: the daemon's first choice of samplers, and the table."""
+def _chosen(
+    filters: dict[str, Method], done: dict[str, list[Told]], order: list[str]
+) -> dict[str, Any]:
+    """The parts of bundle.json that the daemon runs; none where too few trials choose nothing."""
+    names = list(filters)
+    if len(names) < len(SIZES):
+        return {}
+    usual = names.index(f"{Table.name} {size(SHIPPED)}")
+    own = filters[names[enough.first([enough.worth(done[name]) for name in names], usual)]]
+    return {
+        "auto": [own.proposal, *(name for name in order if name != own.proposal)],
+        "filter": {key: getattr(own, key) for key in tables.SIZES},
+    }
+
+
+def _played(
+    folder: Path, layout: Layout, asked: EndTrials, filters: dict[str, Method], worker: int
+) -> dict[str, list[Told]]:
+    """A worker's trials, by each of the filters."""
     made = bundle.load(str(folder), layout)
-    sampler = next(name for name in made.order if name not in ANALYTIC)
-    found: dict[str, list[Told]] = {}
-    for name in (sampler, Table.name):
-        proposal = made.open(name)
-        for seed in seeds:
+    found: dict[str, list[Told]] = {name: [] for name in filters}
+    for name, method in filters.items():
+        proposal = made.open(method.proposal)
+        for seed in range(worker, asked.trials, asked.workers):
             own = SEEDS_APART * asked.seed + seed
             trial = Trial(made.model, own, TOUCHES, FOAMS[asked.foam])
-            touches = follow(trial, SHIPPED, made.model, proposal)
-            found.setdefault(name, []).append(
-                [(touch.is_right, touch.misleads) for touch in touches]
-            )
+            found[name].append(enough.told(follow(trial, method, made.model, proposal)))
     return found

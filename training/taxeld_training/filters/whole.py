@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taxeld.estimator.mixture import REMEMBERED
+from taxeld.proposals.analytic import Table
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, enough, experiment, levels
 from taxeld_training.filters.cells import Cell, Results
@@ -147,8 +148,10 @@ def _rows(level: Level, found: dict[Cell, Results], idle_ms: float) -> list[dict
     for cell in ranked:
         share = rows[cell]["found_and_sure"][AFTER - 1]
         rows[cell]["on_front"], most = share > most, max(share, most)
-    if ranked:
-        first = enough.first([enough.worth(found[cell]) for cell in ranked])
+    usual = [k for k, cell in enumerate(ranked) if rows[cell]["ships"]]
+    if usual:
+        told = ([enough.told(trial) for trial in found[cell].values()] for cell in ranked)
+        first = enough.first([enough.worth(trials) for trials in told], usual[0])
         rows[ranked[first]]["enough"] = True
     return [rows[cell] for cell in order]
 
@@ -166,7 +169,7 @@ def _row(level: Level, cell: Cell, results: Results, idle_ms: float) -> dict[str
         "particles_max": own.particles_max or own.particles,
         "samples": own.injected,
         "remembered": REMEMBERED if cell.change is None else cell.change.value,
-        "ships": cell.change is None and own.is_shipped,
+        "ships": cell.change is None and own.is_shipped and own.proposal == Table.name,
         "enough": False,
         "on_front": False,
         "seeds": len(trials),
