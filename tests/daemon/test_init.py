@@ -8,7 +8,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import get_type_hints
 
@@ -84,7 +84,8 @@ def test_each_key_is_there_with_the_documented_words_and_its_default(
         line.removeprefix("#") if line.startswith("#") and line[1:2] != " " else line
         for line in text.splitlines()
     )
-    assert asdict(parse(bare)) == asdict(parse(text)), "a default that is written is the code's"
+    written = replace(parse(bare), is_sized=False)  # a written number of particles holds
+    assert asdict(written) == asdict(parse(text)), "a default that is written is the code's"
     assert set(tomllib.loads(bare)) == {table.name for table in tables}
 
 

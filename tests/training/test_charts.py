@@ -7,11 +7,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
-from taxeld.errors import SetupError
-from taxeld_training.charts import picture, sampler_charts, trial_charts
+from taxeld_training.charts import picture, sampler_charts, trial_charts, whole_chart
 from taxeld_training.filters.experiment import STABILITY
 from taxeld_training.filters.levels import LEVELS
 from taxeld_training.jobs.rows import GRID, trial_table
@@ -26,11 +23,11 @@ OBJECTS = (
     "035_power_drill",
     "061_foam_brick",
 )
-# ms of a call, and distance to the exact posterior as a multiple of the floor
+# distance to the exact posterior as a multiple of the floor
 SAMPLERS = {
-    ("ddpm", 100, 128): (110.0, 1.35), ("dpm", 10, 128): (11.0, 1.9), ("dpm", 4, 128): (4.4, 3.0),
-    ("density", 1, 64): (0.6, 1.0), ("mdn", 1, 128): (0.5, 4.5), ("table", None, None): (0.35, 9.0),
-    ("manifold", None, None): (0.12, 25.0), ("projection", None, None): (0.3, 110.0),
+    ("ddpm", 100, 128): 1.35, ("dpm", 10, 128): 1.9, ("dpm", 4, 128): 3.0,
+    ("density", 1, 64): 1.0, ("mdn", 1, 128): 4.5, ("table", None, None): 9.0,
+    ("manifold", None, None): 25.0, ("projection", None, None): 110.0,
 }  # fmt: skip
 
 
@@ -39,7 +36,7 @@ def made_rows(objects: tuple[str, ...] = OBJECTS) -> list[dict[str, Any]]:
     rows = []
     for name in objects:
         for columns in (16, 32):
-            for (proposal, steps, width), (ms, gap) in SAMPLERS.items():
+            for (proposal, steps, width), gap in SAMPLERS.items():
                 add_mm = 25.0 * gap**0.25 * rng.uniform(0.8, 1.25)
                 rows.append(
                     {
@@ -48,8 +45,6 @@ def made_rows(objects: tuple[str, ...] = OBJECTS) -> list[dict[str, Any]]:
                         "proposal": proposal,
                         "steps": steps,
                         "width": width,
-                        "ms": ms * rng.uniform(0.9, 1.2),
-                        "ms_eager_ddpm100": 140.0,
                         "energy_distance": 0.004 * gap * rng.uniform(0.7, 1.5),
                         "energy_floor": 0.004,
                         "add_mm": {"median": add_mm, "best": 0.2 * add_mm, "worst": 2.1 * add_mm},
@@ -73,7 +68,6 @@ def with_gaps(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
             row["add_mm"] = {"median": math.nan, "best": None, "worst": math.inf}
         if row["proposal"] == "table":
             row["energy_floor"] = 0.0
-            row["ms"] = None
     return kept
 
 
@@ -82,25 +76,22 @@ def with_gaps(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     [made_rows(OBJECTS[:1]), made_rows(), with_gaps(made_rows(OBJECTS[:2]))],
     ids=["one object", "many", "gaps"],
 )
-def test_samplers_are_drawn_by_cost_and_side_by_side(
-    rows: list[dict[str, Any]], tmp_path: Path
-) -> None:
-    sampler_charts.frontier(rows, 32, tmp_path / "a.png")
-    sampler_charts.proposals(rows, tmp_path / "b.png")
-    sampler_charts.posterior_gap(rows, tmp_path / "c.png")
-    for name in "abc":
+def test_samplers_are_drawn_side_by_side(rows: list[dict[str, Any]], tmp_path: Path) -> None:
+    sampler_charts.proposals(rows, tmp_path / "a.png")
+    sampler_charts.posterior_gap(rows, tmp_path / "b.png")
+    for name in "ab":
         check_picture(tmp_path / f"{name}.png")
 
 
-@pytest.mark.parametrize("name", ["filter", "stability", "frontier_16", "proposals"])
+@pytest.mark.parametrize("name", ["filter", "stability", "proposals", "whole"])
 def test_the_rows_of_the_results_can_be_drawn_again(name: str, tmp_path: Path) -> None:
     """Also those that an earlier version made, with samplers that are no more."""
     rows = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
     draw = {
         "filter": trial_charts.by_contact,
         "stability": trial_charts.failures,
-        "frontier_16": lambda rows, path: sampler_charts.frontier(rows, 16, path),
         "proposals": sampler_charts.posterior_gap,
+        "whole": whole_chart.draw,
     }
     draw[name](rows, tmp_path / "a.png")
     check_picture(tmp_path / "a.png")
@@ -135,15 +126,10 @@ def test_a_map_of_all_levels_is_small(tmp_path: Path) -> None:
         assert f"| density mixture | {name} | " in text
 
 
-def test_a_frontier_without_complete_rows_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(SetupError, match="no complete row of 64 columns"):
-        sampler_charts.frontier(made_rows(), 64, tmp_path / "a.png")
-
-
 def test_the_same_rows_give_the_same_bytes(tmp_path: Path) -> None:
     rows = made_rows(OBJECTS[:1])
-    sampler_charts.frontier(rows, 16, tmp_path / "a.png")
-    sampler_charts.frontier(rows, 16, tmp_path / "b.png")
+    sampler_charts.proposals(rows, tmp_path / "a.png")
+    sampler_charts.proposals(rows, tmp_path / "b.png")
     assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
@@ -161,21 +147,3 @@ def test_lines_of_the_filters_differ_without_markers() -> None:
     ]
     found = trial_charts.line_styles(rows)
     assert len(set(map(str, found.values()))) == len(found) == len(rows)
-
-
-number = st.sampled_from([1.0, 2.0, 3.0]) | st.floats()  # few values: ties and twins are common
-
-
-@given(st.lists(st.tuples(number, number), max_size=20))
-def test_the_front_holds_the_points_that_none_dominates(points: list[tuple[float, float]]) -> None:
-    finite = [i for i, (x, y) in enumerate(points) if math.isfinite(x) and math.isfinite(y)]
-
-    def dominated(i: int) -> bool:
-        (x, y) = points[i]
-        return any(
-            a <= x and b <= y and (a, b) != (x, y) for a, b in map(points.__getitem__, finite)
-        )
-
-    front = sampler_charts.pareto(points)
-    assert sorted(front) == [i for i in finite if not dominated(i)]
-    assert [points[i][0] for i in front] == sorted(points[i][0] for i in front)

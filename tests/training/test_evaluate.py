@@ -6,19 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from taxeld.arrays import Poses
 from taxeld_training.cli import main
-from taxeld_training.filters import cells, priors
+from taxeld_training.filters import cells, priors, whole
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import TouchResult
 from taxeld_training.jobs import options, statistics
 from taxeld_training.jobs.options import Options
 from taxeld_training.jobs.rows import DISTANCES, EXACT
 from taxeld_training.objects.setting import Setting, ring
-from taxeld_training.samplers import costs, trained
 from taxeld_training.samplers import evaluate as samplers
+from taxeld_training.samplers import trained
 from tests.rig.commands import refused
 
 from .rig import evaluate, rows, written_at
@@ -92,25 +90,6 @@ def test_a_filter_follows_with_the_model_whose_distance_was_measured(
     assert trained.files([(other, "table")], late) == {(other, "table"): ""}
 
 
-def test_frontier_writes_cost_and_distance_of_each_sampler(
-    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Without the two samplers of 100 steps, whose graphs are slow to export."""
-    monkeypatch.setattr(samplers, "FRONTIER_GROUPS", ("analytic", "density-16"))
-    monkeypatch.setattr(samplers, "EAGER_SIZE", (1, 16))
-    monkeypatch.setattr(costs, "EAGER_GROUP", "density-16")
-    assert evaluate("frontier", block, tmp_path) == 0
-    found = rows(tmp_path, "frontier_16")
-    assert {row["proposal"] for row in found} == ANALYTIC | {"density"}
-    for row in found:
-        assert row["speedup"] == pytest.approx(row["ms_eager_ddpm100"] / row["ms"])
-        assert row["speedup_warm"] == pytest.approx(row["ms_eager_ddpm100_warm"] / row["ms_warm"])
-        assert row["proposal"] != EXACT or row["ms_warm"] == row["ms"]
-    table = (tmp_path / "out" / "frontier_16.md").read_text("utf-8").splitlines()
-    assert table[2].endswith("| ms | ms warm | speed-up | speed-up warm | p |")
-    assert (tmp_path / "out" / "frontier_16.png").is_file()
-
-
 def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_beside(
     block: Path, tmp_path: Path
 ) -> None:
@@ -128,7 +107,7 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
     [
         "proposals",
         "proposals --cells skin",
-        "frontier",
+        "whole",
         "filter",
         "stability",
         "reliability",
@@ -172,6 +151,31 @@ def test_what_there_is_not_is_refused_in_one_line_that_says_what_there_is(
 ) -> None:
     place = ["--out", str(tmp_path), "--memory", str(tmp_path), "--workers", "1"]
     assert fault in refused("evaluate", *arguments.split(" "), *place, main=main)
+
+
+def test_whole_filters_are_compared_by_time_and_by_what_they_find(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = [each for each in whole.FILTERS if each.method.proposal == "table"]
+    monkeypatch.setattr(whole, "FILTERS", [kept[0], kept[8], kept[-1]])
+    asked = "--cells", "as assumed", "--seeds", "2"
+    assert evaluate("whole", "025_mug,003_cracker_box", tmp_path, *asked) == 0
+    found = rows(tmp_path, "whole")
+    assert len(found) == 9
+    for name in ("all", "025_mug", "003_cracker_box"):
+        mine = [row for row in found if row["object"] == name]
+        assert [row["seeds"] for row in mine] == [4 if name == "all" else 2] * 3
+        assert [row["ms"] for row in mine] == sorted(row["ms"] for row in mine)
+        shares = [row["found_and_sure"][5] for row in mine]
+        for k, row in enumerate(mine):
+            assert row["on_front"] == (shares[k] > max([-1.0, *shares[:k]]))
+            assert row["idle_ms"] > 0.0
+        for mark in ("ships", "enough"):
+            assert sum(row[mark] for row in mine) == 1
+        (alone,) = (row for row in mine if row["samples"] == 0)
+        assert alone["found"][-1] < 1.0 == max(row["found"][-1] for row in mine)
+    assert (tmp_path / "out" / "whole.png").is_file()
+    assert len((tmp_path / "out" / "whole.md").read_text("utf-8").splitlines()) == 2 + 3
 
 
 def test_links_are_compared_on_the_same_touches(tmp_path: Path) -> None:
@@ -345,49 +349,6 @@ def test_other_code_and_other_bundles_have_a_memory_of_their_own(tmp_path: Path)
     names = {options.code(decides) for decides in (options.DECIDES, *zip(options.DECIDES))}
     assert len(names) == 1 + len(options.DECIDES)  # each of them has files
     assert Options(tmp_path, tmp_path).measured == tmp_path / options.code()
-
-
-class CachedClock:
-    """A clock, and a cache that holds what the last sampler called needs."""
-
-    def __init__(self) -> None:
-        self.now_ns = 0
-        self.cached = ""
-
-    def call(self, name: str, warm_ms: int, cold_ms: int) -> None:
-        self.now_ns += (warm_ms if self.cached == name else cold_ms) * 1_000_000
-        self.cached = name
-
-
-class TimedSampler:
-    """A sampler that takes 1 000 ms when first called."""
-
-    def __init__(self, name: str, machine: CachedClock, warm_ms: int, cold_ms: int) -> None:
-        self.name = name
-        self.calls = 0
-        self._machine, self._ms = machine, (warm_ms, cold_ms)
-
-    def propose(
-        self, z: NDArray[np.float64], live: NDArray[np.bool_], n: int, rng: np.random.Generator
-    ) -> Poses:
-        del rng
-        assert z.shape == live.shape
-        self.calls += 1
-        self._machine.call(self.name, *((1000, 1000) if self.calls == 1 else self._ms))
-        return np.zeros((n, 3))
-
-
-def test_cold_calls_of_all_samplers_alternate_and_warm_ones_follow_each_other(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    machine = CachedClock()
-    monkeypatch.setattr("time.thread_time_ns", lambda: machine.now_ns)
-    two = [TimedSampler("a", machine, 1, 5), TimedSampler("b", machine, 2, 3)]
-    readings, rng = np.zeros((6, 4)), np.random.default_rng(0)
-    assert costs.cold_ms(two, readings, rng) == [5.0, 3.0]
-    assert [sampler.calls for sampler in two] == [6, 6]
-    assert costs.warm_ms(two, readings, rng) == [1.0, 2.0]
-    assert costs.warm_ms(two, readings[:2], rng) == [1.0, 2.0]  # the first, cold call is left out
 
 
 def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:

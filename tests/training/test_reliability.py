@@ -197,7 +197,7 @@ def test_stability_has_rows_of_each_layout_with_samples_from_the_table(
     assert {row["proposal"] for row in found if row["factor"] == "layout"} == {"table"}
 
 
-@pytest.mark.parametrize("name", ["proposals", "frontier", "recognise", "push"])
+@pytest.mark.parametrize("name", ["proposals", "recognise", "push"])
 def test_what_has_no_rows_for_layouts_refuses_them_in_one_line(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

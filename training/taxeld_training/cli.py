@@ -30,7 +30,6 @@ LONGER = 3.0  # times the effort, as a cure for poor samplers
 QUICK = {"effort": 0.02, "contacts": 30_000, "bank": 50_000, "readings": 10, "trials": 8}
 EXPERIMENTS = (
     "proposals",
-    "frontier",
     "filter",
     "whole",
     "stability",
@@ -41,7 +40,7 @@ EXPERIMENTS = (
     "ablation",
     "push",
 )
-SINGLE = ("proposals", "frontier", "recognise")  # experiments of one layout
+SINGLE = ("proposals", "recognise")  # experiments of one layout
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -270,14 +269,13 @@ def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment in ("frontier", "push", "recognise", "links", "prior"):
+    if args.cells and args.experiment in ("push", "recognise", "links", "prior"):
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
     given["layouts"] = _layouts(args)
     options = Options(**given, until=time.monotonic() + 60.0 * args.minutes)
     experiments = {
         "proposals": sampled.run if args.cells else evaluate.proposals,
-        "frontier": evaluate.frontier,
         "filter": experiment.filter_rows,
         "whole": whole.whole_rows,
         "stability": experiment.stability_rows,
@@ -392,9 +390,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     about = "finished jobs; what was interrupted goes on from them (default %(default)s)"
     add("--memory", type=Path, default=Path(".experiments"), metavar="DIR", help=about)
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
-    about = (
-        "default: box and mug; of filter, frontier, recognise, proposals without --cells the ten"
-    )
+    about = "default: box and mug; of filter, whole, recognise, proposals without --cells the ten"
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
     add_renamed(one, "--skin", jobs.add_layouts(one, "those skins"))

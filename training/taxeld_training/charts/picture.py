@@ -12,8 +12,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
 from PIL import Image
 
-Point = tuple[float, float]
-Limits = tuple[Point, Point]  # least and most of x, and of y
 Style = tuple[str, str]  # colour, marker
 
 # Okabe and Ito's colours, for colour-blind readers; grey replaces their yellow, which is too pale
@@ -90,19 +88,6 @@ def log_ticks(axis: Axis, multiples: Sequence[float]) -> None:
     axis.set_major_locator(LogLocator(subs=multiples, numticks=20))
     axis.set_minor_locator(NullLocator())
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-
-
-def limits(points: Sequence[Point]) -> Limits:
-    """Limits of logarithmic axes that hold all finite values, with room for labels below and
-    left."""
-    x, y = zip(*points, strict=True)
-    return _widened(x, 0.16, 0.05), _widened(y, 0.12, 0.06)
-
-
-def _widened(values: Sequence[float], before: float, after: float) -> Point:
-    logs = [math.log(value) for value in values if math.isfinite(value)]
-    low, high = min(logs), max(logs)
-    return math.exp(low - before * (high - low)), math.exp(high + after * (high - low))
 
 
 def save(figure: Figure, path: Path, palette: bool = False) -> None:

@@ -34,9 +34,10 @@ def draw(rows: Sequence[Row], path: Path) -> None:
     panels = figure.subplots(down, across, sharex=True, sharey=True, squeeze=False)
     for axes in panels.flat[len(scenes) :]:
         axes.set_axis_off()
-    for scene, axes in zip(scenes, panels.flat, strict=False):
+    for k, (scene, axes) in enumerate(zip(scenes, panels.flat, strict=False)):
         _panel(axes, [row for row in rows if _scene(row) == scene], style)
         axes.set_title("\n".join(scene), fontsize=8, pad=3)
+        axes.tick_params(labelbottom=k + across >= len(scenes))
     figure.supxlabel("processor time of a touch [ms]", fontsize=9)
     figure.supylabel(f"found and sure after {AFTER} touches", fontsize=9)
     named = {name: mark for name, mark in style.items() if name != GRID or _has_grid(rows)}
@@ -66,6 +67,7 @@ def _share(row: Row) -> float:
 def _panel(axes: Axes, rows: Sequence[Row], style: dict[str, Style]) -> None:
     picture.plain(axes, 7)
     axes.set(xscale="log", ylim=(-0.03, 1.05))
+    picture.log_ticks(axes.xaxis, (1.0, 2.0, 5.0))
     for row in rows:
         colour, marker = style[row["proposal"]]
         fill = "white" if row["injection"] == "paper" else colour

@@ -32,6 +32,8 @@ SEEDS, QUICK_SEEDS = 40, 1
 BLOCK = 4  # trials of a job
 GRID_SHARE = 4  # of as many trials the grid has one
 AFTER = 6  # touches by which a filter is judged, and at which the grid looks
+ALL = "all"  # `object` of the rows over all objects
+SCENES_APART = 10**9  # seeds
 MOST_FOUND = 0.9
 QUIET = 0.1  # share of the quickest seconds that tell what a quiet machine takes
 
@@ -112,14 +114,22 @@ def whole_rows(options: Options) -> list[Path]:
     }
     counts = {cell: count for each in wanted.values() for cell, count in each.items()}
     done = cells.run(counts.items(), options, BLOCK)
-    idle_ms = quiet_ms(
-        touch for each in done.values() for trial in each.values() for touch in trial
-    )
-    found = [
-        row | {"effort": options.effort}
-        for (level, _), each in wanted.items()
-        for row in _rows(level, {cell: done[cell] for cell in each if cell in done}, idle_ms)
-    ]
+    trials = [trial for results in done.values() for trial in results.values()]
+    idle_ms = quiet_ms(touch for trial in trials for touch in trial)
+    found: list[dict[str, Any]] = []
+    for level in dict.fromkeys(level for level, _ in wanted):
+        here = {
+            name: {cell: done[cell] for cell in each if cell in done}
+            for (own, name), each in wanted.items()
+            if own is level
+        }
+        if len(here) > 1:
+            here = {ALL: _pooled(list(here.values())), **here}
+        found += [
+            row | {"effort": options.effort}
+            for name, each in here.items()
+            for row in _rows(level, name, each, idle_ms)
+        ]
     data = write(options, "whole", found, _table(found) if found else "")
     whole_chart.draw(found, data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
@@ -138,10 +148,35 @@ def quiet_ms(touches: Iterable[TouchResult]) -> float:
     return float(np.quantile(idle, QUIET)) if idle else math.nan
 
 
-def _rows(level: Level, found: dict[Cell, Results], idle_ms: float) -> list[dict[str, Any]]:
-    """The rows of one scene's filters, cheapest first, the grid last; `idle_ms` is the time of the
-    whole run's quiet seconds."""
-    rows = {cell: _row(level, cell, results, idle_ms) for cell, results in found.items()}
+def _pooled(scenes: Sequence[dict[Cell, Results]]) -> dict[Cell, Results]:
+    """The trials of all scenes as of one, of the filters that ran in each, which the cells of the
+    first scene stand for."""
+    parts = [{_parts(cell): results for cell, results in each.items()} for each in scenes]
+    return {
+        cell: {
+            SCENES_APART * k + seed: trial
+            for k, each in enumerate(parts)
+            for seed, trial in each[_parts(cell)].items()
+        }
+        for cell in scenes[0]
+        if all(_parts(cell) in each for each in parts)
+    }
+
+
+def _parts(cell: Cell) -> tuple[Method, Change | None]:
+    return cell.method, cell.change
+
+
+def _rows(
+    level: Level, name: str, found: dict[Cell, Results], idle_ms: float
+) -> list[dict[str, Any]]:
+    """The rows of a scene's filters, cheapest first, the grid last. `name`: of its object;
+    `idle_ms`: the time of the whole run's quiet seconds."""
+    rows = {
+        cell: {"object": name, "factor": level.factor, "level": level.level}
+        | _row(cell, results, idle_ms)
+        for cell, results in found.items()
+    }
     order = sorted(rows, key=lambda cell: (cell.method.proposal == GRID, rows[cell]["ms"]))
     ranked = [cell for cell in order if cell.method.proposal != GRID]
     most = -math.inf
@@ -149,20 +184,18 @@ def _rows(level: Level, found: dict[Cell, Results], idle_ms: float) -> list[dict
         share = rows[cell]["found_and_sure"][AFTER - 1]
         rows[cell]["on_front"], most = share > most, max(share, most)
     usual = [k for k, cell in enumerate(ranked) if rows[cell]["ships"]]
-    if usual:
-        told = ([enough.told(trial) for trial in found[cell].values()] for cell in ranked)
+    seeds = set.intersection(*(set(found[cell]) for cell in ranked)) if usual else set()
+    if seeds:
+        told = ([enough.told(found[cell][seed]) for seed in sorted(seeds)] for cell in ranked)
         first = enough.first([enough.worth(trials) for trials in told], usual[0])
         rows[ranked[first]]["enough"] = True
     return [rows[cell] for cell in order]
 
 
-def _row(level: Level, cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
+def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
     own, trials = cell.method, list(results.values())
     touches = [touch for trial in trials for touch in trial]
     row = {
-        "object": cell.setting.object,
-        "factor": level.factor,
-        "level": level.level,
         "proposal": own.proposal,
         "injection": own.injection,
         "particles": own.particles,
@@ -202,9 +235,8 @@ def label(row: Row) -> str:
     least, most = row["particles"], row["particles_max"]
     size = f"{least}..{most}" if most > least else str(least)
     rule = "" if row["injection"] == "mixture" else f" {row['injection']}"
-    return (
-        f"{row['proposal']}{rule} {size}, {row['samples']} samples, {row['remembered']} remembered"
-    )
+    kept = "" if row["remembered"] == REMEMBERED else f", {row['remembered']} remembered"
+    return f"{row['proposal']}{rule} {size}, {row['samples']} samples{kept}"
 
 
 def _table(rows: Sequence[Row]) -> str:

@@ -1,27 +1,21 @@
-"""`taxeld-train evaluate proposals` and `frontier`: samplers on objects and skins."""
+"""`taxeld-train evaluate proposals`: samplers on objects and skins."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.objects import meshes
 from taxeld_training.jobs.options import Options, run_jobs, with_file, write
-from taxeld_training.jobs.rows import EXACT, sampler_table
+from taxeld_training.jobs.rows import sampler_table
 from taxeld_training.objects.setting import OBJECTS, ring
-from taxeld_training.samplers import costs, measured, trained
+from taxeld_training.samplers import measured, trained
 from taxeld_training.samplers.measured import ALL_ANALYTIC, GROUPS, LEARNED, Measurement
 
 PROPOSALS_GROUPS = (ALL_ANALYTIC, "density-64", "paper")
 PROPOSALS_COLUMNS = (8, 16, 32, 64)  # columns of the paper's skins, 5 rows each
-FRONTIER_GROUPS, FRONTIER_COLUMNS = GROUPS, (16, 32)
-EAGER_SIZE = (100, 256)  # steps × width, to which speed-ups are relative
-
-# ms of a call, cold and warm, by object, columns, proposal, steps and width
-Costs: TypeAlias = dict[tuple[str, int, str, int | None, int | None], tuple[float, float]]
 
 
 def proposals(options: Options) -> list[Path]:
@@ -29,33 +23,12 @@ def proposals(options: Options) -> list[Path]:
     from taxeld_training.charts import sampler_charts  # noqa: PLC0415  # matplotlib is not needed to train
 
     cells = settings(options, PROPOSALS_COLUMNS)
-    found, _ = rows(cells, options.groups or PROPOSALS_GROUPS, options)
+    found = rows(cells, options.groups or PROPOSALS_GROUPS, options)
     data = write(options, f"proposals{_of_skin(options)}", found, sampler_table(found))
     pictures = [data.with_suffix(".png"), data.with_name(f"{data.stem}_posterior.png")]
     sampler_charts.proposals(found, pictures[0])
     sampler_charts.posterior_gap(found, pictures[1])
     return [data, *pictures]
-
-
-def frontier(options: Options) -> list[Path]:
-    """Cost against distance to the exact posterior: rows, table and picture of each skin."""
-    from taxeld_training.charts import sampler_charts  # noqa: PLC0415
-
-    cells = settings(options, FRONTIER_COLUMNS)
-    groups = options.groups or FRONTIER_GROUPS
-    made, ms = rows(cells, groups, options)
-    if made:
-        ms |= call_costs(cells, groups, options)
-    written = []
-    for columns in sorted({cell.columns for cell in cells}):
-        found = [_with_cost(row, ms) for row in made if row["columns"] == columns]
-        if made and not found:
-            continue  # time ran out before this skin
-        name = f"frontier{_of_skin(options) or f'_{columns}'}"
-        data = write(options, name, found, sampler_table(found))
-        sampler_charts.frontier(found, columns, data.with_suffix(".png"))
-        written += [data, data.with_suffix(".png")]
-    return written
 
 
 def settings(options: Options, columns: Sequence[int]) -> list[Measurement]:
@@ -80,8 +53,8 @@ def settings(options: Options, columns: Sequence[int]) -> list[Measurement]:
 
 def rows(
     cells: Sequence[Measurement], groups: Sequence[str], options: Options
-) -> tuple[list[dict[str, Any]], Costs]:
-    """All rows of the groups' samplers, and what the exact posteriors cost.
+) -> list[dict[str, Any]]:
+    """All rows of the groups' samplers.
 
     Raises:
         SetupError: no such group or object.
@@ -117,41 +90,7 @@ def rows(
         if group not in LEARNED or (cell.place, LEARNED[group]) in files
     ]
     done = run_jobs(todo, options)
-    ms: Costs = {
-        (cell.object, cell.columns, EXACT, None, None): (references[job.name]["ms"],) * 2
-        for cell, job in exact.items()
-        if references[job.name] is not None
-    }
-    return [row for job in todo for row in done[job.name] or []], ms
-
-
-def call_costs(cells: Sequence[Measurement], groups: Sequence[str], options: Options) -> Costs:
-    """The cost of a call of each sampler, measured on the first object of each skin, while no other
-    job runs."""
-    ms: Costs = {}
-    timed = tuple(dict.fromkeys((*groups, costs.EAGER_GROUP)))
-    for cell in {cell.columns: cell for cell in reversed(cells)}.values():
-        job = Job(f"cost-{cell.columns}", costs.time_calls, (cell.place, timed))
-        alone = run_jobs([job], replace(options, workers=1, until=math.inf))
-        for row in alone[job.name]:
-            size = row["proposal"], row["steps"], row["width"]
-            both = row["ms"], row["ms_warm"]
-            ms |= {(each.object, cell.columns, *size): both for each in cells}
-    return ms
-
-
-def _with_cost(row: dict[str, Any], ms: Costs) -> dict[str, Any]:
-    place = row["object"], row["columns"]
-    own, own_warm = ms[*place, row["proposal"], row["steps"], row["width"]]
-    eager, eager_warm = ms[*place, costs.EAGER, *EAGER_SIZE]
-    return row | {
-        "ms": own,
-        "ms_eager_ddpm100": eager,
-        "speedup": eager / own,
-        "ms_warm": own_warm,
-        "ms_eager_ddpm100_warm": eager_warm,
-        "speedup_warm": eager_warm / own_warm,
-    }
+    return [row for job in todo for row in done[job.name] or []]
 
 
 def _of_skin(options: Options) -> str:
