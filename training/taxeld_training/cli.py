@@ -32,6 +32,7 @@ EXPERIMENTS = (
     "proposals",
     "filter",
     "whole",
+    "works",
     "stability",
     "reliability",
     "recognise",
@@ -265,6 +266,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         reliability,
         sampled,
         whole,
+        works,
     )
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
@@ -278,6 +280,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "proposals": sampled.run if args.cells else evaluate.proposals,
         "filter": experiment.filter_rows,
         "whole": whole.whole_rows,
+        "works": works.work_rows,
         "stability": experiment.stability_rows,
         "reliability": reliability.reliability_rows,
         "recognise": recognise.recognise_rows,
