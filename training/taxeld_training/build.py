@@ -111,14 +111,14 @@ def summary(out: Path, info: dict[str, Any], layout: str, more: str) -> Iterator
     after, last = SURE_AFTER
     for name, found in tried["found_and_sure"].items():
         first, then = found[after - 1], found[last - 1]
-        wrong = sum(tried["sure_and_wrong"][name])
+        misled = sum(tried["misleading"][name])
         if name == Table.name:
-            yield f"           {name}: {first}, {then} after {last}; {wrong} sure and wrong"
+            yield f"           {name}: {first}, {then} after {last}; {misled} misleading"
             continue
         yield (
             f"how good   {name}: {first} of {tried['trials']} found and sure after {after} touches "
             f"on {tried['foam']} foam, {then} after {last}; "
-            f"{wrong} of {tried['trials'] * len(found)} estimates sure and wrong"
+            f"{misled} of {tried['trials'] * len(found)} estimates misleading"
         )
     own, table = (found[after - 1] for found in tried["found_and_sure"].values())
     if of_count(own, tried["trials"])[1] < table / tried["trials"]:  # by more than chance

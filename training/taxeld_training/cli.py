@@ -39,6 +39,7 @@ EXPERIMENTS = (
     "prior",
     "ablation",
     "push",
+    "integrity",
 )
 SINGLE = ("proposals", "frontier", "recognise")  # experiments of one layout
 
@@ -258,6 +259,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.filters import (
         ablation,
         experiment,
+        integrity,
         linked,
         priors,
         push,
@@ -279,6 +281,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "filter": experiment.filter_rows,
         "stability": experiment.stability_rows,
         "reliability": reliability.reliability_rows,
+        "integrity": integrity.integrity_rows,
         "recognise": recognise.recognise_rows,
         "links": linked.link_rows,
         "prior": priors.prior_rows,

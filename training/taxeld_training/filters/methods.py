@@ -11,8 +11,7 @@ from typing import NamedTuple
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Hypotheses, Status
 from taxeld.estimator.rule import noise_of
-from taxeld.model.symmetry import SILENT_MM
-from taxeld_training.jobs.rows import SUCCESS_MM
+from taxeld_hil import integrity
 
 NOISE = noise_of(FilterConfig())  # the grid filter's noise as well
 
@@ -59,13 +58,17 @@ class TouchResult(NamedTuple):
     cpu_ms: float = math.nan  # processor time of the filter for all scans of the touch
 
     @property
-    def succeeded(self) -> bool:
-        return self.map_mm < SUCCESS_MM
+    def radius_mm(self) -> float:
+        return 1e3 * self.radius_m
 
     @property
-    def converged(self) -> bool:
-        return self.status is Status.CONVERGED
+    def found(self) -> bool:
+        return bool(integrity.is_found(self.map_mm))
 
     @property
-    def failed_silently(self) -> bool:
-        return self.converged and not self.map_mm <= SILENT_MM
+    def sure(self) -> bool:
+        return bool(integrity.is_sure(self.p))
+
+    @property
+    def misleading(self) -> bool:
+        return bool(integrity.is_misleading(self.p, self.map_mm, self.radius_mm))

@@ -1,7 +1,7 @@
 """How good a bundle is, in touches: trials at the end of its build, of its own sampler and table.
 
 A trial is a random sequence of touches of the object on the bundle's own skin. After each touch the
-shipped filter has *found* the object or not, and is *sure* or not, as everywhere.
+shipped filter has *found* the object or not, is *sure* or not, and may *mislead*, as everywhere.
 """
 
 from collections.abc import Callable
@@ -28,7 +28,7 @@ FOAMS = {  # levels of filters/levels.py
     "poor": TrialConditions(skin="poor"),
 }
 
-Told = list[tuple[bool, bool]]  # found and sure, sure and wrong; of each touch of a trial
+Told = list[tuple[bool, bool]]  # found and sure, misleading; of each touch of a trial
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def counted(
     folder: Path, layout: Layout, asked: EndTrials, progress: Callable[[str, float], None]
 ) -> dict[str, Any]:
     """Of the trials of the bundle in `folder`, how many had found their object and were sure of it
-    after each touch, and how many were sure and wrong; by proposal. All meet the same touches."""
+    after each touch, and how many misled; by proposal. All meet the same touches."""
     jobs = (
         joblib.delayed(_played)(folder, layout, asked, range(first, asked.trials, asked.workers))
         for first in range(asked.workers)
@@ -62,7 +62,7 @@ def counted(
         for name, trials in part.items():
             done.setdefault(name, []).extend(trials)
         progress(STAGE, finished / asked.workers)
-    right, wrong = (
+    right, misleading = (
         {
             name: [sum(trial[touch][rule] for trial in trials) for touch in range(TOUCHES)]
             for name, trials in done.items()
@@ -74,7 +74,7 @@ def counted(
         "trials": asked.trials,
         "seed": asked.seed,
         "found_and_sure": right,
-        "sure_and_wrong": wrong,
+        "misleading": misleading,
     }
 
 
@@ -89,7 +89,5 @@ def _played(folder: Path, layout: Layout, asked: EndTrials, seeds: range) -> dic
             own = SEEDS_APART * asked.seed + seed
             trial = Trial(made.model, own, TOUCHES, FOAMS[asked.foam])
             touches = follow(trial, SHIPPED, made.model, proposal)
-            found.setdefault(name, []).append(
-                [(t.converged and t.succeeded, t.converged and not t.succeeded) for t in touches]
-            )
+            found.setdefault(name, []).append([(t.found and t.sure, t.misleading) for t in touches])
     return found
