@@ -19,7 +19,7 @@ from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell, Results
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
-from taxeld_training.filters.methods import SHIPPED, Method
+from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.rows import GRID, Row, trial_table
 from taxeld_training.jobs.statistics import of_median, of_share, p_share, quantiles, rounded
@@ -169,6 +169,7 @@ def _row(
             for seed, trial in results.items()
         }
     last = [trial[contact - 1] for trial in results.values()]
+    new = [each for trial in results.values() for each in trial[since:contact]]
     return {
         "object": cell.setting.object,
         "factor": level.factor,
@@ -180,7 +181,7 @@ def _row(
         **of_lengths,
         **errors([result.map_mm for result in last]),
         **shares(results, contact),
-        "stanford": diagram(results, slice(since, contact)).row() if is_shipped else None,
+        "stanford": diagram(new).row() if is_shipped else None,
         "p_shipped": p_shipped(results, shipped, contact),
         "particles_max": method.particles_max or method.particles,
         "particles_mean": round(float(np.mean([result.particles for result in last])), 1),
@@ -217,9 +218,8 @@ def shares(results: Results, contact: int) -> dict[str, float | list[float] | No
     }
 
 
-def diagram(results: Results, contacts: slice) -> Stanford:
-    """The diagram of the estimates after some contacts of all trials."""
-    each = [result for trial in results.values() for result in trial[contacts]]
+def diagram(each: Sequence[TouchResult]) -> Stanford:
+    """The diagram of estimates."""
     found = Stanford()
     found.add(
         [result.p for result in each],
