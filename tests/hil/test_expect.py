@@ -24,9 +24,9 @@ PATCH = "cylinder:rows=2,columns=40,radius_m=0.07,pitch_m=0.015"
 
 
 def trial(seed: int, name: str, *after: tuple[float, bool, bool]) -> RunRow:
-    """A trial with these errors [mm], whether it is sure, and whether it misleads."""
+    """A trial with these errors [mm], whether it is found and sure, and whether it misleads."""
     noted = [
-        {"error_mm": mm, "p": 1.0, "sure": sure, "misleading": wrong, "at_mm": [mm, 0.0]}
+        {"error_mm": mm, "found_and_sure": sure, "misleading": wrong, "at_mm": [mm, 0.0]}
         for mm, sure, wrong in after
     ]
     return {"name": name, "seed": seed, "before_mm": 127.0, "after": noted}
@@ -77,7 +77,12 @@ def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance
         "deeper foam",
     ]
     # by what is looked up in the same way, after the fourth touch
-    assert (best.trials, best.after, best.found, best.sure) == (10, 4, (0.5, 1.0), (0.5, 1.0))
+    assert (best.trials, best.after, best.found, best.found_and_sure) == (
+        10,
+        4,
+        (0.5, 1.0),
+        (0.5, 1.0),
+    )
     assert (best.verdict, none.verdict, worst.verdict) == (
         "would help",
         "no difference seen",

@@ -18,6 +18,7 @@ from taxeld_hil.grade import flags, report
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
 from taxeld_hil.grade.reconcile import laws
+from taxeld_hil.integrity import Stanford
 from taxeld_hil.rig.faults import Injector
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.rig.rig import Rig
@@ -160,11 +161,11 @@ def judged(fault: Fault, estimates: list[tuple[float, Status, float]]) -> Judge:
         why = Why.NO_SCAN if status is Status.STALE else Why.VALID
         p = 0.98 if status is Status.AMBIGUOUS else 0.99
         judge.on_estimate(Sample(t, status, why, 1, at, p, 0.005, t, 0.0))
-    judge.end(estimates[-1][0])
+    judge.end(estimates[-1][0] if estimates else 0.0)
     return judge
 
 
-def test_a_silent_failure_a_late_flag_and_a_slow_recovery_are_found() -> None:
+def test_what_misleads_a_late_flag_and_a_slow_recovery_are_found() -> None:
     fault = Fault("unplugged", at_s=1.0, for_s=1.0)
     good, stale = (Status.CONVERGED, 0.0), (Status.STALE, 0.0)
     times = np.arange(0.0, 6.0, 0.01).tolist()
@@ -181,23 +182,36 @@ def test_a_silent_failure_a_late_flag_and_a_slow_recovery_are_found() -> None:
     assert names[0] == []
     assert names[1] == [
         "accuracy",
-        "no silent failure",
+        "nothing misleading",
         "unplugged at 1 s: flag",
         "unplugged at 1 s: recovery",
     ]
-    assert judge.tally.silent_episodes == 1
+    assert judge.tally.misleading_episodes == 1
 
 
-def test_sure_estimates_that_are_beyond_their_radius_are_counted() -> None:
+def test_valid_estimates_that_are_sure_and_beyond_their_radius_mislead() -> None:
     sure, doubted, stale = Status.CONVERGED, Status.AMBIGUOUS, Status.STALE
-    said = [(sure, 0.004), (sure, 0.006), (doubted, 0.006), (stale, 0.006)]
+    said = [(sure, 0.004), (sure, 0.006), (doubted, 0.006), (stale, 0.006), (sure, 0.005)]
     judge = judged(
         Fault("unplugged", 1.0),
         [(0.1 * k, status, off_m) for k, (status, off_m) in enumerate(said)],
     )
     graded = grade(Run("x", 0, "sim", "fake", "slcan"), judge, [], None)
-    assert (graded.figures["sure"], graded.figures["beyond"]) == (2, 1)
-    assert "      beyond radius_m: 1 of 2 sure estimates" in report.lines(graded)
+    assert (graded.figures["sure"], graded.figures["misleading"]["estimates"]) == (3, 1)
+    assert graded.figures["misleading"]["at_s"] == [0.1]
+    (line,) = (line for line in report.lines(graded) if "nothing misleading" in line)
+    assert line.endswith("1 of 3 sure estimates, 6.0 mm off at worst")
+
+
+def test_a_diagram_has_the_last_estimate_after_each_contact() -> None:
+    judge = judged(Fault("unplugged", 9.0), [])
+    for t, contacts, off_m in ((0, 0, 0.5), (1, 1, 0.3), (2, 1, 0.001), (3, 2, 0.0), (4, 2, 0.02)):
+        at = judge.truth + np.array([off_m, 0.0, 0.0])
+        judge.on_estimate(Sample(t, Status.CONVERGED, Why.VALID, contacts, at, 1.0, 0.005, t, 0.0))
+    judge.end(5.0)
+    seen = judge.tally.stanford
+    assert (seen.estimates, seen.sure, seen.kept, seen.far_beyond) == (2, 2, 1, 1)
+    assert judge.tally.misleading == 3
 
 
 def test_a_counter_that_grows_raises_the_flag_and_one_from_before_a_restart_does_not() -> None:
@@ -220,9 +234,9 @@ def test_a_soak_goes_on_where_it_was_cut_short(tmp_path: Path) -> None:
     older = json.loads(path.read_text())
     path.with_name("more").write_text(json.dumps(older | {"worst_detection_s": {}}))
     assert soak.resumed(path.with_name("more"), DEMO, soak.Soak(5, "fake", 1.0)).laps == 2
-    del older["full_right"]
+    del older["full_found"]
     path.with_name("older").write_text(json.dumps(older))
-    with pytest.raises(SetupError, match="is of an older kind"):
+    with pytest.raises(SetupError, match="of an older kind"):
         soak.resumed(path.with_name("older"), DEMO, soak.Soak(5, "fake", 1.0))
     for another in (DEMO.on("poor"), DEMO.touching("mug"), DEMO.on("", SMALL)):
         assert soak.resumed(path, another, soak.Soak(5, "fake", 1.0)).laps == 0
@@ -248,14 +262,11 @@ def test_each_layout_of_a_soak_has_a_report_and_faults_of_its_own_modules_and_ta
 
 
 def of_a_lap(
-    faults: list[tuple[str, float]], silent_at_s: list[float], status: str, contacts: int
+    faults: list[tuple[str, float]], misleading_at_s: list[float], status: str, contacts: int
 ) -> Grade:
     figures = {
-        "silent_failures": {
-            "episodes": len(silent_at_s),
-            "worst_mm": 30.0 * bool(silent_at_s),
-            "at_s": silent_at_s,
-        },
+        "misleading": {"at_s": misleading_at_s},
+        "stanford": Stanford().row(),
         "faults": [{"kind": kind, "at_s": at_s, "injected": False} for kind, at_s in faults],
         "error_mm": 1.0,
         "status": status,
@@ -265,9 +276,7 @@ def of_a_lap(
     return Grade(Run("lap", 0, "sim", "fake", "slcan"), (), figures)
 
 
-def test_a_lie_that_was_told_earlier_in_the_lap_explains_a_silent_failure_and_no_other_does() -> (
-    None
-):
+def test_a_lie_that_was_told_earlier_in_the_lap_explains_what_misleads_and_no_other_does() -> None:
     lied = [("pose_jumping", 4.0), ("dropped", 9.0)]
     for faults, at_s, blamed in (
         (lied, 12.0, "pose_jumping"),
@@ -276,8 +285,8 @@ def test_a_lie_that_was_told_earlier_in_the_lap_explains_a_silent_failure_and_no
     ):
         seen = soak.Soak(0, "fake", 1.0, "box", "typical")
         seen.add(0, of_a_lap(faults, [at_s], "converged", 8), 60.0)
-        assert seen.silent_after == {blamed: 1}
-        assert seen.passed == (blamed in laps.MISLEADING)
+        assert seen.misleading_after == {blamed: 1}
+        assert seen.passed == (blamed in laps.DECEPTIVE)
 
 
 def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
@@ -286,8 +295,9 @@ def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
         (("converged", 8), ("ambiguous", 8), ("converged", 5), ("ambiguous", 3), ("converged", 9))
     ):
         seen.add(number, of_a_lap([], [], status, contacts), 60.0)
-    assert (seen.found, seen.full, seen.full_found, seen.lost_laps) == (3, 3, 2, [1])
-    assert seen.full_right == 3, "also the one that is not sure of it"
+    assert (seen.found, seen.found_and_sure) == (5, 3)
+    assert (seen.full, seen.full_found_and_sure, seen.lost_laps) == (3, 2, [1])
+    assert seen.full_found == 3, "also the one that is not sure of it"
 
 
 def test_reports_of_soaks_are_shown_side_by_side(
@@ -303,10 +313,10 @@ def test_reports_of_soaks_are_shown_side_by_side(
     assert cli.main(["soak", "--table", str(tmp_path / "soak_drill.json")]) == 0
     shown = dict(line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[2:])
     assert shown["object, skin, clock"] == "drill, `typical`, fake"
-    assert shown["silent failures without a misleading fault in the lap, and after one"] == "1, 1"
-    assert shown["object found at the lap's end"] == "2"
+    assert shown["misleading without a deceptive fault in the lap, and after one"] == "1, 1"
+    assert shown["found and sure at the lap's end"] == "2"
     assert shown["of laps in which all 8 contacts were felt"] == "2 of 3 (66.7%)"
-    assert shown["of these, a valid estimate within 10 mm at the end"] == "3 of 3 (100.0%)"
+    assert shown["of these, found, sure or not"] == "3 of 3 (100.0%)"
     assert shown["passed"] == "no"
     command = f"{sys.executable} -m taxeld_hil.cli soak --table {tmp_path / 'soak_drill.json'}"
     unread = subprocess.run(

@@ -28,22 +28,22 @@ at_s = 2.0
 def run(name: str, skin: str, **given: object) -> RunRow:
     """The figures of a run that went well, but for those that are given."""
     fine: RunRow = {"scenario": name, "bundle": "box", "skin": skin, "passed": True, "found": True}
-    return {**fine, "silent": 0, **given}
+    return {**fine, "status": "converged", "misleading": 0, **given}
 
 
-def test_a_table_says_how_often_each_object_is_found_what_else_failed_and_what_was_silent() -> None:
+def test_a_table_says_how_often_each_object_is_found_what_else_failed_and_what_misled() -> None:
     runs = [
         run("demo", "typical"),
         run("demo", "typical", passed=False),
-        run("reboot", "typical", passed=False, found=False, silent=2),
+        run("reboot", "typical", passed=False, found=False, misleading=2),
         run("demo", "poor", bundle="/there/is/a/drill"),
     ]
     assert list(matrix.lines(runs)) == [
         "| scenario | typical, box | poor, drill |",
         "|---|---|---|",
         "| demo | 2 of 2, 1 failed | 1 of 1 |",
-        "| reboot | 0 of 1, 1 silent | 0 of 0 |",
-        "| **all** | 2 of 3, 1 failed, 1 silent | 1 of 1 |",
+        "| reboot | 0 of 1, 1 misleading | 0 of 0 |",
+        "| **all** | 2 of 3, 1 failed, 1 misleading | 1 of 1 |",
     ]
 
 

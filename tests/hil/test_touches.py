@@ -128,7 +128,7 @@ def run_of(seed: int, error: float) -> TouchRun:
         air=300,
         felt_in_air=50,
         contacts=10,
-        silent_episodes=seed == 3,
+        misleading_episodes=seed == 3,
         light=4,
         missed=seed,
     )

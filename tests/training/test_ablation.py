@@ -65,7 +65,7 @@ def test_ablation_has_a_row_a_value_after_that_of_what_ships(tmp_path: Path) -> 
         *((f"{change.module}.{change.name}", change.value) for change in wanted),
     ]
     for row in found:
-        assert 0.0 <= row["sure_6"] <= row["right_6"] <= 1.0
+        assert 0.0 <= row["found_and_sure_6"] <= row["found_6"] <= 1.0
         assert row["ms"] > 0.0
         assert row["runs"] == 2
     assert "| as it ships |  | " in (tmp_path / "out" / "ablation.md").read_text("utf-8")

@@ -104,7 +104,7 @@ def test_a_bundle_says_in_touches_how_good_it_is(info: dict[str, Any]) -> None:
     """On the foam that was asked for, with as many trials as it says, beside the table."""
     told = info["touches"]
     assert (told["foam"], told["trials"]) == ("poor", 3)
-    for rule in ("found_and_sure", "sure_and_wrong"):
+    for rule in ("found_and_sure", "misleading"):
         assert list(told[rule]) == ["table 100..400", f"{_sampler(info)} 100..400"]
         for counts in told[rule].values():
             assert len(counts) == 8
@@ -132,12 +132,12 @@ def test_the_summary_counts_trials_and_has_a_cure_where_the_table_finds_clearly_
         "density-64 100..400": [0] * 5 + [own, 38, 39],
     }
     wrong = {"table 100..400": [0] * 8, "density-64 100..400": [0, 1, 1, 0, 0, 0, 0, 0]}
-    told = {"foam": "typical", "trials": 40, "found_and_sure": found, "sure_and_wrong": wrong}
+    told = {"foam": "typical", "trials": 40, "found_and_sure": found, "misleading": wrong}
     said = "\n".join(summary(built, info | {"touches": told}, SKIN, "the cure"))
     assert (
         f"how good   density-64 100..400: {own} of 40 found and sure after 6 touches on typical "
-        "foam, 39 after 8; 2 of 320 estimates sure and wrong\n"
-        "           table 100..400: 34, 39 after 8; 0 sure and wrong\n"
+        "foam, 39 after 8; 2 of 320 estimates misleading\n"
+        "           table 100..400: 34, 39 after 8; 0 misleading\n"
     ) in said
     assert ("\n           the cure\n" in said) == is_cured
 

@@ -16,6 +16,7 @@ from taxeld.estimator.rule import noise_of
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.proposals.analytic import ANALYTIC
+from taxeld_hil.integrity import FOUND_MM
 from taxeld_training.filters import cells, experiment, follow, gridded, methods
 from taxeld_training.filters.cells import Cell
 from taxeld_training.filters.conditions import TrialConditions
@@ -24,7 +25,6 @@ from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.options import Options
-from taxeld_training.jobs.rows import SUCCESS_MM
 from taxeld_training.models.diffusion import Solver
 from taxeld_training.objects.setting import Setting, ring
 from taxeld_training.samplers import trained
@@ -32,7 +32,7 @@ from taxeld_training.samplers import trained
 from .rig import written_at
 
 BOX = Setting("003_cracker_box", ring(16), 16)
-RIGHT, WRONG = (TouchResult(mm, Status.CONVERGED, 100) for mm in (1.0, 99.0))
+RIGHT, WRONG = (TouchResult(mm, Status.CONVERGED, 100, 1.0, 0.005) for mm in (1.0, 99.0))
 
 
 @pytest.fixture
@@ -109,30 +109,11 @@ def test_the_filter_that_experiments_call_shipped_is_the_daemons_own() -> None:
     assert Method("table", "mixture", 20).config(follow.OWN_SEEDS).seed == follow.OWN_SEEDS
 
 
-@pytest.mark.parametrize(
-    ("error_mm", "status", "succeeded", "silent"),
-    [
-        (9.9, Status.CONVERGED, True, False),
-        (9.9, Status.AMBIGUOUS, True, False),
-        (10.0, Status.CONVERGED, False, False),
-        (20.1, Status.CONVERGED, False, True),
-        (20.1, Status.INCONSISTENT, False, False),
-        (math.nan, Status.CONVERGED, False, True),
-        (math.nan, Status.SEARCHING, False, False),
-    ],
-)
-def test_a_touch_succeeds_or_fails_by_its_error_and_status(
-    error_mm: float, status: Status, succeeded: bool, silent: bool
-) -> None:
-    result = TouchResult(error_mm, status, 100)
-    assert (result.succeeded, result.failed_silently) == (succeeded, silent)
-
-
-def test_a_silent_failure_counts_at_its_contact_and_ever_after() -> None:
+def test_what_misleads_counts_at_its_contact_and_ever_after() -> None:
     trials = {0: [RIGHT, WRONG, RIGHT], 1: [RIGHT, RIGHT, RIGHT]}
     rows = [shares(trials, contact) for contact in (1, 2, 3)]
-    assert [row["silent_failure_rate"] for row in rows] == [0.0, 0.5, 0.0]
-    assert [row["silent_so_far_rate"] for row in rows] == [0.0, 0.5, 0.5]
+    assert [row["misleading_rate"] for row in rows] == [0.0, 0.5, 0.0]
+    assert [row["misleading_so_far_rate"] for row in rows] == [0.0, 0.5, 0.5]
 
 
 def test_methods_are_compared_on_the_trials_that_both_have() -> None:
@@ -143,17 +124,25 @@ def test_methods_are_compared_on_the_trials_that_both_have() -> None:
     assert p_shipped(better, None, 1) is None
 
 
-def test_a_wrong_object_is_never_a_success() -> None:
-    """And a filter that converges on it fails silently."""
+def test_a_wrong_object_is_never_found() -> None:
+    """And a filter that is sure of it misleads."""
     level = Level("wrong object", "003_cracker_box", touched="003_cracker_box")
     mug = Setting("025_mug", ring(16), 16)
     found = cells.play(experiment.cell_of(level, Method("table", "mixture", 100), mug), 0, 4, "")
     assert all(math.isnan(error_mm) for trial in found for error_mm, *_ in trial)
-    wrong = TouchResult(math.nan, Status.CONVERGED, 100)
-    flagged = wrong._replace(status=Status.AMBIGUOUS)
-    rates = shares({k: [each] for k, each in enumerate((wrong, wrong, flagged, wrong))}, 1)
-    assert (rates["success_rate"], rates["flagged_rate"]) == (0.0, 0.25)
-    assert rates["silent_failure_rate"] == rates["silent_so_far_rate"] == 0.75
+    wrong = WRONG._replace(map_mm=math.nan)
+    doubted = wrong._replace(status=Status.AMBIGUOUS, p=0.5)
+    rates = shares({k: [each] for k, each in enumerate((wrong, wrong, doubted, wrong))}, 1)
+    assert (rates["found_rate"], rates["sure_rate"]) == (0.0, 0.75)
+    assert rates["misleading_rate"] == rates["misleading_so_far_rate"] == 0.75
+
+
+def test_a_row_of_what_ships_alone_has_a_diagram_of_the_contacts_since_the_row_before() -> None:
+    level, trials = LEVELS[0], {0: [WRONG, RIGHT, RIGHT, WRONG]}
+    cell = experiment.cell_of(level, SHIPPED, BOX)
+    ours, other = (experiment._row(level, cell, 1, 4, trials, s) for s in (trials, dict(trials)))
+    assert other["stanford"] is None
+    assert (ours["stanford"]["sure"], ours["stanford"]["far_beyond"]) == (3, 1)
 
 
 def test_cans_that_a_filter_takes_for_boxes_are_flagged_after_eight_contacts() -> None:
@@ -194,4 +183,4 @@ def test_of_two_objects_of_one_kind_the_nearer_one_counts(ring_model: Observatio
     beside = se2.compose(moment.twin, np.array([0.001, 0.0, 0.0]))
     assert follow._error_mm(trial, ring_model, moment, beside) == pytest.approx(1.0, abs=1e-6)
     alone = moment._replace(twin=None)
-    assert follow._error_mm(trial, ring_model, alone, beside) > SUCCESS_MM
+    assert follow._error_mm(trial, ring_model, alone, beside) > FOUND_MM

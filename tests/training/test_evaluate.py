@@ -1,5 +1,6 @@
 """Experiments, small: rows, tables and files, and going on after one was cut short."""
 
+import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -7,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taxeld.arrays import Poses
+from taxeld_hil.integrity import Stanford
 from taxeld_training.cli import main
 from taxeld_training.filters import cells, priors, whole
 from taxeld_training.filters.levels import LEVELS, Level
@@ -32,13 +35,14 @@ TRIAL_KEYS = {
     "contact",
     "map_mm",
     "map_mm_ci",
-    "success_rate",
-    "success_ci",
-    "flagged_rate",
-    "silent_failure_rate",
-    "silent_failure_ci",
-    "silent_so_far_rate",
-    "silent_so_far_ci",
+    "found_rate",
+    "found_ci",
+    "sure_rate",
+    "misleading_rate",
+    "misleading_ci",
+    "misleading_so_far_rate",
+    "misleading_so_far_ci",
+    "stanford",
     "p_shipped",
     "particles_max",
     "particles_mean",
@@ -235,8 +239,8 @@ def test_filter_has_a_row_a_method_and_contact_and_goes_on_where_it_was_cut(
         assert row["seeds"] == 3
         assert row["map_mm"]["q10"] <= row["map_mm"]["median"] <= row["map_mm"]["q90"]
         assert row["map_mm_ci"][0] <= row["map_mm"]["median"] <= row["map_mm_ci"][1]
-        assert row["success_ci"][0] <= row["success_rate"] <= row["success_ci"][1]
-        assert row["silent_failure_rate"] <= row["silent_so_far_rate"]
+        assert row["found_ci"][0] <= row["found_rate"] <= row["found_ci"][1]
+        assert row["misleading_rate"] <= row["misleading_so_far_rate"]
         assert row["p_shipped"] is None  # what ships was not run
     best = [row for row in found if (row["proposal"], row["injection"]) == ("table", "mixture")]
     assert best[-1]["map_mm"]["median"] < best[0]["map_mm"]["median"]
@@ -258,7 +262,7 @@ def test_what_ships_and_the_grid_meet_the_same_trials(tmp_path: Path) -> None:
     assert len(found) == cells.TOUCHES + 3
     grid = [row for row in found if row["proposal"] == "grid"]
     assert [row["contact"] for row in grid] == [4, 6, 8]
-    assert all(row["flagged_rate"] is None for row in grid)  # it has no status
+    assert all(row["sure_rate"] is None for row in grid)  # it publishes no p
     assert all(0.0 <= row["p_shipped"] <= 1.0 for row in found)
 
 
@@ -271,7 +275,7 @@ def test_lengths_other_than_the_usual_are_held_to_the_objects_own_size(tmp_path:
     assert [row["proposal"] for row in found if row["level"] != "usual"] == ["table"]
     found = [row for row in found if row["proposal"] == "table"]
     assert [row["level"] for row in found] == ["usual", "object 30 mm"]
-    assert all(row["success_rate"] == 1.0 for row in found)
+    assert all(row["found_rate"] == 1.0 for row in found)
     assert found[0]["diameter_mm"] > 4.0 * found[1]["diameter_mm"]
 
 
@@ -292,7 +296,7 @@ def test_stability_has_the_last_contact_of_each_condition_and_a_map(
     assert all(row.keys() == TRIAL_KEYS for row in found)
     assert all(row["contact"] == cells.TOUCHES for row in found)
     assert found[-1]["map_mm"] == {"q10": None, "median": None, "q90": None}  # of a wrong object
-    assert found[-1]["success_rate"] == 0.0
+    assert found[-1]["found_rate"] == 0.0
 
 
 def test_cells_are_run_alone_by_factor_or_level(
@@ -385,3 +389,28 @@ def test_pairs_tell_what_their_spread_hides() -> None:
     second = [True] * 80 + [False] * 20
     assert statistics.p_share(first, second) == pytest.approx(2.0 * 0.5**10)
     assert statistics.p_share(first, first) == 1.0
+
+
+def test_what_misled_is_counted_over_all_files_of_a_folder_that_have_diagrams(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "older.json").write_text('[{"silent_failure_rate": 0.5}]')
+    assert main(["evaluate", "integrity", "--out", str(out)]) == 2
+    assert "has no diagrams; run reliability first" in capsys.readouterr().err
+    seen = Stanford()
+    seen.add([1.0, 1.0, 1.0, 0.5], [1.0, 3.0, 30.0, 30.0], [2.0] * 4)
+    diagram = seen.row()
+    (out / "soak.json").write_text(json.dumps({"laps": 1, "stanford": diagram}))
+    of_trials = [{"stanford": diagram}, {"stanford": None}, {"stanford": diagram}]
+    (out / "trials.json").write_text(json.dumps(of_trials))
+    for _ in range(2):  # its own file is no source
+        assert main(["evaluate", "integrity", "--out", str(out)]) == 0
+        found = rows(tmp_path, "integrity")
+        counts = [(row["source"], row["estimates"], row["misleading"]) for row in found]
+        assert counts == [("all", 12, 6), ("soak", 4, 2), ("trials", 8, 4)]
+        low, high = found[0]["misleading_ci"]
+        assert low < found[0]["misleading_rate"] == 0.66667 < high
+    assert "| soak | 4 | 3 | 2 | 1 | 0 | 1 | 66.67% (" in (out / "integrity.md").read_text("utf-8")
+    assert (out / "integrity.png").stat().st_size > 5_000

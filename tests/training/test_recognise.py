@@ -37,7 +37,8 @@ def given(*runs: tuple[int, list[float], float]) -> Identities:
     named = objects.argmax(axis=2)
     p = np.array([np.full(len(run[1]), run[2]) for run in runs])
     error_mm = np.where(named == true[:, None], 5.0, np.nan)
-    return Identities(true, named, objects, 1.0 - objects.sum(axis=2), p, error_mm)
+    radius_mm = np.full(p.shape, 20.0)
+    return Identities(true, named, objects, 1.0 - objects.sum(axis=2), p, error_mm, radius_mm)
 
 
 def test_an_estimate_of_another_object_is_neither_right_nor_found_and_misleads_if_it_is_sure() -> (
@@ -46,7 +47,7 @@ def test_an_estimate_of_another_object_is_neither_right_nor_found_and_misleads_i
     one = given((0, [0.9], 0.99), (0, [0.2], 0.99), (1, [0.2], 0.5))
     found = identities.after(one, 1)
     assert (found["right"], found["found"]) == (0.6667, 0.6667)
-    assert (found["sure_and_found"], found["misleading"]) == (0.3333, 0.3333)
+    assert (found["found_and_sure"], found["misleading"]) == (0.3333, 0.3333)
     assert found["p_true"] == pytest.approx((0.9 + 0.2 + 0.72) / 3, abs=1e-4)
 
 

@@ -63,26 +63,26 @@ def test_a_bin_in_which_nothing_is_right_has_an_interval_all_the_same() -> None:
     assert row["right_ci"] == pytest.approx([0.0, Z2 / (30 + Z2)], abs=1e-4)
 
 
-def test_an_estimate_is_wrong_beyond_within_m_and_beyond_outside_its_radius() -> None:
+def test_what_misleads_is_a_share_of_what_is_sure() -> None:
     found = promises.kept(
         given(
-            touch(10.0, 0.99),  # right, as exactly so near, but farther off than its radius
-            touch(5.0, 1.0),  # right, and exactly at its radius
-            touch(10.1, 0.995, 20.0),  # wrong, and inside its radius
+            touch(6.0, 0.99),  # found, but beyond its radius
+            touch(5.0, 1.0),  # found, and exactly at its radius
+            touch(10.0, 0.995, 20.0),  # not found, though inside its radius
             touch(30.0, 0.98),  # not sure
-            touch(math.nan, 0.999),  # another object is always wrong and beyond
+            touch(math.nan, 0.999),  # another object is never found
         )
     )
-    assert (found["estimates"], found["sure"], found["wrong"], found["beyond"]) == (5, 4, 2, 2)
-    assert (found["wrong_rate"], found["radius_mm"]) == (0.5, 5.0)
+    assert (found["estimates"], found["sure"], found["misleading"]) == (5, 4, 3)
+    assert (found["misleading_rate"], found["radius_mm"]) == (0.75, 5.0)
 
 
 def test_shares_after_a_contact_are_of_the_runs_with_the_right_object() -> None:
     good, bad, other = touch(1.0, 1.0), touch(99.0, 1.0), touch(math.nan, 1.0)
     runs = {0: [good] * 8, 1: [good] * 5 + [bad] * 3, 2: [other] * 8}
     found = promises.kept(reliability.promised([runs]))
-    assert [found[f"right_and_sure_{k}"] for k in (4, 6, 8)] == [1.0, 0.5, 0.5]
-    assert [found[f"wrong_and_sure_{k}"] for k in (4, 6, 8)] == [0.0, 0.5, 0.5]
+    assert [found[f"found_and_sure_{k}"] for k in (4, 6, 8)] == [1.0, 0.5, 0.5]
+    assert [found[f"misleading_{k}"] for k in (4, 6, 8)] == [0.0, 0.5, 0.5]
 
 
 def test_a_moved_object_is_noticed_by_status_hypothesis_or_a_low_p() -> None:
@@ -156,7 +156,7 @@ def test_reliability_has_groups_and_cells_and_goes_on_where_it_was_cut(
     assert over["all"]["estimates"] == sum(row["estimates"] for row in single.values())
     assert over["all"]["sure"] == sum(row["sure"] for row in single.values())
     assert len(single["moved"]["noticed"]) == 3
-    assert single["wrong object"]["right_and_sure_6"] is None
+    assert single["wrong object"]["found_and_sure_6"] is None
     table = (tmp_path / "out" / "reliability_cells.md").read_text("utf-8")
     assert "wrong object: pear | no |" in table
     picture = (tmp_path / "out" / "reliability_cells.png").stat().st_size

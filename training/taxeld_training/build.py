@@ -119,14 +119,14 @@ def summary(out: Path, info: dict[str, Any], layout: str, more: str) -> Iterator
         yield f"enough     {shown[0]} particles, {enough['injected']} samples"
     for k, name in enumerate(dict.fromkeys(shown)):
         first, then = found[name][after - 1], found[name][last - 1]
-        wrong = sum(tried["sure_and_wrong"][name])
+        misled = sum(tried["misleading"][name])
         if k:
-            yield f"           {name}: {first}, {then} after {last}; {wrong} sure and wrong"
+            yield f"           {name}: {first}, {then} after {last}; {misled} misleading"
             continue
         yield (
             f"how good   {name}: {first} of {tried['trials']} found and sure after {after} touches "
             f"on {tried['foam']} foam, {then} after {last}; "
-            f"{wrong} of {tried['trials'] * TOUCHES} estimates sure and wrong"
+            f"{misled} of {tried['trials'] * TOUCHES} estimates misleading"
         )
     counts = found[sampler][after - 1], found[table][after - 1]
     if of_count(counts[0], tried["trials"])[1] < counts[1] / tried["trials"]:  # beyond chance

@@ -40,6 +40,7 @@ EXPERIMENTS = (
     "prior",
     "ablation",
     "push",
+    "integrity",
 )
 SINGLE = ("proposals", "recognise")  # experiments of one layout
 
@@ -259,6 +260,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.filters import (
         ablation,
         experiment,
+        integrity,
         linked,
         priors,
         push,
@@ -283,6 +285,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "works": works.work_rows,
         "stability": experiment.stability_rows,
         "reliability": reliability.reliability_rows,
+        "integrity": integrity.integrity_rows,
         "recognise": recognise.recognise_rows,
         "links": linked.link_rows,
         "prior": priors.prior_rows,

@@ -14,7 +14,6 @@ from taxeld.model import se2
 from taxeld.model.scene import CONTINUOUS, Scene
 
 USUAL_RADIUS_M = 0.05  # mean radius of the objects for which lengths are given
-SILENT_MM = 20.0  # mm of `add_m`: a converged estimate that is farther off is a silent failure
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,7 @@
 """`taxeld-hil expect`: how well an object will be found with a skin, touch by touch.
 
-Touches go around the object once. What is noted of each comes shortly after its end. *Found* is an
-error under 10 mm; *sure* is valid and `converged` as well; *misleading* is `converged` and not
-found, or farther off than `radius_m`.
+Touches go around the object once. What is noted of each comes shortly after its end: whether the
+object is *found*, and the estimate *sure* or *misleading*, as in `integrity`.
 """
 
 import math
@@ -12,13 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
-from taxeld.estimator.estimate import Status
 from taxeld.model import contacts, se2
 from taxeld.model.scene import CONTINUOUS, Scene
 from taxeld.proposals.analytic import Table
 from taxeld_hil.experiment.expect_subjects import known_responses
 from taxeld_hil.experiment.measurement import RunRow, digest
-from taxeld_hil.experiment.touches import FOUND_MM
+from taxeld_hil.integrity import is_found, is_misleading, is_sure
 from taxeld_hil.jobs import Job
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
@@ -44,18 +42,18 @@ class Touched(NamedTuple):
     median_mm: float
     p90_mm: float
     found: float  # shares of the trials
-    sure: float
+    found_and_sure: float
     misleading: float
 
 
 class Worth(NamedTuple):
     """How much touches told: those of one number, or from one side. Of a side, touches from the
-    second on in trials that are not yet sure."""
+    second on in trials that are not yet found and sure."""
 
     name: str
     touches: int
     halvings: float  # of the error, on average
-    made_sure: float  # share of them after which a trial that was not sure is
+    made_sure: float  # share of them after which a trial is found and sure that was not
 
 
 class Gain(NamedTuple):
@@ -72,8 +70,8 @@ class Help(NamedTuple):
     trials: int
     after: int  # touches
     found: tuple[float, float]  # without and with it
-    sure: tuple[float, float]
-    verdict: str  # by the trials that are sure, against chance
+    found_and_sure: tuple[float, float]
+    verdict: str  # by the trials that are found and sure, against chance
 
 
 def jobs(subjects: dict[str, Scenario], seeds: int, touches: int) -> list[Job]:
@@ -116,14 +114,12 @@ def play(name: str, subject: Scenario, seed: int, touches: int, keys: str) -> Ru
 def _noted(run: FakeRun) -> dict[str, Any]:
     last = run.judge.last
     assert last is not None  # noqa: S101  (there is an estimate after each tick)
-    error_mm = run.judge.error_mm(last.map)
-    claimed = last.valid and last.status is Status.CONVERGED
-    found = error_mm < FOUND_MM
+    error_mm, radius_mm = run.judge.error_mm(last.map), 1e3 * last.radius_m
     return {
         "error_mm": round(error_mm, 3),
         "p": round(last.p, 4),
-        "sure": claimed and found,
-        "misleading": claimed and not (found and error_mm <= 1e3 * last.radius_m),
+        "found_and_sure": bool(is_found(error_mm) & is_sure(last.claimed)),
+        "misleading": bool(is_misleading(last.claimed, error_mm, radius_mm)),
     }
 
 
@@ -138,7 +134,7 @@ def _where(scene: Scene, truth: Poses, sensor: Poses) -> Floats:
 def described(run: RunRow) -> str:
     """A trial's errors in short."""
     errors = ", ".join(f"{noted['error_mm']:.1f}" for noted in run["after"])
-    return f"{errors} mm{', sure' * run['after'][-1]['sure']}"
+    return f"{errors} mm{', found and sure' * run['after'][-1]['found_and_sure']}"
 
 
 def table(runs: Sequence[RunRow]) -> list[Touched]:
@@ -149,9 +145,10 @@ def table(runs: Sequence[RunRow]) -> list[Touched]:
         error = np.array([each["error_mm"] for each in noted])
         median, p90 = np.quantile(error, (0.5, 0.9)).tolist()
         sure, misleading = (
-            float(np.mean([each[key] for each in noted])) for key in ("sure", "misleading")
+            float(np.mean([each[key] for each in noted]))
+            for key in ("found_and_sure", "misleading")
         )
-        found = float(np.mean(error < FOUND_MM))
+        found = float(np.mean(is_found(error)))
         rows.append(Touched(k + 1, len(runs), median, p90, found, sure, misleading))
     return rows
 
@@ -190,15 +187,15 @@ def gains(run: RunRow) -> Iterator[Gain]:
     error_mm, sure = run["before_mm"], False
     for noted in run["after"]:
         halvings = math.log2((error_mm + 1.0) / (noted["error_mm"] + 1.0))  # a mm is as good as 0
-        yield Gain(halvings, not sure and noted["sure"])
-        error_mm, sure = noted["error_mm"], noted["sure"]
+        yield Gain(halvings, not sure and noted["found_and_sure"])
+        error_mm, sure = noted["error_mm"], noted["found_and_sure"]
 
 
 def open_gains(run: RunRow) -> Iterator[tuple[Floats, Gain]]:
     """Of the touches from the second on that find a trial not yet sure, and their places (2,) [m]
     on the object: those before and after tell little of a place."""
     for k, gain in enumerate(gains(run)):
-        if k and not run["after"][k - 1]["sure"]:
+        if k and not run["after"][k - 1]["found_and_sure"]:
             yield 1e-3 * np.array(run["after"][k]["at_mm"]), gain
 
 
@@ -217,21 +214,23 @@ def helps(runs: Sequence[RunRow]) -> list[Help]:
     if not base:
         return []
     rows = table(list(base.values()))
-    after = next((row.touches for row in rows if row.sure >= HALF), rows[-1].touches)
+    after = next((row.touches for row in rows if row.found_and_sure >= HALF), rows[-1].touches)
     found = []
     for name in [name for name in names if name not in (AS_IS, BY_TABLE)]:
         mine = [run for run in runs if run["name"] == name and run["seed"] in base]
         pairs = [(base[run["seed"]], run) for run in mine]
         if pairs:
             found.append(_help(name, after, pairs))
-    return sorted(found, key=lambda each: each.sure[0] - each.sure[1])
+    return sorted(found, key=lambda each: each.found_and_sure[0] - each.found_and_sure[1])
 
 
 def _help(name: str, after: int, pairs: Sequence[tuple[RunRow, RunRow]]) -> Help:
     """Compare pairs of trials, without the change and with it."""
     noted = [[run["after"][after - 1] for run in pair] for pair in pairs]
-    sure = np.array([[each["sure"] for each in pair] for pair in noted], dtype=float)  # (n, 2)
-    found = np.array([[each["error_mm"] < FOUND_MM for each in pair] for pair in noted])
+    sure = np.array(
+        [[each["found_and_sure"] for each in pair] for pair in noted], dtype=float
+    )  # (n, 2)
+    found = np.array([[is_found(each["error_mm"]) for each in pair] for pair in noted])
     gain = sure[:, 1] - sure[:, 0]
     least = CHANCE * math.sqrt((gain.var() + 1.0 / len(gain)) / len(gain))
     verdict = "no difference seen"

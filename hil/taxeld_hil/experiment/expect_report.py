@@ -12,7 +12,7 @@ from taxeld_hil.experiment import expect, measurement
 from taxeld_hil.experiment.expect import Help, Touched, Worth
 from taxeld_hil.experiment.expect_subjects import Asked
 from taxeld_hil.experiment.measurement import RunRow
-from taxeld_hil.experiment.touches import FOUND_MM
+from taxeld_hil.integrity import FOUND_MM
 from taxeld_hil.scenario.scenario import Scenario
 from taxeld_hil.world.world import load_model
 
@@ -64,7 +64,7 @@ def lines(
     yield "| " + " | ".join([*head, "misleading"]) + " |"
     yield "|---" * (len(head) + 1) + "|"
     for row in rows:
-        shares = [f"{share:.0%}" for share in (row.found, row.sure, row.misleading)]
+        shares = [f"{share:.0%}" for share in (row.found, row.found_and_sure, row.misleading)]
         errors = [f"{mm:.1f}" for mm in (row.median_mm, row.p90_mm)]
         yield "| " + " | ".join([str(row.touches), *errors, *shares]) + " |"
     yield ""
@@ -74,7 +74,9 @@ def lines(
         yield f"best side: {_said(by_side[0])}, of {by_side[0].touches} there"
         yield f"worst side: {_said(by_side[-1])}, of {by_side[-1].touches} there"
     for each in changes:
-        found, sure = (f"{100 * a:.0f} -> {100 * b:.0f} %" for a, b in (each.found, each.sure))
+        found, sure = (
+            f"{100 * a:.0f} -> {100 * b:.0f} %" for a, b in (each.found, each.found_and_sure)
+        )
         yield (
             f"{each.verdict}: {each.name} {found} found, {sure} found and sure after {each.after} "
             f"({each.trials} seeds)"
@@ -82,9 +84,8 @@ def lines(
 
 
 def _said(told: Worth) -> str:
-    return (
-        f"{told.name} halves the error {told.halvings:.1f} times, {told.made_sure:.0%} become sure"
-    )
+    made_sure = f"{told.made_sure:.0%} become found and sure"
+    return f"{told.name} halves the error {told.halvings:.1f} times, {made_sure}"
 
 
 def draw(
@@ -105,18 +106,20 @@ def draw(
     errors.semilogy(n, [row.p90_mm for row in rows], "o--", label="90 %")
     errors.axhline(FOUND_MM, color="0.7", lw=0.8)
     errors.set(title="error [mm]", xlabel="touches")
-    for key in ("found", "sure", "misleading"):
-        label = "found and sure" if key == "sure" else key
+    for key in ("found", "found_and_sure", "misleading"):
+        label = key.replace("_", " ")
         shares.plot(n, [100.0 * getattr(row, key) for row in rows], "o-", label=label)
     shares.set(title=f"share of {len(trials)} trials [%]", xlabel="touches", ylim=(-3.0, 103.0))
     for one in (errors, shares):
         one.legend(fontsize=8)
     for i, each in enumerate(reversed(changes)):
-        bars.plot([100.0 * share for share in each.sure], [i, i], color="0.6")
-        bars.plot(100.0 * each.sure[0], i, "o", mfc="none", color="tab:blue")
-        bars.plot(100.0 * each.sure[1], i, "o", color="tab:blue")
+        bars.plot([100.0 * share for share in each.found_and_sure], [i, i], color="0.6")
+        bars.plot(100.0 * each.found_and_sure[0], i, "o", mfc="none", color="tab:blue")
+        bars.plot(100.0 * each.found_and_sure[1], i, "o", color="tab:blue")
     after = changes[0].after if changes else 0
-    bars.set_title(f"sure after {after} touches [%]: as it is (ring), changed (dot)", fontsize=10)
+    bars.set_title(
+        f"found and sure after {after} touches [%]: as it is (ring), changed (dot)", fontsize=10
+    )
     bars.set(xlim=(-3.0, 103.0), ylim=(-0.5, len(changes) - 0.5 + (not changes)))
     bars.set_yticks(range(len(changes)), [each.name for each in reversed(changes)])
     told = [one for run in trials for one in expect.open_gains(run)]

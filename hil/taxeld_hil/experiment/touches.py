@@ -17,6 +17,7 @@ from taxeld.estimator.mixture import Mixture
 from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld_hil.experiment.measurement import RunRow, digest, require
+from taxeld_hil.integrity import is_found
 from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.rig.rig import IDLE_S
 from taxeld_hil.run.fake_run import FakeRun
@@ -32,7 +33,6 @@ PRESSES = 10
 PAIRS = 4  # after the presses: a press and a light touch each
 AFTER = (3, 6, 8, 10)  # touches: errors are noted when so many have ended
 RATE_HZ = 40.0  # ticks of the daemon, as in the soak
-FOUND_MM = 10.0  # an object with a smaller error is found
 SAME_S = 1e-4  # times of a reading and of its truth that differ by less are of one scan
 CLOSE_MM = 5.0
 OVERLOOKED_NATS = 3.0  # a pose that is likelier by more is far likelier: 20 to 1
@@ -88,7 +88,7 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
         *(f"not found after {n}, overlooked" for n in AFTER[-2:]),
         "felt in the air",
         "light ones missed",
-        "silent",
+        "misleading",
     ]
     yield "| " + " | ".join(head) + " |"
     yield "|---" * len(head) + "|"
@@ -99,7 +99,7 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
     for name, mine in rows.items():
         errors = np.array([run["error_mm"] for run in mine])  # (runs, len(AFTER))
         nats = np.array([run["truth_nats"] for run in mine], dtype=float)  # nan: found
-        lost = (errors >= FOUND_MM).sum(axis=0)
+        lost = (~is_found(errors)).sum(axis=0)
         overlooked = (nats > OVERLOOKED_NATS).sum(axis=0)
         scans, felt, light, missed = (
             sum(run[key] for run in mine) for key in ("scans", "felt_in_air", "light", "missed")
@@ -110,9 +110,16 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
             *(f"{lost[k]}, {overlooked[k]}" for k in (-2, -1)),
             f"{felt / scans:.1%}",
             f"{missed / light:.0%} of {light}",
-            f"{np.mean([run['silent_episodes'] > 0 for run in mine]):.1%}",
+            _misled(mine),
         ]
         yield "| " + " | ".join(cells) + " |"
+
+
+def _misled(runs: Sequence[RunRow]) -> str:
+    """The share of runs with a misleading estimate at any tick."""
+    if not all("misleading_episodes" in run for run in runs):
+        return "not measured"
+    return f"{np.mean([run['misleading_episodes'] > 0 for run in runs]):.1%}"
 
 
 def _errors(error_mm: Sequence[float]) -> str:
@@ -140,7 +147,7 @@ class TouchRun:
     air: int = 0  # scans in which the object pressed no taxel
     felt_in_air: int = 0  # scans in which it pressed none, but the daemon felt one
     contacts: int = 0  # counted by the daemon
-    silent_episodes: int = 0  # valid, converged and more than 20 mm off
+    misleading_episodes: int = 0
     light: int = 0
     missed: int = 0  # light touches: no pressed taxel was felt in any scan of the hold
     layout: str = ""  # its name; empty: what the bundle was built for
@@ -192,7 +199,7 @@ def play(scenario: Scenario, seed: int) -> TouchRun:
             notes.pop(0)
             if not notes:
                 found.contacts = daemon.pipeline.estimate.contacts
-                found.silent_episodes = run.judge.tally.silent_episodes
+                found.misleading_episodes = run.judge.tally.misleading_episodes
         run.step(t)
         for activation in (o.activation for o in daemon.outcomes if o.activation is not None):
             pressed = witness.pressed(activation.t)
@@ -230,7 +237,7 @@ def _note(found: TouchRun, run: FakeRun) -> None:
     error_mm = round(run.judge.error_mm(last.map), 3)
     found.error_mm.append(error_mm)
     found.converged.append(last.status == Status.CONVERGED)
-    lost, estimator = error_mm >= FOUND_MM, run.daemon.pipeline.estimator
+    lost, estimator = not is_found(error_mm), run.daemon.pipeline.estimator
     found.truth_nats.append(truth_nats(estimator, run.rig.world.truth) if lost else None)
 
 

@@ -56,7 +56,7 @@ def grade(run: Run, judge: Judge, laws: list[Law], ledger: Ledger | None) -> Gra
     expect = judge.scenario.expect
     checks = [
         *_found(judge, expect),
-        _silent(judge),
+        _misleading(judge),
         *(check for seen in judge.seen for check in _fault(seen, expect)),
         *_accounts(laws, ledger),
     ]
@@ -66,14 +66,14 @@ def grade(run: Run, judge: Judge, laws: list[Law], ledger: Ledger | None) -> Gra
         "contacts": judge.last.contacts if judge.last else 0,
         "estimates": judge.tally.estimates,
         "valid": judge.tally.valid,
-        "silent_failures": {
-            "estimates": judge.tally.silent,
-            "episodes": judge.tally.silent_episodes,
-            "worst_mm": judge.tally.worst_silent_mm,
-            "at_s": judge.tally.silent_at_s,
-        },
         "sure": judge.tally.sure,
-        "beyond": judge.tally.beyond,
+        "misleading": {
+            "estimates": judge.tally.misleading,
+            "episodes": judge.tally.misleading_episodes,
+            "worst_mm": judge.tally.worst_misleading_mm,
+            "at_s": judge.tally.misleading_at_s,
+        },
+        "stanford": judge.tally.stanford.row(),
         "age_ms": _percentiles(judge.tally.ages, 1e3 * AGE_UNIT_S),
         "tick_ms": _percentiles(judge.tally.ticks_us, 1e-3),
         "faults": [_fault_row(seen) for seen in judge.seen],
@@ -110,16 +110,13 @@ def _found(judge: Judge, expect: Expect) -> Iterator[Check]:
             yield Check("accuracy", near, f"{text}, under {expect.error_mm:g} mm is asked")
 
 
-def _silent(judge: Judge) -> Check:
-    tally = judge.tally
+def _misleading(judge: Judge) -> Check:
+    tally, name = judge.tally, "nothing misleading"
     if judge.truth is None:
-        return Check("no silent failure", None, "not graded: the true pose is not known")
-    return Check(
-        "no silent failure",
-        not tally.silent,
-        f"{tally.silent} of {tally.valid} valid estimates"
-        + (f", {tally.worst_silent_mm:.0f} mm off at worst" if tally.silent else ""),
-    )
+        return Check(name, None, "not graded: the true pose is not known")
+    worst = f", {tally.worst_misleading_mm:.1f} mm off at worst" if tally.misleading else ""
+    text = f"{tally.misleading} of {tally.sure} sure estimates{worst}"
+    return Check(name, not tally.misleading, text)
 
 
 def _fault(seen: Seen, expect: Expect) -> Iterator[Check]:

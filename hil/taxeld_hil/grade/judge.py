@@ -1,4 +1,4 @@
-"""A run as a subscriber sees it, graded as it goes: silent failures, flags, recoveries, ages.
+"""A run as a subscriber sees it, graded as it goes: what misleads, flags, recoveries, ages.
 
 Memory is bounded, so that a day can be judged as well as a minute.
 """
@@ -12,10 +12,12 @@ import numpy as np
 from taxeld.arrays import Poses
 from taxeld.estimator.estimate import Status
 from taxeld.model.scene import Scene
-from taxeld.model.symmetry import SILENT_MM, add_m
+from taxeld.model.symmetry import add_m
 from taxeld.pipeline.freshness import Why
+from taxeld_hil import integrity
 from taxeld_hil.grade import flags
 from taxeld_hil.grade.flags import Flag, Health, TaxelsOf
+from taxeld_hil.integrity import Stanford
 from taxeld_hil.rig.rig import SETTLE_S
 from taxeld_hil.scenario.scenario import Fault, Scenario
 
@@ -25,7 +27,6 @@ DOUBTS = (Status.INCONSISTENT, Status.BLIND)
 STOPPED = (Status.STARTING, Status.STALE)
 AGE_UNIT_S = 1e-4
 EPISODES_KEPT = 100
-SURE_P = 0.99  # least p of a converged estimate
 
 
 class Sample(NamedTuple):
@@ -46,6 +47,11 @@ class Sample(NamedTuple):
     @property
     def valid(self) -> bool:
         return self.why is Why.VALID
+
+    @property
+    def claimed(self) -> float:
+        """Its `p`; 0 where it is not valid."""
+        return self.p if self.valid else 0.0
 
 
 @dataclass(slots=True)
@@ -80,12 +86,12 @@ class Tally:
 
     estimates: int = 0
     valid: int = 0
-    silent: int = 0  # estimates that are silent failures
-    silent_episodes: int = 0  # uninterrupted sequences of silent failures
-    silent_at_s: list[float] = field(default_factory=list)  # when the first episodes began
-    worst_silent_mm: float = 0.0
-    sure: int = 0  # valid estimates with SURE_P
-    beyond: int = 0  # of these, farther off than their `radius_m`
+    sure: int = 0
+    misleading: int = 0
+    misleading_episodes: int = 0  # uninterrupted sequences of misleading estimates
+    misleading_at_s: list[float] = field(default_factory=list)  # when the first episodes began
+    worst_misleading_mm: float = 0.0
+    stanford: Stanford = field(default_factory=Stanford)  # the last estimate after each contact
     # ages of each scan's first estimate [AGE_UNIT_S] and the times of those ticks [us], with counts
     ages: Counter[int] = field(default_factory=Counter)
     ticks_us: Counter[int] = field(default_factory=Counter)
@@ -126,7 +132,7 @@ class Judge:
             for fault in sorted(scenario.fault, key=lambda fault: fault.at_s)
         ]
         self._error: tuple[bytes, float] = b"", np.nan
-        self._was_silent = False
+        self._misled = False
 
     def error_mm(self, pose: Poses) -> float:
         """Symmetry-aware ADD [mm] of a pose (3,); not a number without a truth."""
@@ -144,10 +150,10 @@ class Judge:
         if sample.scan_t and (last is None or sample.scan_t != last.scan_t):
             tally.ages[round(sample.age_s / AGE_UNIT_S)] += 1
             tally.ticks_us[round(sample.total_us)] += 1
-        self._count_silent(sample)
-        if sample.valid and sample.p >= SURE_P and self.truth is not None:
-            tally.sure += 1
-            tally.beyond += self._is_beyond(sample, 1e3 * sample.radius_m)
+        if self.truth is not None:
+            self._count(sample)
+            if last is not None and sample.contacts != last.contacts:
+                self._note(last)
         if self._todo or self._live:
             self._advance(sample.t)
             for seen in self._live:
@@ -186,6 +192,8 @@ class Judge:
         for seen in self._live:
             self._close(seen)
         self._live = []
+        if self.last is not None and self.truth is not None:
+            self._note(self.last)
 
     def _advance(self, t: float) -> None:
         """Follow the faults that have begun, and close those whose time to recover is over."""
@@ -222,22 +230,30 @@ class Judge:
         if not seen.overlapped:
             seen.recovered_s = seen.recovery_s
 
-    def _count_silent(self, sample: Sample) -> None:
-        silent = False
-        if sample.valid and sample.status == Status.CONVERGED and self.truth is not None:
-            error, silent = self.error_mm(sample.map), self._is_beyond(sample, SILENT_MM)
-            if silent:
-                self.tally.silent += 1
-                if not self._was_silent:
-                    self.tally.silent_episodes += 1
-                    self.tally.silent_at_s.append(sample.t)
-                    del self.tally.silent_at_s[EPISODES_KEPT:]
-                self.tally.worst_silent_mm = max(self.tally.worst_silent_mm, error)
-        self._was_silent = silent
+    def _count(self, sample: Sample) -> None:
+        tally, misled = self.tally, False
+        if integrity.is_sure(sample.claimed):
+            tally.sure += 1
+            error_mm = self._claimed_error_mm(sample)
+            misled = bool(integrity.is_misleading(sample.p, error_mm, 1e3 * sample.radius_m))
+        if misled:
+            tally.misleading += 1
+            tally.worst_misleading_mm = max(tally.worst_misleading_mm, self.error_mm(sample.map))
+        if misled and not self._misled:
+            tally.misleading_episodes += 1
+            tally.misleading_at_s.append(sample.t)
+            del tally.misleading_at_s[EPISODES_KEPT:]
+        self._misled = misled
 
-    def _is_beyond(self, sample: Sample, limit_mm: float) -> bool:
-        """Whether an estimate is of another object, or farther off than so much."""
-        return sample.object != self.object or bool(self.error_mm(sample.map) > limit_mm)
+    def _note(self, sample: Sample) -> None:
+        """Count the last estimate after a contact."""
+        if sample.contacts:
+            error_mm = self._claimed_error_mm(sample)
+            self.tally.stanford.add(sample.claimed, error_mm, 1e3 * sample.radius_m)
+
+    def _claimed_error_mm(self, sample: Sample) -> float:
+        """Error of an estimate [mm]; not a number where it is of another object."""
+        return self.error_mm(sample.map) if sample.object == self.object else float("nan")
 
 
 def _window_s(scenario: Scenario) -> float:

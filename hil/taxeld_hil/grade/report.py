@@ -25,8 +25,6 @@ def lines(grade: Grade) -> Iterator[str]:
         sent = figures["ledger"]["fates"]["units"]
         detail = f"{len(laws)} equalities hold over {sent} frames"
         yield _line(Check("accounts", True, detail))
-    if figures["sure"]:
-        yield f"      beyond radius_m: {figures['beyond']} of {figures['sure']} sure estimates"
     for name, what in (("age_ms", "scan to estimate"), ("tick_ms", "tick with a scan")):
         if figures[name]["max"]:
             parts = ", ".join(f"{key} {value:.2f}" for key, value in figures[name].items())

@@ -2,7 +2,7 @@
 device, and its messages are graded as far as they can be.
 
 Nothing is injected into a real skin; the daemon and a subscriber can be killed. Without the
-object's true pose, accuracy and silent failures are not graded.
+object's true pose, its accuracy and what misleads are not graded.
 """
 
 import time

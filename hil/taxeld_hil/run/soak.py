@@ -17,6 +17,7 @@ from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld_hil.grade.grade import Grade
+from taxeld_hil.integrity import Stanford, is_found
 from taxeld_hil.jobs import layout_name
 from taxeld_hil.run.fake_run import FakeRun
 from taxeld_hil.run.listener import Say
@@ -29,7 +30,6 @@ ASKED = "seed", "clock", "object", "physics", "layout", "faultless", "learns"  #
 FAILURES_KEPT = 50
 SETTLED_LAPS = 30  # on the fake clock memory is compared from here on: caches have filled
 GROWTH_MAX_MB = 8.0
-RIGHT_MM = 10.0
 RATE_HZ = 40.0  # ticks on the fake clock, where none is late
 
 
@@ -51,13 +51,15 @@ class Soak:
     scans_sent: int = 0
     units: int = 0  # frames delivered
     faults: Counter[str] = field(default_factory=Counter)  # windows, by kind
-    found: int = 0  # laps that ended converged and right
+    found: int = 0  # laps whose last estimate was valid and had found the object
+    found_and_sure: int = 0
     full: int = 0  # laps in which the daemon felt as many contacts as there were
-    full_found: int = 0  # full laps that ended converged and right
-    full_right: int = 0  # full laps whose last estimate was valid and right
-    lost_laps: list[int] = field(default_factory=list)  # full laps without the object found
-    silent_laps: list[int] = field(default_factory=list)
-    silent_after: Counter[str] = field(default_factory=Counter)  # the fault that explains it
+    full_found: int = 0
+    full_found_and_sure: int = 0
+    lost_laps: list[int] = field(default_factory=list)  # full laps that were not found and sure
+    misleading_laps: list[int] = field(default_factory=list)
+    misleading_after: Counter[str] = field(default_factory=Counter)  # the fault that explains it
+    stanford: Stanford = field(default_factory=Stanford)  # of the estimates after each contact
     unexplained_before: int = 0  # units unexplained of earlier daemons
     unexplained: int = 0  # frames, packets, scans and poses that the daemon has not accounted for
     flags_missed: Counter[str] = field(default_factory=Counter)
@@ -77,10 +79,10 @@ class Soak:
 
     @property
     def passed(self) -> bool:
-        """Nothing unaccounted for, all recovered, memory flat; and no silent failure but after
+        """Nothing unaccounted for, all recovered, memory flat; and nothing misleading but after
         faults that look like a touch elsewhere."""
         return (
-            self.silent_after.keys() <= {*laps.MISLEADING}
+            self.misleading_after.keys() <= {*laps.DECEPTIVE}
             and self.unexplained == 0
             and not self.not_recovered
             and self.growth_mb < GROWTH_MAX_MB
@@ -91,21 +93,23 @@ class Soak:
         figures = grade.figures
         self.laps = number + 1
         self.hours_done += seconds / 3600.0
-        silent_at_s = figures["silent_failures"]["at_s"]
-        self.silent_laps += [number] * bool(silent_at_s)
-        for at_s in silent_at_s:
+        misleading_at_s = figures["misleading"]["at_s"]
+        self.misleading_laps += [number] * bool(misleading_at_s)
+        for at_s in misleading_at_s:
             begun = [row["kind"] for row in figures["faults"] if row["at_s"] <= at_s]
-            # the daemon remembers what a misleading fault made it believe
-            misled = [kind for kind in begun if kind in laps.MISLEADING]
-            self.silent_after[(misled or begun or ["none"])[-1]] += 1
-        right = figures["error_mm"] is not None and figures["error_mm"] < RIGHT_MM
-        found = figures["status"] == "converged" and right
+            # the daemon remembers what a deceptive fault made it believe
+            deceived = [kind for kind in begun if kind in laps.DECEPTIVE]
+            self.misleading_after[(deceived or begun or ["none"])[-1]] += 1
+        self.stanford.include(Stanford.of_row(figures["stanford"]))
+        found = figures["error_mm"] is not None and bool(is_found(figures["error_mm"]))
+        sure = figures["status"] == "converged" and found
         self.found += found
+        self.found_and_sure += sure
         if figures["contacts"] >= laps.CONTACTS:
             self.full += 1
             self.full_found += found
-            self.full_right += right
-            self.lost_laps += [number] * (not found)
+            self.full_found_and_sure += sure
+            self.lost_laps += [number] * (not sure)
         self.explain((law["expected"], law["counted"], law["slack"]) for law in figures["laws"])
         for row in figures["faults"]:
             if row["injected"]:
@@ -146,6 +150,7 @@ class Soak:
         if pid:
             self.rss_mb.append((round(self.hours_done, 3), resident_mb(pid)))
         seen = {spec.name: getattr(self, spec.name) for spec in fields(self)}
+        seen |= {"stanford": self.stanford.row()}
         seen |= {"growth_mb": self.growth_mb, "passed": self.passed}
         path.write_text(json.dumps(seen, indent=1) + "\n", encoding="utf-8")
         say(self.line())
@@ -155,9 +160,9 @@ class Soak:
         rss = self.rss_mb[-1][1] if self.rss_mb else 0.0
         return (
             f"{self.hours_done:6.2f} of {self.hours:g} h, lap {self.laps}, "
-            f"{self.faults.total()} faults, found {self.found}, "
-            f"of {self.full} with all contacts {self.full_found}, "
-            f"silent {self.silent_after.total()}, unexplained {self.unexplained}, "
+            f"{self.faults.total()} faults, found and sure {self.found_and_sure}, "
+            f"of {self.full} with all contacts {self.full_found_and_sure}, "
+            f"misleading {self.misleading_after.total()}, unexplained {self.unexplained}, "
             f"worst recovery {max(self.worst_recovery_s.values(), default=0.0):.2f} s, "
             f"{rss:.0f} MB"
         )
@@ -173,28 +178,29 @@ def resumed(path: Path, base: Scenario, new: Soak) -> Soak:
     if not path.is_file():
         return new
     data = _read(path)
+    if not {spec.name for spec in fields(Soak)} <= data.keys():
+        raise SetupError(f"{path}: is a report of an older kind; name another file")
     alike = all(data[name] == getattr(new, name) for name in ASKED)
     if not alike or data["hours_done"] >= new.hours:
         return new
     kept = {spec.name: data[spec.name] for spec in fields(Soak)}
-    for name in ("faults", "silent_after", "flags_missed", "doubted", "not_recovered"):
+    kept["stanford"] = Stanford.of_row(kept["stanford"])
+    for name in ("faults", "misleading_after", "flags_missed", "doubted", "not_recovered"):
         kept[name] = Counter(kept[name])
     return Soak(**{**kept, "hours": new.hours, "unexplained_before": kept["unexplained"]})
 
 
 def _read(path: Path) -> dict[str, Any]:
-    """A report. Raises SetupError where it has not all that a report has."""
+    """A report, maybe of an older kind. Raises SetupError where it is none."""
     try:
         report: dict[str, Any] = {"layout": ""} | json.loads(path.read_text(encoding="utf-8"))
-        missing = {spec.name for spec in fields(Soak)} - report.keys()
+        missing = {"laps", *ASKED} - report.keys()
     except OSError as error:
         raise SetupError(f"{path}: {error.strerror}") from None
     except (ValueError, TypeError):
         raise SetupError(f"{path}: is no report of a soak; name another file") from None
     if missing:
-        raise SetupError(
-            f"{path}: is no report of a soak, or is of an older kind; name another file"
-        )
+        raise SetupError(f"{path}: is no report of a soak; name another file")
     return report
 
 
@@ -273,14 +279,26 @@ def table(paths: list[Path]) -> Iterator[str]:
     yield "| | " + " | ".join(f"[{path.stem}](results/{path.name})" for path in paths) + " |"
     yield "|---" * (len(paths) + 1) + "|"
     for name, cell in ROWS.items():
-        yield f"| {name} | " + " | ".join(map(cell, reports)) + " |"
+        yield f"| {name} | " + " | ".join(_cell(cell, report) for report in reports) + " |"
 
 
-def _silent(report: dict[str, Any]) -> str:
-    """Without a fault that misleads, and after one."""
-    after = report["silent_after"]
-    misled = sum(after.get(kind, 0) for kind in laps.MISLEADING)
-    return f"{sum(after.values()) - misled}, {misled}"
+def _cell(cell: Callable[[dict[str, Any]], str], report: dict[str, Any]) -> str:
+    try:
+        return cell(report)
+    except KeyError:  # a report of an older kind
+        return "not measured"
+
+
+def _misleading(report: dict[str, Any]) -> str:
+    """Without a deceptive fault, and after one."""
+    after = report["misleading_after"]
+    deceived = sum(after.get(kind, 0) for kind in laps.DECEPTIVE)
+    return f"{sum(after.values()) - deceived}, {deceived}"
+
+
+def _after_contacts(report: dict[str, Any]) -> str:
+    of = report["stanford"]
+    return f"{of['misleading']} of {of['sure']}"
 
 
 def _recovery(report: dict[str, Any]) -> str:
@@ -312,10 +330,13 @@ ROWS: dict[str, Callable[[dict[str, Any]], str]] = {
     "frames delivered": lambda r: f"{r['units']:,}".replace(",", " "),
     "faults": lambda r: f"{sum(r['faults'].values())}",
     "frames, packets, scans and poses not accounted for": lambda r: f"{r['unexplained']}",
-    "silent failures without a misleading fault in the lap, and after one": _silent,
-    "object found at the lap's end": lambda r: f"{r['found']}",
-    f"of laps in which all {laps.CONTACTS} contacts were felt": lambda r: _of_full(r, "full_found"),
-    "of these, a valid estimate within 10 mm at the end": lambda r: _of_full(r, "full_right"),
+    "misleading without a deceptive fault in the lap, and after one": _misleading,
+    "misleading after a contact, of the sure": _after_contacts,
+    "found and sure at the lap's end": lambda r: f"{r['found_and_sure']}",
+    f"of laps in which all {laps.CONTACTS} contacts were felt": lambda r: _of_full(
+        r, "full_found_and_sure"
+    ),
+    "of these, found, sure or not": lambda r: _of_full(r, "full_found"),
     "worst recovery": _recovery,
     "not recovered in time": lambda r: f"{sum(r['not_recovered'].values())}",
     "still in doubt 3 s after": lambda r: f"{sum(r['doubted'].values())}",

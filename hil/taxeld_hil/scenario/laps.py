@@ -20,7 +20,7 @@ FRAMES = ("dropped", "duplicated", "reordered", "corrupted", "late", "flooded")
 DEVICE = ("reboot", "unplugged")
 ROBOT = ("pose_silent", "pose_late", "pose_jumping")
 KINDS = FRAMES + SKIN_KINDS + DEVICE + ROBOT
-MISLEADING = ("baseline_jump", "pose_late", "pose_jumping")  # look like a touch elsewhere
+DECEPTIVE = ("baseline_jump", "pose_late", "pose_jumping")  # look like a touch elsewhere
 
 
 def lap(base: Scenario, seed: int, number: int, kinds: tuple[str, ...] = KINDS) -> Scenario:

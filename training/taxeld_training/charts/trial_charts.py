@@ -11,8 +11,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Rectangle
 
+from taxeld_hil.integrity import FOUND_MM
 from taxeld_training.charts import picture
-from taxeld_training.jobs.rows import GRID, SUCCESS_MM, Row, condition, method, number, object_name
+from taxeld_training.jobs.rows import GRID, Row, condition, method, number, object_name
 
 ACROSS = 5  # panels side by side
 DASHES = {"mixture": "-", "paper": (0, (3, 1.5)), "": "-"}
@@ -20,12 +21,12 @@ SHOWN_MM = (0.05, 300.0)
 # lines have no markers, so the grid takes the colour of a sampler that no filter is compared with
 OWN = {GRID: picture.COLOURS[1]}
 WRONG, SYMMETRIC = "wrong object", "symmetric"
-SILENT_MAX = 0.01  # a cell of the map with a larger share of silent failures is framed
+MISLEADING_MAX = 0.01  # a cell of the map with a larger share that misleads is framed
 CELL_IN = (0.62, 0.2)
 NOTE = (
-    "cells: % of trials under 10 mm after 8 touches (colour), and after a stroke\n"
-    f"% converged while over 20 mm off, framed above {SILENT_MAX:.0%}; for a wrong object\n"
-    "there is no success: coloured by the trials that were flagged"
+    "cells: % of trials found after 8 touches (colour), and after a stroke % misleading,\n"
+    f"framed above {MISLEADING_MAX:.0%}; a wrong object cannot be found: coloured by the trials\n"
+    "that are not sure"
 )
 
 LineStyle = tuple[str, Any, float]  # colour, dashes, width
@@ -45,7 +46,7 @@ def by_contact(rows: Sequence[Row], path: Path) -> None:
         line, at = 2 * (i // ACROSS), i % ACROSS
         above, below = panels[line, at], panels[line + 1, at]
         mine = [row for row in rows if _place(row) == place]
-        for axes, what in ((above, "error of the MAP [mm]"), (below, "trials under 10 mm")):
+        for axes, what in ((above, "error of the MAP [mm]"), (below, "trials found")):
             axes.set_axis_on()
             picture.plain(axes, 7)
             axes.tick_params(labelleft=at == 0)
@@ -56,8 +57,8 @@ def by_contact(rows: Sequence[Row], path: Path) -> None:
             error = np.clip([number(row["map_mm"]["median"]) for row in of], *SHOWN_MM)
             given = {"color": colour, "ls": dashes, "lw": width, "alpha": 0.9}
             above.plot(x, error, **given)
-            below.plot(x, [row["success_rate"] for row in of], **given)
-        above.axhline(SUCCESS_MM, color="0.45", lw=0.8, ls=":")
+            below.plot(x, [row["found_rate"] for row in of], **given)
+        above.axhline(FOUND_MM, color="0.45", lw=0.8, ls=":")
         above.set(yscale="log", ylim=SHOWN_MM)
         picture.log_ticks(above.yaxis, (1.0,))
         above.set_title("\n".join(place), fontsize=9, pad=3)
@@ -127,10 +128,14 @@ def _place(row: Row) -> tuple[str, ...]:
     return (name,) if given == "as assumed" else (name, given)
 
 
+def _percent(share: float) -> str:
+    return "" if np.isnan(share) else f"{100 * share:.0f}"
+
+
 def _panel(
     axes: Axes, rows: Sequence[Row], lines: Sequence[str], methods: Sequence[tuple[str, str]]
 ) -> None:
-    """A cell for each row, coloured by its success."""
+    """A cell for each row, coloured by the share found."""
     axes.set_axis_on()
     axes.set(xlim=(0, len(methods)), ylim=(len(lines), 0))
     heads = [f"{proposal}\n{injection}" for proposal, injection in methods]
@@ -142,9 +147,9 @@ def _panel(
     for row in rows:
         x = methods.index((row["proposal"], row["injection"]))
         y = lines.index(condition(row))
-        wrong, silent = row["factor"] == WRONG, row["silent_failure_rate"]
-        good = row["flagged_rate" if wrong else "success_rate"]
-        bad = silent > SILENT_MAX
+        wrong, misled = row["factor"] == WRONG, number(row.get("misleading_rate"))
+        good = 1.0 - number(row.get("sure_rate")) if wrong else row["found_rate"]
+        bad = misled > MISLEADING_MAX
         fill = mpl.colormaps["RdYlBu"](good)  # for colour-blind readers too
         axes.add_patch(Rectangle((x, y), 1.0, 1.0, fc=fill, ec="white", lw=0.8))
         if bad:
@@ -153,7 +158,7 @@ def _panel(
         axes.text(
             x + 0.5,
             y + 0.52,
-            f"{'–' if wrong else f'{100 * good:.0f}'} / {100 * silent:.0f}",
+            f"{'–' if wrong else _percent(good)} / {_percent(misled)}",
             ha="center",
             va="center",
             fontsize=7,

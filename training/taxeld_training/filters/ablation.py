@@ -24,16 +24,16 @@ CELLS = (
     "wrong object=061_foam_brick",
 )
 SEEDS, QUICK_SEEDS = 40, 1
-COLUMNS = ("right_6", "sure_6", "sure_8", "wrong_and_sure", "ece", "ms")
+COLUMNS = ("found_6", "found_and_sure_6", "found_and_sure_8", "misleading", "ece", "ms")
 
 
 def ablation_rows(options: Options) -> list[Path]:
-    """Rows {constant, value, right_6, sure_6, sure_8, wrong_and_sure, ece, ms} over all cells, the
-    first of the filter as it ships, and a table of them.
+    """Rows {constant, value, found_6, found_and_sure_6, found_and_sure_8, misleading, ece, ms} over
+    all cells, the first of the filter as it ships, and a table of them.
 
-    `right_6` is the share of runs that are right after six contacts, `sure_6` and `sure_8` of those
-    that are sure as well; `wrong_and_sure` is a share of all estimates; `ms` is processor time a
-    touch. Runs with a wrong object count in the last three alone.
+    `found_6` is the share of runs that are found after six contacts; `misleading` is a share of all
+    estimates; `ms` is processor time a touch. Runs with a wrong object count in the last three
+    alone.
 
     Raises:
         SetupError: no such object, cell or constant.
@@ -78,10 +78,10 @@ def _row(change: Change | None, found: Sequence[Results]) -> dict[str, Any]:
     return {
         "constant": "as it ships" if change is None else f"{change.module}.{change.name}",
         "value": None if change is None else change.value,
-        "right_6": round(float(given.right[sixth].mean()), 4) if sixth.any() else None,
-        "sure_6": figures["right_and_sure_6"],
-        "sure_8": figures["right_and_sure_8"],
-        "wrong_and_sure": round(figures["wrong"] / len(given), 5),
+        "found_6": round(float(given.found[sixth].mean()), 4) if sixth.any() else None,
+        "found_and_sure_6": figures["found_and_sure_6"],
+        "found_and_sure_8": figures["found_and_sure_8"],
+        "misleading": round(figures["misleading"] / len(given), 5),
         "ece": figures["ece"],
         "ms": round(math.fsum(taken) / len(taken), 3),
         "runs": sum(map(len, found)),

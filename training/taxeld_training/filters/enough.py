@@ -10,14 +10,14 @@ from taxeld_training.filters.methods import TouchResult
 from taxeld_training.jobs.statistics import of_mean
 
 MARGIN = 0.01  # share of the touches by which a filter that is as good may fall behind
-MISLED = 10.0  # touches found and sure that one sure and wrong takes away
+MISLED = 10.0  # touches found and sure that one misleading takes away
 
-Told: TypeAlias = list[tuple[bool, bool]]  # found and sure, sure and wrong; of each touch
+Told: TypeAlias = list[tuple[bool, bool]]  # found and sure, misleading; of each touch
 
 
 def told(trial: Iterable[TouchResult]) -> Told:
     """What a filter told in a trial."""
-    return [(touch.is_right, touch.misleads) for touch in trial]
+    return [(touch.is_right, touch.misleading) for touch in trial]
 
 
 def worth(trials: Sequence[Told]) -> Floats:

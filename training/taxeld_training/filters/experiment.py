@@ -8,18 +8,20 @@ The grid filter is the limit: what it does not find, no filter of its likelihood
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from taxeld_hil.integrity import FOUND_MM, Stanford
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell, Results
 from taxeld_training.filters.levels import BESIDE_THE_MAP, LEVELS, Level
-from taxeld_training.filters.methods import SHIPPED, Method
+from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import GRID, SUCCESS_MM, Row, trial_table
+from taxeld_training.jobs.rows import GRID, Row, trial_table
 from taxeld_training.jobs.statistics import of_median, of_share, p_share, quantiles, rounded
 from taxeld_training.objects.setting import OBJECTS, Setting
 from taxeld_training.samplers import trained
@@ -124,11 +126,11 @@ def rows(
     )
     found = cells.run([(cell, round(level.seeds * seeds)) for level, cell in wanted], options)
     return [
-        _row(level, cell, contact, found[cell], found.get(shipped))
+        _row(level, cell, since, contact, found[cell], found.get(shipped))
         for level, cell in wanted
         if cell in found
         for shipped in [cell_of(level, placed(SHIPPED, cell.setting, level), cell.setting)]
-        for contact in experiment.contacts
+        for since, contact in pairwise((0, *experiment.contacts))
         if contact in (cell.method.touches or experiment.contacts)
     ]
 
@@ -148,21 +150,26 @@ def cell_of(level: Level, method: Method, setting: Setting) -> Cell:
 
 
 def _row(
-    level: Level, cell: Cell, contact: int, results: Results, shipped: Results | None
+    level: Level, cell: Cell, since: int, contact: int, results: Results, shipped: Results | None
 ) -> dict[str, Any]:
     """The row of a cell and contact; `shipped` has the trials of what ships under the same
-    conditions. Errors of other lengths are in hundredths of the object's mean diameter."""
-    method = cell.method
+    conditions, and if these are them, the row has a diagram of the contacts after `since`. Errors
+    of other lengths are in hundredths of the object's mean diameter."""
+    method, is_shipped = cell.method, results is shipped
     of_lengths: dict[str, float] = {}
     if level.lengths:
         diameter_mm = 2e3 * trained.model_of(cell.setting).scene.mean_radius
         of_lengths = {"diameter_mm": round(diameter_mm, 1)}
-        unit = SUCCESS_MM / (FOUND_SHARE * diameter_mm)
+        unit = FOUND_MM / (FOUND_SHARE * diameter_mm)
         results = {
-            seed: [each._replace(map_mm=unit * each.map_mm) for each in trial]
+            seed: [
+                each._replace(map_mm=unit * each.map_mm, radius_m=unit * each.radius_m)
+                for each in trial
+            ]
             for seed, trial in results.items()
         }
     last = [trial[contact - 1] for trial in results.values()]
+    new = [each for trial in results.values() for each in trial[since:contact]]
     return {
         "object": cell.setting.object,
         "factor": level.factor,
@@ -174,6 +181,7 @@ def _row(
         **of_lengths,
         **errors([result.map_mm for result in last]),
         **shares(results, contact),
+        "stanford": diagram(new).row() if is_shipped else None,
         "p_shipped": p_shipped(results, shipped, contact),
         "particles_max": method.particles_max or method.particles,
         "particles_mean": round(float(np.mean([result.particles for result in last])), 1),
@@ -191,23 +199,34 @@ def errors(values_mm: Sequence[float]) -> dict[str, Any]:
 
 
 def shares(results: Results, contact: int) -> dict[str, float | list[float] | None]:
-    """Shares of trials that by a contact, counted from 1, had succeeded, were flagged and failed
-    silently, at it or at any up to it; the last three are None for a filter without a status. Each
-    `_ci` is the interval of the figure before it.
+    """Shares of trials whose estimates after a contact, counted from 1, are found, sure, and
+    misleading, after it or after any up to it; the last three are None for a filter that publishes
+    no p. Each `_ci` is the interval of the figure before it.
 
-    Where another object is touched than the filter assumes no trial succeeds, and one that
-    converged failed silently.
+    Where another object is touched than the filter assumes none is found, and one that is sure
+    misleads.
     """
     trials = [trial[:contact] for trial in results.values()]
     last = [trial[-1] for trial in trials]
-    has_status = last[0].status is not None
-    silent = [any(result.failed_silently for result in trial) for trial in trials]
+    claims = last[0].status is not None
+    so_far = [any(result.misleading for result in trial) for trial in trials]
     return {
-        **_share("success", [result.succeeded for result in last]),
-        "flagged_rate": _rate([not r.converged for r in last]) if has_status else None,
-        **_share("silent_failure", [r.failed_silently for r in last] if has_status else []),
-        **_share("silent_so_far", silent if has_status else []),
+        **_share("found", [result.found for result in last]),
+        "sure_rate": _rate([result.sure for result in last]) if claims else None,
+        **_share("misleading", [result.misleading for result in last] if claims else []),
+        **_share("misleading_so_far", so_far if claims else []),
     }
+
+
+def diagram(each: Sequence[TouchResult]) -> Stanford:
+    """The diagram of estimates."""
+    found = Stanford()
+    found.add(
+        [result.p for result in each],
+        [result.map_mm for result in each],
+        [result.radius_mm for result in each],
+    )
+    return found
 
 
 def p_shipped(mine: Results, shipped: Results | None, contact: int) -> float | None:
@@ -216,7 +235,7 @@ def p_shipped(mine: Results, shipped: Results | None, contact: int) -> float | N
     if shipped is None:
         return None
     seeds = sorted(mine.keys() & shipped.keys())
-    found = ([of[seed][contact - 1].succeeded for seed in seeds] for of in (mine, shipped))
+    found = ([of[seed][contact - 1].found for seed in seeds] for of in (mine, shipped))
     return round(p_share(*found), 6)
 
 

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Poses
-from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
-from taxeld.model.symmetry import SILENT_MM, add_m
+from taxeld.model.symmetry import add_m
+from taxeld_hil.integrity import is_misleading
 from taxeld_training.filters import gridded, methods, pushing
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.pushing import PushedTrial, by_ground
@@ -63,7 +63,7 @@ def _follow_grid(
 
 
 def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str, Any]:
-    """A filter's median error [mm] during a push, and whether it converged far off by the end;
+    """A filter's median error [mm] during a push, and whether its estimate misleads at the end;
     `motion` is the filter's, or TOLD: it knows the trial's ground."""
     model, is_told = trial.model, motion == TOLD
     config = methods.SHIPPED.config(OWN_SEEDS + trial.seed, "push" if is_told else motion)
@@ -75,8 +75,8 @@ def follow_push(trial: PushedTrial, motion: str, proposal: Proposal) -> dict[str
         estimate = estimator.on_scan(moment.activation, moment.sensor)
         if moment.touch == pushing.TOUCHES and moment.activation.z.any():
             errors.append(1e3 * add_m(model.scene, estimate.map, moment.truth)[1])
-    is_silent = estimate.status is Status.CONVERGED and errors[-1] > SILENT_MM
-    return {"path_mm": float(np.median(errors)), "silent": is_silent}
+    misleading = is_misleading(estimate.p, errors[-1], 1e3 * estimate.radius_m)
+    return {"path_mm": float(np.median(errors)), "misleading": bool(misleading)}
 
 
 def _error_mm(trial: Trial, model: ObservationModel, moment: TrialScan, pose: Poses) -> float:

@@ -15,19 +15,19 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import SURE
 from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import add_m
 from taxeld.proposals.analytic import Table
+from taxeld_hil import integrity
 from taxeld_hil.jobs import Job
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.filters.cells import TOUCHES, seed_of
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.follow import OWN_SEEDS
-from taxeld_training.filters.pairs import BETWEEN_S, FOUND_MM, OTHER_SEEDS
+from taxeld_training.filters.pairs import BETWEEN_S, OTHER_SEEDS
 from taxeld_training.filters.several import TABLED
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.filters.trials import Trial, TrialScan
@@ -47,6 +47,7 @@ class LinkedTouch(NamedTuple):
 
     error_mm: float  # symmetric ADD
     p: float
+    radius_mm: float
     cpu_ms: float  # of all scans of the touch
 
 
@@ -120,7 +121,8 @@ def _played(
         cpu_ms = 1e3 * (process_time() - begun)
         estimate = estimator.estimate
         error_mm = 1e3 * add_m(model.scene, estimate.map, touch[-1].truth)[1]
-        found.append(LinkedTouch(round(error_mm, 4), estimate.p, cpu_ms))
+        radius_mm = 1e3 * estimate.radius_m
+        found.append(LinkedTouch(round(error_mm, 4), estimate.p, radius_mm, cpu_ms))
     return found
 
 
@@ -155,15 +157,15 @@ def _moved(moment: TrialScan, move: Poses, after_s: float) -> TrialScan:
 
 def _figures(trials: list[list[list[float]]]) -> dict[str, Any]:
     """Shares after each touch, and how many touches a trial took until it stayed found."""
-    error_mm, p, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
-    found, sure = error_mm < FOUND_MM, p >= SURE
+    error_mm, p, radius_mm, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
+    found, sure = integrity.is_found(error_mm), integrity.is_sure(p)
     stays = np.logical_and.accumulate((found & sure)[:, ::-1], axis=1)
     taken = TOUCHES + 1 - stays.sum(axis=1)
     return {
         "trials": len(trials),
         "found": found.mean(axis=0).round(3).tolist(),
         "found_and_sure": (found & sure).mean(axis=0).round(3).tolist(),
-        "misleading": int((sure & ~found).sum()),
+        "misleading": int(integrity.is_misleading(p, error_mm, radius_mm).sum()),
         "touches_to_sure": round(float(taken.mean()), 3),
         "touch_cpu_ms": round(float(np.median(cpu_ms[:, 1:])), 2),
     }

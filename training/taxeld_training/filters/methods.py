@@ -11,8 +11,7 @@ from typing import NamedTuple
 from taxeld.config.tables import FilterConfig
 from taxeld.estimator.estimate import Hypotheses, Status
 from taxeld.estimator.rule import noise_of
-from taxeld.model.symmetry import SILENT_MM
-from taxeld_training.jobs.rows import SUCCESS_MM
+from taxeld_hil import integrity
 
 NOISE = noise_of(FilterConfig())  # the grid filter's noise as well
 
@@ -77,23 +76,22 @@ class TouchResult(NamedTuple):
     idle_ms: float = math.nan  # and for a second of scans that tell nothing
 
     @property
-    def succeeded(self) -> bool:
-        return self.map_mm < SUCCESS_MM
+    def radius_mm(self) -> float:
+        return 1e3 * self.radius_m
 
     @property
-    def converged(self) -> bool:
-        return self.status is Status.CONVERGED
+    def found(self) -> bool:
+        return bool(integrity.is_found(self.map_mm))
+
+    @property
+    def sure(self) -> bool:
+        return bool(integrity.is_sure(self.p))
 
     @property
     def is_right(self) -> bool:
         """Found and sure."""
-        return self.converged and self.succeeded
+        return self.found and self.sure
 
     @property
-    def misleads(self) -> bool:
-        """Sure, and not found."""
-        return self.converged and not self.succeeded
-
-    @property
-    def failed_silently(self) -> bool:
-        return self.converged and not self.map_mm <= SILENT_MM
+    def misleading(self) -> bool:
+        return bool(integrity.is_misleading(self.p, self.map_mm, self.radius_mm))

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
-from taxeld.estimator.estimate import SURE
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import se2
 from taxeld.model.symmetry import add_m
+from taxeld_hil import integrity
 from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.follow import OWN_SEEDS
@@ -22,7 +22,6 @@ from taxeld_training.objects.setting import Setting
 APART_M = 0.8  # between the middles of the places that the two may have
 BETWEEN_S = 1.0  # time between two touches
 OTHER_SEEDS = 2**20  # added to a trial's seed for the second object's touches
-FOUND_MM = 10.0
 
 
 class Both(NamedTuple):
@@ -30,8 +29,8 @@ class Both(NamedTuple):
 
     targets: int  # objects that are said to be there
     worst_mm: float  # symmetric ADD of the worse of the two objects; inf where one is missing
-    sure: int  # targets with p of at least SURE
-    misleading: int  # of these, targets that are not where any of the two objects is
+    sure: int  # targets
+    misleading: int  # targets
 
 
 @dataclass(frozen=True)
@@ -71,15 +70,17 @@ def _played(pair: Pair, seed: int) -> list[Both]:
                     row[k] = (
                         1e3 * add_m(known_of(settings[number[k]]).model.scene, target.map, pose)[1]
                     )
-        sure = np.array([target.p >= SURE for target in estimator.estimate.targets])
-        found.append(_both(off_mm, sure))
+        claimed = np.array([(t.p, 1e3 * t.radius_m) for t in estimator.estimate.targets])
+        found.append(_both(off_mm, claimed.reshape(-1, 2)))
     return found
 
 
-def _both(off_mm: Floats, sure: Floats) -> Both:
-    """`off_mm` (T, 2): of each target from each object."""
-    misleading = sure & (off_mm.min(axis=1) >= FOUND_MM)
-    worst_mm = float(off_mm.min(axis=0).max())
+def _both(off_mm: Floats, claimed: Floats) -> Both:
+    """`off_mm` (T, 2): of each target from each object; `claimed` (T, 2): its p and radius [mm].
+    The nearer object is the one that a target is of."""
+    p, radius_mm = claimed.T
+    misleading = integrity.is_misleading(p, off_mm.min(axis=1), radius_mm)
+    worst_mm, sure = float(off_mm.min(axis=0).max()), integrity.is_sure(p)
     return Both(len(off_mm), round(worst_mm, 4), int(sure.sum()), int(misleading.sum()))
 
 

@@ -13,18 +13,17 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
-from taxeld.estimator.estimate import SURE
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import add_m
 from taxeld.told import ToldPose, told_pose
+from taxeld_hil import integrity
 from taxeld_hil.jobs import Job
 from taxeld_training.filters.cells import COLUMNS, seed_of, setting_of
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.follow import OWN_SEEDS
-from taxeld_training.filters.pairs import FOUND_MM
 from taxeld_training.filters.several import TABLED, known_of
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs.options import Options, run_jobs, write
@@ -44,6 +43,7 @@ class PriorTouch(NamedTuple):
 
     error_mm: float  # symmetric ADD
     p: float
+    radius_mm: float
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _played(case: str, model: ObservationModel, table: Proposal, seed: int) -> l
             estimator.on_scan(moment.activation, moment.sensor)
         estimate = estimator.estimate
         error_mm = 1e3 * add_m(model.scene, estimate.map, scans[-1].truth)[1]
-        found.append(PriorTouch(round(error_mm, 4), estimate.p))
+        found.append(PriorTouch(round(error_mm, 4), estimate.p, 1e3 * estimate.radius_m))
     return found
 
 
@@ -140,8 +140,9 @@ def _pose(case: str, model: ObservationModel, truth: Poses, seed: int) -> ToldPo
 
 def _figures(trials: list[list[list[float]]]) -> dict[str, Any]:
     """Shares after each touch, and the touches until an estimate was sure."""
-    error_mm, p = np.moveaxis(np.array(trials), -1, 0)
-    found, sure = error_mm < FOUND_MM, p >= SURE
+    error_mm, p, radius_mm = np.moveaxis(np.array(trials), -1, 0)
+    found, sure = integrity.is_found(error_mm), integrity.is_sure(p)
+    misleading = integrity.is_misleading(p, error_mm, radius_mm)
     first = np.where(sure.any(axis=1), sure.argmax(axis=1) + 1, TOUCHES + 1)
     late = slice(RESTARTED_AFTER, None)
     return {
@@ -151,7 +152,7 @@ def _figures(trials: list[list[list[float]]]) -> dict[str, Any]:
         "touches_to_sure": round(float(first.mean()), 2),
         "touches_to_sure_median": float(np.median(first)),
         "sure_estimates": int(sure.sum()),
-        "misleading": int((sure & ~found).sum()),
+        "misleading": int(misleading.sum()),
         "sure_after_restart": int(sure[:, late].sum()),
-        "misleading_after_restart": int((sure & ~found)[:, late].sum()),
+        "misleading_after_restart": int(misleading[:, late].sum()),
     }

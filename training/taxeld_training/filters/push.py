@@ -25,8 +25,8 @@ Trials: TypeAlias = list[dict[str, Any]]  # results of trials, as `follow_push` 
 
 
 def run(options: Options) -> list[Path]:
-    """Rows {object, motion, path_mm{q10, median, q90}, path_mm_ci, silent_failure_rate and _ci,
-    seeds}: errors over the push, and the share of filters that converged far off by its end.
+    """Rows {object, motion, path_mm{q10, median, q90}, path_mm_ci, misleading_rate and _ci,
+    seeds}: errors over the push, and the share of estimates that mislead at its end.
 
     Raises:
         SetupError: an object without a shipped bundle.
@@ -59,13 +59,13 @@ def play(setting: Setting, motion: str, seeds: int) -> Trials:
 
 def _row(name: str, motion: str, trials: Trials) -> dict[str, Any]:
     values = [trial["path_mm"] for trial in trials]
-    silent = [bool(trial["silent"]) for trial in trials]
+    misleading = [bool(trial["misleading"]) for trial in trials]
     return {
         "object": name,
         "motion": motion,
         "path_mm": quantiles(values, 2),
         "path_mm_ci": rounded(of_median(values, np.random.default_rng(0)), 2),
-        "silent_failure_rate": float(np.mean(silent)),
-        "silent_failure_ci": rounded(of_share(silent)),
+        "misleading_rate": float(np.mean(misleading)),
+        "misleading_ci": rounded(of_share(misleading)),
         "seeds": len(trials),
     }

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from taxeld_hil.integrity import is_found, is_sure
 from taxeld_hil.jobs import Job
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import pairs, several
@@ -25,7 +26,7 @@ from taxeld_training.jobs import identities
 from taxeld_training.jobs.identities import UNKNOWN
 from taxeld_training.jobs.identity_tables import tables
 from taxeld_training.jobs.options import Options, run_jobs, write
-from taxeld_training.jobs.promises import SURE, WITHIN_MM, share
+from taxeld_training.jobs.promises import share
 from taxeld_training.objects.setting import OBJECTS, Setting
 
 SEEDS, QUICK_SEEDS = 100, 2  # about an hour on two cores
@@ -160,7 +161,7 @@ def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:
     return [
         {"contact": contact, "seeds": len(told)}
         | share("two", told[:, contact - 1, 0] == 2)
-        | share("found", told[:, contact - 1, 1] < pairs.FOUND_MM)
+        | share("found", is_found(told[:, contact - 1, 1]))
         | {"sure_targets": int(told[:, contact - 1, 2].sum())}
         | {"misleading_targets": int(told[:, contact - 1, 3].sum())}
         for contact in range(2, told.shape[1] + 1, 2)
@@ -266,7 +267,7 @@ def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[
 def _alone(runs: Sequence[Sequence[Compared]], contact: int) -> dict[str, Any]:
     """The share of runs that have found the object, by the filter that knows it alone."""
     one = [touch.one for touch in (run[contact - 1] for run in runs) if touch.one is not None]
-    return share("found_alone", np.array([touch.map_mm <= WITHIN_MM for touch in one]))
+    return share("found_alone", is_found([touch.map_mm for touch in one]))
 
 
 def _taken(runs: Runs, names: Sequence[str]) -> dict[str, int]:
@@ -277,7 +278,7 @@ def _taken(runs: Runs, names: Sequence[str]) -> dict[str, int]:
         if crowd.true == UNKNOWN
         for run in each
         for touch in run
-        if touch.several.p >= SURE
+        if is_sure(touch.several.p)
     )
     return dict(found.most_common())
 

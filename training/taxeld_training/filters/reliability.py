@@ -24,7 +24,7 @@ from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.promise_tables import tables
-from taxeld_training.jobs.promises import SURE, Promises, share
+from taxeld_training.jobs.promises import Promises, share
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
@@ -109,7 +109,7 @@ def wanted(table: Sequence[Level], options: Options, seeds: int) -> dict[tuple[L
 def promised(found: Iterable[Results]) -> Promises:
     """All estimates of the runs of cells."""
     each = [
-        (result.p, 1e3 * result.radius_m, result.map_mm, contact)
+        (result.p, result.radius_mm, result.map_mm, contact)
         for results in found
         for run in results.values()
         for contact, result in enumerate(run, 1)
@@ -142,11 +142,11 @@ def groups_of(level: Level, cell: Cell) -> list[str]:
 
 def noticed(results: Results, contact: int) -> dict[str, Any]:
     """Shares of runs that noticed, within one contact and more, that the object was put elsewhere
-    after a contact, counted from 1; and of those runs that were right and sure before."""
+    after a contact, counted from 1; and of those runs that were found and sure before."""
     runs = list(results.values())
     by = np.array([[_notices(each) for each in run[contact : contact + WAIT]] for run in runs])
     by = np.logical_or.accumulate(by, axis=1)
-    sure = np.array([is_right_and_sure(run[contact - 1]) for run in runs])
+    sure = np.array([run[contact - 1].found and run[contact - 1].sure for run in runs])
     return {
         "noticed": [share("in", column)["in"] for column in by.T],
         "noticed_if_sure": [share("in", column)["in"] for column in by[sure].T],
@@ -158,7 +158,7 @@ def told(results: Results) -> dict[str, Any]:
     """Of runs with a wrong object: the share of estimates that are sure nonetheless, after any
     contact, and the share of runs that are told by `OTHER_AFTER` contacts."""
     runs = list(results.values())
-    sure = np.array([each.p >= SURE for run in runs for each in run])
+    sure = np.array([each.sure for run in runs for each in run])
     other = np.array([run[OTHER_AFTER - 1].hypotheses.other >= OTHER for run in runs])
     return share("sure_share", sure) | share("told", other)
 
@@ -169,17 +169,13 @@ def _notices(result: TouchResult) -> bool:
     return is_inconsistent or doubt > NOTICED or result.p < NOTICED
 
 
-def is_right_and_sure(result: TouchResult) -> bool:
-    return result.p >= SURE and result.map_mm <= promises.WITHIN_MM
-
-
 def _group_row(name: str, given: Promises) -> dict[str, Any]:
-    bins = promises.reliability(given.p, given.right)
+    bins = promises.reliability(given.p, given.found)
     return {"over": name, **promises.kept(given), "reliability": bins}
 
 
 def _cell_row(level: Level, cell: Cell, results: Results) -> dict[str, Any]:
-    kidnapped = level.conditions.kidnapped_after
+    kidnapped, given = level.conditions.kidnapped_after, promised([results])
     return {
         "object": cell.setting.object,
         "factor": level.factor,
@@ -188,7 +184,8 @@ def _cell_row(level: Level, cell: Cell, results: Results) -> dict[str, Any]:
         "skin": level.conditions.skin or "exact",
         "tuned": is_tuned(level, cell),
         "proposal": cell.method.proposal,
-        **promises.kept(promised([results])),
+        **promises.kept(given),
+        "stanford": given.stanford.row(),
         **(told(results) if level.touched else {}),
         **(noticed(results, kidnapped) if kidnapped else {}),
         "seeds": len(results),

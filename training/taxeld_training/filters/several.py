@@ -35,6 +35,7 @@ class Recognised(NamedTuple):
     other: float  # probability of none of them
     map_mm: float  # symmetric ADD of the heaviest mode; nan where another object is touched
     p: float
+    radius_mm: float
     cpu_ms: float  # processor time for all scans of the touch
     worst_ms: float  # the longest call of `learn` in it
 
@@ -93,6 +94,7 @@ def recognise(trial: Sequence[TrialScan], seed: int, known: Sequence[Known]) -> 
                 now.hypotheses.other,
                 error_mm,
                 now.p,
+                1e3 * now.radius_m,
                 1e3 * cpu_s,
                 1e3 * worst_s,
             )
@@ -124,13 +126,13 @@ def identities(runs: Sequence[tuple[int, Sequence[Recognised]]]) -> Identities:
     """Runs as (number of the touched object, results of the touches), for their figures."""
     true = np.array([number for number, _ in runs])
     touches = [touches for _, touches in runs]
-    named, other, p, error_mm = (
+    named, other, p, error_mm, radius_mm = (
         np.array([[getattr(touch, key) for touch in run] for run in touches])
-        for key in ("object", "other", "p", "map_mm")
+        for key in ("object", "other", "p", "map_mm", "radius_mm")
     )
     objects = np.array([[touch.objects for touch in run] for run in touches])
     error_mm[named != true[:, None]] = math.nan
-    return Identities(true, named, objects, other, p, error_mm)
+    return Identities(true, named, objects, other, p, error_mm, radius_mm)
 
 
 @lru_cache(maxsize=32)
@@ -146,6 +148,7 @@ def _rounded(touch: Recognised, true: int) -> Recognised:
         objects=[float(f"{share:.6g}") for share in touch.objects],
         other=float(f"{touch.other:.6g}"),
         map_mm=round(touch.map_mm, 4) if touch.object == true else math.nan,
+        radius_mm=round(touch.radius_mm, 4),
         cpu_ms=round(touch.cpu_ms, 3),
         worst_ms=round(touch.worst_ms, 3),
     )

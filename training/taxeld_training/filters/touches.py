@@ -1,9 +1,9 @@
 """How good a bundle is, in touches: trials at the end of its build, and the filter that is enough.
 
 A trial is a random sequence of touches of the object on the bundle's own skin. After each touch a
-filter has *found* the object or not, and is *sure* or not, as everywhere. Filters of several sizes,
-with the bundle's own sampler and with the table, meet the same touches. The bundle says which of
-them is enough, and the daemon runs that one.
+filter has *found* the object or not, is *sure* or not, and may *mislead*, as everywhere. Filters of
+several sizes, with the bundle's own sampler and with the table, meet the same touches. The bundle
+says which of them is enough, and the daemon runs that one.
 """
 
 from collections.abc import Callable
@@ -75,8 +75,8 @@ def counted(
     folder: Path, layout: Layout, asked: EndTrials, progress: Callable[[str, float], None]
 ) -> dict[str, Any]:
     """The part of bundle.json about the trials of the bundle in `folder`: of each filter, how many
-    had found their object and were sure of it after each touch, and how many were sure and wrong;
-    and the filter that is enough. All meet the same touches."""
+    had found their object and were sure of it after each touch, and how many misled; and the
+    filter that is enough. All meet the same touches."""
     made = bundle.load(str(folder), layout)
     sampler = next(name for name in made.order if name not in ANALYTIC)
     filters = tried(sampler, asked)
@@ -89,7 +89,7 @@ def counted(
         for name, trials in part.items():
             done.setdefault(name, []).extend(trials)
         progress(STAGE, finished / asked.workers)
-    right, wrong = (
+    right, misleading = (
         {
             name: [sum(trial[touch][rule] for trial in trials) for touch in range(TOUCHES)]
             for name, trials in done.items()
@@ -102,7 +102,7 @@ def counted(
             "trials": asked.trials,
             "seed": asked.seed,
             "found_and_sure": right,
-            "sure_and_wrong": wrong,
+            "misleading": misleading,
         }
     }
 

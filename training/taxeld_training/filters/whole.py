@@ -207,7 +207,7 @@ def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
         "on_front": False,
         "seeds": len(trials),
     }
-    right = [[touch.succeeded for touch in trial] for trial in trials]
+    right = [[touch.found for touch in trial] for trial in trials]
     if own.proposal == GRID:
         by_look = sum(touch.cpu_ms for touch in touches) / len(trials)
         return row | {"ms": round(by_look, 1), "found": np.mean(right, axis=0).round(4).tolist()}
@@ -226,7 +226,7 @@ def _row(cell: Cell, results: Results, idle_ms: float) -> dict[str, Any]:
         "found_and_sure": share,
         "found_and_sure_ci": rounded(of_share([trial[AFTER - 1] for trial in both])),
         "touches_to_90": next((k for k, each in enumerate(share, 1) if each >= MOST_FOUND), None),
-        "misleading": sum(touch.misleads for touch in touches),
+        "misleading": sum(touch.misleading for touch in touches),
     }
 
 

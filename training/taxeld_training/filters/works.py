@@ -12,10 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.estimator.estimate import SURE
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import TOUCHES, Cell
+from taxeld_training.filters.experiment import diagram
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, TouchResult
 from taxeld_training.jobs.options import Options, write
@@ -59,12 +59,8 @@ def _row(
 ) -> dict[str, Any]:
     """Of trials of an object, what was true after a touch, counted from 1."""
     after = [trial[touch - 1] for trial in trials]
-    error_mm = np.array([each.map_mm for each in after])
-    found = np.array([each.succeeded for each in after])
-    sure = np.array([each.p >= SURE for each in after])
-    within = error_mm <= 1e3 * np.array([each.radius_m for each in after])
-    middle, most = np.quantile(error_mm, (0.5, 0.9)).round(2).tolist()
-    both = int((found & sure).sum())
+    middle, most = np.quantile([each.map_mm for each in after], (0.5, 0.9)).round(2).tolist()
+    both = sum(each.found and each.sure for each in after)
     return {
         "object": name,
         "skin": NAMES.get(level.name, str(level.level)),
@@ -72,9 +68,11 @@ def _row(
         "trials": len(after),
         "median_mm": middle,
         "q90_mm": most,
-        "found": int(found.sum()),
-        "sure": both,
-        "sure_ci": rounded(of_count(both, len(after))),
-        "misleading": int((sure & ~(found & within)).sum()),
+        "found": sum(each.found for each in after),
+        "sure": sum(each.sure for each in after),
+        "found_and_sure": both,
+        "found_and_sure_ci": rounded(of_count(both, len(after))),
+        "misleading": sum(each.misleading for each in after),
         "touch_cpu_ms": round(float(np.median([each.cpu_ms for each in after])), 2),
+        "stanford": diagram(after).row(),
     }

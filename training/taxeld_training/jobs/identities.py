@@ -1,8 +1,8 @@
 """Which object is felt, held against the truth: figures of filters that know several objects.
 
-The object of an estimate is *right* where it is the one that is touched, and *found* where it is no
-farther off than `filter.within_m` besides. It is *sure* where p ≥ `SURE`, and *misleading* where it
-is sure and not found. `other` is the probability that it is none of the known objects.
+The object of an estimate is *right* where it is the one that is touched. It is *found*, *sure* and
+*misleading* as in `taxeld_hil.integrity`. `other` is the probability that it is none of the known
+objects.
 """
 
 from collections.abc import Sequence
@@ -13,13 +13,8 @@ import numpy as np
 from scipy import stats
 
 from taxeld.arrays import Bools, Floats, Index
-from taxeld_training.jobs.promises import (
-    SURE,
-    WITHIN_MM,
-    calibration_error,
-    reliability,
-    share,
-)
+from taxeld_hil import integrity
+from taxeld_training.jobs.promises import calibration_error, reliability, share
 
 UNKNOWN = -1  # `true` of a run whose object the filter does not know
 PARTED = 0.99  # probability of the touched object, were there but one other, that parts the two
@@ -37,6 +32,7 @@ class Identities:
     other: Floats  # (N, T) probability of none of them
     p: Floats  # (N, T)
     error_mm: Floats  # (N, T); nan where another object is named
+    radius_mm: Floats  # (N, T)
 
     def __len__(self) -> int:
         return len(self.true)
@@ -50,6 +46,7 @@ class Identities:
             self.other[kept],
             self.p[kept],
             self.error_mm[kept],
+            self.radius_mm[kept],
         )
 
     @property
@@ -63,11 +60,15 @@ class Identities:
 
     @property
     def found(self) -> Bools:
-        return np.asarray(self.right & (self.error_mm <= WITHIN_MM))
+        return integrity.is_found(self.error_mm)
 
     @property
     def sure(self) -> Bools:
-        return np.asarray(self.p >= SURE)
+        return integrity.is_sure(self.p)
+
+    @property
+    def misleading(self) -> Bools:
+        return integrity.is_misleading(self.p, self.error_mm, self.radius_mm)
 
     @property
     def of_named(self) -> Floats:
@@ -83,13 +84,13 @@ class Identities:
 def after(given: Identities, contact: int) -> dict[str, Any]:
     """Figures of runs with known objects after a contact, counted from 1."""
     at = contact - 1
-    right, found, sure = given.right[:, at], given.found[:, at], given.sure[:, at]
+    found, sure = given.found[:, at], given.sure[:, at]
     of_true = given.of_true[:, at]
     return {
-        **share("right", right),
+        **share("right", given.right[:, at]),
         **share("found", found),
-        **share("sure_and_found", sure & found),
-        **share("misleading", sure & ~found),
+        **share("found_and_sure", found & sure),
+        **share("misleading", given.misleading[:, at]),
         "p_true": round(float(of_true.mean()), 4),
         "p_true_median": round(float(np.median(of_true)), 4),
     }

@@ -32,7 +32,7 @@ def tables(rows: Sequence[Row]) -> str:
                     ("right", "right"),
                     ("right and under 10 mm", "found"),
                     ("under 10 mm if known alone", "found_alone"),
-                    ("sure and right", "sure_and_found"),
+                    ("found and sure", "found_and_sure"),
                     ("misleading", "misleading"),
                 )
             },

@@ -20,7 +20,7 @@ def tables(rows: Sequence[Row]) -> str:
         table(
             bins,
             {"over": lambda row: str(row["over"]), "p": _bin},
-            {"n": _number("n"), "mean p": _number("mean_p"), "right": _share("right", "right_ci")},
+            {"n": _number("n"), "mean p": _number("mean_p"), "found": _share("right", "right_ci")},
         ),
         table(
             wrong,
@@ -50,13 +50,11 @@ def _kept() -> dict[str, Cell]:
         "estimates": _number("estimates"),
         "ECE": _number("ece"),
         "sure": _number("sure"),
-        "wrong of these": _share("wrong_rate", "wrong_ci"),
-        "beyond of these": _share("beyond_rate", "beyond_ci"),
+        "misleading of these": _share("misleading_rate", "misleading_ci"),
         "median radius, mm": _number("radius_mm"),
     }
-    for what in ("right", "wrong"):
-        found |= {f"{what}, sure {k}": _share(f"{what}_and_sure_{k}") for k in CONTACTS}
-    return found
+    found |= {f"found and sure, {k}": _share(f"found_and_sure_{k}") for k in CONTACTS}
+    return found | {f"misleading, {k}": _share(f"misleading_{k}") for k in CONTACTS}
 
 
 def _object(row: Row) -> str:

@@ -1,9 +1,8 @@
 """What estimates promise, and whether they keep it: `p` and `radius_m` held against the truth.
 
-An estimate is *right* where the object is the one that the filter assumes and no farther off than
-`filter.within_m`, which is what `p` is the probability of. It is *sure* where p ≥ `SURE`. It is
-*beyond* where the object is farther off than its `radius_m`, or another one: what satellite
-navigation calls a loss of integrity.
+`p` is the probability that an estimate is *found*. What is *sure* and *misleading* is as in
+`taxeld_hil.integrity`: an estimate that misleads is what satellite navigation calls a loss of
+integrity.
 """
 
 from collections.abc import Sequence
@@ -13,11 +12,10 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index
-from taxeld.config.tables import FilterConfig
+from taxeld_hil import integrity
+from taxeld_hil.integrity import Stanford
 from taxeld_training.jobs.statistics import of_count, rounded
 
-WITHIN_MM = 1e3 * FilterConfig().within_m
-SURE = 0.99
 BINS = 10
 CONTACTS = (4, 6, 8)  # contacts with shares of their own
 
@@ -35,21 +33,27 @@ class Promises:
         return len(self.p)
 
     @property
-    def right(self) -> Bools:
-        return np.asarray(self.error_mm <= WITHIN_MM)
+    def found(self) -> Bools:
+        return integrity.is_found(self.error_mm)
 
     @property
     def sure(self) -> Bools:
-        return np.asarray(self.p >= SURE)
+        return integrity.is_sure(self.p)
 
     @property
-    def beyond(self) -> Bools:
-        return ~(self.error_mm <= self.radius_mm)
+    def misleading(self) -> Bools:
+        return integrity.is_misleading(self.p, self.error_mm, self.radius_mm)
 
     @property
     def of_object(self) -> Bools:
         """Whether the object is the one that the filter assumes."""
         return np.isfinite(self.error_mm)
+
+    @property
+    def stanford(self) -> Stanford:
+        made = Stanford()
+        made.add(self.p, self.error_mm, self.radius_mm)
+        return made
 
 
 def reliability(p: Floats, right: Bools) -> list[dict[str, Any]]:
@@ -77,23 +81,21 @@ def calibration_error(table: Sequence[dict[str, Any]]) -> float | None:
 
 
 def kept(given: Promises) -> dict[str, Any]:
-    """Figures of estimates: the calibration of p, and of those that are sure how many are wrong or
-    beyond, with intervals; of runs with the object that the filter assumes, the shares that are
-    right and sure, and wrong and sure, after `CONTACTS`."""
-    sure, right = given.sure, given.right
+    """Figures of estimates: the calibration of p, and how many of those that are sure mislead, with
+    the interval of their share; of runs with the object that the filter assumes, the shares that
+    are found and sure, and that mislead, after `CONTACTS`."""
+    found, sure, misleading = given.found, given.sure, given.misleading
     radius_mm = given.radius_mm[sure]
     after = {k: given.of_object & (given.contact == k) for k in CONTACTS}
     return {
         "estimates": len(given),
-        "ece": calibration_error(reliability(given.p, right)),
+        "ece": calibration_error(reliability(given.p, found)),
         "sure": int(sure.sum()),
-        "wrong": int((sure & ~right).sum()),
-        **share("wrong", ~right[sure], "_rate"),
-        "beyond": int((sure & given.beyond).sum()),
-        **share("beyond", given.beyond[sure], "_rate"),
+        "misleading": int(misleading.sum()),
+        **share("misleading", misleading[sure], "_rate"),
         "radius_mm": round(float(np.median(radius_mm)), 3) if len(radius_mm) else None,
-        **{f"right_and_sure_{k}": _rate((right & sure)[mine]) for k, mine in after.items()},
-        **{f"wrong_and_sure_{k}": _rate((~right & sure)[mine]) for k, mine in after.items()},
+        **{f"found_and_sure_{k}": _rate((found & sure)[mine]) for k, mine in after.items()},
+        **{f"misleading_{k}": _rate(misleading[mine]) for k, mine in after.items()},
     }
 
 

@@ -17,7 +17,6 @@ from taxeld_training.jobs.statistics import of_count, of_mean, p_paired
 GRID = "grid"  # `proposal` of the grid filter's rows
 EXACT = "exact"  # `proposal` of the exact posterior's rows
 DISTANCES = "distances"  # distances of each reading, for intervals and paired tests
-SUCCESS_MM = 10.0  # symmetric ADD of the heaviest mode under which a trial has succeeded
 
 Row = Mapping[str, Any]
 Spread = tuple[float, float, float]  # median, best, worst
@@ -33,10 +32,10 @@ FIGURES = {  # heading → key of a sampler's row, and the format of its mean ov
     "speed-up warm": ("speedup_warm", "{:.0f} ×"),
 }
 SHARES = {  # heading → key of a row of trials
-    "success": "success_rate",
-    "flagged": "flagged_rate",
-    "silent at the end": "silent_failure_rate",
-    "silent at any contact": "silent_so_far_rate",
+    "found": "found_rate",
+    "sure": "sure_rate",
+    "misleading at the end": "misleading_rate",
+    "misleading at any contact": "misleading_so_far_rate",
 }
 
 
@@ -132,12 +131,12 @@ def sampler_table(rows: Sequence[Row]) -> str:
 
 def trial_table(rows: Sequence[Row]) -> str:
     """Filters in trials: each method over all conditions, and then under each, contact by contact:
-    success with its interval, and the median error."""
+    the share found with its interval, and the median error."""
     contacts = sorted({row["contact"] for row in rows})
     last = [row for row in rows if row["contact"] == contacts[-1]]
     shares: dict[str, Cell] = {"cells": lambda of: str(len(of))}
     shares |= {heading: partial(_pooled, key=key) for heading, key in SHARES.items()}
-    after = {f"after {contact}": partial(_success, contact=contact) for contact in contacts}
+    after = {f"after {contact}": partial(_found, contact=contact) for contact in contacts}
     both = [*({**row, "object": "all"} for row in last), *last]
     return "\n\n".join(
         [
@@ -200,14 +199,14 @@ def _pooled(rows: Sequence[Row], key: str) -> str:
     return f"{count / total:.1%} ({low:.1%} – {high:.1%})"
 
 
-def _success(rows: Sequence[Row], contact: int) -> str:
-    """Success and median error of the row of a contact."""
+def _found(rows: Sequence[Row], contact: int) -> str:
+    """The share found and the median error of the row of a contact."""
     mine = [row for row in rows if row["contact"] == contact]
     return ", ".join(_share(row) for row in mine)
 
 
 def _share(row: Row) -> str:
-    low, high = row["success_ci"]
-    text = f"{row['success_rate']:.0%} ({100 * low:.0f} – {100 * high:.0f})"
+    low, high = row["found_ci"]
+    text = f"{row['found_rate']:.0%} ({100 * low:.0f} – {100 * high:.0f})"
     error = row["map_mm"]["median"]
     return text if error is None else f"{text}, {error:.2g} mm"
