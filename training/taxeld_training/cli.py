@@ -37,9 +37,11 @@ EXPERIMENTS = (
     "recognise",
     "links",
     "prior",
+    "advice",
     "ablation",
     "push",
 )
+UNCELLED = ("frontier", "push", "recognise", "links", "prior", "advice")  # of no chosen cells
 SINGLE = ("proposals", "frontier", "recognise")  # experiments of one layout
 
 
@@ -257,6 +259,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     """
     from taxeld_training.filters import (
         ablation,
+        advised,
         experiment,
         linked,
         priors,
@@ -268,7 +271,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment in ("frontier", "push", "recognise", "links", "prior"):
+    if args.cells and args.experiment in UNCELLED:
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
     given["layouts"] = _layouts(args)
@@ -282,6 +285,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "recognise": recognise.recognise_rows,
         "links": linked.link_rows,
         "prior": priors.prior_rows,
+        "advice": advised.advice_rows,
         "ablation": ablation.ablation_rows,
         "push": push.run,
     }
