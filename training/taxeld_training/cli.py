@@ -32,6 +32,7 @@ EXPERIMENTS = (
     "proposals",
     "frontier",
     "filter",
+    "works",
     "stability",
     "reliability",
     "recognise",
@@ -267,6 +268,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         recognise,
         reliability,
         sampled,
+        works,
     )
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
@@ -280,6 +282,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "proposals": sampled.run if args.cells else evaluate.proposals,
         "frontier": evaluate.frontier,
         "filter": experiment.filter_rows,
+        "works": works.work_rows,
         "stability": experiment.stability_rows,
         "reliability": reliability.reliability_rows,
         "recognise": recognise.recognise_rows,
