@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from taxeld.arrays import Poses
 from taxeld_hil.integrity import Stanford
 from taxeld_training.cli import main
 from taxeld_training.filters import cells, priors, whole
@@ -118,6 +117,7 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
         "recognise",
         "links",
         "prior",
+        "advice",
         "ablation",
         "push",
     ],
@@ -145,6 +145,8 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
         ("push --cells noise", "--cells: push has no cells to choose from"),
         ("recognise --cells noise", "--cells: recognise has no cells to choose from"),
         ("recognise --objects 025_mug,999_none", "999_none: no such YCB object"),
+        ("advice --cells noise", "--cells: advice has no cells to choose from"),
+        ("advice --groups magic", "--groups: no 'magic'; there are any, random, "),
         ("links --cells noise", "--cells: links has no cells to choose from"),
         ("links --layout cylinder:rows=2,columns=8,radius_m=0.03,pitch_m=0.02", "takes two, not 1"),
         ("push --objects 016_pear", "016_pear has no shipped bundle"),

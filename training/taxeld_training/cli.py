@@ -38,10 +38,12 @@ EXPERIMENTS = (
     "recognise",
     "links",
     "prior",
+    "advice",
     "ablation",
     "push",
     "integrity",
 )
+UNCELLED = ("push", "recognise", "links", "prior", "advice")  # of no chosen cells
 SINGLE = ("proposals", "recognise")  # experiments of one layout
 
 
@@ -259,6 +261,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     """
     from taxeld_training.filters import (
         ablation,
+        advised,
         experiment,
         integrity,
         linked,
@@ -273,7 +276,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment in ("push", "recognise", "links", "prior"):
+    if args.cells and args.experiment in UNCELLED:
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
     given["layouts"] = _layouts(args)
@@ -289,6 +292,7 @@ def _evaluate(args: argparse.Namespace) -> int:
         "recognise": recognise.recognise_rows,
         "links": linked.link_rows,
         "prior": priors.prior_rows,
+        "advice": advised.advice_rows,
         "ablation": ablation.ablation_rows,
         "push": push.run,
     }

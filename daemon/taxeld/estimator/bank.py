@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from taxeld.arrays import Floats
+from taxeld.arrays import Floats, Poses
+from taxeld.estimator import injection
 from taxeld.estimator.estimate import MODES_MAX, Hypotheses, Target
 from taxeld.estimator.evidence import Odds, odds
 from taxeld.estimator.history import MOVED
@@ -19,6 +20,7 @@ from taxeld.estimator.mixture import Mixture
 from taxeld.estimator.rule import Draw, Rule
 from taxeld.estimator.runs import SWAPPED
 from taxeld.estimator.verdict import Verdict, status
+from taxeld.model import se2
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
 from taxeld.model.proposal import Proposal
@@ -43,6 +45,15 @@ class Known:
         """The object on a link, and samples of its contacts there."""
         return self.model.links[link], self.beside[link - 1] if link else self.proposal
 
+    def drawn(self, observation: Observation, n: int, rng: np.random.Generator) -> Poses:
+        """At most n poses (≤ n, 3) in the world that explain an observation by itself."""
+        model, proposal = self.on(observation.link)
+        poses = proposal.propose(observation.z, observation.live, n, rng)
+        poses = poses[np.isfinite(poses).all(axis=1)]
+        if len(poses):
+            poses = injection.project(model, poses)  # one step for samples that miss the object
+        return se2.compose(observation.sensor, poses)
+
 
 class Bank:
     """Beliefs about K objects, by the same rule."""
@@ -57,9 +68,9 @@ class Bank:
         self._best_before = np.zeros(len(rules))  # log evidence of the best when each was tried
         self._later: list[list[tuple[Observation, int]]] = [[] for _ in rules]  # not learned yet
         self._contact = self._touches = 0  # number of the last contact, and how many there were
-        self._mixtures = [rule for rule in rules if isinstance(rule, Mixture)]
-        for rule in self._mixtures:
-            rule.memory.readers = self._mixtures[0].memory.readers
+        self.mixtures = [rule for rule in rules if isinstance(rule, Mixture)]
+        for rule in self.mixtures:
+            rule.memory.readers = self.mixtures[0].memory.readers
         self.best = first
         self._weigh()
 
@@ -86,7 +97,7 @@ class Bank:
         """All so far, up to this contact, was felt by an earlier daemon: the object may have been
         moved since."""
         self._restarted = contact
-        for rule in self._mixtures:
+        for rule in self.mixtures:
             rule.memory.moves = {contact + 1: float(np.log(MOVED))}
 
     def modes(self) -> tuple[Mode, ...]:
@@ -122,7 +133,7 @@ class Bank:
         """Log-likelihood of a contact of this number by the likely objects, in relation to readings
         without an object."""
         likely = self.likely
-        told = [self._mixtures[k].expectation(observation, number) for k in likely]
+        told = [self.mixtures[k].expectation(observation, number) for k in likely]
         share = self.objects[likely] / self.objects[likely].sum()
         return float(np.logaddexp.reduce(np.array(told) + np.log(share)))
 
@@ -132,7 +143,7 @@ class Bank:
         """Poses of objects that explain some of the contacts in `scans`, a contact at a time: as
         `Mixture.explained`. This bank must be new."""
         for k in objects:
-            rule = self._mixtures[k]
+            rule = self.mixtures[k]
             rule.search(scans)
             for scan in np.flatnonzero(rule.memory.contact).tolist():
                 yield rule.explained(scan, self._draws[k])
@@ -176,7 +187,7 @@ class Bank:
 
     def tell(self, pose: ToldPose, contacts: int, of: Sequence[int]) -> bool:
         """Take a told pose of the objects `of`; → whether it says anything new."""
-        told = [rule.tell(pose, contacts) for k, rule in enumerate(self._mixtures) if k in of]
+        told = [rule.tell(pose, contacts) for k, rule in enumerate(self.mixtures) if k in of]
         self._weigh()
         return any(told)
 
@@ -223,10 +234,10 @@ class Bank:
     def _try(self, k: int) -> int:
         """Have an object explain the scans that it has not learned from; → the number of samples
         used."""
-        rule, later = self._mixtures[k], self._later[k]
+        rule, later = self.mixtures[k], self._later[k]
         self._later[k] = []
         if k in self.ruled_out or not later:
-            return rule.adopt(self._mixtures[self.best].memory, self._draws[k])
+            return rule.adopt(self.mixtures[self.best].memory, self._draws[k])
         return sum(rule.learn(*scan, self._draws[k])[0] for scan in later)
 
     def _weigh(self) -> None:
@@ -250,7 +261,7 @@ class Bank:
             self._followed = [k for k in self._followed if k not in self.ruled_out]
         any_known = float(np.logaddexp.reduce([one.log_z for one in each])) - np.log(len(each))
         share = self.objects / self.objects.sum()
-        for k, rule in enumerate(self._mixtures):
+        for k, rule in enumerate(self.mixtures):
             rule.share = float(share[k])
             if k not in untried:  # another object may have been here before
                 rule.log_z = float(np.logaddexp(each[k].log_z, any_known + SWAPPED))

@@ -12,7 +12,6 @@ import numpy as np
 
 from taxeld.arrays import Poses
 from taxeld.config.tables import FilterConfig, SensorPoseConfig
-from taxeld.estimator import injection
 from taxeld.estimator.bank import Bank, Known
 from taxeld.estimator.estimate import Estimate, ProposalKind, Status
 from taxeld.estimator.history import History, Used
@@ -23,7 +22,6 @@ from taxeld.estimator.paper import Paper
 from taxeld.estimator.rule import EstimatorCounters, Rule
 from taxeld.estimator.targets import Targets
 from taxeld.estimator.verdict import status
-from taxeld.model import se2
 from taxeld.model.activation import Activation
 from taxeld.model.lesson import Lesson
 from taxeld.model.observation import Observation, ObservationModel
@@ -219,14 +217,11 @@ class Estimator:
 
     def _draw(self, known: Known, observation: Observation, n: int) -> Poses:
         """At most n poses (≤ n, 3) in the world that explain an observation by itself."""
-        model, proposal = known.on(observation.link)
-        poses = proposal.propose(observation.z, observation.live, n, self._rng)
-        poses = poses[np.isfinite(poses).all(axis=1)]
-        if not len(poses):
-            return poses
-        self._kind = ProposalKind[proposal.name.upper()]
-        poses = injection.project(model, poses)  # one step for samples that miss the object
-        return se2.compose(observation.sensor, poses)
+        poses = known.drawn(observation, n, self._rng)
+        if len(poses):
+            proposal = known.on(observation.link)[1]
+            self._kind = ProposalKind[proposal.name.upper()]
+        return poses
 
     def _touches(self, link: int) -> bool:
         """Whether a link touches something, as far as is known: one that fell silent does not."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from taxeld.arrays import Bools, Floats, Grid, Index, Poses
 from taxeld.estimator.compiled import Scans, compiled
 from taxeld.estimator.offsets import HIDDEN, Readings
-from taxeld.estimator.reader import Kept, Reader
+from taxeld.estimator.reader import Kept, Reader, fields
 from taxeld.estimator.runs import HAZARD, MEANINGLESS, SWAPPED, Runs
 from taxeld.estimator.told import PriorTerm
 from taxeld.model.lesson import Lesson
@@ -286,6 +286,20 @@ class Memory:
     def explain_newest(self, poses: Poses) -> Floats:
         """log p(scan | pose) of the newest scan: poses (N, 3) → (N,)."""
         return self._explain(poses, len(self) - 1)[:, 0]
+
+    def foreseen(self, like: Observation, z: Floats, sensor: Poses, poses: Poses) -> Floats:
+        """log p(scan | pose) of scans that may come: activations z (S, M) at the sensor's poses (S,
+        3), of a skin in the state in which it was at `like`, and poses (N, 3) → (N, S)."""
+        floor, residue = (np.broadcast_to(each, len(like.z)) for each in (like.floor, like.residue))
+        kept = fields(z, like.live, floor, residue, like.noise or self._noise)
+        variance = np.full(len(z), self.slack.variance(np.zeros(1, np.intp))[0])
+        silent: Bools = z.max(axis=1) <= 0.0
+        code = self._compiled[like.link]
+        if code is None:
+            met = self._met(self._links[like.link], kept, sensor, variance, silent, poses)
+        else:
+            met = code.explain(code.scans(kept, sensor, variance, silent), poses)
+        return np.asarray(met + kept[Kept.SILENT].sum(axis=1, dtype=np.float64))
 
     def _explain(self, poses: Poses, since: int) -> Floats:
         """log p(scan | pose) of scans from number `since` on: poses (N, 3) → (N, K − since). Each

@@ -198,7 +198,7 @@ class Mixture:
         if not len(samples):  # none were asked for, or there is no time
             return 0
         self._revisits += 1
-        opinion = self._opinion(samples, scan)
+        opinion = self.opinion(samples, scan, self._rng)
         self._become(self._merged(opinion), moves=1)
         self._judge(opinions=1)
         return len(samples)
@@ -212,7 +212,7 @@ class Mixture:
             samples = drawn(draw, self.memory.scan(scan), self._config.injected)
             if not len(samples):
                 continue
-            opinion = self._opinion(samples, scan)
+            opinion = self.opinion(samples, scan, self._rng)
             self._become(self._merged(opinion) if used else opinion, moves=MOVES)
             used += len(samples)
         if not used:
@@ -241,7 +241,7 @@ class Mixture:
         samples = drawn(draw, memory.scan(scan), self._config.injected)
         remembered = np.empty((0, memory.terms))
         if len(samples):
-            remembered = self._opinion(samples, scan).remembered
+            remembered = self.opinion(samples, scan, self._rng).remembered
         touch, silence = memory.runs.apart(remembered)
         return touch[:, memory.runs.touched], silence.sum(axis=1)
 
@@ -327,14 +327,17 @@ class Mixture:
         """Merge the samples' (S, 3) opinion of the whole memory with the belief."""
         self._revisits = 0
         memory = self.memory
-        opinion = self._opinion(samples, len(memory) - 1)
+        opinion = self.opinion(samples, len(memory) - 1, self._rng)
         is_known = memory.prior is not None or bool(memory.told)
         if np.count_nonzero(memory.contact) > 1 or is_known:
             opinion = self._merged(opinion)
         self._become(opinion, moves=MOVES)
 
-    def _opinion(self, samples: Poses, scan: int) -> Belief:
-        """Samples (S, 3) of scan number `scan`, brought to explain the whole memory."""
+    def opinion(
+        self, samples: Poses, scan: int, rng: np.random.Generator, strictness: float = 1.0
+    ) -> Belief:
+        """Samples (S, 3) of scan number `scan`, brought to explain the whole memory; `strictness`:
+        power of its likelihood."""
         memory = self.memory
         alone = memory.only(np.arange(len(memory)) == scan, prior=False)
         own = np.zeros((memory.terms, 1))
@@ -344,12 +347,14 @@ class Mixture:
             """Log-density (N,) of poses by their own contact: explained is (N, terms)."""
             return alone.runs.support(explained @ own)
 
+        def all_of_it(explained: Floats) -> Floats:
+            """Log-density (N,) that the samples are brought to."""
+            return strictness * memory.runs.support(explained)
+
         samples = samples.copy()
-        samples[:, :2] += memory.slack_m(scan) * self._rng.standard_normal((len(samples), 2))
+        samples[:, :2] += memory.slack_m(scan) * rng.standard_normal((len(samples), 2))
         opinion = pf.equal(samples, memory.explain(samples))
-        return injection.anneal(
-            opinion, own_contact, memory.runs.support, memory.explain, self._rng, self._scale
-        )
+        return injection.anneal(opinion, own_contact, all_of_it, memory.explain, rng, self._scale)
 
     def _merged(self, opinion: Belief) -> Belief:
         """The belief merged with a second opinion. Samples know nothing of how the object slides,

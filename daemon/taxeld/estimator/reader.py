@@ -86,21 +86,26 @@ class Reader:
 
     def _read(self, z: Floats, live: Bools, floor: Floats, residue: Floats, noise: Noise) -> Told:
         """Evidence of activations z, live, floor and residue, each (M,)."""
-        pressed = z > 0.0
-        count = int(np.count_nonzero(z))
-        density = noise.log_density(z, np.zeros_like(z), floor, residue) * live
-        fields = np.empty((len(Kept), len(z)), np.float32)
-        fields[Kept.Z] = z
-        fields[Kept.LEVEL] = np.where(pressed, z, floor)
-        fields[Kept.RESIDUE] = residue
-        fields[Kept.ROOT] = live / np.sqrt(noise.variance(z) + residue**2)
-        fields[Kept.SIGMA2] = np.square(noise.sigma) + residue**2
-        fields[Kept.GAIN2] = np.square(noise.gain_cv)
-        fields[Kept.SAG] = noise.sag_m
-        fields[Kept.MOST] = noise.sag_m * np.exp(noise.sag_sd)
-        fields[Kept.SILENT] = density
-        fields[Kept.LOW] = np.where(z < 1.0, -FAR, 0.0)
-        fields[Kept.HIGH] = np.where(pressed, FAR, 0.0)
-        fields[Kept.LIVE] = live
-        untouched = float(fields[Kept.SILENT].sum(dtype=np.float64))
-        return Told(fields, untouched, untouched, count)
+        kept = fields(z, live, floor, residue, noise)
+        untouched = float(kept[Kept.SILENT].sum(dtype=np.float64))
+        return Told(kept, untouched, untouched, int(np.count_nonzero(z)))
+
+
+def fields(z: Floats, live: Bools, floor: Floats, residue: Floats, noise: Noise) -> Grid:
+    """The fields of activations z (…, M), with live, floor and residue, each (M,) → (FIELDS, …,
+    M)."""
+    pressed = z > 0.0
+    made = np.empty((len(Kept), *z.shape), np.float32)
+    made[Kept.Z] = z
+    made[Kept.LEVEL] = np.where(pressed, z, floor)
+    made[Kept.RESIDUE] = residue
+    made[Kept.ROOT] = live / np.sqrt(noise.variance(z) + residue**2)
+    made[Kept.SIGMA2] = np.square(noise.sigma) + residue**2
+    made[Kept.GAIN2] = np.square(noise.gain_cv)
+    made[Kept.SAG] = noise.sag_m
+    made[Kept.MOST] = noise.sag_m * np.exp(noise.sag_sd)
+    made[Kept.SILENT] = noise.log_density(z, np.zeros_like(z), floor, residue) * live
+    made[Kept.LOW] = np.where(z < 1.0, -FAR, 0.0)
+    made[Kept.HIGH] = np.where(pressed, FAR, 0.0)
+    made[Kept.LIVE] = live
+    return made

@@ -10,12 +10,14 @@ be amiss. They draw from a generator of their own, so a seed has the same touche
 conditions but those that choose among touches.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
+from taxeld.advice.advice import Approach
+from taxeld.advice.lines import Lines, travel
 from taxeld.arrays import Bools, Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.model import contacts, se2
@@ -44,7 +46,12 @@ RETREAT_M = (0.002, 0.01, 0.03)  # clearances after a press
 PRESSING = (0.25, 0.5, 0.75)  # shares of the press's depth, before it is held
 RELEASING = (0.67, 0.33)
 FREE = 6  # scans on the way around
+STEP_M = 0.01  # way between two scans of an advised approach
 CLEAR_M = 0.03  # least clearance on the way around
+
+
+Guide = Callable[[int], Approach | None]
+"""Number of a touch → how it is approached; None: by a press that knows where the object is."""
 
 
 class TrialScan(NamedTuple):
@@ -73,6 +80,7 @@ class Trial:
     seed: int
     touches: int = 8
     conditions: TrialConditions = field(default_factory=TrialConditions)
+    guide: Guide | None = None  # None: each press knows where the object is
 
     def __iter__(self) -> Iterator[TrialScan]:
         model, given = self.model, self.conditions
@@ -92,7 +100,12 @@ class Trial:
             nudge = nudged(given, model, press, extra)
             slips = given.slip_m * extra.standard_normal((given.scans, 3)) * (1.0, 1.0, 0.0)
             error = extra.standard_normal(3)
-            steps = way_of(press, model, given, slips)
+            approach = self.guide and self.guide(touch)
+            if approach is None:
+                steps = way_of(press, model, given, slips)
+            else:
+                nudge = se2.IDENTITY
+                steps = advised(approach, model, se2.compose(place, moved), slips)
             for step in (*around(model, before, steps[0].pose, twin), *steps):
                 t += step.after_s
                 truth = se2.compose(place, se2.compose(moved, step.gave * nudge))
@@ -182,6 +195,37 @@ def way_of(
         *(Waypoint(pose, SCAN_S, 1.0) for pose in press + slips[: given.scans]),
         *(Waypoint(pose, SCAN_S, 1.0) for pose in along(model, press, after)),
     ]
+
+
+def advised(
+    approach: Approach, model: ObservationModel, truth: Poses, slips: Poses
+) -> list[Waypoint]:
+    """From the beginning of an approach to an object at `truth` (3,), in the world, until the touch
+    is over; or to the approach's end, where it misses. The object stands. `slips` as of `way_of`.
+    """
+    ahead = np.append(approach.until[:2] - approach.before[:2], 0.0)
+    length_m = np.linalg.norm(ahead)
+    ahead /= length_m
+    line = Lines(
+        approach.link, approach.before[None], np.array([approach.direction]), np.array([length_m])
+    )
+    way = float(travel(line, model, truth[None])[0, 0])
+    if np.isinf(way):
+        moments = np.arange(0.0, length_m, STEP_M)
+        slips = slips[:0]
+    else:
+        far = np.arange(0.0, max(way - STEP_M, 0.0), STEP_M)
+        near = way - np.array([*APPROACH_M[-2:], *(-approach.depth_m * np.array(PRESSING))])
+        moments = np.concatenate([far, near])
+    back = way + np.concatenate([approach.depth_m * np.array(RELEASING), -np.array(RETREAT_M)])
+
+    def at(travel_m: Floats) -> Poses:
+        """(A, 3) poses of the object in the sensor frame after so much travel (A,)."""
+        return se2.compose(se2.inverse(approach.before + travel_m[:, None] * ahead), truth)
+
+    held = at(np.full(1, way + approach.depth_m)) + slips if len(slips) else slips
+    poses = [at(moments), held, at(back if len(slips) else moments[:0])]
+    return [Waypoint(pose, SCAN_S, 0.0) for pose in np.concatenate(poses)]
 
 
 def along(model: ObservationModel, press: Poses, clearance_m: Floats) -> Poses:

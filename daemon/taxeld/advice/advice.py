@@ -1,0 +1,200 @@
+"""Advice: the approaches that would tell most, found in pieces of work.
+
+Every line of a fan is judged by how far the link would get; the best of them also by what it would
+read (`outcomes`). An approach begins where no hypothesis is near, and the way there on the circle
+around them all is free as well, as far as the link reaches it.
+"""
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+
+from taxeld.advice import hypotheses, lines
+from taxeld.advice.hypotheses import Hypotheses
+from taxeld.advice.lines import Lines
+from taxeld.advice.outcomes import Outcomes, Told
+from taxeld.arrays import Floats, Poses
+from taxeld.config.tables import AdviceConfig
+from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.mixture import Mixture
+
+MOST = 3  # approaches of an advice
+AT_ONCE = 24  # lines whose travel is found in one piece of work
+LITTLE_M = 5e-4  # m: an estimate that is to become better by less is good enough
+
+
+@dataclass(frozen=True, slots=True)
+class Approach:
+    """A straight approach of one link. Poses are of its sensor, in the world."""
+
+    link: int
+    before: Poses  # (3,) where the approach begins
+    at: Poses  # (3,) where contact is expected
+    until: Poses  # (3,) where it ends if nothing was touched
+    direction: float  # of motion in the world [rad]
+    depth_m: float  # to go on once touched
+    p_sure: float  # expected probability that the estimate is sure afterwards
+    gain: float  # m by which the expected error becomes smaller than by the mean approach
+    p_touch: float  # probability that it touches anything
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """The best approaches after some contacts."""
+
+    contacts: int
+    approaches: tuple[Approach, ...]  # best first, at most MOST; none where none is free
+    is_enough: bool  # the estimate is sure, and no touch would tell more
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much work an advice is."""
+
+    own: int = 24  # hypotheses from the belief
+    fresh: int = 16  # hypotheses beside it
+    tried: int = 8  # lines that are judged by what would be read
+
+
+class Advisor:
+    """Advises by an estimator's belief about the first target."""
+
+    def __init__(
+        self, estimator: Estimator, config: AdviceConfig, effort: Effort | None = None
+    ) -> None:
+        """Raises SetupError where the estimator has the paper's rule, which remembers nothing."""
+        if not isinstance(estimator.rule, Mixture):
+            raise SetupError("advice.enabled: takes filter.injection = 'mixture'")
+        self._estimator, self._config = estimator, config
+        self._effort = effort or Effort()
+        self.advice: Advice | None = None  # of the last completed work
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew, as the belief has changed; advice that was given stays until there is new."""
+        self._work: Generator[None, None, Advice] | None = self._pieces()
+
+    @property
+    def is_busy(self) -> bool:
+        """Whether `step` has something to do."""
+        return self._work is not None
+
+    def step(self) -> bool:
+        """Do a piece of work; → whether there is new advice."""
+        if self._work is None:
+            return False
+        try:
+            next(self._work)
+        except StopIteration as done:
+            self.advice, self._work = done.value, None
+            return True
+        return False
+
+    def _pieces(self) -> Generator[None, None, Advice]:
+        estimator = self._estimator
+        contacts = estimator.estimate.contacts
+        rng = np.random.default_rng((estimator.config.seed, contacts))
+        effort = self._effort
+        found = yield from hypotheses.drawn(estimator, effort.own, effort.fresh, rng)
+        outcomes = Outcomes(estimator, found.weighed)
+        yield
+        judged: list[tuple[float, Approach]] = []
+        for link in range(len(estimator.model.links)):
+            judged += yield from self._judged(found, outcomes, link)
+        judged.sort(key=lambda each: each[0])
+        best = tuple(approach for _, approach in judged[:MOST])
+        is_sure = estimator.estimate.status == Status.CONVERGED
+        is_enough = is_sure and (not judged or outcomes.now_m - judged[0][0] < LITTLE_M)
+        return Advice(contacts, best, is_enough)
+
+    def _judged(
+        self, of: Hypotheses, outcomes: Outcomes, link: int
+    ) -> Generator[None, None, list[tuple[float, Approach]]]:
+        """The expected errors that are left, and the approaches, of a link's best lines."""
+        fan, free, ways, left = self.fan(of, link), list[Lines](), list[Floats](), list[Floats]()
+        for at in range(0, len(fan), AT_ONCE):
+            some, way = self.free(fan.only(slice(at, at + AT_ONCE)), of)
+            yield
+            free.append(some)
+            ways.append(way)
+            left.append(outcomes.by_travel(way[:, of.modes :]).loss_m)
+            yield
+        loss = np.concatenate([np.empty(0), *left])
+        where = [(block, row) for block, some in enumerate(free) for row in range(len(some))]
+        judged = []
+        for c in np.argsort(loss)[: self._effort.tried].tolist():
+            block, row = where[c]
+            line, way = free[block].only(slice(row, row + 1)), ways[block][row]
+            told = outcomes.by_reading(line, way[of.modes :], self._depth_m(link))
+            judged.append(
+                (
+                    float(told.loss_m[0]),
+                    self._approach(line, way, of, told, float(loss.mean())),
+                )
+            )
+            yield
+        return judged
+
+    def fan(self, of: Hypotheses, link: int) -> Lines:
+        """All lines of a link, about the middle of the hypotheses."""
+        estimator, config = self._estimator, self._config
+        centre = np.empty((len(of.weight), 2))
+        size = np.empty(len(of.weight))
+        for k in of.objects:
+            own = of.object == k
+            centre[own] = estimator.bank.rules[k].metric.centres(of.pose[own])
+            model = estimator.known[k].model.links[link]
+            size[own] = model.scene.size + model.layout.radius_m
+        middle = of.weight @ centre
+        around_m = float((np.linalg.norm(centre - middle, axis=1) + size).max())
+        return lines.fan(
+            config, self._box, estimator.model, link, middle, around_m + config.clearance_m
+        )
+
+    def free(self, some: Lines, of: Hypotheses) -> tuple[Lines, Floats]:
+        """Those of C lines that begin clear of all hypotheses and touch one, and how far the link
+        gets on each (F, K)."""
+        way = np.empty((len(some), len(of.weight)))
+        gap = np.empty_like(way)
+        for k in of.objects:
+            own, model = of.object == k, self._estimator.known[k].model
+            gap[:, own] = lines.gap_before(some, model, of.pose[own])
+            way[:, own] = lines.travel(some, model, of.pose[own])
+        is_clear = (gap >= self._config.clearance_m).all(axis=1)
+        kept = np.flatnonzero(is_clear & np.isfinite(way).any(axis=1))
+        return some.only(kept), way[kept]
+
+    @property
+    def _box(self) -> Floats:
+        """(2, 2) lower and upper corner of where sensors may be."""
+        config, reach = self._estimator.config, self._config.reach_m
+        if reach:
+            return np.array(reach).reshape(2, 2).T
+        corner = np.array(config.centre_m)
+        return np.stack([corner - config.half_width_m, corner + config.half_width_m])
+
+    def _depth_m(self, link: int) -> float:
+        return min(self._config.depth_m, self._estimator.model.links[link].depth_max_m)
+
+    def _approach(
+        self, line: Lines, way: Floats, of: Hypotheses, told: Told, mean_m: float
+    ) -> Approach:
+        touched = np.flatnonzero(np.isfinite(way))
+        modes = touched[touched < of.modes]
+        at = modes[0] if len(modes) else touched[of.weight[touched].argmax()]
+        end = min(float(way[touched].max()) + lines.PAST_M, float(line.length_m[0]))
+        before, there, until = line.after_each(np.array([0.0, way[at], end]))
+        return Approach(
+            line.link,
+            before,
+            there,
+            until,
+            float(line.direction[0]),
+            self._depth_m(line.link),
+            float(told.sure[0]) * (1.0 - self._estimator.estimate.hypotheses.other),
+            mean_m - float(told.loss_m[0]),
+            float(of.weight[touched].sum()),
+        )

@@ -1,0 +1,108 @@
+"""What an approach would tell: which hypotheses its outcome would leave.
+
+An outcome is how far the link gets until it touches, or that it touches nothing, and what it then
+reads. Each hypothesis is taken for the truth in turn; the others are weighed by the outcome that it
+would have.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from taxeld.advice.hypotheses import Hypotheses
+from taxeld.advice.lines import Lines
+from taxeld.arrays import Floats, Index, Poses
+from taxeld.estimator.estimate import SURE
+from taxeld.estimator.estimator import Estimator
+from taxeld.model import se2
+from taxeld.model.observation import Observation
+
+USELESS_M = 0.04  # m: an estimate that is farther off is of no use, however far
+TRAVEL_SD_M = 0.002  # m: foam, shape and robot make a touch come so much sooner or later
+LEAST = -8.0  # nats: least log-likelihood of an outcome, as nothing is certain
+
+
+class Told(NamedTuple):
+    """What C approaches would leave."""
+
+    loss_m: Floats  # (C,) expected distance between estimate and object, USELESS_M at most
+    sure: Floats  # (C,) probability that a mode is left that holds nearly all
+
+
+class Outcomes:
+    """Outcomes under hypotheses of one belief."""
+
+    def __init__(self, estimator: Estimator, of: Hypotheses) -> None:
+        self._estimator, self._of = estimator, of
+        self._apart = _apart(estimator, of)
+        self._near = (self._apart < estimator.config.within_m).astype(np.float64)
+        self.now_m = float((self._apart @ of.weight).min())  # expected error as it is [m]
+
+    def by_travel(self, travel_m: Floats) -> Told:
+        """By the travel (C, K) until something is touched alone."""
+        return self._left(np.exp(_met(travel_m)))
+
+    def by_reading(self, line: Lines, travel_m: Floats, depth_m: float) -> Told:
+        """By the travel (K,) on one line, and by what is read `depth_m` farther on."""
+        told = _met(travel_m[None])[0]  # (truth, K)
+        hit = np.flatnonzero(np.isfinite(travel_m))
+        if len(hit):
+            sensor = line.after_each(travel_m[hit] + depth_m)
+            told[hit] += self._read(line.link, hit, sensor)
+        told = np.maximum(told - told.max(axis=1, keepdims=True), 2.0 * LEAST)
+        return self._left(np.exp(told)[None])
+
+    def _read(self, link: int, hit: Index, sensor: Poses) -> Floats:
+        """(H, K) log-likelihoods of what would be read at sensor poses (H, 3), if the object were
+        where hypotheses number `hit` (H,) have it, by all hypotheses."""
+        of, estimator = self._of, self._estimator
+        like = _like(estimator, link)
+        z = np.zeros((len(hit), len(like.z)))
+        for k in of.objects:
+            own = of.object[hit] == k
+            seen = se2.compose(se2.inverse(sensor[own]), of.pose[hit[own]])
+            z[own] = estimator.known[k].model.links[link].activation(seen)
+        z *= (z >= like.floor) & like.live
+        told = np.empty((len(hit), len(of.weight)))
+        for k in of.objects:
+            own, memory = of.object == k, estimator.bank.mixtures[k].memory
+            told[:, own] = memory.foreseen(like, z, sensor, of.pose[own]).T
+        return told
+
+    def _left(self, likelihood: Floats) -> Told:
+        """What outcomes of `likelihood` (C, truth, K) would leave."""
+        weight = self._of.weight
+        left = likelihood * weight
+        left /= left.sum(axis=2, keepdims=True)
+        off = left @ self._apart  # (C, truth, K) expected distance from each hypothesis
+        best = off.argmin(axis=2)
+        loss = np.take_along_axis(off, best[:, :, None], axis=2)[:, :, 0]
+        within = (left * self._near[best]).sum(axis=2)
+        return Told(loss @ weight, (within >= SURE) @ weight)
+
+
+def _met(travel_m: Floats) -> Floats:
+    """(C, truth, K) log-likelihoods of the travel (C, K) that each hypothesis would have."""
+    far = np.where(np.isfinite(travel_m), travel_m, 1e3)
+    off = (far[:, :, None] - far[:, None, :]) / TRAVEL_SD_M
+    return np.maximum(-0.5 * off * off, LEAST)
+
+
+def _apart(estimator: Estimator, of: Hypotheses) -> Floats:
+    """(K, K) distances between hypotheses [m]; another object is USELESS_M off."""
+    made = np.full((len(of.weight), len(of.weight)), USELESS_M)
+    for k in of.objects:
+        own = np.flatnonzero(of.object == k)
+        pose, metric = of.pose[own], estimator.bank.rules[k].metric
+        apart = metric.distance(pose[:, None], pose[None])
+        made[np.ix_(own, own)] = np.minimum(apart, USELESS_M)
+    return made
+
+
+def _like(estimator: Estimator, link: int) -> Observation:
+    """A silent scan of a link: its last one, or else what its skin is known for."""
+    for observation, _ in reversed(estimator.history.scans):
+        if observation.link == link and not observation.is_contact:
+            return observation
+    taxels = len(estimator.model.links[link].layout)
+    return Observation(se2.IDENTITY, np.zeros(taxels), np.ones(taxels, np.bool_), link=link)
