@@ -30,7 +30,8 @@ def advise(
     Raises:
         SetupError: the endpoint is none, a key cannot be used, or a stream of another version.
     """
-    heard, before, until_s = False, list[Any](), time.monotonic() + ANSWER_S
+    heard, until_s = False, time.monotonic() + ANSWER_S
+    before: list[dict[str, Any]] | None = None
     topics = messages.INFO, messages.ADVICE
     with contextlib.closing(Subscriber(endpoint, keys, topics)) as streams:
         while (follow and heard) or time.monotonic() < until_s:
@@ -50,8 +51,9 @@ def advise(
 
 def lines(message: dict[str, Any]) -> Iterator[str]:
     """Lines for a person, from the map of `/taxeld/advice`."""
-    after = f"after {message['contacts']} contacts"
-    yield f"{after}: no touch would tell more" if message["enough"] else f"{after}, best first:"
+    free = ", best first:" if message["approaches"] else ": no approach is free"
+    says = ": no touch would tell more" if message["enough"] else free
+    yield f"after {message['contacts']} contacts{says}"
     for number, one in enumerate(message["approaches"], 1):
         of = f" with {one['name']}" if one["name"] else ""
         yield f"{number}. from {_pose(one['before'])}{of}"
@@ -59,7 +61,7 @@ def lines(message: dict[str, Any]) -> Iterator[str]:
         yield f"   along {along:.0f}°, until {_place(one['until'])} at most"
         yield f"   contact expected at {_place(one['at'])}; then press {deep:.1f} mm"
         chances = f"touches {one['p_touch']:.0%}, sure afterwards {one['p_sure']:.0%}"
-        yield f"   {chances}, gain {one['gain']:.3g}"
+        yield f"   {chances}, gain {1e3 * one['gain']:.1f} mm"
 
 
 def _place(pose: dict[str, float]) -> str:
