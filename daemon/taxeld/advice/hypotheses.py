@@ -15,8 +15,8 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.particles import Belief
 
-OWN, FRESH = 32, 24  # hypotheses from the belief, and beside it
-DOUBT = 0.2  # weight of all that are beside it
+OWN, FRESH = 24, 16  # hypotheses from the belief, and beside it
+DOUBT = 0.5  # weight of all that are beside it, at most: as much as the estimate is in doubt
 TEMPER = 0.3  # power of the likelihood by which these are drawn
 GROUPS, GROUP = 3, 32  # of samples, and how many are brought there at once
 
@@ -42,6 +42,7 @@ def drawn(estimator: Estimator, rng: np.random.Generator) -> Generator[None, Non
     bank = estimator.bank
     likely = bank.likely
     share = bank.objects[likely] / bank.objects[likely].sum()
+    doubt = min(1.0 - estimator.estimate.p, DOUBT)
     poses, numbers, weights = [], [], []
 
     def add(k: int, belief: Belief, n: int, weight: float) -> None:
@@ -51,11 +52,11 @@ def drawn(estimator: Estimator, rng: np.random.Generator) -> Generator[None, Non
         weights.append(np.full(n, weight / n))
 
     for k, of in zip(likely, share.tolist(), strict=True):
-        add(k, bank.rules[k].belief, round(OWN * of), of)
+        add(k, bank.rules[k].belief, round(OWN * of), (1.0 - doubt) * of)
         fresh = yield from _fresh(estimator, k, rng)
         if fresh is not None:
             # as likely as the belief is wrong, whichever object it is of
-            add(k, fresh, FRESH // len(likely), DOUBT / len(likely))
+            add(k, fresh, FRESH // len(likely), doubt / len(likely))
     modes = estimator.estimate.modes
     weight = np.concatenate(weights)
     return Hypotheses(

@@ -11,9 +11,10 @@ from taxeld.model.observation import ObservationModel
 
 FAN = 24  # directions, where none are named
 BESIDE = 9  # lines of each direction, where no offsets are named
-EXACT_M = 2e-4  # m: so near is touched
-STEP_M = 5e-4  # m: shortest step along a line
-STEPS_MAX = 40
+FELT_M = 1e-3  # m: a press that is felt, wherever the nearest taxel is
+EXACT_M = 3e-4  # m: so near is touched
+STEP_M = 1e-3  # m: shortest step along a line
+STEPS_MAX = 24
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +90,13 @@ def _turned(config: AdviceConfig, yaw: Floats) -> Floats:
 
 
 def travel(lines: Lines, model: ObservationModel, poses: Poses) -> Floats:
-    """(C, K) how far the link goes on C lines until it touches an object at poses (K, 3); inf where
+    """(C, K) how far the link goes on C lines until it feels an object at poses (K, 3); inf where
     it passes by."""
     link = model.links[lines.link]
     scene, radius_m = link.scene, link.layout.radius_m
     x, y, dx, dy = _seen(lines, poses)
     # the link is near the object within a circle about it
-    far, nx, ny = scene.size + radius_m, x - scene.centre[0], y - scene.centre[1]
+    far, nx, ny = scene.size + radius_m - FELT_M, x - scene.centre[0], y - scene.centre[1]
     ahead = -(nx * dx + ny * dy)
     square = far * far - (nx * nx + ny * ny - ahead * ahead)
     half = np.sqrt(np.maximum(square, 0.0))
@@ -108,7 +109,7 @@ def travel(lines: Lines, model: ObservationModel, poses: Poses) -> Floats:
         x, y, dx, dy, way, last = left
         if not len(way):
             break
-        gap = _gap(link, x + way * dx, y + way * dy)
+        gap = _gap(link, x + way * dx, y + way * dy) + FELT_M
         touched = gap < EXACT_M
         found.flat[at[touched]] = way[touched]
         left[4] += np.maximum(gap, STEP_M)
