@@ -25,6 +25,7 @@ lint: .venv/.all
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python tests/lines.py
 	$(BIN)/python tests/words.py
+	$(BIN)/python tests/figures.py
 
 # The documentation as a site in .venv/site; a link that leads nowhere ends it
 docs: .venv/.docs

@@ -32,14 +32,17 @@ EXPERIMENTS = (
     "proposals",
     "frontier",
     "filter",
+    "works",
     "stability",
     "reliability",
     "recognise",
     "links",
     "prior",
+    "advice",
     "ablation",
     "push",
 )
+UNCELLED = ("frontier", "push", "recognise", "links", "prior", "advice")  # of no chosen cells
 SINGLE = ("proposals", "frontier", "recognise")  # experiments of one layout
 
 
@@ -257,6 +260,7 @@ def _evaluate(args: argparse.Namespace) -> int:
     """
     from taxeld_training.filters import (
         ablation,
+        advised,
         experiment,
         linked,
         priors,
@@ -264,11 +268,12 @@ def _evaluate(args: argparse.Namespace) -> int:
         recognise,
         reliability,
         sampled,
+        works,
     )
     from taxeld_training.jobs.options import Options
     from taxeld_training.samplers import evaluate
 
-    if args.cells and args.experiment in ("frontier", "push", "recognise", "links", "prior"):
+    if args.cells and args.experiment in UNCELLED:
         raise SetupError(f"--cells: {args.experiment} has no cells to choose from")
     given = {k: v for k, v in vars(args).items() if k in Options.__dataclass_fields__}
     given["layouts"] = _layouts(args)
@@ -277,11 +282,13 @@ def _evaluate(args: argparse.Namespace) -> int:
         "proposals": sampled.run if args.cells else evaluate.proposals,
         "frontier": evaluate.frontier,
         "filter": experiment.filter_rows,
+        "works": works.work_rows,
         "stability": experiment.stability_rows,
         "reliability": reliability.reliability_rows,
         "recognise": recognise.recognise_rows,
         "links": linked.link_rows,
         "prior": priors.prior_rows,
+        "advice": advised.advice_rows,
         "ablation": ablation.ablation_rows,
         "push": push.run,
     }

@@ -22,10 +22,8 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
 
 MOST = 3  # approaches of an advice
-TRIED = 8  # lines that are judged by what would be read
 AT_ONCE = 24  # lines whose travel is found in one piece of work
 LITTLE_M = 5e-4  # m: an estimate that is to become better by less is good enough
-PAST_M = 0.01  # m behind the last hypothesis at which an approach ends
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +50,26 @@ class Advice:
     is_enough: bool  # the estimate is sure, and no touch would tell more
 
 
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much work an advice is."""
+
+    own: int = 24  # hypotheses from the belief
+    fresh: int = 16  # hypotheses beside it
+    tried: int = 8  # lines that are judged by what would be read
+
+
 class Advisor:
     """Advises by an estimator's belief about the first target."""
 
-    def __init__(self, estimator: Estimator, config: AdviceConfig) -> None:
+    def __init__(
+        self, estimator: Estimator, config: AdviceConfig, effort: Effort | None = None
+    ) -> None:
         """Raises SetupError where the estimator has the paper's rule, which remembers nothing."""
         if not isinstance(estimator.rule, Mixture):
             raise SetupError("advice.enabled: takes filter.injection = 'mixture'")
         self._estimator, self._config = estimator, config
+        self._effort = effort or Effort()
         self.advice: Advice | None = None  # of the last completed work
         self.begin()
 
@@ -87,8 +97,9 @@ class Advisor:
         estimator = self._estimator
         contacts = estimator.estimate.contacts
         rng = np.random.default_rng((estimator.config.seed, contacts))
-        found = yield from hypotheses.drawn(estimator, rng)
-        outcomes = Outcomes(estimator, found)
+        effort = self._effort
+        found = yield from hypotheses.drawn(estimator, effort.own, effort.fresh, rng)
+        outcomes = Outcomes(estimator, found.weighed)
         yield
         judged: list[tuple[float, Approach]] = []
         for link in range(len(estimator.model.links)):
@@ -109,15 +120,15 @@ class Advisor:
             yield
             free.append(some)
             ways.append(way)
-            left.append(outcomes.by_travel(way).loss_m)
+            left.append(outcomes.by_travel(way[:, of.modes :]).loss_m)
             yield
         loss = np.concatenate([np.empty(0), *left])
         where = [(block, row) for block, some in enumerate(free) for row in range(len(some))]
         judged = []
-        for c in np.argsort(loss)[:TRIED].tolist():
+        for c in np.argsort(loss)[: self._effort.tried].tolist():
             block, row = where[c]
             line, way = free[block].only(slice(row, row + 1)), ways[block][row]
-            told = outcomes.by_reading(line, way, self._depth_m(link))
+            told = outcomes.by_reading(line, way[of.modes :], self._depth_m(link))
             judged.append(
                 (
                     float(told.loss_m[0]),
@@ -174,7 +185,7 @@ class Advisor:
         touched = np.flatnonzero(np.isfinite(way))
         modes = touched[touched < of.modes]
         at = modes[0] if len(modes) else touched[of.weight[touched].argmax()]
-        end = min(float(way[touched].max()) + PAST_M, float(line.length_m[0]))
+        end = min(float(way[touched].max()) + lines.PAST_M, float(line.length_m[0]))
         before, there, until = line.after_each(np.array([0.0, way[at], end]))
         return Approach(
             line.link,

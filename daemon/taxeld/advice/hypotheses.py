@@ -15,7 +15,6 @@ from taxeld.estimator import particles as pf
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.particles import Belief
 
-OWN, FRESH = 24, 16  # hypotheses from the belief, and beside it
 DOUBT = 0.5  # weight of all that are beside it, at most: as much as the estimate is in doubt
 TEMPER = 0.3  # power of the likelihood by which these are drawn
 GROUPS, GROUP = 3, 32  # of samples, and how many are brought there at once
@@ -32,13 +31,22 @@ class Hypotheses:
     modes: int
 
     @property
+    def weighed(self) -> "Hypotheses":
+        """All but the modes."""
+        return Hypotheses(
+            self.pose[self.modes :], self.object[self.modes :], self.weight[self.modes :], 0
+        )
+
+    @property
     def objects(self) -> list[int]:
         """The numbers of all objects among them."""
         return sorted(set(self.object.tolist()))
 
 
-def drawn(estimator: Estimator, rng: np.random.Generator) -> Generator[None, None, Hypotheses]:
-    """Hypotheses of the present belief, in steps."""
+def drawn(
+    estimator: Estimator, own: int, fresh: int, rng: np.random.Generator
+) -> Generator[None, None, Hypotheses]:
+    """Hypotheses of the present belief, in steps: `own` of its particles, and `fresh` ones."""
     bank = estimator.bank
     likely = bank.likely
     share = bank.objects[likely] / bank.objects[likely].sum()
@@ -52,11 +60,11 @@ def drawn(estimator: Estimator, rng: np.random.Generator) -> Generator[None, Non
         weights.append(np.full(n, weight / n))
 
     for k, of in zip(likely, share.tolist(), strict=True):
-        add(k, bank.rules[k].belief, round(OWN * of), (1.0 - doubt) * of)
-        fresh = yield from _fresh(estimator, k, rng)
-        if fresh is not None:
+        add(k, bank.rules[k].belief, round(own * of), (1.0 - doubt) * of)
+        other = yield from _fresh(estimator, k, rng)
+        if other is not None:
             # as likely as the belief is wrong, whichever object it is of
-            add(k, fresh, FRESH // len(likely), doubt / len(likely))
+            add(k, other, fresh // len(likely), doubt / len(likely))
     modes = estimator.estimate.modes
     weight = np.concatenate(weights)
     return Hypotheses(

@@ -11,6 +11,7 @@ from taxeld.model.observation import ObservationModel
 
 FAN = 24  # directions, where none are named
 BESIDE = 9  # lines of each direction, where no offsets are named
+PAST_M = 0.01  # m behind the last hypothesis at which an approach ends
 FELT_M = 1e-3  # m: a press that is felt, wherever the nearest taxel is
 EXACT_M = 3e-4  # m: so near is touched
 STEP_M = 1e-3  # m: shortest step along a line

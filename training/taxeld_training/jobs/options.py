@@ -23,6 +23,7 @@ DECIDES = (  # code and bundles that decide the results of jobs
     "taxeld/skin/foam.py",
     "taxeld/proposals/*.py",
     "taxeld/estimator/*.py",
+    "taxeld/advice/*.py",
     "taxeld/bundles/*/bundle.json",  # each names the SHA-256 of all files beside it
     "taxeld_hil/scenario/mesh_config.py",
     "taxeld_hil/objects/*.py",

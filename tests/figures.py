@@ -1,0 +1,115 @@
+"""Figures of the pages come from docs/results: a block of a page holds what its JSON says.
+
+    python tests/figures.py           fails where a page and its JSON disagree
+    python tests/figures.py --write   writes the blocks anew
+
+A block stands between `<!-- figures: NAME -->` and `<!-- end of figures -->`.
+"""
+
+import json
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+BLOCK = re.compile(r"(<!-- figures: (\S+) -->\n)(.*?)(<!-- end of figures -->)", re.DOTALL)
+AFTER = (3, 6, 8)  # touches that pages show
+
+Rows = list[dict[str, Any]]
+Line = list[str]
+
+
+def rows_of(name: str) -> Rows:
+    return list(json.loads((DOCS / "results" / f"{name}.json").read_text(encoding="utf-8")))
+
+
+def table(heads: Line, lines: list[Line]) -> str:
+    """A table in Markdown."""
+    return "\n".join(f"| {' | '.join(line)} |" for line in [heads, ["---"] * len(heads), *lines])
+
+
+def word(name: str) -> str:
+    """003_cracker_box → cracker box."""
+    return re.sub(r"^\d+(-\w)?_", "", name).replace("_", " ")
+
+
+def share(count: int, of: int) -> str:
+    """35 of 40 → 88 %, which is never rounded to all or none."""
+    rounded = round(100 * count / of)
+    if 0 < count < of:
+        rounded = min(max(rounded, 1), 99)
+    return f"{rounded} %"
+
+
+def works(skin: str) -> Callable[[], str]:
+    """An object a line, on one skin, after few and many touches."""
+
+    def made() -> str:
+        own = [row for row in rows_of("works") if row["skin"] == skin]
+        of = {(row["object"], row["touches"]): row for row in own}
+        lines = []
+        for name in dict.fromkeys(row["object"] for row in own):
+            after = [of[name, touches] for touches in AFTER]
+            each = [of[name, touches] for touches in range(1, max(AFTER) + 1)]
+            sure = sum(row["sure"] for row in each)
+            misleading = sum(row["misleading"] for row in each)
+            lines.append(
+                [
+                    word(name),
+                    *(f"{row['median_mm']:.1f} ({row['q90_mm']:.0f})" for row in after),
+                    *(share(row["found"], row["trials"]) for row in after),
+                    *(share(row["sure"], row["trials"]) for row in after),
+                    f"{misleading} of {sure + misleading}",
+                ]
+            )
+        heads = ["object", *(f"mm after {n}" for n in AFTER), *(f"found, {n}" for n in AFTER)]
+        return table([*heads, *(f"sure, {n}" for n in AFTER), "misleading"], lines)
+
+    return made
+
+
+def most_misleading() -> str:
+    """All of `works` in one line."""
+    rows = rows_of("works")
+    wrong, sure = (sum(row[key] for row in rows) for key in ("misleading", "sure"))
+    return f"Over all rows {wrong} of {sure + wrong} sure estimates mislead."
+
+
+FIGURES: dict[str, Callable[[], str]] = {
+    "works-typical": works("typical"),
+    "works-poor": works("poor"),
+    "works-exact": works("exact"),
+    "works-robot": works("robot errs by 2 mm"),
+    "works-misleading": most_misleading,
+}
+
+
+def filled(page: str) -> str:
+    """A page with its blocks as the JSON has them.
+
+    Raises:
+        KeyError: no figures are called so.
+    """
+    return BLOCK.sub(lambda at: f"{at[1]}{FIGURES[at[2]]()}\n{at[4]}", page)
+
+
+def main(arguments: list[str]) -> int:
+    stale = 0
+    for page in [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]:
+        text = page.read_text(encoding="utf-8")
+        now = filled(text)
+        if now == text:
+            continue
+        if arguments == ["--write"]:
+            page.write_text(now, encoding="utf-8")
+        else:
+            stale += 1
+            print(f"{page.relative_to(ROOT)}: not what its JSON says: tests/figures.py --write")
+    return stale > 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

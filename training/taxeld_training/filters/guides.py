@@ -1,0 +1,89 @@
+"""Guides of trials: who says where the next touch is made. All but `any` know the belief alone."""
+
+import time
+from typing import NamedTuple
+
+import numpy as np
+
+from taxeld.advice import hypotheses
+from taxeld.advice.advice import Advisor, Approach, Effort
+from taxeld.advice.lines import PAST_M, Lines
+from taxeld.arrays import Floats
+from taxeld.config.tables import AdviceConfig
+from taxeld.estimator.estimator import Estimator
+from taxeld.model import se2
+
+ANY = "any"  # presses that know where the object is, from a random side
+RANDOM = "random"  # any line of those that advice chooses from
+OPPOSITE = "opposite"  # through the belief's middle, each from the side opposite to the last
+ADVICE = "advice"
+ALL_LINES = "exhaustive"  # advice with every line judged by what would be read, and more hypotheses
+GUIDES = (ANY, RANDOM, OPPOSITE, ADVICE, ALL_LINES)
+EFFORTS = {ALL_LINES: Effort(own=48, fresh=32, tried=1000)}
+
+
+class Cost(NamedTuple):
+    """Processor time of an advice [ms]."""
+
+    all_ms: float
+    worst_ms: float  # of its longest piece
+
+
+class Guide:
+    """Guides the touches of one trial by an estimator's belief."""
+
+    def __init__(self, name: str, estimator: Estimator, seed: int) -> None:
+        """`name`: of `GUIDES`."""
+        self._name, self._estimator = name, estimator
+        self._effort = EFFORTS.get(name, Effort())
+        self._advisor = Advisor(estimator, AdviceConfig(), self._effort)
+        self._rng = np.random.default_rng((seed, 9))
+        self._direction = 0.0  # of the last approach
+        self.costs: list[Cost] = []
+
+    def __call__(self, touch: int) -> Approach | None:
+        """The first touch is the same under all guides: it finds the object."""
+        if touch == 0 or self._name == ANY:
+            return None
+        return self._line() if self._name in (RANDOM, OPPOSITE) else self._advised()
+
+    def _advised(self) -> Approach | None:
+        self._advisor.begin()
+        took, done = [], False
+        while not done:
+            began_s = time.process_time()
+            done = self._advisor.step()
+            took.append(1e3 * (time.process_time() - began_s))
+        self.costs.append(Cost(sum(took), max(took)))
+        advice = self._advisor.advice
+        return advice.approaches[0] if advice and advice.approaches else None
+
+    def _line(self) -> Approach | None:
+        work = hypotheses.drawn(self._estimator, self._effort.own, self._effort.fresh, self._rng)
+        while True:
+            try:
+                next(work)
+            except StopIteration as done:
+                found = done.value
+                break
+        fan = self._advisor.fan(found, 0)
+        free, ways = self._advisor.free(fan, found)
+        if not len(free):
+            return None
+        at = int(self._rng.integers(len(free)))
+        if self._name == OPPOSITE:
+            turn = se2.wrap(free.direction - self._direction - np.pi)
+            off = free.start[:, :2] - found.weight @ found.pose[:, :2]
+            aside = np.cos(free.direction) * off[:, 1] - np.sin(free.direction) * off[:, 0]
+            at = int(np.lexsort((np.abs(aside), np.abs(turn).round(3)))[0])
+        self._direction = float(free.direction[at])
+        return _approach(free.only(slice(at, at + 1)), ways[at])
+
+
+def _approach(line: Lines, way: Floats) -> Approach:
+    """An approach on a single line that hypotheses are touched on after `way` (K,)."""
+    touched = way[np.isfinite(way)]
+    end = min(float(touched.max()) + PAST_M, float(line.length_m[0]))
+    before, at, until = line.after_each(np.array([0.0, float(touched.min()), end]))
+    depth_m, direction = AdviceConfig().depth_m, float(line.direction[0])
+    return Approach(line.link, before, at, until, direction, depth_m, 0.0, 0.0, 0.0)
