@@ -158,7 +158,9 @@ def test_advice_that_holds_is_told_again_for_who_comes_later(touches: Touches) -
 
 def test_what_is_told_is_what_was_advised() -> None:
     advice = Advice(3, (approach(),), is_enough=True)
-    again = messages.advice_of(messages.advice(advice, 7.0, 1, ["arm"]))
+    message = messages.advice(advice, 7.0, 1, ["arm", "wrist"])
+    assert message["approaches"][0]["name"] == "arm"
+    again = messages.advice_of(message)
     assert (again.contacts, again.is_enough) == (3, True)
     for name in Approach.__slots__:
         assert np.array_equal(getattr(again.approaches[0], name), getattr(approach(), name))
