@@ -10,6 +10,8 @@ import msgpack
 import pytest
 import zmq
 
+from taxeld.commands import check
+from taxeld.config.file import parse
 from taxeld.stream import messages
 from taxeld.view import advise
 from tests.rig.commands import printed, refused
@@ -94,3 +96,10 @@ def test_where_none_comes_it_says_what_may_be_wrong(
     config = tmp_path / "can0.toml"
     config.write_text(settings(tmp_path), encoding="utf-8")
     assert refused("advise", config).startswith("advice.enabled: is false")
+
+
+def test_check_notes_that_a_sensor_at_rest_follows_nothing(tmp_path: Path) -> None:
+    text = settings(tmp_path) + "[advice]\nenabled = true\n"
+    assert check.notes(parse(text)) == [check.STILL]
+    robot = '[sensor_pose]\nendpoint = "ipc:///robot"\n'
+    assert check.notes(parse(text + robot)) == []

@@ -9,6 +9,7 @@ import pytest
 
 from taxeld.advice.advice import Advice, Approach
 from taxeld.config.file import parse
+from taxeld.model import se2
 from taxeld.pipeline.advising import CALM, Advising
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
@@ -61,7 +62,8 @@ def rest(work: Advising) -> None:
 
 def test_it_begins_once_the_belief_rests_and_is_dropped_when_that_changes() -> None:
     adviser = Adviser()
-    work = Advising(adviser)  # type: ignore[arg-type]
+    mount = np.array([0.003, -0.002, 0.1])
+    work = Advising(adviser, [mount])  # type: ignore[arg-type]
     rest(work)
     work.step()
     work.on_scan(told=False)
@@ -72,7 +74,10 @@ def test_it_begins_once_the_belief_rests_and_is_dropped_when_that_changes() -> N
         assert (adviser.begun, adviser.pieces) == (1 + (k > 0), k or 1)
         assert work.advice is None
         work.step()
-    assert work.advice is adviser.advice
+    assert work.advice is not None
+    (told,) = work.advice.approaches
+    for pose, sensor in ((told.before, 0.1), (told.at, 0.2), (told.until, 0.3)):
+        assert np.allclose(se2.compose(pose, mount), [sensor, 0.1, -0.2]), "as the robot sends it"
     work.on_scan(told=False)
     work.step()
     assert (adviser.begun, adviser.pieces, work.has_work) == (2, PIECES, False)

@@ -1,7 +1,12 @@
 """When advice is worked on: once the belief rests, as after a touch or a miss, and nothing else is
 left to think of. Advice is of that belief alone: once it changes there is none."""
 
-from taxeld.advice.advice import Advice, Advisor
+from collections.abc import Sequence
+from dataclasses import replace
+
+from taxeld.advice.advice import Advice, Advisor, Approach
+from taxeld.arrays import Poses
+from taxeld.model import se2
 
 CALM = 3  # scans in a row that tell nothing new: the sensor stands, and second opinions agree
 
@@ -9,9 +14,10 @@ CALM = 3  # scans in a row that tell nothing new: the sensor stands, and second 
 class Advising:
     """An adviser's work, in pieces."""
 
-    def __init__(self, advisor: Advisor | None) -> None:
-        """Without an adviser there is never any work."""
-        self._advisor = advisor
+    def __init__(self, advisor: Advisor | None, mounts: Sequence[Poses | None] = ()) -> None:
+        """Without an adviser there is never any work. `mounts`: each link's sensor frame (3,) in
+        the frame of the robot's poses, as which approaches are told; None: they are the same."""
+        self._advisor, self._mounts = advisor, mounts
         self.changed()
 
     def changed(self) -> None:
@@ -38,4 +44,15 @@ class Advising:
             self._advisor.begin()
             self._is_begun = True
         if self._advisor.step():
-            self.advice = self._advisor.advice
+            made = self._advisor.advice
+            assert made is not None  # noqa: S101  (there is new advice)
+            self.advice = replace(made, approaches=tuple(map(self._as_robot, made.approaches)))
+
+    def _as_robot(self, one: Approach) -> Approach:
+        """An approach in the poses that the robot sends."""
+        mount = self._mounts[one.link]
+        if mount is None:
+            return one
+        back = se2.inverse(mount)
+        before, at, until = (se2.compose(p, back) for p in (one.before, one.at, one.until))
+        return replace(one, before=before, at=at, until=until)

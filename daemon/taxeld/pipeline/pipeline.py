@@ -87,8 +87,8 @@ class Pipeline:
         beside = ladder.beside(model)
         self.estimator = Estimator(model, ladder, config.filter, robot_m, others, most, beside)
         self._judge_by(self.estimator.estimate.object)
-        advises = config.advice.enabled
-        self._advising = Advising(Advisor(self.estimator, config.advice) if advises else None)
+        advisor = Advisor(self.estimator, config.advice) if config.advice.enabled else None
+        self._advising = Advising(advisor, [stage.poses.mount for stage in self.stages])
         self._learns = config.skin.learn and config.filter.motion == "none"
         self.estimate = self.freshness.judged(self.estimator.estimate)
         self.thinks_at_once = True  # whether a scan's second opinion is part of the work on it
