@@ -9,9 +9,10 @@ Other names may change at any time. `import taxeld` alone imports none of these 
 commands start at once.
 """
 
+from taxeld.advice.advice import Advice, Advisor, Approach
 from taxeld.commands.replay import Replay
 from taxeld.config.file import load as load_config
-from taxeld.config.tables import Config, FilterConfig, SkinConfig
+from taxeld.config.tables import AdviceConfig, Config, FilterConfig, SkinConfig
 from taxeld.config.toml_tables import ConfigError
 from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Estimate, Hypotheses, ProposalKind, Status
@@ -28,10 +29,15 @@ from taxeld.pipeline.outcome import Outcome
 from taxeld.proposals.bundle import Bundle
 from taxeld.proposals.bundle import load as load_bundle
 from taxeld.skin.skin import Skin
+from taxeld.stream.messages import advice_of
 from taxeld_protocol.decoder import Scan
 
 __all__ = [
     "Activation",
+    "Advice",
+    "AdviceConfig",
+    "Advisor",
+    "Approach",
     "Bundle",
     "Config",
     "ConfigError",
@@ -54,6 +60,7 @@ __all__ = [
     "SkinConfig",
     "Status",
     "Why",
+    "advice_of",
     "load_bundle",
     "load_config",
     "load_layout",

@@ -9,6 +9,7 @@ import sys
 import tempfile
 import textwrap
 import time
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -57,6 +58,10 @@ def _run(args: argparse.Namespace) -> int:
         raise SetupError("--view: a run on hardware records no session to show")
     transport, _, channel = args.transport.partition(":")
     scenario = _scenario(args).over(transport)
+    if args.advised:
+        scenario = replace(scenario, advised=True)
+    if scenario.advised and args.target != "sim":
+        raise SetupError("--advised: on hardware the robot is yours; taxeld advise tells it where")
     name = Path(args.scenario).stem
     out = args.out or Path(tempfile.mkdtemp(prefix=f"taxeld-{name}-"))
     _say(f"scenario {args.scenario}, seed {args.seed}: session in {out}")
@@ -136,6 +141,8 @@ def _emulate(args: argparse.Namespace) -> int:
 
     _check_endpoint("--poses", args.poses)
     scenario = _scenario(args).over("can" if args.can else "")
+    if scenario.advised:
+        raise SetupError(f"{args.scenario}: this robot hears no advice: taxeld-hil run has one")
     if emulate(scenario, args.seed, args.poses, args.can or args.link, args.out):
         return 0
     print("no host started the skin, or it stopped it before the end", file=sys.stderr)
@@ -305,6 +312,8 @@ def _add_run(commands: Commands) -> None:
     run.add_argument("--clock", choices=("real", "fake"), default="real")
     about = "in place of the scenario's: slcan, native or can:INTERFACE"
     run.add_argument("--transport", default="", help=about)
+    about = "the robot follows the daemon's advice (taxeld advise), in simulation"
+    run.add_argument("--advised", action="store_true", help=about)
     run.add_argument("--view", action="store_true", help="show the session in the end")
     _add_world(run)
 

@@ -52,7 +52,7 @@ def test_the_estimator_on_recorded_activations_takes_ten_lines_and_gives_the_ses
     place: Path,
 ) -> None:
     """The same as the session's own pipeline, bit for bit."""
-    _, kept, estimator, _ = pages.blocks(PAGE)
+    _, kept, estimator, *_ = pages.blocks(PAGE)
     assert len(estimator.code.splitlines()) <= 10
     names: dict[str, Any] = {}
     with pages.working_in(place):

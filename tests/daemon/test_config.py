@@ -58,6 +58,16 @@ def test_a_minimal_configuration_has_every_default() -> None:
         ),
         ("[relay]\npublish = ['tcp://0.0.0.0:1']", "relay.publish: 'tcp://0.0.0.0:1' is not local"),
         ("[relay]\ncontrol = 'tcp://*:1'", "relay.control: 'tcp://*:1' is not local"),
+        (
+            "[filter]\ninjection = 'paper'\n[advice]\nenabled = true",
+            "advice.enabled: needs the memory of filter.injection 'mixture'",
+        ),
+        (
+            "[advice]\nreach_m = [0.5, 0.1, 0, 1]",
+            "advice.reach_m: must be [] or [least x, most x, least y, most y], not [0.5, 0.1, 0.0",
+        ),
+        ("[advice]\nyaw_deg = [10]", "advice.yaw_deg: must be [] or [least, most], at most 360"),
+        (f"[advice]\noffsets_m = {[0.0] * 25}", "advice.offsets_m: has 25; 24 at most"),
         ("", "source: is required"),
         (
             f"[loop]\nrate_hz = {'9' * 400}",
@@ -101,6 +111,14 @@ def test_a_key_that_is_gone_is_refused_with_what_replaces_it(name: str) -> None:
     with pytest.raises(ConfigError) as error:
         parse(text)
     assert error.value.faults == [f"{name}: is gone; {GONE[name]}"]
+
+
+def test_advice_is_on_one_object() -> None:
+    wanted = "\n[advice]\nenabled = true\n"
+    with pytest.raises(ConfigError, match=r"^advice\.enabled: is on one object at a time"):
+        parse(MINIMAL + "max_objects = 2" + wanted)
+    with pytest.raises(ConfigError, match=r"^advice\.enabled: needs an object: name it in"):
+        parse(MINIMAL.partition("[scene]")[0] + wanted)
 
 
 def test_all_faults_are_found_at_once() -> None:

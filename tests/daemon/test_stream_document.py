@@ -27,9 +27,9 @@ PERIOD_S = 0.02  # a brisk session
 def heard(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[str, Any]]]:
     """All that a daemon sends and answers while it replays a session, by topic and command."""
     place = tmp_path_factory.mktemp("run")
-    write_session(place, touches=4, period_s=PERIOD_S)
+    write_session(place, touches=4, period_s=PERIOD_S, rest=100)
     publish = {"publish": {**served(place)["publish"], "counts": True}}
-    path = configuration(place, **publish)
+    path = configuration(place, **publish, advice={"enabled": True})
     command = [sys.executable, "-m", "taxeld.cli", "run", str(path)]
     received: dict[str, list[dict[str, Any]]] = {}
     with zmq.Context() as context, context.socket(zmq.SUB) as socket:

@@ -22,9 +22,9 @@ PRESSED = range(36, 44)  # channels of one side of the skin
 DEAD = 5  # a channel that never reads anything
 
 
-def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S) -> None:
-    """`frames.log` in `place`: idle, then `touches` times ten scans of touch and ten of none, after
-    what the hub told of its modules."""
+def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S, rest: int = 0) -> None:
+    """`frames.log` in `place`: idle, then `touches` times ten scans of touch and ten of none, and
+    `rest` more of none, after what the hub told of its modules."""
     rng = np.random.default_rng(0)
     ihb = VirtualIhb(MODULES)
     lines: list[str] = []
@@ -35,10 +35,11 @@ def write_session(place: Path, touches: int = 1, period_s: float = PERIOD_S) -> 
             lines.extend(map(format_log_line, frames))
 
     log(told(ihb), 1e9)
-    for scan in range(IDLE_SCANS + 20 * touches):
+    for scan in range(IDLE_SCANS + 20 * touches + rest):
         t = 1e9 + scan * period_s
         counts = IDLE_COUNTS + rng.normal(0.0, NOISE, CHANNELS)
-        if scan >= IDLE_SCANS and (scan - IDLE_SCANS) % 20 < 10:
+        is_touched = 0 <= scan - IDLE_SCANS < 20 * touches
+        if is_touched and (scan - IDLE_SCANS) % 20 < 10:
             counts[PRESSED] += 8000.0
         counts[DEAD] = 0.0
         log(ihb.sensor_data(counts.astype(int).tolist()), t)

@@ -3,7 +3,7 @@
 import errno
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 from taxeld.config import endpoints, links, toml_tables
 from taxeld.config.tables import SIZES, Config, SceneConfig, SourceConfig
@@ -85,6 +85,7 @@ def parse(text: str, name: str = "configuration") -> Config:
     _check_source(config.source, faults)
     _check_scene(config, faults)
     _check_endpoints(config, faults)
+    _check_advice(config, faults)
     if config.source.dialect == "icub":
         _check_icub(config, faults)
     if faults:
@@ -139,7 +140,10 @@ def _check_scene(config: Config, faults: list[str]) -> None:
 def _of_objects(config: Config) -> list[str]:
     """Keys that are set and mean nothing without an object."""
     found = ["scene.max_objects"] * (config.scene != SceneConfig())
-    for name, table in (("filter", config.filter), ("budget", config.budget)):
+    tables: dict[str, Any] = {
+        name: getattr(config, name) for name in ("filter", "advice", "budget")
+    }
+    for name, table in tables.items():
         usual = type(table)()
         keys = (each.name for each in fields(table))
         found += [f"{name}.{key}" for key in keys if getattr(table, key) != getattr(usual, key)]
@@ -160,6 +164,15 @@ def _check_endpoints(config: Config, faults: list[str]) -> None:
     ):
         found = (endpoints.fault(each, bool(config.curve.directory)) for each in named if each)
         faults += [f"{key}: {fault}" for fault in found if fault]
+
+
+def _check_advice(config: Config, faults: list[str]) -> None:
+    if not config.advice.enabled:
+        return
+    if config.filter.injection != "mixture":
+        faults.append("advice.enabled: needs the memory of filter.injection 'mixture'")
+    if config.scene.max_objects > 1:
+        faults.append("advice.enabled: is on one object at a time; set scene.max_objects to 1")
 
 
 def _for_this_user(config: Config) -> Config:

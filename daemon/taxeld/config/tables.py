@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar
 
-from taxeld.config.toml_tables import Given, between, key, one_of, unwritten
+from taxeld.config.toml_tables import Bound, Given, between, key, one_of, unwritten
 from taxeld_protocol import icub
 from taxeld_protocol.cyskin import BROADCAST
 from taxeld_protocol.modules import ALL_NAMES, MAX_MODULES
@@ -269,6 +269,10 @@ class FilterConfig:
     }
 
 
+def _few(most: int) -> Bound:
+    return lambda values: f"has {len(values)}; {most} at most" if len(values) > most else None
+
+
 def _reach(reach: tuple[float, ...]) -> str | None:
     if not reach:
         return None
@@ -289,10 +293,12 @@ class AdviceConfig:
 
     enabled: bool = key(False, doc="whether it is advised where to touch next")
     directions_deg: tuple[float, ...] = key(
-        (), doc="directions of motion of straight approaches, world frame; empty: 24 all around"
+        (),
+        _few(72),
+        "directions of motion of straight approaches, world frame; empty: 24 all around",
     )
     offsets_m: tuple[float, ...] = key(
-        (), doc="how far they pass beside the belief's middle; empty: 9 from side to side"
+        (), _few(24), "how far they pass beside the belief's middle; empty: 9 from side to side"
     )
     reach_m: tuple[float, ...] = key(
         (), _reach, "[least x, most x, least y, most y] of the sensor; empty: the filter's square"
@@ -359,6 +365,7 @@ class Config:
     loop: LoopConfig = field(default_factory=LoopConfig)
     budget: BudgetConfig = field(default_factory=BudgetConfig)
     filter: FilterConfig = field(default_factory=FilterConfig)
+    advice: AdviceConfig = field(default_factory=AdviceConfig)
     publish: PublishConfig = field(default_factory=PublishConfig)
     control: ControlConfig = field(default_factory=ControlConfig)
     relay: RelayConfig = field(default_factory=RelayConfig)

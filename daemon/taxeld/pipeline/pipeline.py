@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from taxeld.advice.advice import Advice, Advisor
 from taxeld.arrays import Poses
 from taxeld.config.tables import Config
 from taxeld.estimator.bank import Known
@@ -19,6 +20,7 @@ from taxeld.estimator.history import Used
 from taxeld.estimator.rule import EstimatorCounters
 from taxeld.model.activation import Activation
 from taxeld.model.observation import ObservationModel
+from taxeld.pipeline.advising import Advising
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.calibration_check import CalibrationCheck, CalibrationDoubt
 from taxeld.pipeline.freshness import Freshness, Why
@@ -85,6 +87,8 @@ class Pipeline:
         beside = ladder.beside(model)
         self.estimator = Estimator(model, ladder, config.filter, robot_m, others, most, beside)
         self._judge_by(self.estimator.estimate.object)
+        advisor = Advisor(self.estimator, config.advice) if config.advice.enabled else None
+        self._advising = Advising(advisor, [stage.poses.mount for stage in self.stages])
         self._learns = config.skin.learn and config.filter.motion == "none"
         self.estimate = self.freshness.judged(self.estimator.estimate)
         self.thinks_at_once = True  # whether a scan's second opinion is part of the work on it
@@ -119,6 +123,11 @@ class Pipeline:
         return True
 
     @property
+    def advice(self) -> Advice | None:
+        """Where to touch next; None while the belief changes, and where that is not enabled."""
+        return self._advising.advice
+
+    @property
     def counted(self) -> EstimatorCounters:
         """Counters of the estimator, since start."""
         return self.estimator.counters
@@ -151,12 +160,15 @@ class Pipeline:
     @property
     def has_thought(self) -> bool:
         """Whether `think` has something to do, and no scan waits."""
-        is_due = self.check.is_due and self.estimator.unconsidered is not None
-        return (is_due or self.estimator.has_thought) and not self.has_waiting
+        return (self._has_opinion or self._advising.has_work) and not self.has_waiting
 
     def think(self) -> Outcome | None:
         """After a scan that told nothing new, take a step of the calibration's check, and a second
-        opinion on the belief; → its estimate where that has changed, and the time of this work."""
+        opinion on the belief; → its estimate where that has changed, and the time of this work.
+        Where there is neither, do a piece of work on advice."""
+        if not self._has_opinion:
+            self._advising.step()
+            return None
         clock = self.ladder.clock
         start, proposed_ns = clock(), self.ladder.spent_ns
         if not self._consider():
@@ -210,6 +222,7 @@ class Pipeline:
         self.ladder.begin_anew()
         self.estimator.reset()
         self.check.reset()
+        self._advising.changed()
         self.estimate = self.freshness.judged(self.estimator.estimate)
 
     def _next(self) -> LinkStage:
@@ -223,6 +236,7 @@ class Pipeline:
         """Learn again from what an earlier daemon has felt."""
         if scans:
             self.estimator.restore(scans)
+            self._advising.changed()
             self.estimate = self.freshness.judged(self.estimator.estimate)
 
     def tell(self, pose: ToldPose, of: Sequence[int] | None = None) -> str:
@@ -232,6 +246,7 @@ class Pipeline:
         if config.filter.injection != "mixture" or config.scene.max_objects > 1:
             return "prior: needs filter.injection = mixture and scene.max_objects = 1"
         if self.estimator.tell(pose, of):
+            self._advising.changed()
             self.estimate = self.freshness.judged(later(self.estimator.estimate, self._stepped_s))
         return ""
 
@@ -257,6 +272,12 @@ class Pipeline:
         spent_ns = skin_ns, *self._believe(activation, sensor, link)
         return Outcome(self.estimate, later(activation, by), sensor, *spent_ns, link)
 
+    @property
+    def _has_opinion(self) -> bool:
+        """Whether there is a step of the check, or a second opinion, to take."""
+        is_due = self.check.is_due and self.estimator.unconsidered is not None
+        return is_due or self.estimator.has_thought
+
     def _believe(self, activation: Activation, sensor: Poses, link: int) -> tuple[int, int]:
         """Learn from a link's activation at its sensor's pose (3,); → the time that samples took,
         and that all the rest took [ns]."""
@@ -269,10 +290,13 @@ class Pipeline:
         estimate = self.estimator.learn(activation, sensor, link)
         if not link:  # a full scale or mount in doubt is the first link's
             self.check.on_scan(self.estimator.used, own, estimate.contacts)
+        self._advising.on_scan(told=estimate.contact or self.estimator.used is not None)
         if self.thinks_at_once:
             self._consider()
             while self.estimator.is_behind:
-                self.estimator.think()
+                self._consider()
+            while self._advising.has_work:
+                self._advising.step()
             estimate = self.estimator.estimate
         propose_ns = self.ladder.spent_ns - proposed_ns
         filter_ns = clock() - start - propose_ns
@@ -297,7 +321,10 @@ class Pipeline:
         """Take a step of the check and a second opinion; → whether the estimate has changed."""
         if self.estimator.unconsidered is not None:
             self.check.step()
-        return self.estimator.think()
+        has_changed = self.estimator.think()
+        if has_changed:
+            self._advising.changed()
+        return has_changed
 
     def _unused(self, scan: Scan, skin_ns: int, link: int) -> Outcome:
         """The outcome of a scan that did not reach the estimator."""

@@ -34,7 +34,7 @@ class PoseTrack:
         """`on_pose` is called with every accepted pose (t, x, y, θ), as it came. `mount` (3,): the
         sensor's frame in the frame of the poses. `extrapolate_s`: longest time
         after the last pose for which the motion of the last two is taken to go on."""
-        self._mount = mount
+        self.mount = mount
         self.extrapolate_s = extrapolate_s
         self._on_pose = on_pose
         self.taken = 0
@@ -95,7 +95,7 @@ class PoseTrack:
         """The sensor's pose (3,) at time t: interpolated, extrapolated at the speed of the last
         two, or the last one while it is young enough; None where no pose is near enough in time."""
         came = self._came(t)
-        return came if came is None or self._mount is None else se2.compose(came, self._mount)
+        return came if came is None or self.mount is None else se2.compose(came, self.mount)
 
     def _came(self, t: float) -> Poses | None:
         """The pose (3,) at time t of the frame that the robot sends."""
@@ -133,6 +133,7 @@ class PoseTrack:
 class StandingStill:
     """A sensor without a robot: always at the origin."""
 
+    mount = None
     taken = rejected = far = from_the_future = 0
     latest_t = np.inf
 

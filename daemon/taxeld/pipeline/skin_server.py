@@ -18,6 +18,7 @@ from taxeld.estimator.rule import EstimatorCounters
 from taxeld.layout.layout import Layout
 from taxeld.model import se2
 from taxeld.model.activation import Activation
+from taxeld.pipeline.advising import Advising
 from taxeld.pipeline.calibrated import calibrated
 from taxeld.pipeline.calibration_check import CalibrationDoubt
 from taxeld.pipeline.freshness import Freshness
@@ -96,6 +97,7 @@ class SkinServer(Pipeline):
             for k, one in enumerate(each)
         ]
         self.thinks_at_once = True
+        self._advising = Advising(None)
         self.estimate = self.freshness.judged(NOTHING)
         self._stepped_s = 0.0
 

@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from taxeld.advice.advice import Advice
 from taxeld.arrays import Poses
 from taxeld.config import links
 from taxeld.config.tables import Config
@@ -51,6 +52,7 @@ from taxeld.told import ToldPose
 from taxeld_protocol.decoder import Scan
 
 PARTICLES_HZ = 20.0
+ADVICE_S = 0.2  # time between two messages of the same advice
 HEALTH_S = 1.0
 GATHER_S = 0.0002  # silence after a whole scan: its frames follow each other more closely
 GATHERS = 20  # looks at the device for further frames, GATHER_S apart
@@ -146,7 +148,8 @@ class Daemon:
         self.pipeline.freshness.came(self.start_s)  # counted as if a scan had come at the start
         self._next_health_s = self._next_particles_s = self._next_estimate_s = 0.0
         self._estimate_s = 1.0 / config.publish.rate_hz if bundles else HEALTH_S
-        self._next_look_s = 0.0
+        self._next_look_s = self._next_advice_s = 0.0
+        self._advised: Advice | None = None  # the advice published last
         self._told: Estimate | None = None  # the estimate published last
         self._why = Why.STARTING  # why that one is not valid
         scenes = several.scenes(bundles)
@@ -155,11 +158,7 @@ class Daemon:
         self._notices = Notices(self._names, self.pipeline.ladder.name, paths)
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
-        given = asdict(replace(config, is_sized=False))  # what holds, whoever says it
-        if not config.links:
-            del given["links"]
-        digest = hashlib.sha256(repr(given).encode()).hexdigest()[:16]
-        self._info = messages.info(self.layout, scenes, digest, self._named)
+        self._info = messages.info(self.layout, scenes, _digest(config), self._named)
         self._watches = [_watch_of(one) for one in self.of_links]
         changes = {"tare": self.pipeline.tare, "reset": self._reset}
         self.link = Link(self._info, self._on_pose, changes)
@@ -497,6 +496,7 @@ class Daemon:
         estimate = self._estimate(now_s)
         if self._is_news(estimate) or now_s >= self._next_estimate_s:
             self._send_estimate(estimate, dict.fromkeys(messages.STAGES, 0.0), now_s)
+        self._send_advice(now_s)
         if now_s >= self._next_health_s:
             wall_s = time.time()
             self._next_health_s = now_s + HEALTH_S
@@ -513,6 +513,15 @@ class Daemon:
                 self._notices.inputs(fault, wiring, match=match, now_s=now_s, link=name)
             self._notices.links(self.of_each(now_s), now_s)
             self.link.tell(self._state())
+
+    def _send_advice(self, now_s: float) -> None:
+        """Publish new advice, and from time to time again as long as it holds."""
+        advice, t = self.pipeline.advice, self.pipeline.estimate.t
+        is_due = advice is not self._advised or now_s >= self._next_advice_s
+        if advice is not None and is_due and self.link.wants(messages.ADVICE):
+            self._advised, self._next_advice_s = advice, now_s + ADVICE_S
+            told = messages.advice(advice, t, self._seq, self.config.names)
+            self.link.send(messages.ADVICE, told, t)
 
     def _estimate(self, now_s: float) -> Estimate:
         """The estimate as published at the time `now_s`."""
@@ -592,6 +601,14 @@ def _stages_us(outcome: Outcome) -> dict[str, float]:
         "propose": outcome.propose_ns / 1000.0,
         "filter": outcome.filter_ns / 1000.0,
     }
+
+
+def _digest(config: Config) -> str:
+    """Of all keys; of links and of advice only where they are used."""
+    used = {"links": config.links, "advice": config.advice.enabled}
+    held = asdict(replace(config, is_sized=False))  # what holds, whoever says it
+    given = {name: value for name, value in held.items() if used.get(name, True)}
+    return hashlib.sha256(repr(given).encode()).hexdigest()[:16]
 
 
 def _watch_of(config: Config) -> PoseWatch:

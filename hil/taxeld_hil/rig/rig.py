@@ -8,12 +8,14 @@ from itertools import accumulate
 
 import numpy as np
 
+from taxeld.advice.advice import Advice
 from taxeld.arrays import Poses
 from taxeld.errors import SetupError
 from taxeld_hil.rig.faults import Injector, PoseRow
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
 from taxeld_hil.world import robot
+from taxeld_hil.world.advised import AdvisedRobot
 from taxeld_hil.world.world import load_model, make_world
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.cyskin import Command, Packet
@@ -23,6 +25,7 @@ from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
 POSE_PERIOD_S = 0.01
 POSE_AGE_S = 0.004  # age of a pose in its message: scans fall between poses
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
+ADVICE_S = 10.0  # that the robot waits for advice
 SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
 BEFORE_S = -1.0  # scenario time while no host has started the skin
 
@@ -56,10 +59,28 @@ class Rig:
         self._begin(scenario, seed)
 
     def _begin(self, scenario: Scenario, seed: int) -> None:
-        self.scenario = scenario
-        plan = robot.plan(scenario, self.model, self.world.truth, seed)
+        self.scenario, self._seed = scenario, seed
+        self.advised: AdvisedRobot | None = None
+        self._waits = scenario.advised
+        if scenario.advised:
+            self.advised = AdvisedRobot(self.model, self.world.truth, scenario.hold_s, seed)
+            plan = self.advised.path
+        else:
+            plan = robot.plan(scenario, self.model, self.world.truth, seed)
         self.path = plan.erring(scenario.robot_m, seed)
         self._injector = self._injecting(scenario, seed)
+
+    def advise(self, advice: Advice, of_t: float, t: float) -> None:
+        """Have a robot that waits for it follow an advice on the belief at scenario time `of_t`;
+        an advice that is older than its last touch is left."""
+        if self.advised is None or not self._waits or of_t <= IDLE_S + self.path.duration_s:
+            return
+        scenario, touches = self.scenario, len(self.path.touched)
+        is_over = advice.is_enough or not advice.approaches
+        self._waits = touches < scenario.contacts and not is_over
+        if self._waits:
+            self.advised.follow(advice.approaches[0], t - IDLE_S)
+            self.path = self.advised.path.erring(scenario.robot_m, self._seed)
 
     def _check(self, fault: Fault, number: int) -> None:
         """Raises SetupError where a fault names a module or taxel that the skin does not have."""
@@ -85,7 +106,8 @@ class Rig:
         """To the end of the path, and of the last fault's recovery."""
         ends = [fault.end_s for fault in self.scenario.fault]
         last = max(ends, default=0.0) + self.scenario.expect.recovery_s + SETTLE_S
-        return max(IDLE_S + self.path.duration_s + self.scenario.rest_s, last if ends else 0.0)
+        rest_s = ADVICE_S if self._waits else self.scenario.rest_s
+        return max(IDLE_S + self.path.duration_s + rest_s, last if ends else 0.0)
 
     def taxels_of(self, fault: Fault) -> list[int]:
         """The taxels that a fault is about, as the layout numbers them."""

@@ -102,11 +102,12 @@ class FakeRun:
     def run(self) -> list[ContactEnd]:
         """To the end; → the estimates at which contacts ended."""
         period = 1.0 / self.config.loop.rate_hz
-        ticks = round(self.rig.duration_s / period)
+        ticks = 0
         ends: list[ContactEnd] = []
         last: Estimate | None = None
-        for k in range(ticks):
-            e = self.step(k * period)
+        while ticks < round(self.rig.duration_s / period):  # a robot that is advised goes on
+            e = self.step(ticks * period)
+            ticks += 1
             if last is not None and e is not None and last.contact and not e.contact:
                 ends.append(ContactEnd(e, self.judge.error_mm(e.map)))
             last = e
@@ -138,6 +139,9 @@ class FakeRun:
         self.daemon.tick(now)
         e = self.daemon.estimate(now)
         why = self.daemon.pipeline.freshness.why(e, now)
+        advice = self.daemon.pipeline.advice
+        if advice is not None:
+            rig.advise(advice, t - (now - e.t), t)
         told = e.contacts, e.map, e.p, e.radius_m
         self.judge.on_estimate(Sample(t, e.status, why, *told, e.t, now - e.t, object=e.object))
         if now >= self._next_health_s:

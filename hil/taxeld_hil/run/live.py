@@ -61,6 +61,8 @@ class LiveRun:
         for line in table.latencies():
             self._say(line)
         self._say(table.final())
+        if self.scenario.advised:
+            self._say(f"advised: {len(bench.rig.path.touched)} approaches, {table.sure()}")
         return grade(self.run, judge, held, bench.rig.ledger)
 
     def lap(self, bench: Bench, name: str, scenario: Scenario, seed: int) -> Grade:
@@ -95,6 +97,9 @@ class LiveRun:
             stream = f"ipc://{place}/stream"
             self._listener = Listener(
                 stack, context, stream, self._judging(rig), self._table(rig), self._say
+            )
+            self._listener.on_advice = lambda advice, t: rig.advise(
+                advice, bench.t - (time.time() - t), bench.t
             )
             self.processes = Processes(written, stream, scenario, LOG_LEVEL)
             stack.callback(self.processes.kill)

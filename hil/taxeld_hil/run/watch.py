@@ -8,6 +8,7 @@ import numpy as np
 import zmq
 
 from taxeld.arrays import Poses
+from taxeld.estimator.estimate import Status
 from taxeld.model.scene import Scene
 from taxeld.model.symmetry import add_m
 from taxeld.stream import messages
@@ -30,6 +31,7 @@ class ContactTable:
     most_taxels: int = 0
     last: dict[str, Any] = field(default_factory=dict)
     lat_us: dict[str, list[float]] = field(default_factory=dict)
+    sure_after: int = 0  # contacts after which it was sure and stayed so; 0: it is not
     _in_contact: bool = False
 
     def on_taxels(self, message: dict[str, Any]) -> None:
@@ -38,6 +40,8 @@ class ContactTable:
     def on_estimate(self, message: dict[str, Any]) -> str | None:
         """The line of a contact that has just ended."""
         self.last = message
+        is_sure = message["status"] == Status.CONVERGED
+        self.sure_after = (self.sure_after or message["contacts"]) if is_sure else 0
         if message["lat_us"]["skin"] > 0:
             for stage, value in message["lat_us"].items():
                 self.lat_us.setdefault(stage, []).append(value)
@@ -66,6 +70,10 @@ class ContactTable:
         """A line on the last error."""
         about = "mean distance of the object's points, up to its symmetry"
         return f"final error {self.error_mm():.1f} mm ({about})"
+
+    def sure(self) -> str:
+        """After how many contacts the daemon became sure, as it still is."""
+        return f"sure after {self.sure_after} contacts" if self.sure_after else "not sure"
 
     def latencies(self) -> list[str]:
         """A line a stage: median, 99th percentile and maximum of ticks with a scan."""

@@ -28,10 +28,19 @@ sigma_m = {sigma_m}
 [filter]
 seed = {seed}
 {filter_keys}
-[publish]
+{advised}[publish]
 endpoints = ["ipc://{place}/stream"]
 [control]
 endpoint = "ipc://{place}/control"
+"""
+
+
+REACH_M = 0.6  # of an advised robot
+ADVISED = """\
+half_width_m = {place_m}
+[advice]
+enabled = true
+reach_m = [-{reach_m}, {reach_m}, -{reach_m}, {reach_m}]
 """
 
 
@@ -51,6 +60,7 @@ def text(
         sigma_m=scenario.robot_m or SensorPoseConfig().sigma_m,  # the daemon is told
         seed=seed,
         filter_keys=filter_keys,
+        advised=ADVISED.format(place_m=scenario.place_m, reach_m=REACH_M) * scenario.advised,
         place=place,
     )
 

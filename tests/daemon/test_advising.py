@@ -1,0 +1,171 @@
+"""Advice is worked on while nothing else is to do, and is of the present belief alone."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld.advice.advice import Advice, Approach
+from taxeld.config.file import parse
+from taxeld.model import se2
+from taxeld.pipeline.advising import CALM, Advising
+from taxeld.pipeline.pipeline import Pipeline
+from taxeld.proposals import bundle
+from taxeld.proposals.bundle import Bundle
+from taxeld.service.loop import ADVICE_S, Daemon
+from taxeld.service.ticker import Ready
+from taxeld.stream import messages
+from taxeld.told import ToldPose
+
+from .test_loop import Touches, settings
+from .test_pipeline import ROBOT, SKIN, TRUTH, Event, pipeline_of, published, story, taken
+
+PIECES = 5
+ENABLED = "[advice]\nenabled = true\n"
+
+
+class Adviser:
+    """Takes PIECES of work for each advice."""
+
+    def __init__(self) -> None:
+        self.begun = self.pieces = 0
+        self.advice: Advice | None = None
+
+    def begin(self) -> None:
+        self.begun += 1
+        self.pieces = 0
+
+    def step(self) -> bool:
+        self.pieces += 1
+        if self.pieces == PIECES:
+            self.advice = Advice(self.begun, (approach(),), is_enough=False)
+        return self.pieces == PIECES
+
+
+def approach() -> Approach:
+    before, at, until = (np.array([x, 0.1, -0.2]) for x in (0.1, 0.2, 0.3))
+    return Approach(0, before, at, until, 0.5, 0.003, p_sure=0.6, gain=0.004, p_touch=0.9)
+
+
+@pytest.fixture(scope="module")
+def box() -> Bundle:
+    return bundle.load("box", SKIN, 0.005)
+
+
+def rest(work: Advising) -> None:
+    for _ in range(CALM):
+        assert not work.has_work
+        work.on_scan(told=False)
+
+
+def test_it_begins_once_the_belief_rests_and_is_dropped_when_that_changes() -> None:
+    adviser = Adviser()
+    mount = np.array([0.003, -0.002, 0.1])
+    work = Advising(adviser, [mount])  # type: ignore[arg-type]
+    rest(work)
+    work.step()
+    work.on_scan(told=False)
+    assert work.has_work
+    work.on_scan(told=True)
+    rest(work)
+    for k in range(PIECES):
+        assert (adviser.begun, adviser.pieces) == (1 + (k > 0), k or 1)
+        assert work.advice is None
+        work.step()
+    assert work.advice is not None
+    (told,) = work.advice.approaches
+    for pose, sensor in ((told.before, 0.1), (told.at, 0.2), (told.until, 0.3)):
+        assert np.allclose(se2.compose(pose, mount), [sensor, 0.1, -0.2]), "as the robot sends it"
+    work.on_scan(told=False)
+    work.step()
+    assert (adviser.begun, adviser.pieces, work.has_work) == (2, PIECES, False)
+    work.changed()
+    assert work.advice is None
+    rest(work)
+
+
+def as_a_daemon_does(pipeline: Pipeline, events: list[Event]) -> None:
+    """Thoughts are taken between arrivals, where there is the time."""
+    pipeline.thinks_at_once = False
+    for event in events:
+        taken(pipeline, [event])
+        while pipeline.has_thought:
+            pipeline.think()
+
+
+def said(pipeline: Pipeline) -> str:
+    assert pipeline.advice is not None
+    return json.dumps(messages.advice(pipeline.advice, pipeline.estimate.t, 0, [""]))
+
+
+def test_a_replay_gives_the_same_advice_and_no_estimate_is_changed_by_it(box: Bundle) -> None:
+    events = story(box, 5.0)
+    at_once, later, without = (pipeline_of(box, ROBOT + more) for more in (ENABLED, ENABLED, ""))
+    assert published(taken(at_once, events)) == published(taken(without, events))
+    as_a_daemon_does(later, events)
+    assert said(at_once) == said(later)
+    assert json.loads(said(later))["contacts"] == 1
+    assert without.advice is None
+
+
+def test_a_belief_that_is_reset_or_told_anew_has_no_advice_yet(box: Bundle) -> None:
+    pipeline, events = pipeline_of(box, ROBOT + ENABLED), story(box, 5.0)
+    taken(pipeline, events)
+    assert pipeline.advice is not None
+    x, y, theta = TRUTH.tolist()
+    cov = tuple(np.diag([4e-4, 4e-4, 0.04]).ravel().tolist())
+    assert pipeline.tell(ToldPose(x, y, theta, cov, 0.9, "")) == ""
+    assert pipeline.advice is None
+    taken(pipeline, events)
+    pipeline.reset()
+    assert pipeline.advice is None
+
+
+@pytest.fixture
+def touches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Touches]:
+    monkeypatch.setattr("taxeld.pipeline.pipeline.Advisor", lambda *_: ADVISER)
+    daemon = Daemon(parse(settings(tmp_path) + ENABLED))
+    yield Touches(daemon, monkeypatch)
+    daemon.close()
+
+
+ADVISER = Adviser()
+
+
+def test_a_pass_does_one_piece_of_work_and_none_with_a_scan(touches: Touches) -> None:
+    heard = touches.heard
+    for _ in range(120):
+        before = ADVISER.pieces
+        touches.tick([touches.next()], Ready(device=True))
+        touches.tick([], Ready(device=True))  # frames of the next scan are there
+        assert ADVISER.pieces == before
+        for _ in range(3):
+            before = ADVISER.pieces
+            touches.tick([], Ready())
+            assert ADVISER.pieces - before in (0, 1, 1 - PIECES)
+    told = heard.of(messages.ADVICE)
+    assert [*{m["contacts"]: 0 for m in told}] == [1, 2, 3], "each time that it rests"
+    assert all(messages.advice_of(m).approaches[0].before[0] == 0.1 for m in told)
+
+
+def test_advice_that_holds_is_told_again_for_who_comes_later(touches: Touches) -> None:
+    while touches.daemon.pipeline.advice is None:
+        touches.tick([touches.next()], Ready(device=True))
+        touches.tick([], Ready())
+    told = len(touches.heard.of(messages.ADVICE))
+    touches.now += ADVICE_S
+    touches.tick([], Ready())
+    touches.tick([], Ready())
+    assert len(touches.heard.of(messages.ADVICE)) == told + 1
+
+
+def test_what_is_told_is_what_was_advised() -> None:
+    advice = Advice(3, (approach(),), is_enough=True)
+    message = messages.advice(advice, 7.0, 1, ["arm", "wrist"])
+    assert message["approaches"][0]["name"] == "arm"
+    again = messages.advice_of(message)
+    assert (again.contacts, again.is_enough) == (3, True)
+    for name in Approach.__slots__:
+        assert np.array_equal(getattr(again.approaches[0], name), getattr(approach(), name))

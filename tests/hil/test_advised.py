@@ -1,0 +1,114 @@
+"""A virtual robot that follows a daemon's advice."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from taxeld.advice.advice import Advice, Approach
+from taxeld.arrays import Floats
+from taxeld.commands.replay import Replay
+from taxeld.model import contacts, se2
+from taxeld.stream import messages
+from taxeld_hil import cli
+from taxeld_hil.rig.rig import IDLE_S, Rig
+from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.world import robot
+from taxeld_hil.world.advised import AdvisedRobot
+from tests.rig.commands import refused
+
+from .rig import DEMO, MODEL, SKIN, TRUTH
+
+ADVISED = replace(DEMO, advised=True, contacts=4)
+DEPTH_M = 0.003
+
+
+def approach(beside_m: float, direction: float = 0.4) -> Approach:
+    """Past the middle of the object, at so much to its side."""
+    ahead = np.array([np.cos(direction), np.sin(direction), 0.0])
+    aside = np.array([-ahead[1], ahead[0], 0.0])
+    middle = np.array([*se2.compose(TRUTH, np.array([*MODEL.scene.centre, 0.0]))[:2], 1.0])
+    before, at, until = (middle + beside_m * aside + way * ahead for way in (-0.25, 0.0, 0.25))
+    return Approach(0, before, at, until, direction, DEPTH_M, p_sure=0.5, gain=0.0, p_touch=1.0)
+
+
+def gap_m(sensors: Floats) -> Floats:
+    """Between the link and the object [m]."""
+    seen = se2.compose(se2.inverse(sensors), TRUTH)
+    return contacts.clearance(MODEL.scene, SKIN.radius_m, seen)
+
+
+@pytest.mark.parametrize("direction", np.linspace(-3.0, 3.0, 5))
+def test_it_touches_on_the_straight_way_alone_and_as_deep_as_advised(direction: float) -> None:
+    made = AdvisedRobot(MODEL, TRUTH, hold_s=0.3, seed=1)
+    made.follow(approach(0.0), 0.5)
+    made.follow(approach(0.02, direction), made.path.duration_s + 0.2)
+    path = made.path
+    times = np.arange(0.0, path.duration_s, 0.005)
+    sensors = np.array([path.at(t) for t in times])
+    gap, (one, two) = gap_m(sensors), path.touched
+    is_within = ((one[0] <= times) & (times <= one[1])) | ((two[0] <= times) & (times <= two[1]))
+    assert gap[~is_within].min() > 0.01
+    pressed = gap < 0.0
+    assert np.count_nonzero(np.diff(pressed.astype(int)) == 1) == 2
+    assert -DEPTH_M - 0.002 < gap.min() < -0.5 * DEPTH_M  # a millimetre is felt
+    assert np.allclose(path.end, approach(0.02, direction).before)
+    step = np.linalg.norm(np.diff(sensors[:, :2], axis=0), axis=1)
+    assert step.max() < 0.005 * 1.01 * robot.TRAVEL_M_S
+    assert step[pressed[1:]].max() < 0.005 * 1.01 * robot.PRESS_M_S
+
+
+def test_where_there_is_nothing_it_goes_to_the_end_and_back() -> None:
+    made, missed = AdvisedRobot(MODEL, TRUTH, hold_s=0.3, seed=1), approach(0.2)
+    made.follow(missed, 0.5)
+    sensors = np.array([made.path.at(t) for t in np.arange(0.0, made.path.duration_s, 0.005)])
+    assert gap_m(sensors).min() > 0.0
+    assert np.linalg.norm(sensors - missed.until, axis=1).min() < 0.002
+    assert np.allclose(made.path.end, missed.before)
+
+
+def test_it_follows_no_advice_from_before_the_end_of_its_last_touch() -> None:
+    rig, t = Rig(ADVISED, 0), IDLE_S + 0.1
+    advice = Advice(0, (approach(0.0),), is_enough=False)
+    rig.advise(advice, t, t)
+    begun = rig.path
+    assert len(begun.touched) == 1
+    end_s = IDLE_S + begun.duration_s
+    rig.advise(advice, t, end_s + 1.0)
+    rig.advise(advice, end_s - 0.1, end_s + 1.0)
+    assert rig.path is begun
+    rig.advise(advice, end_s + 0.1, end_s + 0.2)
+    assert len(rig.path.touched) == 2
+
+
+def test_few_touches_find_the_object_and_the_session_gives_the_same_advice(tmp_path: Path) -> None:
+    run = FakeRun(ADVISED, seed=0)
+    found = run.graded("advised", tmp_path)
+    assert found.passed, [check for check in found.checks if check.passed is False]
+    assert len(run.rig.path.touched) <= ADVISED.contacts
+    first, again = advised(tmp_path), advised(tmp_path)
+    assert first == again
+    assert len(set(first)) > ADVISED.contacts - 2, "anew after each touch"
+
+
+def advised(session: Path) -> list[str]:
+    """The advice after each scan of a session."""
+    replay, told = Replay(session), list[str]()
+    for _ in replay:
+        advice = replay.pipeline.advice
+        told.append("" if advice is None else json.dumps(messages.advice(advice, 0.0, 0, [""])))
+    return told
+
+
+def test_on_hardware_the_robot_is_not_ours(tmp_path: Path) -> None:
+    said = refused("run", "demo", "--advised", "--target", "can:can0", main=cli.main)
+    assert said.startswith(
+        "--advised: on hardware the robot is yours; taxeld advise tells it where"
+    )
+    scenario = tmp_path / "advised.toml"
+    scenario.write_text('bundle = "box"\nadvised = true\n', encoding="utf-8")
+    given = ("--can", "vcan0", "--poses", "ipc:///x", "--out", tmp_path / "out")
+    said = refused("emulate", scenario, *given, main=cli.main)
+    assert said == f"{scenario}: this robot hears no advice: taxeld-hil run has one\n"
