@@ -200,6 +200,18 @@ def test_priors_and_restarts_are_compared_on_the_same_touches(tmp_path: Path) ->
     assert found["restart"]["sure"][before] == found["none"]["sure"][before]
 
 
+def test_guides_are_compared_from_the_same_first_touch(tmp_path: Path) -> None:
+    few = ("--seeds", "1", "--groups", "any,random,advice")
+    assert evaluate("advice", "025_mug", tmp_path, *few) == 0
+    found = {row["guide"]: row for row in rows(tmp_path, "advice") if row["cell"] == "exact"}
+    assert set(found) == {"any", "random", "advice"}
+    assert len({row["found"][0] for row in found.values()}) == 1
+    assert found["any"]["missed"] == 0.0
+    assert found["advice"]["advice_ms"] > 0.0
+    assert "advice_ms" not in found["random"]
+    assert (tmp_path / "out" / "advice.png").is_file()
+
+
 def test_samplers_are_measured_on_the_touches_of_trials_under_chosen_conditions(
     tmp_path: Path,
 ) -> None:

@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from taxeld.advice.advice import Approach
+from taxeld.advice.lines import FELT_M
 from taxeld.arrays import Floats, Poses
 from taxeld.errors import SetupError
 from taxeld.layout import read as layouts
@@ -340,3 +342,27 @@ def test_trials_run_on_each_of_the_harnesss_skins(name: str, ring_model: Observa
     assert found.shape == plain.shape
     assert not np.array_equal(found, plain)
     np.testing.assert_array_equal(found, again)
+
+
+def test_a_guided_approach_presses_where_it_meets_the_object_and_else_meets_nothing(
+    ring_model: ObservationModel,
+) -> None:
+    truth = moments(ring_model)[0].truth
+    away, until = truth - np.array([0.3, 0.0, 0.0]), truth + np.array([0.3, 0.0, 0.0])
+
+    def through(beside_m: float) -> list[list[TrialScan]]:
+        off = np.array([0.0, beside_m, 0.0])
+        told = Approach(0, away + off, truth, until + off, 0.0, 0.002, 0.0, 0.0, 0.0)
+        trial = Trial(ring_model, 3, 2, TrialConditions(sigma=1e-9), lambda k: told if k else None)
+        return by_touch(list(trial))
+
+    first, pressed = through(0.0)
+    _, missed = through(0.4)
+    assert [scan.sensor.tolist() for scan in first] == [
+        scan.sensor.tolist() for scan in by_touch(moments(ring_model, sigma=1e-9))[0]
+    ]
+    felt = [scan for scan in pressed if scan.activation.z.any()]
+    deepest = gap_m(ring_model, np.array([true_pose(scan) for scan in felt])).min()
+    assert deepest == pytest.approx(-FELT_M - 0.002, abs=1e-3)
+    assert felt[-1].activation.t < pressed[-1].activation.t  # it is let go
+    assert not any(scan.activation.z.any() for scan in missed)

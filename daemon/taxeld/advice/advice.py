@@ -23,7 +23,7 @@ from taxeld.estimator.mixture import Mixture
 
 MOST = 3  # approaches of an advice
 AT_ONCE = 24  # lines whose travel is found in one piece of work
-LITTLE_M = 5e-4  # m: an estimate that is to become better by less is good enough
+LITTLE_M = 1e-3  # m: an estimate that is to become better by less is good enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,9 @@ class Approach:
     direction: float  # of motion in the world [rad]
     depth_m: float  # to go on once touched
     p_sure: float  # expected probability that the estimate is sure afterwards
-    gain: float  # m by which the expected error becomes smaller than by the mean approach
+    gain: (
+        float  # m by which the expected error, with 2 mm for a miss, is less than by the mean line
+    )
     p_touch: float  # probability that it touches anything
 
 
@@ -120,19 +122,19 @@ class Advisor:
             yield
             free.append(some)
             ways.append(way)
-            left.append(outcomes.by_travel(way[:, of.modes :]).loss_m)
+            left.append(outcomes.by_travel(way[:, of.modes :]).cost_m)
             yield
-        loss = np.concatenate([np.empty(0), *left])
+        cost = np.concatenate([np.empty(0), *left])
         where = [(block, row) for block, some in enumerate(free) for row in range(len(some))]
         judged = []
-        for c in np.argsort(loss)[: self._effort.tried].tolist():
+        for c in np.argsort(cost)[: self._effort.tried].tolist():
             block, row = where[c]
             line, way = free[block].only(slice(row, row + 1)), ways[block][row]
             told = outcomes.by_reading(line, way[of.modes :], self._depth_m(link))
             judged.append(
                 (
-                    float(told.loss_m[0]),
-                    self._approach(line, way, of, told, float(loss.mean())),
+                    float(told.cost_m[0]),
+                    self._approach(line, way, of, told, float(cost.mean())),
                 )
             )
             yield
@@ -195,6 +197,6 @@ class Advisor:
             float(line.direction[0]),
             self._depth_m(line.link),
             float(told.sure[0]) * (1.0 - self._estimator.estimate.hypotheses.other),
-            mean_m - float(told.loss_m[0]),
+            mean_m - float(told.cost_m[0]),
             float(of.weight[touched].sum()),
         )

@@ -19,6 +19,7 @@ from taxeld.model.observation import Observation
 
 USELESS_M = 0.04  # m: an estimate that is farther off is of no use, however far
 TRAVEL_SD_M = 0.002  # m: foam, shape and robot make a touch come so much sooner or later
+MISS_M = 0.002  # m that a touch of nothing costs: only contacts make an estimate sure
 LEAST = -8.0  # nats: least log-likelihood of an outcome, as nothing is certain
 
 
@@ -27,6 +28,7 @@ class Told(NamedTuple):
 
     loss_m: Floats  # (C,) expected distance between estimate and object, USELESS_M at most
     sure: Floats  # (C,) probability that a mode is left that holds nearly all
+    cost_m: Floats  # (C,) loss, and what misses cost
 
 
 class Outcomes:
@@ -40,7 +42,8 @@ class Outcomes:
 
     def by_travel(self, travel_m: Floats) -> Told:
         """By the travel (C, K) until something is touched alone."""
-        return self._left(np.exp(_met(travel_m)))
+        told = self._left(np.exp(_met(travel_m)))
+        return told._replace(cost_m=told.loss_m + self._missed_m(travel_m))
 
     def by_reading(self, line: Lines, travel_m: Floats, depth_m: float) -> Told:
         """By the travel (K,) on one line, and by what is read `depth_m` farther on."""
@@ -50,7 +53,12 @@ class Outcomes:
             sensor = line.after_each(travel_m[hit] + depth_m)
             told[hit] += self._read(line.link, hit, sensor)
         told = np.maximum(told - told.max(axis=1, keepdims=True), 2.0 * LEAST)
-        return self._left(np.exp(told)[None])
+        left = self._left(np.exp(told)[None])
+        return left._replace(cost_m=left.loss_m + self._missed_m(travel_m[None]))
+
+    def _missed_m(self, travel_m: Floats) -> Floats:
+        """(C,) what missing costs on lines with the travel (C, K)."""
+        return np.asarray(MISS_M * (np.isinf(travel_m) @ self._of.weight))
 
     def _read(self, link: int, hit: Index, sensor: Poses) -> Floats:
         """(H, K) log-likelihoods of what would be read at sensor poses (H, 3), if the object were
@@ -78,7 +86,8 @@ class Outcomes:
         best = off.argmin(axis=2)
         loss = np.take_along_axis(off, best[:, :, None], axis=2)[:, :, 0]
         within = (left * self._near[best]).sum(axis=2)
-        return Told(loss @ weight, (within >= SURE) @ weight)
+        left_m = loss @ weight
+        return Told(left_m, (within >= SURE) @ weight, left_m)
 
 
 def _met(travel_m: Floats) -> Floats:

@@ -1,0 +1,334 @@
+"""Where to touch next: no approach begins near where the object may be, or beyond the link's reach;
+what is advised tells more than other touches; and advice changes no estimate."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from taxeld.advice import advice, hypotheses, lines
+from taxeld.advice.advice import Advice, Advisor, Approach
+from taxeld.advice.lines import FELT_M
+from taxeld.advice.outcomes import Outcomes
+from taxeld.arrays import Floats, Poses
+from taxeld.config.tables import AdviceConfig, FilterConfig
+from taxeld.errors import SetupError
+from taxeld.estimator.bank import Known
+from taxeld.estimator.estimate import Status
+from taxeld.estimator.estimator import Estimator
+from taxeld.estimator.memory import Memory
+from taxeld.estimator.mixture import Mixture
+from taxeld.layout.layout import Layout
+from taxeld.model import contacts, se2
+from taxeld.model.noise import Noise
+from taxeld.model.observation import Observation, ObservationModel
+from taxeld.proposals.analytic import Projection, Table
+from tests.rig.pressed_box import TRUTH, Knowing, World, approach, estimator, settled
+from tests.rig.scenes import DEPTH_MAX_M, box, disc, scene_of
+
+FREE = AdviceConfig()
+
+
+def asked(subject: Estimator, config: AdviceConfig = FREE) -> Advice:
+    advisor = Advisor(subject, config)
+    while not advisor.step():
+        pass
+    assert advisor.advice is not None
+    return advisor.advice
+
+
+def drawn(subject: Estimator, seed: int = 0) -> hypotheses.Hypotheses:
+    work = hypotheses.drawn(subject, 24, 16, np.random.default_rng(seed))
+    while True:
+        try:
+            next(work)
+        except StopIteration as done:
+            return done.value  # type: ignore[no-any-return]
+
+
+def touched(model: ObservationModel, angles: Sequence[float]) -> Estimator:
+    world = World(model)
+    subject = Estimator(model, Knowing(world), FilterConfig())
+    for angle in angles:
+        world.press(subject, angle)
+    return subject
+
+
+def off_m(subject: Estimator) -> float:
+    return float(subject.rule.metric.distance(subject.estimate.map, TRUTH))
+
+
+def follow(world: World, subject: Estimator, told: Approach) -> None:
+    """Come along an advised line, feel, press as deep as advised, and go back."""
+    length_m = float(np.hypot(*(told.until - told.before)[:2]))
+    direction, ahead = np.array([told.direction]), np.array([length_m])
+    line = lines.Lines(told.link, told.before[None], direction, ahead)
+    way = float(lines.travel(line, world.model, TRUTH[None])[0, 0])
+    far = np.arange(0.0, min(way, length_m), 0.01)
+    press = np.full(3, way + told.depth_m) if np.isfinite(way) else np.empty(0)
+    for at in line.after_each(np.concatenate([far, press, far[::-1][:3]])):
+        world.feel(subject, se2.compose(se2.inverse(TRUTH), at))
+    world.t += 1.0
+    world.feel(subject, se2.compose(se2.inverse(TRUTH), line.start[0]))
+
+
+def gap_m(model: ObservationModel, sensor: Poses, poses: Poses) -> Floats:
+    """(N,) gaps [m] between a link at `sensor` (3,) and objects at `poses` (N, 3)."""
+    seen = se2.compose(se2.inverse(sensor), poses)
+    return contacts.clearance(model.scene, model.layout.radius_m, seen)
+
+
+@pytest.fixture(scope="module")
+def handled_model(skin: Layout) -> ObservationModel:
+    """A round body of 40 mm radius with a handle that reaches 75 mm from its middle."""
+    body, handle = disc(0.04), box(0.02, 0.006)
+    scene = scene_of(lambda x, y: np.minimum(body(x, y), handle(x - 0.055, y)), skin, symmetry=1)
+    angle = np.linspace(0.0, 2.0 * np.pi, 64, endpoint=False)
+    ring = 0.04 * np.column_stack([np.cos(angle), np.sin(angle)])
+    ring[0] = (0.075, 0.0)
+    height = scene.heights[0]
+    surface = np.column_stack([ring, np.full(64, height)])
+    return ObservationModel(replace(scene, outline=ring, surface=surface), skin, DEPTH_MAX_M)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    touches=st.integers(0, 3),
+    middle=st.tuples(*[st.floats(-0.3, 0.3)] * 2),
+    half_m=st.floats(0.05, 0.4),
+    clearance_m=st.floats(0.001, 0.05),
+    yaw=st.floats(-180.0, 180.0),
+    turn=st.floats(0.0, 90.0),
+)
+def test_no_approach_begins_near_a_hypothesis_or_leaves_what_the_link_reaches(
+    touches: int,
+    middle: tuple[float, float],
+    half_m: float,
+    clearance_m: float,
+    yaw: float,
+    turn: float,
+) -> None:
+    model = MODELS["box"]
+    subject = touched(model, (0.2, 1.4, 2.9)[:touches])
+    x, y = middle
+    config = AdviceConfig(
+        reach_m=(x - half_m, x + half_m, y - half_m, y + half_m),
+        yaw_deg=(yaw, yaw + turn),
+        clearance_m=clearance_m,
+    )
+    found = asked(subject, config)
+    may_be = np.array([mode.pose for mode in subject.estimate.modes if mode.weight >= 0.05])
+    for one in found.approaches:
+        if len(may_be):
+            assert gap_m(model, one.before, may_be).min() >= clearance_m - 1e-3  # the grid's cells
+        for at in (one.before, one.at, one.until):
+            assert x - half_m - 1e-9 <= at[0] <= x + half_m + 1e-9
+            assert y - half_m - 1e-9 <= at[1] <= y + half_m + 1e-9
+            off = np.degrees(se2.wrap(at[2] - np.radians(yaw + 0.5 * turn)))
+            assert abs(off) <= 0.5 * turn + 1e-6
+        ahead = one.until[:2] - one.before[:2]
+        assert np.hypot(*ahead) > 0.0
+        assert abs(se2.wrap(np.arctan2(ahead[1], ahead[0]) - one.direction)) < 1e-6
+        assert 0.0 < one.p_touch <= 1.0 + 1e-9
+        assert 0.0 <= one.p_sure <= 1.0 + 1e-9
+
+
+def test_a_link_goes_on_until_its_press_is_felt_and_no_farther(
+    handled_model: ObservationModel,
+) -> None:
+    subject, rng = touched(handled_model, (0.3, 2.0)), np.random.default_rng(3)
+    advisor, found = Advisor(subject, FREE), drawn(subject)
+    fan = advisor.fan(found, 0)
+    way = lines.travel(fan, handled_model, found.pose)
+    for c in rng.choice(len(fan), 40, replace=False).tolist():
+        for k in rng.choice(len(found.pose), 3, replace=False).tolist():
+            travel_m = np.arange(0.0, fan.length_m[c], 5e-4)
+            along = fan.only(slice(c, c + 1)).after_each(travel_m)
+            seen = se2.compose(se2.inverse(along), found.pose[k])
+            radius_m = handled_model.layout.radius_m
+            gap = contacts.clearance(handled_model.scene, radius_m, seen)
+            if np.isinf(way[c, k]):
+                assert gap.min() > -FELT_M - 1e-3
+            else:
+                assert travel_m[np.argmax(gap < -FELT_M + 1e-3)] <= way[c, k] + 1e-3
+                assert gap[travel_m < way[c, k] - 1e-3].min(initial=1.0) > -FELT_M - 1e-3
+
+
+def test_a_round_body_whose_handle_was_not_met_is_to_be_swept_past_not_pressed_again(
+    handled_model: ObservationModel,
+) -> None:
+    """The middle of the body is known, so a press towards it tells one side; a line beside it
+    meets the handle on a third of all turns."""
+    subject = touched(handled_model, (2.0, 3.1, 4.2))
+    best, *_ = asked(subject).approaches
+    off = best.before[:2] - subject.rule.metric.centres(subject.estimate.map)
+    beside_m = abs(np.cos(best.direction) * off[1] - np.sin(best.direction) * off[0])
+    assert beside_m > 0.02
+    assert best.gain > 0.0
+
+
+def test_following_the_advice_finds_a_handle_that_the_first_touch_did_not_meet(
+    handled_model: ObservationModel,
+) -> None:
+    world = World(handled_model)
+    subject = Estimator(handled_model, Table(handled_model, size=3000), FilterConfig())
+    world.press(subject, 3.1)
+    error_m = [off_m(subject)]
+    for _ in range(5):
+        follow(world, subject, asked(subject).approaches[0])
+        error_m.append(off_m(subject))
+    assert error_m[0] > 0.01
+    assert error_m[-1] < 0.005
+
+
+def test_advice_changes_no_estimate(box_model: ObservationModel) -> None:
+    alone, advised = estimator(box_model), estimator(box_model)
+    advisor = Advisor(advised, FREE)
+    for subject in (alone, advised):
+        approach(subject, box_model)
+        if subject is advised:
+            advisor.begin()
+            while not advisor.step():
+                pass
+        approach(subject, box_model, 10.0)
+    np.testing.assert_array_equal(alone.rule.belief.pose, advised.rule.belief.pose)
+    assert alone.estimate.p == advised.estimate.p
+    assert alone.estimate.proposal == advised.estimate.proposal
+
+
+def test_the_same_belief_is_given_the_same_advice(box_model: ObservationModel) -> None:
+    subject = touched(box_model, (0.2, 2.9))
+    assert str(asked(subject)) == str(asked(subject))
+
+
+def test_work_begins_anew_with_a_new_belief_and_advice_stays_until_there_is_new(
+    box_model: ObservationModel,
+) -> None:
+    subject = touched(box_model, (0.2,))
+    advisor = Advisor(subject, FREE)
+    assert advisor.advice is None
+    steps = 1
+    while not advisor.step():
+        steps += 1
+    first = advisor.advice
+    assert steps > 10
+    assert not advisor.is_busy
+    assert not advisor.step()
+    advisor.begin()
+    for _ in range(steps - 1):
+        assert not advisor.step()
+        assert advisor.advice is first
+    advisor.begin()  # once more, before it is done
+    assert sum(not advisor.step() for _ in range(steps - 1)) == steps - 1
+    assert advisor.step()
+
+
+def test_where_the_estimate_is_sure_no_touch_tells_more(box_model: ObservationModel) -> None:
+    _, subject = settled(box_model)
+    assert subject.estimate.status is Status.CONVERGED
+    assert asked(subject).is_enough
+    assert not asked(touched(box_model, (0.2,))).is_enough
+
+
+def test_a_link_that_reaches_nothing_is_advised_nothing(box_model: ObservationModel) -> None:
+    far = AdviceConfig(reach_m=(5.0, 6.0, 5.0, 6.0))
+    found = asked(touched(box_model, (0.2,)), far)
+    assert found.approaches == ()
+    assert not found.is_enough
+
+
+def test_before_any_touch_the_whole_table_is_searched(box_model: ObservationModel) -> None:
+    found = asked(estimator(box_model))
+    assert found.contacts == 0
+    assert len(found.approaches) == advice.MOST
+    assert not found.is_enough
+
+
+def test_named_directions_and_offsets_are_the_only_ones(box_model: ObservationModel) -> None:
+    config = AdviceConfig(directions_deg=(30.0, 210.0), offsets_m=(-0.01, 0.0, 0.01))
+    found = asked(touched(box_model, (0.2, 1.5)), config)
+    turned = {round(float(np.degrees(one.direction))) for one in found.approaches}
+    assert turned
+    assert turned <= {30, 210}
+
+
+def test_a_press_is_no_deeper_than_the_skin_can_tell(box_model: ObservationModel) -> None:
+    deep = AdviceConfig(depth_m=0.05)
+    assert {one.depth_m for one in asked(touched(box_model, (0.2,)), deep).approaches} == {
+        DEPTH_MAX_M
+    }
+
+
+def test_the_rule_of_the_paper_remembers_nothing_so_it_is_refused(
+    box_model: ObservationModel,
+) -> None:
+    subject = estimator(box_model, injection="paper")
+    with pytest.raises(SetupError, match=r"^advice\.enabled: takes filter\.injection = 'mixture'$"):
+        Advisor(subject, FREE)
+
+
+def test_what_two_objects_would_be_told_apart_by_is_worth_a_touch(skin: Layout) -> None:
+    """A box, and one that is shorter at one end: its end tells, its side does not."""
+    models = [
+        ObservationModel(scene_of(box(0.03, half), skin, symmetry=2), skin, DEPTH_MAX_M)
+        for half in (0.06, 0.045)
+    ]
+    first, second = (Known(model, Projection(model)) for model in models)
+    subject = Estimator(models[0], first.proposal, FilterConfig(), more=[second])
+    approach(subject, models[0])
+    found = drawn(subject)
+    assert found.objects == [0, 1]
+    apart = Outcomes(subject, found.weighed)
+    assert apart.now_m > 0.0
+    assert asked(subject).approaches[0].gain > 0.0
+
+
+def test_hypotheses_weigh_one_and_hold_every_mode(box_model: ObservationModel) -> None:
+    subject = touched(box_model, (0.2, 1.5))
+    found = drawn(subject)
+    modes = [mode.pose for mode in subject.estimate.modes]
+    np.testing.assert_array_equal(found.pose[: found.modes], modes)
+    assert found.weight.sum() == pytest.approx(1.0)
+    assert found.weight[: found.modes].sum() == 0.0
+
+
+def test_a_lost_place_is_among_the_hypotheses_again(box_model: ObservationModel) -> None:
+    """A belief that has collapsed far from where the contacts are explained."""
+    subject = touched(box_model, (0.2, 1.5))
+    rule = subject.rule
+    assert isinstance(rule, Mixture)
+    rule.belief.pose = rule.belief.pose + np.array([0.1, 0.0, 0.0])
+    near = rule.metric.distance(drawn(subject).pose, TRUTH) < 0.01
+    assert near.any()
+
+
+@pytest.mark.parametrize("is_compiled", [True, False])
+def test_a_scan_that_may_come_is_as_likely_as_when_it_has_come(
+    box_model: ObservationModel, is_compiled: bool
+) -> None:
+    rng = np.random.default_rng(0)
+    memory = Memory(box_model, Noise())
+    if not is_compiled:
+        memory._compiled = [None]
+    made = contacts.synthesise(box_model.scene, 0.04, DEPTH_MAX_M, 60, rng)
+    sensor = np.tile([0.2, -0.1, 0.4], (len(made.pose), 1))
+    poses = se2.compose(sensor, made.pose)
+    z = box_model.activation(made.pose)[:4]
+    z[3] = 0.0  # one is silent
+    like = Observation(sensor[0], np.zeros(z.shape[1]), np.ones(z.shape[1], np.bool_))
+    told = memory.foreseen(like, z, sensor[:4], poses)
+    for k, reading in enumerate(z):
+        felt = memory.plus(replace(like, z=reading, sensor=sensor[k]))
+        np.testing.assert_allclose(told[:, k], felt.explain_newest(poses), atol=1e-3)
+
+
+MODELS: dict[str, ObservationModel] = {}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def models(box_model: ObservationModel) -> None:
+    """For hypothesis, whose tests take no fixtures with a long `repr`."""
+    MODELS["box"] = box_model
