@@ -104,6 +104,7 @@ def test_a_line_of_the_table_says_which_object_it_is() -> None:
             {
                 "contact": contact,
                 "contacts": 1,
+                "status": 2,
                 "modes": [],
                 "p": 0.9,
                 "radius_m": 0.01,

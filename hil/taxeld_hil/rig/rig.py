@@ -79,7 +79,7 @@ class Rig:
         is_over = advice.is_enough or not advice.approaches
         self._waits = touches < scenario.contacts and not is_over
         if self._waits:
-            self.advised.follow(advice.approaches[0], t - IDLE_S)
+            self.advised.follow(self.advised.best(advice), t - IDLE_S)
             self.path = self.advised.path.erring(scenario.robot_m, self._seed)
 
     def _check(self, fault: Fault, number: int) -> None:

@@ -7,7 +7,7 @@ Its way round to where an approach begins is its own: it knows where the object 
 import numpy as np
 
 from taxeld.advice import lines
-from taxeld.advice.advice import Approach
+from taxeld.advice.advice import Advice, Approach
 from taxeld.advice.lines import Lines
 from taxeld.arrays import Floats, Poses
 from taxeld.model import se2
@@ -29,6 +29,12 @@ class AdvisedRobot:
         angle = np.random.default_rng(seed).uniform(-np.pi, np.pi)
         start = [*self._around(self._circle, angle), robot.first_yaw(model.layout, angle)]
         self.path = RobotPath(np.zeros(1), np.array([start]))
+
+    def best(self, advice: Advice) -> Approach:
+        """The best approach, or the next where its touch was not felt just before."""
+        was = self.path.end  # where the last approach began
+        new = (one for one in advice.approaches if not np.allclose(one.before, was))
+        return next(new, advice.approaches[0])
 
     def follow(self, approach: Approach, begin_s: float) -> None:
         """Go along an approach and back to where it began, from `begin_s` on, after all before."""
