@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from taxeld.arrays import Grid
+from taxeld.arrays import Floats
 from taxeld.config.file import opened
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.history import History, Used
@@ -105,7 +105,7 @@ def parse(data: bytes, form: Form) -> tuple[float, list[Used]]:
     return t, scans
 
 
-def _scan(row: Grid, form: Form) -> Used:
+def _scan(row: Floats, form: Form) -> Used:
     link, number, contact, *sensor, outliers = row[:HEAD].tolist()
     is_fine = link in range(len(form.taxels)) and number in range(NUMBER_MAX)
     if not is_fine or not all(abs(value) <= PLACE_MAX for value in sensor):
