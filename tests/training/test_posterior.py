@@ -1,5 +1,6 @@
 """The reference: contacts, batches, and the exact posterior by a bank and by contacts around it."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -137,12 +138,35 @@ def test_a_layout_without_symmetry_needs_no_turn(ring_model: ObservationModel) -
 def test_energy_distance_is_zero_only_for_equal_distributions() -> None:
     rng = np.random.default_rng(0)
     a, b = rng.normal(0, 0.01, (2, 400, 3))
-    assert energy_distance(a, a, 0.05) == pytest.approx(0.0, abs=1e-12)
     near, far = energy_distance(a, b, 0.05), energy_distance(a, b + np.array([0.05, 0, 0]), 0.05)
     assert near < 0.01
     assert far > 1.0
     turned = energy_distance(a, b + np.array([0, 0, np.pi]), 0.05)
     assert turned > 3.0
+
+
+def test_the_distance_of_few_samples_of_one_distribution_is_zero_on_average() -> None:
+    rng = np.random.default_rng(0)
+    drawn = rng.normal(0, 0.02, (400, 2, 20, 3))
+    found = np.array([energy_distance(a, b, 0.05) for a, b in drawn])
+    assert abs(found.mean()) < 3.0 * found.std() / np.sqrt(len(found))
+    assert (found < 0.0).any()
+
+
+def test_the_distance_of_two_normal_distributions_is_that_of_the_closed_form() -> None:
+    """E|N(m, v)| = √(2v/π) exp(−m²/2v) + m erf(m/√(2v)) in one dimension."""
+    rng, shift, spread = np.random.default_rng(0), 1.5, 1.0
+    drawn = np.zeros((500, 2, 30, 3))
+    drawn[..., 0] = spread * rng.standard_normal(drawn.shape[:-1])
+    drawn[:, 1, :, 0] += shift
+    found = np.array([energy_distance(a, b, 1.0) for a, b in drawn])
+    apart = [
+        2.0 * spread / np.sqrt(np.pi) * np.exp(-(m**2) / (4.0 * spread**2))
+        + m * math.erf(m / (2.0 * spread))
+        for m in (shift, 0.0)
+    ]
+    expected = 2.0 * (apart[0] - apart[1])
+    assert abs(found.mean() - expected) < 3.0 * found.std() / np.sqrt(len(found))
 
 
 @pytest.fixture(scope="module")

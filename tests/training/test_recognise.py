@@ -14,7 +14,7 @@ from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Table
 from taxeld_training.charts import identity_chart
 from taxeld_training.cli import main
-from taxeld_training.filters import recognise, several
+from taxeld_training.filters import levels, recognise, several
 from taxeld_training.filters.follow import follow
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs import identities
@@ -132,7 +132,7 @@ def _figures(found: list[dict[str, Any]]) -> list[str]:
 def test_the_picture_of_ten_objects_on_two_skins_is_small(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     drawn = [
-        {"figure": "confusion", "skin": skin, "contact": contact, "names": list(recognise.OTHERS)}
+        {"figure": "confusion", "skin": skin, "contact": contact, "names": list(levels.UNMET)}
         | {"shares": rng.random((11, 11)).tolist()}
         for skin in recognise.SKINS
         for contact in recognise.SHOWN

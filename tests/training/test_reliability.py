@@ -125,8 +125,8 @@ def test_the_halves_are_fixed_and_each_object_is_taken_for_others_on_each_skin()
     assert len({level.name for level in found}) == len(found)
     assert found[: len(LEVELS)] == list(LEVELS)
     pairs = {(level.touched, level.conditions.skin) for level in found if level.touched}
-    objects = {*reliability.MET, *reliability.UNMET}
-    assert len(objects) == 10
+    objects = {*reliability.MET, *levels.UNMET}
+    assert len(objects) == len(reliability.MET) + 10
     assert pairs == {(name, skin) for name in objects for skin in levels.FOAMS}
     cell = Cell(MUG, SHIPPED)
     new = {level.factor for level in found if not reliability.is_tuned(level, cell)}

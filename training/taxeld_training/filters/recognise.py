@@ -19,6 +19,7 @@ from taxeld_hil.jobs import Job
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import pairs, several
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, seed_of, setting_of
+from taxeld_training.filters.levels import UNMET
 from taxeld_training.filters.pairs import Both, Pair
 from taxeld_training.filters.several import Compared, Crowd, Recognised
 from taxeld_training.filters.touches import FOAMS
@@ -33,18 +34,6 @@ SEEDS, QUICK_SEEDS = 100, 2  # about an hour on two cores
 UNKNOWN_SEEDS = 0.5  # factor of the number of trials with an object that the filter does not know
 QUICK_OBJECTS = 2
 BLOCK = 10  # seeds a job
-OTHERS = (  # chosen before any figure: of several sizes and shapes, and all rows may touch them
-    "004_sugar_box",
-    "005_tomato_soup_can",
-    "010_potted_meat_can",
-    "011_banana",
-    "013_apple",
-    "022_windex_bottle",
-    "036_wood_block",
-    "053_mini_soccer_ball",
-    "065-j_cups",
-    "077_rubiks_cube",
-)
 TEN, OTHER_TEN = "the ten", "ten others"  # names of the filters, by the objects that they know
 SKINS = ("exact", "typical")  # of `FOAMS`
 TWO = "003_cracker_box", "025_mug"  # objects that are touched in turn, or the first that are known
@@ -84,7 +73,7 @@ def filters_of(options: Options) -> dict[str, tuple[str, ...]]:
     """The objects that each filter knows: `--objects`, or the paper's ten; and others."""
     most = QUICK_OBJECTS if options.quick else None
     first = options.objects or OBJECTS[:most]
-    return {TEN: first, OTHER_TEN: tuple(name for name in OTHERS if name not in first)[:most]}
+    return {TEN: first, OTHER_TEN: tuple(name for name in UNMET if name not in first)[:most]}
 
 
 def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Crowd, int]:

@@ -19,7 +19,7 @@ from taxeld_training.filters import cells, levels
 from taxeld_training.filters.cells import Cell, Results
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.experiment import cell_of
-from taxeld_training.filters.levels import LEVELS, Level
+from taxeld_training.filters.levels import LEVELS, UNMET, Level
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
@@ -40,10 +40,6 @@ MET = (  # objects that were taken for others while the filter was built
     "024_bowl",
     "035_power_drill",
     "061_foam_brick",
-)
-UNMET = (  # never used while it was built
-    "011_banana",
-    "013_apple",
 )
 ALL, TUNED, NOT_TUNED, SOFT, WRONG = "all", "tuned", "not tuned", "soft skin", "wrong object"
 CURVES = (TUNED, NOT_TUNED, SOFT, WRONG)  # cells whose estimates have a curve together

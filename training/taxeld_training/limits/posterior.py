@@ -136,12 +136,15 @@ def effective(weight: Floats) -> float:
 
 
 def energy_distance(a: Poses, b: Poses, length_m: float) -> float:
-    """2 E|A−B| − E|A−A'| − E|B−B'| between pose sets (n, 3), a radian as far as `length_m`.
+    """2 E|A−B| − E|A−A'| − E|B−B'| between the distributions behind pose sets (n, 3), a radian as
+    far as `length_m`, in units of `length_m`. Zero only for equal ones (Székely & Rizzo).
 
-    In units of `length_m`. Zero only for equal distributions (Székely & Rizzo).
+    A U-statistic: no pose is compared with itself, so that it is right on average however few the
+    poses are, and may be a little below zero.
     """
     pa, pb = embed(a, length_m), embed(b, length_m)
-    return float(2.0 * _mean_gap(pa, pb) - _mean_gap(pa, pa) - _mean_gap(pb, pb))
+    within = sum(_mean_gap(own, own) * len(own) / (len(own) - 1) for own in (pa, pb))
+    return float(2.0 * _mean_gap(pa, pb) - within)
 
 
 def embed(poses: Poses, length_m: float) -> Floats:

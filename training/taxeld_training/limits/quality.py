@@ -42,14 +42,14 @@ class Reference:
 
     @property
     def floors(self) -> Floats:
-        """(readings,) energy distances of two sets of exact draws."""
+        """(readings,) energy distances of two sets of exact draws: zero but for chance."""
         return np.array(
             [energy_distance(e[SAMPLES:], e[:SAMPLES], self.length_m) for e in self.exact]
         )
 
     @property
     def floor(self) -> float:
-        """Mean of the floors; no sampler can be expected nearer."""
+        """Mean of the floors: how far off zero chance alone puts a mean over these readings."""
         return float(self.floors.mean())
 
     @property
