@@ -155,7 +155,7 @@ class Daemon:
         self._notices = Notices(self._names, self.pipeline.ladder.name, paths)
         self._estimate_sent: dict[str, Any] = {}
         self._health_sent: dict[str, Any] = {}
-        given = asdict(replace(config, is_sized=False))  # what holds, whoever says it
+        given = asdict(replace(config, is_sized=False))  # whoever says what holds
         if not config.links:
             del given["links"]
         digest = hashlib.sha256(repr(given).encode()).hexdigest()[:16]
