@@ -152,16 +152,19 @@ def quiet_ms(touches: Iterable[TouchResult]) -> float:
 
 def _pooled(scenes: Sequence[dict[Cell, Results]]) -> dict[Cell, Results]:
     """The trials of all scenes as of one, of the filters that ran in each, which the cells of the
-    first scene stand for."""
+    first scene stand for; of each scene the trials that all of these filters have met."""
     parts = [{_parts(cell): results for cell, results in each.items()} for each in scenes]
+    own = [cell for cell in scenes[0] if all(_parts(cell) in each for each in parts)]
+    if not own:
+        return {}
+    met = [set.intersection(*(set(each[_parts(cell)]) for cell in own)) for each in parts]
     return {
         cell: {
-            SCENES_APART * k + seed: trial
-            for k, each in enumerate(parts)
-            for seed, trial in each[_parts(cell)].items()
+            SCENES_APART * k + seed: each[_parts(cell)][seed]
+            for k, (each, seeds) in enumerate(zip(parts, met, strict=True))
+            for seed in sorted(seeds)
         }
-        for cell in scenes[0]
-        if all(_parts(cell) in each for each in parts)
+        for cell in own
     }
 
 
