@@ -121,6 +121,7 @@ def whole_rows(options: Options) -> list[Path]:
             for (own, name), each in wanted.items()
             if own is level
         }
+        here = {name: each for name, each in here.items() if each}  # as far as there was time
         trials = [
             trial for each in here.values() for own in each.values() for trial in own.values()
         ]
@@ -154,7 +155,11 @@ def _pooled(scenes: Sequence[dict[Cell, Results]]) -> dict[Cell, Results]:
     """The trials of all scenes as of one, of the filters that ran in each, which the cells of the
     first scene stand for; of each scene the trials that all of these filters have met."""
     parts = [{_parts(cell): results for cell, results in each.items()} for each in scenes]
-    own = [cell for cell in scenes[0] if all(_parts(cell) in each for each in parts)]
+    own = [
+        cell
+        for cell in scenes[0]
+        if cell.method.proposal != GRID and all(_parts(cell) in each for each in parts)
+    ]
     if not own:
         return {}
     met = [set.intersection(*(set(each[_parts(cell)]) for cell in own)) for each in parts]
