@@ -146,7 +146,7 @@ def test_the_summary_counts_trials_and_has_a_cure_where_the_table_finds_clearly_
 def test_trials_choose_the_filter_that_the_daemon_runs_if_there_are_enough_of_them(
     built: Path, info: dict[str, Any], trials: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(touches, "LEAST", 3)
+    monkeypatch.setattr(touches.enough, "LEAST", 3)
     asked = touches.EndTrials("exact", trials, workers=1)
     told = touches.counted(built, layouts.load(SKIN), asked, lambda *_: None)
     if trials < 3:

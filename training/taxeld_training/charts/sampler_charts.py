@@ -32,8 +32,6 @@ def _shown(row: Row) -> Spread:
     return median, best, worst
 
 
-
-
 def _dodged(
     rows: Sequence[Row], value: Callable[[Row], Spread], what: str, path: Path, log: bool = False
 ) -> None:

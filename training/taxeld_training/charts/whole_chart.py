@@ -23,9 +23,9 @@ MARKS = {  # keys of rows → marker, size and name in the legend
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """A panel for each object and condition, with the front of its filters. Those by the paper's
-    rule are hollow; the grid's share is of objects found, sure or not."""
+    rule are hollow. The grid is a dashed line, of objects found, sure or not: it takes seconds."""
     style = picture.styles(row["proposal"] for row in rows if row["proposal"] != GRID)
-    style[GRID] = ("black", "D")
+    style[GRID] = ("black", "_")
     scenes = list(dict.fromkeys(map(_scene, rows)))
     across = min(ACROSS, len(scenes))
     down = -(-len(scenes) // across)
@@ -69,6 +69,9 @@ def _panel(axes: Axes, rows: Sequence[Row], style: dict[str, Style]) -> None:
     axes.set(xscale="log", ylim=(-0.03, 1.05))
     picture.log_ticks(axes.xaxis, (1.0, 2.0, 5.0))
     for row in rows:
+        if row["proposal"] == GRID:
+            axes.axhline(_share(row), color="black", lw=0.9, ls="--", zorder=1)
+            continue
         colour, marker = style[row["proposal"]]
         fill = "white" if row["injection"] == "paper" else colour
         given: dict[str, Any] = {"ms": 4.0, "mec": colour, "mfc": fill, "mew": 0.8, "alpha": 0.85}

@@ -72,10 +72,9 @@ def chosen(methods: Sequence[Method], names: Sequence[str]) -> list[Method]:
     ]
 
 
-def run(
-    wanted: Iterable[tuple[Cell, int]], options: Options, size: int = BLOCK
-) -> dict[Cell, Results]:
-    """Results of cells, of as many trials of each as given, or as time allows, by blocks of `size`.
+def run(wanted: Iterable[tuple[Cell, int]], options: Options, size: int = 0) -> dict[Cell, Results]:
+    """Results of cells, of as many trials of each as given, or as time allows, by blocks
+    of `size` or the usual one.
 
     Models are trained first. Then every cell gets a first block of trials before any gets a
     second one; the grid filter, which takes longest, comes last.
@@ -87,7 +86,7 @@ def run(
         file = files.get((cell.setting, cell.method.proposal))
         if file is None:
             continue
-        block = GRID_BLOCK if cell.method.proposal == GRID else size
+        block = GRID_BLOCK if cell.method.proposal == GRID else size or BLOCK
         for first in range(0, count, block):
             arguments = (cell, seed_of(options, first), min(block, count - first))
             todo.append((first, cell, Job(f"{cell.name}-{first}", play, arguments, (file,))))

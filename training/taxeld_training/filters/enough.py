@@ -10,6 +10,7 @@ from taxeld_training.filters.methods import TouchResult
 from taxeld_training.jobs.statistics import of_mean
 
 MARGIN = 0.01  # share of the touches by which a filter that is as good may fall behind
+LEAST = 40  # trials; fewer choose nothing
 MISLED = 10.0  # touches found and sure that one misleading takes away
 
 Told: TypeAlias = list[tuple[bool, bool]]  # found and sure, misleading; of each touch

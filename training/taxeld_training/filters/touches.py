@@ -34,7 +34,6 @@ FOAMS = {  # levels of filters/levels.py
 }
 
 SIZES = (25, 50, SHIPPED.particles, 200)  # N at least, of the filters that are tried
-LEAST = 40  # trials; fewer choose nothing
 
 
 @dataclass(frozen=True)
@@ -61,7 +60,7 @@ def size(method: Method) -> str:
 def tried(sampler: str, asked: EndTrials) -> dict[str, Method]:
     """The filters that are tried, by name, cheapest first; the table's before the sampler's, which
     takes a training. Of few trials, which choose nothing, only those of the usual size."""
-    sizes = SIZES if asked.trials >= LEAST else (SHIPPED.particles,)
+    sizes = SIZES if asked.trials >= enough.LEAST else (SHIPPED.particles,)
     most = SHIPPED.particles_max // SHIPPED.particles
     filters = (
         Method(name, SHIPPED.injection, n, most * n)

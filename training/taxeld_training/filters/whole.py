@@ -82,7 +82,7 @@ FILTERS = (
     Filter(Method("table", "paper", 100)),
     Filter(Method("table", "paper", 800)),
     Filter(Method("table", "paper", 800, samples=0)),  # a particle filter alone: no samples
-    Filter(Method(GRID, touches=(AFTER,))),  # what it does not find, no filter finds
+    Filter(Method(GRID, touches=(AFTER,))),  # the limit: nothing finds more
 )
 
 
@@ -114,8 +114,6 @@ def whole_rows(options: Options) -> list[Path]:
     }
     counts = {cell: count for each in wanted.values() for cell, count in each.items()}
     done = cells.run(counts.items(), options, BLOCK)
-    trials = [trial for results in done.values() for trial in results.values()]
-    idle_ms = quiet_ms(touch for trial in trials for touch in trial)
     found: list[dict[str, Any]] = []
     for level in dict.fromkeys(level for level, _ in wanted):
         here = {
@@ -123,6 +121,11 @@ def whole_rows(options: Options) -> list[Path]:
             for (own, name), each in wanted.items()
             if own is level
         }
+        here = {name: each for name, each in here.items() if each}  # as far as there was time
+        trials = [
+            trial for each in here.values() for own in each.values() for trial in own.values()
+        ]
+        idle_ms = quiet_ms(touch for trial in trials for touch in trial)
         if len(here) > 1:
             here = {ALL: _pooled(list(here.values())), **here}
         found += [
@@ -150,16 +153,23 @@ def quiet_ms(touches: Iterable[TouchResult]) -> float:
 
 def _pooled(scenes: Sequence[dict[Cell, Results]]) -> dict[Cell, Results]:
     """The trials of all scenes as of one, of the filters that ran in each, which the cells of the
-    first scene stand for."""
+    first scene stand for; of each scene the trials that all of these filters have met."""
     parts = [{_parts(cell): results for cell, results in each.items()} for each in scenes]
+    own = [
+        cell
+        for cell in scenes[0]
+        if cell.method.proposal != GRID and all(_parts(cell) in each for each in parts)
+    ]
+    if not own:
+        return {}
+    met = [set.intersection(*(set(each[_parts(cell)]) for cell in own)) for each in parts]
     return {
         cell: {
-            SCENES_APART * k + seed: trial
-            for k, each in enumerate(parts)
-            for seed, trial in each[_parts(cell)].items()
+            SCENES_APART * k + seed: each[_parts(cell)][seed]
+            for k, (each, seeds) in enumerate(zip(parts, met, strict=True))
+            for seed in sorted(seeds)
         }
-        for cell in scenes[0]
-        if all(_parts(cell) in each for each in parts)
+        for cell in own
     }
 
 
@@ -171,7 +181,7 @@ def _rows(
     level: Level, name: str, found: dict[Cell, Results], idle_ms: float
 ) -> list[dict[str, Any]]:
     """The rows of a scene's filters, cheapest first, the grid last. `name`: of its object;
-    `idle_ms`: the time of the whole run's quiet seconds."""
+    `idle_ms`: the time of quiet seconds on its skin."""
     rows = {
         cell: {"object": name, "factor": level.factor, "level": level.level}
         | _row(cell, results, idle_ms)
@@ -185,7 +195,7 @@ def _rows(
         rows[cell]["on_front"], most = share > most, max(share, most)
     usual = [k for k, cell in enumerate(ranked) if rows[cell]["ships"]]
     seeds = set.intersection(*(set(found[cell]) for cell in ranked)) if usual else set()
-    if seeds:
+    if len(seeds) >= enough.LEAST:
         told = ([enough.told(found[cell][seed]) for seed in sorted(seeds)] for cell in ranked)
         first = enough.first([enough.worth(trials) for trials in told], usual[0])
         rows[ranked[first]]["enough"] = True
