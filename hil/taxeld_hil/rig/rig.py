@@ -4,6 +4,7 @@ Its owner steps it through scenario time and delivers what it sends. Until a hos
 scenario time stands still at BEFORE_S.
 """
 
+from collections.abc import Sequence
 from itertools import accumulate
 
 import numpy as np
@@ -16,6 +17,7 @@ from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
 from taxeld_hil.world import robot
 from taxeld_hil.world.world import load_model, make_world
 from taxeld_protocol import cyskin, serial_link
+from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.modules import is_of_bootloader, wired
 from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
@@ -24,6 +26,10 @@ POSE_PERIOD_S = 0.01
 POSE_AGE_S = 0.004  # age of a pose in its message: scans fall between poses
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
 SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
+ARRAY_ID = "skin"
+# a hub that speaks the native link has left its own bootloader, which speaks CAN alone; what sends
+# an array has no host to start it
+PHASES = {"native": Phase.MODULES, "array": Phase.RUNNING}
 BEFORE_S = -1.0  # scenario time while no host has started the skin
 
 
@@ -37,11 +43,13 @@ class Rig:
         self.modules = wired(self._taxel_uids)
         self.world = make_world(scenario, self.model, self.modules, seed)
         self.line = scenario.transport == "native"
-        # a hub that speaks the native link has left its own bootloader, which speaks CAN alone
-        self.hub = VirtualIhb(self.modules, phase=Phase.MODULES if self.line else Phase.BOOTLOADER)
+        self.is_array = scenario.transport == "array"
+        self.hub = VirtualIhb(self.modules, phase=PHASES.get(scenario.transport, Phase.BOOTLOADER))
         channels = tuple(module.channels for module in self.modules)
         self.ledger = Ledger(channels, self.hub.period_ms / 1000.0)
         self._first = [0, *accumulate(channels)]
+        uids = [uid for module in self.modules for uid in module.uids]
+        self._channel = {uid: c for c, uid in enumerate(uids)}
         self._was_on = True
         self._next_pose_s = -1e9
         self._now = 0.0  # time stamp of the next frames [s]
@@ -72,9 +80,7 @@ class Rig:
     def _injecting(self, scenario: Scenario, seed: int) -> Injector:
         for number, fault in enumerate(scenario.fault):
             self._check(fault, number)
-        uids = [uid for module in self.modules for uid in module.uids]
-        channel = {uid: c for c, uid in enumerate(uids)}
-        taxels = {i: channel[uid] for i, uid in enumerate(self._taxel_uids)}
+        taxels = {i: self._channel[uid] for i, uid in enumerate(self._taxel_uids)}
         modules = [
             range(first + 1, end) for first, end in zip(self._first, self._first[1:], strict=False)
         ]
@@ -115,10 +121,12 @@ class Rig:
         self._now = now
         if not self._power(t):
             return []
-        out = self._injector.due(t, line=self.line)
+        out = [] if self.is_array else self._injector.due(t, line=self.line)
         if t >= 0.0 and self.hub.due(now):
             counts = self._injector.counts(self.world.counts(self.pose(t), now), t)
             self.ledger.scans_sent += 1
+            if self.is_array:
+                return [self._array(counts, now)]
             for answer in self.hub.sensor_data(counts):
                 out += self._send(*answer, t)
         return out
@@ -146,9 +154,15 @@ class Rig:
         on = self.is_on(t)
         if self._was_on and not on:  # a hub without power forgets its settings
             self.hub.reboot()
+            self.hub.auto_sync = self.is_array
             self._injector.drop_held()
         self._was_on = on
         return on
+
+    def _array(self, counts: Sequence[int | None], now: float) -> WireUnit:
+        """The scan as an array of the layout's taxels."""
+        taxels = (counts[self._channel[uid]] or 0 for uid in self._taxel_uids)
+        return WireUnit(ArrayFrame(now, ARRAY_ID, 0, tuple(taxels)), None)
 
     def _send(self, command: int, payload: bytes, t: float) -> list[WireUnit]:
         self.ledger.packets_sent += 1

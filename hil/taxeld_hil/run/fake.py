@@ -16,10 +16,14 @@ from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.state import SkinState
 from taxeld.source import dialects
+from taxeld.source.array_source import ArraySource
 from taxeld.source.dialects import ToFrames
+from taxeld.source.source import Source
 from taxeld.source.sources import LiveSource
 from taxeld.stream import messages
 from taxeld_hil.run.memory import MemoryDevice, MemoryLine
+from taxeld_protocol.array import ArrayFrame
+from taxeld_protocol.cyskin import BROADCAST, Command
 
 
 class FakeDaemon:
@@ -43,7 +47,14 @@ class FakeDaemon:
         samples = several.untimed(scenes, config.filter)
         model, *more = (scene.model for scene in scenes)
         self.pipeline = Pipeline(config, model, samples, calibration=calibration, more=more)
-        self.source = LiveSource(config.source, dialects.live(config.source, skin), device, None)
+        self._line = line
+        self.source: Source = (
+            ArraySource(config.source, dialects.of_array(config.source, skin), None)
+            if line.rig.is_array
+            else LiveSource(config.source, dialects.live(config.source, skin), device, None)
+        )
+        if self.source.comes_by_door:
+            line.ask(BROADCAST, bytes((Command.SET_AUTO_SYNC, 1)))  # as its subscription does
         self.scans = 0
         self.outcomes: list[Outcome] = []  # outcomes of the last tick
         self._start_s = line.now
@@ -55,6 +66,9 @@ class FakeDaemon:
         self.pipeline.poses.add(t, x, y, theta)
 
     def tick(self, t: float) -> None:
+        for frame in self._line.take() if self.source.comes_by_door else ():
+            if isinstance(frame, ArrayFrame):
+                self.source.hear(frame)
         scans = self.source.poll(t)
         self.scans += len(scans)
         self.outcomes = list(self.pipeline.advance(scans, t))

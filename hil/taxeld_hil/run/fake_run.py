@@ -19,8 +19,9 @@ from taxeld_hil.rig.rig import Rig
 from taxeld_hil.run.fake import FakeDaemon
 from taxeld_hil.run.memory import MemoryLine
 from taxeld_hil.scenario import settings
-from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
 from taxeld_hil.world import bundled
+from taxeld_protocol.array import ArrayFrame, line_of
 from taxeld_protocol.frames import Frame, format_log_line
 
 NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
@@ -152,7 +153,8 @@ class FakeRun:
         """A judge of what is estimated from now on, by where the object stands now."""
         rig = self.rig
         scene, truth = rig.model.scene, rig.world.truth
-        return Judge(rig.scenario, scene, truth, NOT_INJECTED, rig.taxels_of)
+        not_injected = (*NOT_INJECTED, *(OF_FRAMES if rig.is_array else ()))
+        return Judge(rig.scenario, scene, truth, not_injected, rig.taxels_of)
 
     def _kill_or_start(self, t: float) -> None:
         killed = self.rig.fails("daemon_killed", t)
@@ -175,6 +177,8 @@ def write_session(directory: Path, kept: Sequence[Item]) -> None:
     for item in kept:
         if isinstance(item, Frame):
             name, line = session.FRAMES, format_log_line(item)
+        elif isinstance(item, ArrayFrame):
+            name, line = session.ARRAY, line_of(item)
         elif isinstance(item, Chunk):
             name, line = session.SERIAL_TIMES, f"{item.t:.6f},{len(data)}"
             data += item.data

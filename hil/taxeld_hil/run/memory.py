@@ -5,7 +5,8 @@ from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.source.device import Device, LostError, Piece
-from taxeld.source.session import Chunk
+from taxeld.source.recorder import Item
+from taxeld.source.session import Chunk, Items
 from taxeld_hil.rig.rig import Rig
 from taxeld_protocol.cyskin import BROADCAST, Packet
 from taxeld_protocol.frames import Frame
@@ -18,8 +19,8 @@ class MemoryLine:
         self.rig = rig
         self.t = 0.0  # scenario time [s], which begins anew with each lap
         self.now = 0.0  # the daemon's clock [s], which goes on over laps
-        self.record: Callable[[Frame | Chunk], None] = lambda _: None  # called with each delivered
-        self._waiting: list[Frame] = []
+        self.record: Callable[[Item], None] = lambda _: None  # called with each delivered
+        self._waiting: list[Any] = []  # frames or arrays
         self._bytes = b""
 
     @property
@@ -43,8 +44,8 @@ class MemoryLine:
         )
         self._deliver(self.rig.answer(packet, self.t))
 
-    def take(self) -> list[Frame] | list[Chunk]:
-        """Frames or bytes delivered since the last call."""
+    def take(self) -> Items:
+        """Frames, bytes or arrays delivered since the last call."""
         frames, data = self._waiting, self._bytes
         self._waiting, self._bytes = [], b""
         if self.rig.line:
@@ -78,7 +79,8 @@ class MemoryDevice(Device):
     def read(self) -> list[Frame] | list[Chunk]:
         if not self._line.is_plugged:
             raise LostError
-        return self._line.take()
+        items: Any = self._line.take()  # an array comes by no device
+        return items  # type: ignore[no-any-return]
 
     def pack(self, to: int, body: bytes) -> list[bytes]:
         return [to.to_bytes(2) + body]  # LEAVE_BOOTLOADER does not fit one byte

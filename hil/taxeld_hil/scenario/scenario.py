@@ -14,20 +14,24 @@ from taxeld.errors import SetupError
 from taxeld.proposals import bundle as bundles
 from taxeld_hil.scenario.mesh_config import FOAMS, PLAIN, SKINS, MeshConfig
 
-TRANSPORTS = ("slcan", "native", "can")
+TRANSPORTS = ("slcan", "native", "can", "array")
 
 SKIN_KINDS = ("module_dead", "taxel_stuck", "saturated", "baseline_jump")
-KINDS = (
+# of frames or lines on their way: an array has neither
+OF_FRAMES = (
     "dropped",
     "duplicated",
     "reordered",
     "corrupted",
     "late",
     "flooded",
+    "adapter_closed",
+)
+KINDS = (
+    *OF_FRAMES,
     *SKIN_KINDS,
     "reboot",
     "unplugged",
-    "adapter_closed",
     "pose_silent",
     "pose_frozen",
     "pose_late",

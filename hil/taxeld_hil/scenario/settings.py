@@ -10,6 +10,7 @@ SOURCES = {
     "slcan": 'kind = "can"\ninterface = "slcan"\nchannel = "{channel}"',
     "can": 'kind = "can"\nchannel = "{channel}"',
     "native": 'kind = "serial"\nchannel = "{channel}"',
+    "array": 'kind = "array"\nendpoint = "{ipc}"',
 }
 
 TEXT = """\
@@ -45,7 +46,7 @@ def text(
         layout=scenario.skin_layout,
         full_scale_counts=scenario.full_scale_counts,
         full_scale_depth_m=bundle.manifest_of(scenario.bundle).depth_max_m,
-        source=SOURCES[scenario.transport].format(channel=channel),
+        source=SOURCES[scenario.transport].format(channel=channel, ipc=array_at(channel)),
         objects=f"bundles = [{several}]" if scenario.bundles else f'bundle = "{first}"',
         poses=poses,
         sigma_m=scenario.robot_m or SensorPoseConfig().sigma_m,  # the daemon is told
@@ -55,7 +56,12 @@ def text(
     )
 
 
+def array_at(channel: str) -> str:
+    """The endpoint of an array that is sent in a port's place."""
+    return f"ipc://{Path(channel).absolute()}"
+
+
 def without_devices(scenario: Scenario, seed: int, filter_keys: str = "") -> str:
     """The file of a daemon without sockets, files and devices."""
     nowhere = Path("/nowhere")
-    return text(scenario, seed, "memory", f"ipc://{nowhere}/poses", nowhere, filter_keys)
+    return text(scenario, seed, str(nowhere / "skin"), f"ipc://{nowhere}/poses", nowhere, filter_keys)
