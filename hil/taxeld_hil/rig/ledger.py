@@ -109,6 +109,15 @@ class Ledger:
         for unit in units:
             self.deliver(unit, t)
 
+    def add(self, other: "Ledger") -> None:
+        """Count what another ledger of the same host has counted."""
+        for name in asdict(self.fates):
+            setattr(self.fates, name, getattr(self.fates, name) + getattr(other.fates, name))
+        for name in ("scans_sent", "packets_sent", "poses_sent", "poses_heard", "refused"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.done += other.done
+        self.hosts = other.hosts
+
     def entries(self) -> dict[str, Any]:
         """For a report."""
         names = ("scans_sent", "packets_sent", "poses_sent", "refused", "hosts")

@@ -15,7 +15,7 @@ from taxeld_hil.rig.faults import Injector, PoseRow
 from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
 from taxeld_hil.world import robot
-from taxeld_hil.world.world import load_model, make_world
+from taxeld_hil.world.world import load_model, make_world, placed
 from taxeld_protocol import cyskin, serial_link
 from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import Command, Packet
@@ -27,6 +27,8 @@ POSE_AGE_S = 0.004  # age of a pose in its message: scans fall between poses
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
 SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
 ARRAY_ID = "skin"
+HUB_UID = 0xC15C0001  # of the first link's
+LINK_SEEDS = 1_000_003  # from a link's seed to the next one's
 # a hub that speaks the native link has left its own bootloader, which speaks CAN alone; what sends
 # an array has no host to start it
 PHASES = {"native": Phase.MODULES, "array": Phase.RUNNING}
@@ -36,15 +38,23 @@ BEFORE_S = -1.0  # scenario time while no host has started the skin
 class Rig:
     """A scenario with a seed: hub, world, robot, injector and ledger."""
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
-        """Raises SetupError where skin or object cannot be loaded, or a fault does not fit them."""
+    def __init__(self, scenario: Scenario, seed: int, link: int = 0) -> None:
+        """`link`: the number of the link that it is of; all have the same object in one place.
+
+        Raises:
+            SetupError: skin or object cannot be loaded, or a fault does not fit them.
+        """
+        self._own_seeds = LINK_SEEDS * link
         self.model = load_model(scenario)
         self._taxel_uids: list[int] = self.model.layout.uid.tolist()
         self.modules = wired(self._taxel_uids)
-        self.world = make_world(scenario, self.model, self.modules, seed)
+        self.world = make_world(scenario, self.model, self.modules, seed + self._own_seeds)
+        if link:
+            self.world.truth = placed(scenario, np.random.default_rng(seed))
         self.line = scenario.transport == "native"
         self.is_array = scenario.transport == "array"
-        self.hub = VirtualIhb(self.modules, phase=PHASES.get(scenario.transport, Phase.BOOTLOADER))
+        phase = PHASES.get(scenario.transport, Phase.BOOTLOADER)
+        self.hub = VirtualIhb(self.modules, HUB_UID + link, phase=phase)
         channels = tuple(module.channels for module in self.modules)
         self.ledger = Ledger(channels, self.hub.period_ms / 1000.0)
         self._first = [0, *accumulate(channels)]
@@ -58,13 +68,11 @@ class Rig:
     def lap(self, scenario: Scenario, seed: int) -> None:
         """Go on with another scenario on the same skin: the object stands elsewhere, and scenario
         time begins anew."""
-        place = scenario.place_m
-        most = np.array([place, place, np.pi])
-        self.world.truth = np.random.default_rng([seed, 2]).uniform(-most, most)
+        self.world.truth = placed(scenario, np.random.default_rng([seed, 2]))
         self._begin(scenario, seed)
 
     def _begin(self, scenario: Scenario, seed: int) -> None:
-        self.scenario = scenario
+        self.scenario, seed = scenario, seed + self._own_seeds
         plan = robot.plan(scenario, self.model, self.world.truth, seed)
         self.path = plan.erring(scenario.robot_m, seed)
         self._injector = self._injecting(scenario, seed)
@@ -184,3 +192,28 @@ class Rig:
             return Sent(data, command, fragments, declares=declares)
         start = self._first[payload[0]] + payload[1]
         return Sent(data, command, fragments, start, len(payload) // 2 - 1)
+
+
+def rigs_of(scenario: Scenario, seed: int) -> list[Rig]:
+    """A rig for each link, which touch the object in turn.
+
+    Raises:
+        SetupError: as of `Rig`, or the links do not fit the scenario's other keys.
+    """
+    scenario.check_links()
+    rigs = [Rig(scenario.of_link(k), seed, k) for k in range(scenario.links)]
+    _take_turns(rigs)
+    return rigs
+
+
+def lap(rigs: Sequence[Rig], scenario: Scenario, seed: int) -> None:
+    """Go on with another scenario on the same links, as `Rig.lap`."""
+    for number, rig in enumerate(rigs):
+        rig.lap(scenario.of_link(number), seed)
+    _take_turns(rigs)
+
+
+def _take_turns(rigs: Sequence[Rig]) -> None:
+    paths = robot.in_turn([rig.path for rig in rigs])
+    for rig, path in zip(rigs, paths, strict=True):
+        rig.path = path

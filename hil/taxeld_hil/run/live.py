@@ -42,7 +42,7 @@ class LiveRun:
         """`directory` gets the session; `channel`: a CAN interface, unused on other transports;
         `say` prints a line."""
         self.run = Run(name, seed, "sim", "real", scenario.transport)
-        self.scenario = scenario
+        self.scenario = scenario.one_link()
         self._directory = directory
         self._channel = channel
         self._say = say

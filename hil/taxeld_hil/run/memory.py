@@ -13,10 +13,12 @@ from taxeld_protocol.frames import Frame
 
 
 class MemoryLine:
-    """The wire between a rig and the fake devices that are plugged into it, one after the other."""
+    """The wire between rigs and the fake devices that are plugged into it, one after the other."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig, *further: Rig) -> None:
+        """`further`: of links whose hubs are on the same bus."""
         self.rig = rig
+        self._rigs = (rig, *further)
         self.t = 0.0  # scenario time [s], which begins anew with each lap
         self.now = 0.0  # the daemon's clock [s], which goes on over laps
         self.record: Callable[[Item], None] = lambda _: None  # called with each delivered
@@ -25,15 +27,17 @@ class MemoryLine:
 
     @property
     def is_plugged(self) -> bool:
-        return not self.rig.fails("unplugged", self.t)
+        return not any(rig.fails("unplugged", self.t) for rig in self._rigs)
 
     def send_due(self) -> None:
         """Deliver what the hub sends by itself at this time."""
-        self._deliver(self.rig.scan(self.t, self.now))
+        for rig in self._rigs:
+            self._deliver(rig, rig.scan(self.t, self.now))
 
     def send_rest(self) -> None:
         """Deliver what was held back, at the end."""
-        self._deliver(self.rig.rest())
+        for rig in self._rigs:
+            self._deliver(rig, rig.rest())
 
     def ask(self, to: int, body: bytes) -> None:
         """Deliver the answers to a request."""
@@ -42,7 +46,8 @@ class MemoryLine:
             if body
             else Packet(self.now, BROADCAST, to, body)
         )
-        self._deliver(self.rig.answer(packet, self.t))
+        for rig in self._rigs:
+            self._deliver(rig, rig.answer(packet, self.t))
 
     def take(self) -> Items:
         """Frames, bytes or arrays delivered since the last call."""
@@ -52,8 +57,8 @@ class MemoryLine:
             return [Chunk(self.now, data)] if data else []
         return frames
 
-    def _deliver(self, units: list[Any]) -> None:
-        self.rig.ledger.deliver_all(units, self.now)
+    def _deliver(self, rig: Rig, units: list[Any]) -> None:
+        rig.ledger.deliver_all(units, self.now)
         for unit in units:
             item = unit.item
             if isinstance(item, bytes):
