@@ -91,6 +91,8 @@ def _say_next(args: argparse.Namespace, scenario: "Scenario", out: Path) -> None
         daemon_cli.main(["view", str(out)])  # where its extra lacks, it says so in a line
     else:
         _say(f"see it: {shlex.join([program, 'view', str(out)])}")
+    if scenario.links > 1:
+        return  # their configuration is in the session
     given = ["--bundle", scenario.bundle]
     if scenario.layout:
         given += ["--layout", scenario.layout]
@@ -245,7 +247,8 @@ def _scenario(args: argparse.Namespace, layout: str | None = None) -> "Scenario"
     from taxeld_hil.scenario import scenario as scenarios
 
     layout = args.layout if layout is None else layout
-    return scenarios.load(args.scenario).touching(args.object).on(args.foam, layout)
+    layouts = [layout] if isinstance(layout, str) else layout or ()
+    return scenarios.load(args.scenario).touching(args.object).on(args.foam, *layouts)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -266,15 +269,22 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _add_world(command: argparse.ArgumentParser, *, has_rows: bool = False) -> None:
-    """What replaces parts of a scenario; `has_rows`: the command has a row a layout."""
+def _add_world(
+    command: argparse.ArgumentParser, *, has_rows: bool = False, has_links: bool = False
+) -> None:
+    """What replaces parts of a scenario; `has_rows`: the command has a row a layout, `has_links`: a
+    link for each of several."""
     about = "in place of the scenario's object: box, drill, mug, or a path"
     command.add_argument("--object", default="", metavar="BUNDLE", help=about)
     if has_rows:
         jobs.add_layouts(command, "the scenario's")
     else:
         about = "in place of the scenario's, as skin.layout"
-        command.add_argument("--layout", default="", help=about)
+        if has_links:
+            about += "; each of several is of a link"
+            command.add_argument("--layout", action="append", help=about)
+        else:
+            command.add_argument("--layout", default="", help=about)
     about = f"in place of the scenario's: {', '.join(FOAMS)}"
     foam = command.add_argument("--foam", default="", help=about)
     command_line.add_renamed(command, "--skin", foam)
@@ -315,7 +325,7 @@ def _add_run(commands: Commands) -> None:
     about = "the robot follows the daemon's advice (taxeld advise), in simulation"
     run.add_argument("--advised", action="store_true", help=about)
     run.add_argument("--view", action="store_true", help="show the session in the end")
-    _add_world(run)
+    _add_world(run, has_links=True)
 
 
 def _add_many(commands: Commands) -> None:

@@ -120,14 +120,19 @@ def test_on_a_soft_skin_nothing_is_lost_and_every_fault_shows(skin: str) -> None
 
 @pytest.mark.parametrize(
     ("name", "transport"),
-    [("everything", "native"), ("damaged_line", "slcan"), ("damaged_line", "can")],
+    [
+        ("everything", "native"),
+        ("everything", "array"),
+        ("damaged_line", "slcan"),
+        ("damaged_line", "can"),
+    ],
 )
 def test_a_scenario_passes_over_any_transport(name: str, transport: str) -> None:
     grade = FakeRun(scenario.load(name).over(transport).on("scene"), seed=1).graded(name)
     assert failed(grade) == []
 
 
-@pytest.mark.parametrize("transport", ["slcan", "native"])
+@pytest.mark.parametrize("transport", ["slcan", "native", "array"])
 def test_a_run_on_the_fake_clock_leaves_a_session_that_replays_to_its_end(
     transport: str, tmp_path: Path
 ) -> None:
@@ -247,7 +252,7 @@ def test_a_run_on_hardware_grades_what_it_can_and_names_what_it_cannot(tmp_path:
 
 
 @pytest.mark.skipif(not TARGET, reason="TAXELD_TARGET names no hardware")
-@pytest.mark.parametrize("name", scenario.shipped())
+@pytest.mark.parametrize("name", [n for n in scenario.shipped() if scenario.load(n).links == 1])
 def test_a_shipped_scenario_passes_on_hardware(name: str, tmp_path: Path) -> None:
     more = ["--poses", os.environ.get("TAXELD_POSES", "")]
     if "TAXELD_TRUTH" in os.environ:

@@ -106,6 +106,13 @@ def value(health: Health, path: str) -> int:
     return int(found) if isinstance(found, (int, float)) else 0
 
 
+def of_link(health: Health | None, link: int) -> Health | None:
+    """The health of a link."""
+    if health is None or not link:
+        return health
+    return {"uptime_s": health["uptime_s"], **[*health["links"].values()][link]}
+
+
 def grew(flag: Flag, before: Health | None, now: Health) -> bool:
     """Whether one of the flag's counters is higher than before."""
     base = before if before is not None and before["uptime_s"] <= now["uptime_s"] else {}

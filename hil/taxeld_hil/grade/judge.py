@@ -43,6 +43,11 @@ class Sample(NamedTuple):
     age_s: float  # age of the scan [s]
     total_us: float = 0.0  # time that the tick took
     object: int = 0  # number of the object, of those that the daemon knows
+    links: tuple[Why, ...] = ()  # of several links: why each one's scans are of no use
+
+    def is_lost(self, link: int) -> bool:
+        """Whether one of several links does not work, whatever the others do."""
+        return bool(self.links) and self.links[link] is not Why.VALID
 
     @property
     def valid(self) -> bool:
@@ -166,8 +171,10 @@ class Judge:
             flag, fault = seen.flag, seen.fault
             if flag is None:
                 continue
-            listed = flags.lists(flag, health, seen.taxels)
-            if seen.detected_s is None and (listed or flags.grew(flag, seen.before, health)):
+            own = flags.of_link(health, fault.link) or {}
+            listed = flags.lists(flag, own, seen.taxels)
+            before = flags.of_link(seen.before, fault.link)
+            if seen.detected_s is None and (listed or flags.grew(flag, before, own)):
                 seen.detected_s = t - fault.at_s
             if listed and t > fault.end_s:
                 seen.listed_s = t - fault.end_s
@@ -209,13 +216,14 @@ class Judge:
     def _look(self, seen: Seen, sample: Sample, last: Sample | None) -> None:
         fault, flag = seen.fault, seen.flag
         if seen.detected_s is None and flag is not None:
-            if sample.status.name in flag.status:
+            is_lost = Status.STALE.name in flag.status and sample.is_lost(fault.link)
+            if is_lost or sample.status.name in flag.status:
                 seen.detected_s = sample.t - fault.at_s
             elif flag.silence and last is not None and sample.t - last.t > SILENCE_S:
                 seen.detected_s = max(0.0, last.t + SILENCE_S - fault.at_s)
         if sample.t < fault.end_s:
             return
-        if sample.status in STOPPED:
+        if sample.status in STOPPED or sample.is_lost(fault.link):
             seen.usable_s = None
         elif seen.usable_s is None and sample.why in USABLE:
             seen.usable_s = sample.t - fault.end_s

@@ -52,6 +52,25 @@ def laws(ledger: Ledger, health: dict[str, Any], *, line: bool, exact_times: boo
     return found + _onwards(ledger, health)
 
 
+def summed(health: dict[str, Any]) -> dict[str, Any]:
+    """The counters of several links, added as if they were one's. The first stands for itself."""
+    total = dict(health)
+    for part in [*health.get("links", {}).values()][1:]:
+        for name in ("source", "inputs", "skin"):
+            total[name] = _added(total[name], part.get(name, {}))
+    return total
+
+
+def _added(one: dict[str, Any], two: dict[str, Any]) -> dict[str, Any]:
+    found = dict(one)
+    for name, more in two.items():
+        if isinstance(more, dict):
+            found[name] = _added(one.get(name, {}), more)
+        elif isinstance(more, (int, float)):
+            found[name] = one.get(name, 0) + more
+    return found
+
+
 def _frames(ledger: Ledger, health: dict[str, Any]) -> list[Law]:
     fates = ledger.fates
     dropped = [value(health, f"source.dropped.{name}") for name in DROPPED]

@@ -73,6 +73,11 @@ def build(mesh: trimesh.Trimesh, layout: Layout, height_m: float) -> Scene:
     )
 
 
+def cut_all(name: str, at: Sequence[tuple[Layout, float]]) -> list[Scene]:
+    """As `cut`, on each of several links, as `build_all` has them."""
+    return build_all(meshes.load(meshes.find(name)[0]), at)
+
+
 def build_all(mesh: trimesh.Trimesh, at: Sequence[tuple[Layout, float]]) -> list[Scene]:
     """The scene of `mesh` on each of several links: their layouts, and the heights of their frames'
     origins above its lowest point. What turns leave it unchanged is a question of all heights.

@@ -14,10 +14,9 @@ from taxeld.source import session
 from taxeld.source.recorder import Recorder
 from taxeld.stream import messages
 from taxeld_hil.rig.ledger import WireUnit
-from taxeld_hil.rig.ports import CanPort, NativePort, Port, SlcanPort
+from taxeld_hil.rig.ports import ArrayPort, CanPort, NativePort, Port, SlcanPort
 from taxeld_hil.rig.rig import BEFORE_S, Rig
 from taxeld_hil.scenario.scenario import Scenario
-from taxeld_protocol.frames import Frame
 
 
 class Bench:
@@ -38,6 +37,8 @@ class Bench:
     def _opened(self, where: Path | str) -> Port:
         if isinstance(where, str):
             return CanPort(where, self._recorder.take)
+        if self.rig.is_array:
+            return ArrayPort(where)
         if self.rig.line:
             return NativePort(where)
         return SlcanPort(where, self._recorder.take)
@@ -97,11 +98,11 @@ class Bench:
         ledger = self.rig.ledger
         for unit in units:
             item = unit.item
-            if isinstance(item, Frame):
+            if isinstance(item, bytes):
+                self._recorder.take(session.Chunk(wall, item))
+            else:
                 unit = unit._replace(item=item._replace(t=wall))  # noqa: PLW2901
                 self._recorder.take(item._replace(t=wall))
-            else:
-                self._recorder.take(session.Chunk(wall, item))
             if not self.port.is_open:
                 continue
             if self.port.send(unit):

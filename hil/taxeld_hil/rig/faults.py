@@ -12,6 +12,7 @@ import numpy as np
 
 from taxeld_hil.rig.ledger import Ledger, WireUnit
 from taxeld_hil.scenario.scenario import Fault
+from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import DELIMITER
 
@@ -175,6 +176,7 @@ class Injector:
 
     def _damaged(self, unit: WireUnit) -> WireUnit:
         """The unit with one bit flipped, in a frame's data or in a line before its end."""
+        assert not isinstance(unit.item, ArrayFrame)  # noqa: S101  (they come whole)
         data = unit.item if isinstance(unit.item, bytes) else unit.item.data
         end = len(data) - isinstance(unit.item, bytes)
         at, bit = int(self._rng.integers(end)), 1 << int(self._rng.integers(8))

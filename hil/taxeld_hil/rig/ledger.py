@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from itertools import accumulate
 from typing import Any, NamedTuple
 
+from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import EXCESS_MAX, MAX_FRAGMENTS, Command, crc8
 from taxeld_protocol.decoder import GAP_SHARE, MISSED_SHARE, PAUSE_MAX_S
 from taxeld_protocol.frames import Frame
@@ -26,9 +27,9 @@ class Sent(NamedTuple):
 
 
 class WireUnit(NamedTuple):
-    """One piece on the wire: a CAN frame, or a line of the native link."""
+    """One piece on the wire: a CAN frame, a line of the native link, or an array."""
 
-    item: Frame | bytes
+    item: Frame | bytes | ArrayFrame
     sent: Sent | None  # None: nothing of the skin's
     part: int = 0  # number of the fragment
 
@@ -37,7 +38,7 @@ class WireUnit(NamedTuple):
 class Fates:
     """Expected counts of all that was delivered since this host began to listen."""
 
-    units: int = 0  # frames, or lines of the native link
+    units: int = 0  # frames, lines of the native link, or arrays
     bytes: int = 0  # bytes in the serial lines
     foreign: int = 0  # units that are not the skin's
     orphan: int = 0  # frames without a first
@@ -93,7 +94,10 @@ class Ledger:
         """The host was handed this at time t."""
         fates = self.fates
         fates.units += 1
-        if isinstance(unit.item, bytes):
+        if isinstance(unit.item, ArrayFrame):
+            fates.scans += 1
+            fates.incomplete += 0 in unit.item.counts
+        elif isinstance(unit.item, bytes):
             self._line(unit, unit.item, t)
         elif unit.sent is None:
             fates.foreign += 1
@@ -104,6 +108,15 @@ class Ledger:
         """Note the delivery of several units."""
         for unit in units:
             self.deliver(unit, t)
+
+    def add(self, other: "Ledger") -> None:
+        """Count what another ledger of the same host has counted."""
+        for name in asdict(self.fates):
+            setattr(self.fates, name, getattr(self.fates, name) + getattr(other.fates, name))
+        for name in ("scans_sent", "packets_sent", "poses_sent", "poses_heard", "refused"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        self.done += other.done
+        self.hosts = other.hosts
 
     def entries(self) -> dict[str, Any]:
         """For a report."""

@@ -1,5 +1,5 @@
 """The device end of a transport: an SLCAN adapter or a native serial link on a pseudo-terminal that
-can be pulled out, or a hub on a CAN interface of this machine's kernel.
+can be pulled out, a hub on a CAN interface of this machine's kernel, or arrays that are published.
 
 Units are handed over whole: where there is no room for one, it is refused and never cut.
 """
@@ -16,12 +16,14 @@ from pathlib import Path
 from typing import Protocol
 
 import can
+import zmq
 
 from taxeld.errors import SetupError
 from taxeld_hil.rig.adapters import Adapter
 from taxeld_hil.rig.ledger import WireUnit
 from taxeld_protocol import slcan
-from taxeld_protocol.cyskin import Packet
+from taxeld_protocol.array import ArrayFrame, line_of
+from taxeld_protocol.cyskin import BROADCAST, Command, Packet
 from taxeld_protocol.frames import Frame
 from taxeld_protocol.serial_link import SerialReader
 from taxeld_protocol.virtual_ihb import HubLink
@@ -211,6 +213,55 @@ class NativePort(_Terminal):
 
     def send(self, unit: WireUnit) -> bool:
         return isinstance(unit.item, bytes) and self._write(unit.item)
+
+
+class ArrayPort:
+    """A skin that publishes arrays; a host's subscription starts it."""
+
+    def __init__(self, where: Path) -> None:
+        """Raises SetupError where the path cannot be had."""
+        self.is_open = False
+        self._context = zmq.Context()
+        self._socket = self._context.socket(zmq.XPUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        try:
+            self._socket.bind(f"ipc://{where.absolute()}")
+        except zmq.ZMQError as error:
+            self.close()
+            raise SetupError(f"{where}: cannot be made ({error.strerror})") from None
+
+    def fileno(self) -> int:
+        return int(self._socket.getsockopt(zmq.FD))
+
+    def take(self, t: float) -> list[Packet]:
+        packets = []
+        while self._socket.poll(0):
+            asked = self._socket.recv()[:1]  # 1 begins a subscription, and 0 ends it
+            self.is_open = asked == b"\x01"
+            packets.append(Packet(t, BROADCAST, Command.SET_AUTO_SYNC, asked))
+        return packets
+
+    def send(self, unit: WireUnit) -> bool:
+        if not isinstance(unit.item, ArrayFrame):
+            return False
+        self._socket.send(line_of(unit.item).encode(), zmq.NOBLOCK)
+        return True
+
+    def flush(self) -> None:
+        """ZeroMQ has it all."""
+
+    def forget(self) -> None:
+        self.is_open = False
+
+    def set_plugged(self, plugged: bool) -> None:
+        """It is silent without power, and stays bound."""
+
+    def close_channel(self) -> None:
+        """There is none."""
+
+    def close(self) -> None:
+        self._socket.close()
+        self._context.term()
 
 
 class CanPort:

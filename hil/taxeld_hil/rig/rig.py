@@ -4,6 +4,7 @@ Its owner steps it through scenario time and delivers what it sends. Until a hos
 scenario time stands still at BEFORE_S.
 """
 
+from collections.abc import Sequence
 from itertools import accumulate
 
 import numpy as np
@@ -16,8 +17,9 @@ from taxeld_hil.rig.ledger import Ledger, Sent, WireUnit
 from taxeld_hil.scenario.scenario import SKIN_KINDS, Fault, Scenario
 from taxeld_hil.world import robot
 from taxeld_hil.world.advised import AdvisedRobot
-from taxeld_hil.world.world import load_model, make_world
+from taxeld_hil.world.world import load_model, make_world, placed
 from taxeld_protocol import cyskin, serial_link
+from taxeld_protocol.array import ArrayFrame
 from taxeld_protocol.cyskin import Command, Packet
 from taxeld_protocol.modules import is_of_bootloader, wired
 from taxeld_protocol.virtual_ihb import Phase, VirtualIhb
@@ -27,24 +29,40 @@ POSE_AGE_S = 0.004  # age of a pose in its message: scans fall between poses
 IDLE_S = 1.5  # untouched at the start: the daemon's baseline takes 20 scans of 50 ms
 ADVICE_S = 10.0  # that the robot waits for advice
 SETTLE_S = 1.0  # after the last fault, beyond the time it may take to recover
+ARRAY_ID = "skin"
+HUB_UID = 0xC15C0001  # of the first link's
+LINK_SEEDS = 1_000_003  # from a link's seed to the next one's
+# a hub that speaks the native link has left its own bootloader, which speaks CAN alone; what sends
+# an array has no host to start it
+PHASES = {"native": Phase.MODULES, "array": Phase.RUNNING}
 BEFORE_S = -1.0  # scenario time while no host has started the skin
 
 
 class Rig:
     """A scenario with a seed: hub, world, robot, injector and ledger."""
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
-        """Raises SetupError where skin or object cannot be loaded, or a fault does not fit them."""
+    def __init__(self, scenario: Scenario, seed: int, link: int = 0) -> None:
+        """`link`: the number of the link that it is of; all have the same object in one place.
+
+        Raises:
+            SetupError: skin or object cannot be loaded, or a fault does not fit them.
+        """
+        self._own_seeds = LINK_SEEDS * link
         self.model = load_model(scenario)
         self._taxel_uids: list[int] = self.model.layout.uid.tolist()
         self.modules = wired(self._taxel_uids)
-        self.world = make_world(scenario, self.model, self.modules, seed)
+        self.world = make_world(scenario, self.model, self.modules, seed + self._own_seeds)
+        if link:
+            self.world.truth = placed(scenario, np.random.default_rng(seed))
         self.line = scenario.transport == "native"
-        # a hub that speaks the native link has left its own bootloader, which speaks CAN alone
-        self.hub = VirtualIhb(self.modules, phase=Phase.MODULES if self.line else Phase.BOOTLOADER)
+        self.is_array = scenario.transport == "array"
+        phase = PHASES.get(scenario.transport, Phase.BOOTLOADER)
+        self.hub = VirtualIhb(self.modules, HUB_UID + link, phase=phase)
         channels = tuple(module.channels for module in self.modules)
         self.ledger = Ledger(channels, self.hub.period_ms / 1000.0)
         self._first = [0, *accumulate(channels)]
+        uids = [uid for module in self.modules for uid in module.uids]
+        self._channel = {uid: c for c, uid in enumerate(uids)}
         self._was_on = True
         self._next_pose_s = -1e9
         self._now = 0.0  # time stamp of the next frames [s]
@@ -53,13 +71,12 @@ class Rig:
     def lap(self, scenario: Scenario, seed: int) -> None:
         """Go on with another scenario on the same skin: the object stands elsewhere, and scenario
         time begins anew."""
-        place = scenario.place_m
-        most = np.array([place, place, np.pi])
-        self.world.truth = np.random.default_rng([seed, 2]).uniform(-most, most)
+        self.world.truth = placed(scenario, np.random.default_rng([seed, 2]))
         self._begin(scenario, seed)
 
     def _begin(self, scenario: Scenario, seed: int) -> None:
-        self.scenario, self._seed = scenario, seed
+        self.scenario, seed = scenario, seed + self._own_seeds
+        self._seed = seed
         self.advised: AdvisedRobot | None = None
         self._waits = scenario.advised
         if scenario.advised:
@@ -93,9 +110,7 @@ class Rig:
     def _injecting(self, scenario: Scenario, seed: int) -> Injector:
         for number, fault in enumerate(scenario.fault):
             self._check(fault, number)
-        uids = [uid for module in self.modules for uid in module.uids]
-        channel = {uid: c for c, uid in enumerate(uids)}
-        taxels = {i: channel[uid] for i, uid in enumerate(self._taxel_uids)}
+        taxels = {i: self._channel[uid] for i, uid in enumerate(self._taxel_uids)}
         modules = [
             range(first + 1, end) for first, end in zip(self._first, self._first[1:], strict=False)
         ]
@@ -137,10 +152,12 @@ class Rig:
         self._now = now
         if not self._power(t):
             return []
-        out = self._injector.due(t, line=self.line)
+        out = [] if self.is_array else self._injector.due(t, line=self.line)
         if t >= 0.0 and self.hub.due(now):
             counts = self._injector.counts(self.world.counts(self.pose(t), now), t)
             self.ledger.scans_sent += 1
+            if self.is_array:
+                return [self._array(counts, now)]
             for answer in self.hub.sensor_data(counts):
                 out += self._send(*answer, t)
         return out
@@ -168,9 +185,15 @@ class Rig:
         on = self.is_on(t)
         if self._was_on and not on:  # a hub without power forgets its settings
             self.hub.reboot()
+            self.hub.auto_sync = self.is_array
             self._injector.drop_held()
         self._was_on = on
         return on
+
+    def _array(self, counts: Sequence[int | None], now: float) -> WireUnit:
+        """The scan as an array of the layout's taxels."""
+        taxels = (counts[self._channel[uid]] or 0 for uid in self._taxel_uids)
+        return WireUnit(ArrayFrame(now, ARRAY_ID, 0, tuple(taxels)), None)
 
     def _send(self, command: int, payload: bytes, t: float) -> list[WireUnit]:
         self.ledger.packets_sent += 1
@@ -192,3 +215,28 @@ class Rig:
             return Sent(data, command, fragments, declares=declares)
         start = self._first[payload[0]] + payload[1]
         return Sent(data, command, fragments, start, len(payload) // 2 - 1)
+
+
+def rigs_of(scenario: Scenario, seed: int) -> list[Rig]:
+    """A rig for each link, which touch the object in turn.
+
+    Raises:
+        SetupError: as of `Rig`, or the links do not fit the scenario's other keys.
+    """
+    scenario.check_links()
+    rigs = [Rig(scenario.of_link(k), seed, k) for k in range(scenario.links)]
+    _take_turns(rigs)
+    return rigs
+
+
+def lap(rigs: Sequence[Rig], scenario: Scenario, seed: int) -> None:
+    """Go on with another scenario on the same links, as `Rig.lap`."""
+    for number, rig in enumerate(rigs):
+        rig.lap(scenario.of_link(number), seed)
+    _take_turns(rigs)
+
+
+def _take_turns(rigs: Sequence[Rig]) -> None:
+    paths = robot.in_turn([rig.path for rig in rigs])
+    for rig, path in zip(rigs, paths, strict=True):
+        rig.path = path

@@ -26,7 +26,7 @@ def emulate(
         SetupError: there is no such interface, the endpoint is taken, or the directory holds a
             session.
     """
-    rig = Rig(scenario, seed)
+    rig = Rig(scenario.one_link(), seed)
     with (
         zmq.Context() as context,
         closing(Binding(endpoint, "--poses")) as door,

@@ -6,6 +6,7 @@ Its process, its sockets and the kernel's devices are not part of it: a run in r
 from collections.abc import Sequence
 from typing import Any
 
+from taxeld.config import links
 from taxeld.config.tables import Config, SourceConfig
 from taxeld.estimator.estimate import Estimate
 from taxeld.layout.layout import Layout
@@ -16,10 +17,15 @@ from taxeld.proposals.bundle import Bundle
 from taxeld.skin.calibration import Calibration
 from taxeld.skin.state import SkinState
 from taxeld.source import dialects
+from taxeld.source.array_source import ArraySource
 from taxeld.source.dialects import ToFrames
-from taxeld.source.sources import LiveSource
+from taxeld.source.source import Source
+from taxeld.source.sources import Bus, LiveSource, check_uids, joint
 from taxeld.stream import messages
 from taxeld_hil.run.memory import MemoryDevice, MemoryLine
+from taxeld_protocol.array import ArrayFrame
+from taxeld_protocol.cyskin import BROADCAST, Command
+from taxeld_protocol.decoder import Scan
 
 
 class FakeDaemon:
@@ -28,39 +34,54 @@ class FakeDaemon:
     def __init__(
         self,
         config: Config,
-        skin: Layout,
         scenes: Sequence[Bundle],
-        line: MemoryLine,
-        kept: SkinState | None,
+        lines: Sequence[MemoryLine],
+        kept: Sequence[SkinState | None],
         calibration: Calibration | None = None,
     ) -> None:
-        """`scenes`: of all objects that it knows; `kept`: what the life before has learned of the
-        skin."""
+        """`scenes`: of all objects that it knows; `lines`: one for each bus; `kept`: what the life
+        before has learned of each link's skin.
 
-        def device(_: SourceConfig, __: ToFrames) -> MemoryDevice:
-            return MemoryDevice(line)
-
+        Raises:
+            SetupError: links on one bus have the same modules, or more than it carries.
+        """
         config = several.sized(config, [scene.manifest for scene in scenes])
         samples = several.untimed(scenes, config.filter)
         model, *more = (scene.model for scene in scenes)
-        self.pipeline = Pipeline(config, model, samples, calibration=calibration, more=more)
-        self.source = LiveSource(config.source, dialects.live(config.source, skin), device, None)
+        given = [calibration, *[None] * (len(model.links) - 1)]
+        self.pipeline = Pipeline(config, model, samples, calibration=given, more=more)
+        self.buses = list[Bus]()
+        self._lines = lines
+        skins = [link.layout for link in model.links]
+        for (source, numbers), line in zip(links.buses(config), lines, strict=True):
+            own = [skins[k] for k in numbers]
+            check_uids([config.names[k] for k in numbers], own)
+            self.buses.append(Bus(_source(source, joint(own), line), numbers, own))
+        self.source = self.buses[0].source  # of the first link
         self.scans = 0
         self.outcomes: list[Outcome] = []  # outcomes of the last tick
-        self._start_s = line.now
+        self._start_s = lines[0].now
         self.pipeline.freshness.came(self._start_s)
-        if kept is not None:
-            self.pipeline.skin.restore(kept)
+        for stage, state in zip(self.pipeline.stages, kept, strict=True):
+            if state is not None:
+                stage.skin.restore(state)
 
-    def pose(self, t: float, x: float, y: float, theta: float) -> None:
-        self.pipeline.poses.add(t, x, y, theta)
+    def pose(self, t: float, x: float, y: float, theta: float, link: int = 0) -> None:
+        self.pipeline.stages[link].poses.add(t, x, y, theta)
 
     def tick(self, t: float) -> None:
-        scans = self.source.poll(t)
-        self.scans += len(scans)
-        self.outcomes = list(self.pipeline.advance(scans, t))
-        for _ in self.outcomes:
-            self.pipeline.freshness.came(t)
+        came: list[list[Scan]] = [[] for _ in self.pipeline.stages]
+        for bus, line in zip(self.buses, self._lines, strict=True):
+            for frame in line.take() if bus.source.comes_by_door else ():
+                if isinstance(frame, ArrayFrame):
+                    bus.source.hear(frame)
+            for scan in bus.source.poll(t):
+                self.scans += 1
+                for link in bus.links_of(scan):
+                    came[link].append(scan)
+        self.outcomes = list(self.pipeline.advance(came[0], t, *came[1:]))
+        for outcome in self.outcomes:
+            self.pipeline.freshness.came(t, outcome.link)
 
     def estimate(self, t: float) -> Estimate:
         """The estimate as it would be published now."""
@@ -68,11 +89,31 @@ class FakeDaemon:
 
     def health(self, t: float) -> dict[str, Any]:
         """The part of /taxeld/health that the harness reads."""
-        parts = {
+        parts: dict[str, Any] = {
             "uptime_s": t - self._start_s,
             "loop": {"scans": self.scans},
             "source": self.source.wire.stats(),
             "inputs": {**self.pipeline.stages[0].counts(), "poses_malformed": 0},
             **self.pipeline.health(),
         }
+        if len(self.pipeline.stages) > 1:
+            names, stages = self.pipeline.config.names, self.pipeline.stages
+            parts["links"] = {
+                name: {"inputs": stage.counts(), **stage.health()}
+                for name, stage in zip(names, stages, strict=True)
+            }
+            for bus in self.buses:  # of links that share one, the first tells
+                parts["links"][names[bus.links[0]]]["source"] = bus.source.wire.stats()
         return messages.health(0, t, parts)
+
+
+def _source(config: SourceConfig, skin: Layout, line: MemoryLine) -> Source:
+    """The daemon's end of a line. Raises SetupError where the bus cannot carry the scans."""
+
+    def device(_: SourceConfig, __: ToFrames) -> MemoryDevice:
+        return MemoryDevice(line)
+
+    if not line.rig.is_array:
+        return LiveSource(config, dialects.live(config, skin), device, None)
+    line.ask(BROADCAST, bytes((Command.SET_AUTO_SYNC, 1)))  # as a subscription does
+    return ArraySource(config, dialects.of_array(config, skin), None)

@@ -8,19 +8,22 @@ from typing import NamedTuple
 from taxeld.config import file as config_file
 from taxeld.estimator.estimate import Estimate
 from taxeld.skin.calibration import Calibration
+from taxeld.skin.state import SkinState
 from taxeld.source import session
 from taxeld.source.recorder import HEADERS, Item
 from taxeld.source.session import Chunk
 from taxeld_hil.grade.grade import Grade, Run, grade
 from taxeld_hil.grade.judge import Judge, Sample
-from taxeld_hil.grade.reconcile import laws
+from taxeld_hil.grade.reconcile import laws, summed
 from taxeld_hil.rig.bench import write_config, write_truth
-from taxeld_hil.rig.rig import Rig
+from taxeld_hil.rig.ledger import Ledger
+from taxeld_hil.rig.rig import lap, rigs_of
 from taxeld_hil.run.fake import FakeDaemon
 from taxeld_hil.run.memory import MemoryLine
 from taxeld_hil.scenario import settings
-from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
 from taxeld_hil.world import bundled
+from taxeld_protocol.array import ArrayFrame, line_of
 from taxeld_protocol.frames import Frame, format_log_line
 
 NOT_INJECTED = ("subscriber_dead", "adapter_closed")  # there are no sockets, and no adapter
@@ -54,29 +57,33 @@ class FakeRun:
         Raises:
             SetupError: the scenario does not fit the skin, or there are faults in `filter_keys`.
         """
-        self.rig = Rig(scenario, seed)
-        self.line = MemoryLine(self.rig)
+        self.scenario = scenario
+        self.rigs = rigs_of(scenario, seed)
+        self.rig = self.rigs[0]
+        apart = [[rig] for rig in self.rigs]
+        self.lines = [MemoryLine(*on) for on in ([self.rigs] if scenario.one_bus else apart)]
+        self.line = self.lines[0]
         self._file = settings.without_devices(scenario, seed, filter_keys)
         parsed = config_file.parse(self._file)
         loop, skin = replace(parsed.loop, rate_hz=rate_hz), replace(parsed.skin, learn=learns)
         self.config = replace(parsed, loop=loop, skin=skin)
-        where = scenario.skin_layout
-        self.scenes = [bundled.on_layout(name, where) for name in scenario.known]
+        where = [rig.scenario.skin_layout for rig in self.rigs]
+        self.scenes = [bundled.on_layout(name, *where) for name in scenario.known]
         self.skin = self.scenes[0].model.layout
         self._calibration = calibration
         self._dead: FakeDaemon | None = None
         self.daemon: FakeDaemon | None = self._born()
         self.judge = self.judging()
-        # called with each of the robot's poses
-        self._record: Callable[[Item], None] = lambda _: None
+        # called with each of the robot's poses, by link
+        self._records: list[Callable[[Item], None]] = [lambda _: None for _ in self.rigs]
         self._seed = seed
         self._began_s = self._next_health_s = 0.0
 
     def lap(self, scenario: Scenario, seed: int) -> None:
         """Begin another lap, and have the daemon forget the object."""
         self._began_s = self.line.now + 1.0 / self.config.loop.rate_hz
-        self._seed = seed
-        self.rig.lap(scenario, seed)
+        self._seed, self.scenario = seed, scenario
+        lap(self.rigs, scenario, seed)
         self.judge = self.judging()
         if self.daemon is not None:
             self.daemon.pipeline.reset()
@@ -92,12 +99,22 @@ class FakeRun:
         else:
             write_config(directory, self._file)
             write_truth(directory, self.rig)
-            self.line.record = self._record = (kept := list[Item]()).append
+            kept: list[list[Item]] = [[] for _ in self.rigs]
+            self._records = [items.append for items in kept]
+            for line, record in zip(self.lines, self._records, strict=False):
+                line.record = record
             self.run()
-            write_session(directory, kept)
-        held = laws(self.rig.ledger, self.judge.health or {}, line=self.rig.line, exact_times=True)
-        run = Run(name, self._seed, "sim", "fake", self.rig.scenario.transport)
-        return grade(run, self.judge, held, self.rig.ledger)
+            for place, items in zip(self.config.names, kept, strict=True):
+                write_session(directory / place if items is not kept[0] else directory, items)
+        ledger = self.rig.ledger
+        if len(self.rigs) > 1:
+            ledger = Ledger((), ledger.period_s)
+            for rig in self.rigs:
+                ledger.add(rig.ledger)
+        counted = summed(self.judge.health or {})
+        held = laws(ledger, counted, line=self.rig.line, exact_times=True)
+        run = Run(name, self._seed, "sim", "fake", self.scenario.transport)
+        return grade(run, self.judge, held, ledger)
 
     def run(self) -> list[ContactEnd]:
         """To the end; → the estimates at which contacts ended."""
@@ -105,13 +122,14 @@ class FakeRun:
         ticks = 0
         ends: list[ContactEnd] = []
         last: Estimate | None = None
-        while ticks < round(self.rig.duration_s / period):  # a robot that is advised goes on
+        while ticks < round(max(rig.duration_s for rig in self.rigs) / period):  # a robot that is advised goes on
             e = self.step(ticks * period)
             ticks += 1
             if last is not None and e is not None and last.contact and not e.contact:
                 ends.append(ContactEnd(e, self.judge.error_mm(e.map)))
             last = e
-        self.line.send_rest()
+        for line in self.lines:
+            line.send_rest()
         for k in range(ticks, ticks + 5):  # a scan may wait for its pose
             self._set(k * period)
             if self.daemon is not None:
@@ -124,16 +142,18 @@ class FakeRun:
     def step(self, t: float) -> Estimate | None:
         """One tick of everything, at scenario time t; → the estimate of a daemon that is alive."""
         self._set(t)
-        now, rig = self.line.now, self.rig
+        now = self.line.now
         self._kill_or_start(t)
-        self.line.send_due()
-        if self.daemon is None:
-            self.line.take()
-        for row in rig.poses(t, now, now):
-            self._record(row)
-            if self.daemon is not None:
-                rig.ledger.poses_heard += 1
-                self.daemon.pose(*row)
+        for line in self.lines:
+            line.send_due()
+            if self.daemon is None:
+                line.take()
+        for link, rig in enumerate(self.rigs):
+            for row in rig.poses(t, now, now):
+                self._records[link](row)
+                if self.daemon is not None:
+                    rig.ledger.poses_heard += 1
+                    self.daemon.pose(*row, link)
         if self.daemon is None:
             return None
         self.daemon.tick(now)
@@ -143,42 +163,54 @@ class FakeRun:
         if advice is not None:
             rig.advise(advice, t - (now - e.t), t)
         told = e.contacts, e.map, e.p, e.radius_m
-        self.judge.on_estimate(Sample(t, e.status, why, *told, e.t, now - e.t, object=e.object))
+        links = tuple(self.daemon.pipeline.freshness.of_links(now)) if len(self.rigs) > 1 else ()
+        self.judge.on_estimate(
+            Sample(t, e.status, why, *told, e.t, now - e.t, object=e.object, links=links)
+        )
         if now >= self._next_health_s:
             self._next_health_s = now + HEALTH_S
             self.judge.on_health(t, self.daemon.health(now))
         return e
 
     def _set(self, t: float) -> None:
-        self.line.t, self.line.now = t, self._began_s + t
+        for line in self.lines:
+            line.t, line.now = t, self._began_s + t
 
     def judging(self) -> Judge:
         """A judge of what is estimated from now on, by where the object stands now."""
         rig = self.rig
         scene, truth = rig.model.scene, rig.world.truth
-        return Judge(rig.scenario, scene, truth, NOT_INJECTED, rig.taxels_of)
+        not_injected = (*NOT_INJECTED, *(OF_FRAMES if rig.is_array else ()))
+        rigs = self.rigs
+        return Judge(self.scenario, scene, truth, not_injected, lambda f: rigs[f.link].taxels_of(f))
 
     def _kill_or_start(self, t: float) -> None:
         killed = self.rig.fails("daemon_killed", t)
         if killed and self.daemon is not None:
             self._dead, self.daemon = self.daemon, None
         elif not killed and self.daemon is None:
-            self.rig.ledger.begin()
+            for rig in self.rigs:
+                rig.ledger.begin()
             self.daemon = self._born()
 
     def _born(self) -> FakeDaemon:
         """A daemon with what the one before has stored of the skin."""
-        kept = None if self._dead is None else self._dead.pipeline.skin.state()
-        return FakeDaemon(self.config, self.skin, self.scenes, self.line, kept, self._calibration)
+        kept: list[SkinState | None] = [None] * len(self.rigs)
+        if self._dead is not None:
+            kept = [stage.skin.state() for stage in self._dead.pipeline.stages]
+        return FakeDaemon(self.config, self.scenes, self.lines, kept, self._calibration)
 
 
 def write_session(directory: Path, kept: Sequence[Item]) -> None:
     """Write the frames, or bytes of a serial line, and the poses of a run into its session."""
+    directory.mkdir(exist_ok=True)
     lines: dict[str, list[str]] = {session.POSES: []}
     data = bytearray()
     for item in kept:
         if isinstance(item, Frame):
             name, line = session.FRAMES, format_log_line(item)
+        elif isinstance(item, ArrayFrame):
+            name, line = session.ARRAY, line_of(item)
         elif isinstance(item, Chunk):
             name, line = session.SERIAL_TIMES, f"{item.t:.6f},{len(data)}"
             data += item.data

@@ -64,7 +64,7 @@ def graded(
         SetupError: the target is malformed, a process failed, or no scan came.
     """
     channel = site.channel
-    scenario = site.placed(scenario)
+    scenario = site.placed(scenario.one_link())
     scene = load_model(scenario).scene
     config = settings.text(scenario, 0, channel, site.poses, place)
     written = write_config(directory, config)

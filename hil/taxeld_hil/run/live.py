@@ -19,7 +19,7 @@ from taxeld_hil.run.listener import Listener, Say, socket
 from taxeld_hil.run.processes import Processes
 from taxeld_hil.run.watch import HEADER, OBJECT, ContactTable
 from taxeld_hil.scenario import settings
-from taxeld_hil.scenario.scenario import Scenario
+from taxeld_hil.scenario.scenario import OF_FRAMES, Scenario
 
 START_S = 20.0  # until the first estimate
 STEP_MS = 2
@@ -29,6 +29,7 @@ LOG_LEVEL = "error"  # the daemon warns of injected faults; the ledger has them 
 NOT_INJECTED = {  # transport → kinds of faults
     "can": ("unplugged", "adapter_closed"),  # something else brings the interface up and down
     "native": ("adapter_closed",),
+    "array": OF_FRAMES,
 }
 
 
@@ -41,7 +42,7 @@ class LiveRun:
         """`directory` gets the session; `channel`: a CAN interface, unused on other transports;
         `say` prints a line."""
         self.run = Run(name, seed, "sim", "real", scenario.transport)
-        self.scenario = scenario
+        self.scenario = scenario.one_link()
         self._directory = directory
         self._channel = channel
         self._say = say

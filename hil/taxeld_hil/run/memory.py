@@ -5,34 +5,39 @@ from typing import Any
 
 from taxeld.errors import SetupError
 from taxeld.source.device import Device, LostError, Piece
-from taxeld.source.session import Chunk
+from taxeld.source.recorder import Item
+from taxeld.source.session import Chunk, Items
 from taxeld_hil.rig.rig import Rig
 from taxeld_protocol.cyskin import BROADCAST, Packet
 from taxeld_protocol.frames import Frame
 
 
 class MemoryLine:
-    """The wire between a rig and the fake devices that are plugged into it, one after the other."""
+    """The wire between rigs and the fake devices that are plugged into it, one after the other."""
 
-    def __init__(self, rig: Rig) -> None:
+    def __init__(self, rig: Rig, *further: Rig) -> None:
+        """`further`: of links whose hubs are on the same bus."""
         self.rig = rig
+        self._rigs = (rig, *further)
         self.t = 0.0  # scenario time [s], which begins anew with each lap
         self.now = 0.0  # the daemon's clock [s], which goes on over laps
-        self.record: Callable[[Frame | Chunk], None] = lambda _: None  # called with each delivered
-        self._waiting: list[Frame] = []
+        self.record: Callable[[Item], None] = lambda _: None  # called with each delivered
+        self._waiting: list[Any] = []  # frames or arrays
         self._bytes = b""
 
     @property
     def is_plugged(self) -> bool:
-        return not self.rig.fails("unplugged", self.t)
+        return not any(rig.fails("unplugged", self.t) for rig in self._rigs)
 
     def send_due(self) -> None:
         """Deliver what the hub sends by itself at this time."""
-        self._deliver(self.rig.scan(self.t, self.now))
+        for rig in self._rigs:
+            self._deliver(rig, rig.scan(self.t, self.now))
 
     def send_rest(self) -> None:
         """Deliver what was held back, at the end."""
-        self._deliver(self.rig.rest())
+        for rig in self._rigs:
+            self._deliver(rig, rig.rest())
 
     def ask(self, to: int, body: bytes) -> None:
         """Deliver the answers to a request."""
@@ -41,18 +46,19 @@ class MemoryLine:
             if body
             else Packet(self.now, BROADCAST, to, body)
         )
-        self._deliver(self.rig.answer(packet, self.t))
+        for rig in self._rigs:
+            self._deliver(rig, rig.answer(packet, self.t))
 
-    def take(self) -> list[Frame] | list[Chunk]:
-        """Frames or bytes delivered since the last call."""
+    def take(self) -> Items:
+        """Frames, bytes or arrays delivered since the last call."""
         frames, data = self._waiting, self._bytes
         self._waiting, self._bytes = [], b""
         if self.rig.line:
             return [Chunk(self.now, data)] if data else []
         return frames
 
-    def _deliver(self, units: list[Any]) -> None:
-        self.rig.ledger.deliver_all(units, self.now)
+    def _deliver(self, rig: Rig, units: list[Any]) -> None:
+        rig.ledger.deliver_all(units, self.now)
         for unit in units:
             item = unit.item
             if isinstance(item, bytes):
@@ -78,7 +84,8 @@ class MemoryDevice(Device):
     def read(self) -> list[Frame] | list[Chunk]:
         if not self._line.is_plugged:
             raise LostError
-        return self._line.take()
+        items: Any = self._line.take()  # an array comes by no device
+        return items  # type: ignore[no-any-return]
 
     def pack(self, to: int, body: bytes) -> list[bytes]:
         return [to.to_bytes(2) + body]  # LEAVE_BOOTLOADER does not fit one byte

@@ -9,25 +9,30 @@ from pathlib import Path
 
 from taxeld.config import toml_tables
 from taxeld.config.file import text_of
+from taxeld.config.links import LINKS_MAX
 from taxeld.config.toml_tables import Given, between, key, one_of
 from taxeld.errors import SetupError
 from taxeld.proposals import bundle as bundles
 from taxeld_hil.scenario.mesh_config import FOAMS, PLAIN, SKINS, MeshConfig
 
-TRANSPORTS = ("slcan", "native", "can")
+TRANSPORTS = ("slcan", "native", "can", "array")
 
 SKIN_KINDS = ("module_dead", "taxel_stuck", "saturated", "baseline_jump")
-KINDS = (
+# of frames or lines on their way: an array has neither
+OF_FRAMES = (
     "dropped",
     "duplicated",
     "reordered",
     "corrupted",
     "late",
     "flooded",
+    "adapter_closed",
+)
+KINDS = (
+    *OF_FRAMES,
     *SKIN_KINDS,
     "reboot",
     "unplugged",
-    "adapter_closed",
     "pose_silent",
     "pose_frozen",
     "pose_late",
@@ -51,6 +56,7 @@ class Fault:
     taxels: tuple[int, ...] = key((), doc="taxel_stuck, saturated: which; empty: of the module")
     counts: float = key(3000.0, between(-40_000, 40_000), "baseline_jump: by so much")
     offset_m: float = key(2.0, between(0, 100), "pose_jumping: how far off")
+    link: int = key(0, between(0, LINKS_MAX - 1), "of several links: which")
 
     @property
     def end_s(self) -> float:
@@ -71,6 +77,8 @@ class Scenario:
     bundle: str = key(doc="the object, as a bundle that the daemon can load")
     bundles: tuple[str, ...] = key((), doc="the objects that the daemon knows; empty: that one")
     layout: str = key("", doc="the skin; empty: the one that the bundle was built for")
+    layouts: tuple[str, ...] = key((), doc="skins of several links, as `layout`; they take turns")
+    one_bus: bool = key(default=False, doc="whether the hubs of several links are on one bus")
     transport: str = key("slcan", one_of(*TRANSPORTS), "how the skin is reached in simulation")
     advised: bool = key(False, doc="whether the robot follows the daemon's advice instead")
     contacts: int = key(8, between(1, 1000), "presses, spread around the object; advised: at most")
@@ -96,6 +104,40 @@ class Scenario:
         return self.bundles or (self.bundle,)
 
     @property
+    def links(self) -> int:
+        """How many links have a skin."""
+        return max(len(self.layouts), 1)
+
+    def of_link(self, number: int) -> "Scenario":
+        """The scenario of one of the links, with its share of the contacts."""
+        if not self.layouts:
+            return self
+        return replace(
+            self,
+            layout=self.layouts[number],
+            layouts=(),
+            contacts=len(range(number, self.contacts, self.links)),
+            fault=tuple(fault for fault in self.fault if fault.link == number),
+        )
+
+    def one_link(self) -> "Scenario":
+        """The same scenario. Raises SetupError where it has several links."""
+        if self.links > 1:
+            raise SetupError("layouts: several links run on the fake clock alone: --clock fake")
+        return self
+
+    def check_links(self) -> None:
+        """Raises SetupError where the links do not fit the scenario's other keys."""
+        if any(fault.link >= self.links for fault in self.fault):
+            raise SetupError(f"fault.link: the scenario has the links 0..{self.links - 1}")
+        if self.links > self.contacts:
+            raise SetupError(f"contacts: must be at least one for each of {self.links} links")
+        if self.links > 1 and self.transport == "array":
+            raise SetupError("transport: one link at most is an array; give several slcan")
+        if self.links > 1 and self.one_bus and self.transport == "native":
+            raise SetupError("transport: a native line has one hub; give one_bus slcan")
+
+    @property
     def skin(self) -> MeshConfig:
         """The skin that `physics` names, with the scenario's own keys. Of `scene`, gains and noise
         alone are used."""
@@ -108,13 +150,15 @@ class Scenario:
         Raises:
             SetupError: it is a file that only the maker of the bundle had.
         """
-        name = self.layout or bundles.manifest_of(self.bundle).layout.name
-        if self.layout or ":" in name:  # the name of a generated one is its line
+        own = self.layout or next(iter(self.layouts), "")
+        name = own or bundles.manifest_of(self.bundle).layout.name
+        if own or ":" in name:  # the name of a generated one is its line
             return name
         raise SetupError(f"{self.bundle} was built for a layout file, {name}: name it by --layout")
 
-    def on(self, foam: str, layout: str = "") -> "Scenario":
-        """The same scenario on another foam and layout; on its own where none is named.
+    def on(self, foam: str, *layouts: str) -> "Scenario":
+        """The same scenario on another foam and layout, or with a link for each of several; on its
+        own where none is named.
 
         Raises:
             SetupError: there is no foam of that name.
@@ -123,7 +167,11 @@ class Scenario:
             raise SetupError(
                 f"no foam '{foam}'; there are {', '.join(FOAMS)}; a layout is given by --layout"
             )
-        return replace(self, physics=foam or self.physics, layout=layout or self.layout)
+        named = tuple(filter(None, layouts))
+        skin = replace(self, physics=foam or self.physics)
+        if len(named) > 1:
+            return replace(skin, layouts=named)
+        return replace(skin, layout=named[0], layouts=()) if named else skin
 
     def touching(self, bundle: str) -> "Scenario":
         """The same scenario with another object, which the daemon knows; with its own where none is

@@ -10,15 +10,18 @@ SOURCES = {
     "slcan": 'kind = "can"\ninterface = "slcan"\nchannel = "{channel}"',
     "can": 'kind = "can"\nchannel = "{channel}"',
     "native": 'kind = "serial"\nchannel = "{channel}"',
+    "array": 'kind = "array"\nendpoint = "{ipc}"',
 }
 
-TEXT = """\
-[skin]
+SKIN = """\
 layout = "{layout}"
 full_scale_counts = {full_scale_counts}
 full_scale_depth_m = {full_scale_depth_m}
 state_dir = "{place}/state"
-[source]
+"""
+
+TEXT = """\
+{skins}[source]
 {source}
 [scene]
 {objects}
@@ -51,10 +54,8 @@ def text(
     the table [filter]."""
     several, (first, *_) = ", ".join(f'"{name}"' for name in scenario.known), scenario.known
     return TEXT.format(
-        layout=scenario.skin_layout,
-        full_scale_counts=scenario.full_scale_counts,
-        full_scale_depth_m=bundle.manifest_of(scenario.bundle).depth_max_m,
-        source=SOURCES[scenario.transport].format(channel=channel),
+        skins=_skins(scenario, channel, place),
+        source=SOURCES[scenario.transport].format(channel=channel, ipc=array_at(channel)),
         objects=f"bundles = [{several}]" if scenario.bundles else f'bundle = "{first}"',
         poses=poses,
         sigma_m=scenario.robot_m or SensorPoseConfig().sigma_m,  # the daemon is told
@@ -65,7 +66,34 @@ def text(
     )
 
 
+def _skins(scenario: Scenario, channel: str, place: Path) -> str:
+    """The table of the skin, or one for each of several links."""
+    tables = [
+        SKIN.format(
+            layout=scenario.of_link(number).skin_layout,
+            full_scale_counts=scenario.full_scale_counts,
+            full_scale_depth_m=bundle.manifest_of(scenario.bundle).depth_max_m,
+            place=place,
+        )
+        for number in range(scenario.links)
+    ]
+    if len(tables) == 1:
+        return f"[skin]\n{tables[0]}"
+    for number in range(1, len(tables)):
+        tables[number] += f'sensor_pose = {{topic = "/robot/link{number + 1}_pose"}}\n'
+        if not scenario.one_bus:
+            source = SOURCES[scenario.transport].format(channel=f"{channel}{number + 1}", ipc="")
+            tables[number] += f"source = {{{source.replace(chr(10), ', ')}}}\n"
+    return "".join(f"[[skin]]\n{table}" for table in tables)
+
+
+def array_at(channel: str) -> str:
+    """The endpoint of an array that is sent in a port's place."""
+    return f"ipc://{Path(channel).absolute()}"
+
+
 def without_devices(scenario: Scenario, seed: int, filter_keys: str = "") -> str:
     """The file of a daemon without sockets, files and devices."""
     nowhere = Path("/nowhere")
-    return text(scenario, seed, "memory", f"ipc://{nowhere}/poses", nowhere, filter_keys)
+    skin, poses = str(nowhere / "skin"), f"ipc://{nowhere}/poses"
+    return text(scenario, seed, skin, poses, nowhere, filter_keys)

@@ -29,28 +29,34 @@ def solid_of(name: str, layout: Layout) -> Solid:
     return meshes.load(mesh_of(name, built), built.height_m, reach)
 
 
-def on_layout(name: str, spec: str) -> Bundle:
-    """The bundle `name` on the layout `spec`, as `skin.layout` has it. Where it was built for
-    another layout its object is cut anew at this one's heights, and the table proposes.
+def on_layout(name: str, *specs: str) -> Bundle:
+    """The bundle `name` on a layout, as `skin.layout` has it, or on those of several links. Where
+    it was built for others its object is cut anew at their heights, and the table proposes.
 
     Raises:
         SetupError: the bundle, the layout or the object's mesh cannot be found, read or used.
     """
-    layout = layouts.load(spec)
-    if bundle.manifest_of(name).layout.digest == layout.digest:
-        return bundle.load(name, layout)
-    return _cut_anew(name, spec)
+    layout, *further = (layouts.load(spec) for spec in specs)
+    built = {link.layout.digest for link in bundle.manifest_of(name).all_links}
+    if {each.digest for each in (layout, *further)} <= built:
+        return bundle.load(name, layout, further=further)
+    return _cut_anew(name, *specs)
 
 
 @lru_cache(maxsize=4)  # a scene takes seconds, and a worker's runs have few objects and layouts
-def _cut_anew(name: str, spec: str) -> Bundle:
+def _cut_anew(name: str, *specs: str) -> Bundle:
     from taxeld_hil.objects import scenes  # noqa: PLC0415  (an extra)
 
-    layout, built = layouts.load(spec), bundle.manifest_of(name)
-    scene = scenes.cut(mesh_of(name, built), layout, built.height_m)
-    model = ObservationModel(scene, layout, built.depth_max_m)
-    check_contacts(model)
-    own = BuiltFor(layout.name, layout.digest)
+    built = bundle.manifest_of(name)
+    at = [(layouts.load(spec), built.height_m) for spec in specs]
+    cuts = scenes.cut_all(mesh_of(name, built), at)
+    pairs = zip(cuts, at, strict=True)
+    model, *more = (ObservationModel(cut, on, built.depth_max_m) for cut, (on, _) in pairs)
+    for one in (model, *more):
+        check_contacts(one)
+    if more:
+        model = ObservationModel(model.scene, model.layout, built.depth_max_m, more)
+    own = BuiltFor(model.layout.name, model.layout.digest)
     found = replace(built, layout=own, samplers=[], auto=[Table.name])
     return Bundle(bundle.find(name), found, {"object": built.object}, {}, model)
 

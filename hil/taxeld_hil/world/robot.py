@@ -1,5 +1,6 @@
 """The robot's path: around the object, in to a press, out again; poses by linear interpolation."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -23,6 +24,7 @@ ARC_STEP_RAD = 0.1
 MARCH_M = 0.0005
 TOUCH = 0.1  # least activation of a press: a corner between two columns may give none,
 TRIES = 20  # places that are tried
+LEAVE = 2  # waypoints from the end of a touch to where the way around the object goes on
 AROUND = 8  # contacts, at most, to once around the object: any so many in turn see all of its sides
 
 
@@ -108,6 +110,37 @@ def plan(scenario: Scenario, model: ObservationModel, truth: Poses, seed: int) -
         touched.append((times[-6], times[-3]))  # from where it slows, in and out again
         yaw, before = yaw_to, angle
     return RobotPath(np.array(times), np.array(poses), np.array(touched))
+
+
+def in_turn(paths: Sequence[RobotPath]) -> list[RobotPath]:
+    """The paths of links that touch one after the other: while one is at it, the others stand where
+    their last touch has ended. Nothing keeps links from passing through each other."""
+    if len(paths) == 1:
+        return list(paths)
+    times: list[list[float]] = [[] for _ in paths]
+    poses: list[list[Poses]] = [[] for _ in paths]
+    touched: list[list[Floats]] = [[] for _ in paths]
+    firsts, now = [0] * len(paths), 0.0
+    for touch in range(max(len(path.touched) for path in paths)):
+        for k, path in enumerate(paths):
+            if touch >= len(path.touched):
+                continue
+            # back where it slowed before the touch: out from there takes two waypoints more
+            out = int(np.searchsorted(path.t, path.touched[touch, 1], side="right")) - 1
+            way = slice(firsts[k], out + LEAVE + 1)
+            later = now - float(path.t[firsts[k]])
+            times[k] += (path.t[way] + later).tolist()
+            poses[k] += list(path.pose[way])
+            touched[k].append(path.touched[touch] + later)
+            firsts[k], now = out + LEAVE, times[k][-1]
+    found = []
+    for k, path in enumerate(paths):
+        moved = replace(
+            path, t=np.array(times[k]), pose=np.array(poses[k]), touched=np.array(touched[k])
+        )
+        errs = len(path.off_t) > 1
+        found.append(replace(moved, off_t=moved.touched.ravel()) if errs else moved)
+    return found
 
 
 def first_yaw(layout: Layout, angle: float) -> float:

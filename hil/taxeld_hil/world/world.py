@@ -76,8 +76,7 @@ def make_world(
         SetupError: the object's mesh cannot be found or read.
     """
     rng, taxels = np.random.default_rng(seed), len(model.layout)
-    most = np.array([scenario.place_m, scenario.place_m, np.pi])
-    truth = rng.uniform(-most, most)
+    truth = placed(scenario, rng)
     baseline = scenario.baseline_counts + scenario.baseline_spread * _normal(rng, taxels)
     skin = scenario.skin
     gain = np.maximum(1.0 + skin.gain_cv * rng.standard_normal(taxels), 0.1)
@@ -88,6 +87,12 @@ def make_world(
         physics = mesh_physics.of_scenario(scenario, model, full_scale, rng)
     channels = Channels(model.layout, modules)
     return World(truth, baseline, noise, physics, channels, rng)
+
+
+def placed(scenario: Scenario, rng: np.random.Generator) -> Poses:
+    """Where the object stands (3,)."""
+    most = np.array([scenario.place_m, scenario.place_m, np.pi])
+    return rng.uniform(-most, most)
 
 
 def _normal(rng: np.random.Generator, n: int) -> NDArray[np.float64]:

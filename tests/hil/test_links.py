@@ -1,0 +1,141 @@
+"""Scenarios of several links, and of a skin that comes as an array."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zmq
+
+from taxeld.commands.replay import Replay
+from taxeld.errors import SetupError
+from taxeld.estimator.estimate import Status
+from taxeld.pipeline.freshness import Why
+from taxeld_hil.grade.judge import Sample
+from taxeld_hil.rig.ledger import WireUnit
+from taxeld_hil.rig.ports import ArrayPort
+from taxeld_hil.rig.rig import Rig, rigs_of
+from taxeld_hil.run.fake_run import FakeRun
+from taxeld_hil.run.live import LiveRun
+from taxeld_hil.scenario import scenario
+from taxeld_hil.scenario.scenario import Fault
+from taxeld_protocol import array
+from taxeld_protocol.array import ArrayFrame
+from tests.rig.clocks import until
+
+LINKS = scenario.load("links")
+PATCHES = [
+    Path(__file__).parents[3] / "shared/data/layouts" / f"ur10e_link{number}_patch1.json"
+    for number in (1, 2)
+]
+
+
+@pytest.mark.parametrize("one_bus", [True, False])
+def test_a_session_of_two_links_replays_to_the_object_that_both_have_touched(
+    one_bus: bool, tmp_path: Path
+) -> None:
+    run = FakeRun(replace(LINKS, one_bus=one_bus), seed=1)
+    grade = run.graded("links", tmp_path)
+    assert [check for check in grade.checks if not check.passed] == []
+    assert run.daemon is not None
+    assert len(run.daemon.buses) == 2 - one_bus
+    found = list(Replay(tmp_path))
+    pressed = {o.link for o in found if o.activation is not None and o.activation.z.max() > 0.1}
+    assert pressed == {0, 1}
+    assert found[-1].estimate.status is Status.CONVERGED
+    assert run.judge.last is not None
+    np.testing.assert_allclose(found[-1].estimate.map, run.judge.last.map, atol=2e-3)
+    assert found[-1].estimate.contacts == LINKS.contacts
+
+
+@pytest.mark.skipif(not PATCHES[0].exists(), reason="the layouts of UR10e are not here")
+@pytest.mark.parametrize("one_bus", [True, False])
+def test_two_patches_of_an_arm_find_the_object(one_bus: bool) -> None:
+    subject = replace(LINKS.on("", *map(str, PATCHES)), one_bus=one_bus)
+    grade = FakeRun(subject, seed=1).graded("links")
+    assert [check for check in grade.checks if not check.passed] == []
+
+
+def test_while_one_link_is_silent_the_other_finds_the_object() -> None:
+    run = FakeRun(scenario.load("link_silent"), seed=1)
+    samples = list[Sample]()
+    judged = run.judge.on_estimate
+    run.judge.on_estimate = lambda s: (samples.append(s), judged(s))[1]  # type: ignore[method-assign]
+    run.run()
+    (fault,) = run.scenario.fault
+    gone = [s for s in samples if fault.at_s + 1.0 < s.t < fault.end_s]
+    assert {s.links for s in gone} == {(Why.VALID, Why.NO_SCAN)}
+    assert gone[-1].contacts > gone[0].contacts
+    assert all(s.valid for s in gone)
+    (seen,) = run.judge.seen
+    assert seen.detected_s is not None
+    assert seen.recovered_s is not None
+    assert samples[-1].links == (Why.VALID, Why.VALID)
+
+
+def test_links_touch_one_after_the_other_as_each_would_alone() -> None:
+    subject = replace(LINKS, contacts=5, robot_m=0.002)
+    rigs = rigs_of(subject, 3)
+    alone = [Rig(subject.of_link(k), 3, k) for k in range(2)]
+    assert [len(rig.path.touched) for rig in rigs] == [3, 2]
+    assert np.array_equal(rigs[0].world.truth, rigs[1].world.truth)
+    times = np.vstack([rig.path.touched for rig in rigs])
+    times = times[np.argsort(times[:, 0])]
+    assert (times[1:, 0] > times[:-1, 1]).all()
+    for rig, own in zip(rigs, alone, strict=True):
+        assert (np.diff(rig.path.t) >= 0.0).all()
+        for now, before in zip(rig.path.touched, own.path.touched, strict=True):
+            for share in (0.0, 0.4, 1.0):
+                at, was = (t[0] + share * (t[1] - t[0]) for t in (now, before))
+                np.testing.assert_allclose(rig.path.at(at), own.path.at(was), atol=1e-9)
+                np.testing.assert_allclose(rig.path.stated(at), own.path.stated(was), atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("keys", "said"),
+    [
+        ({"transport": "array"}, "transport: one link at most is an array"),
+        ({"transport": "native", "one_bus": True}, "transport: a native line has one hub"),
+        ({"contacts": 1}, "contacts: must be at least one for each of 2 links"),
+        ({"fault": (Fault("unplugged", 1.0, link=2),)}, "fault.link: the scenario has the links"),
+        ({"layouts": ("", ""), "one_bus": True}, "link1 and link2 are on one bus, and both have"),
+    ],
+)
+def test_links_that_do_not_fit_a_scenario_are_refused(keys: dict[str, object], said: str) -> None:
+    with pytest.raises(SetupError, match=said):
+        FakeRun(replace(LINKS, **keys), 0)  # type: ignore[arg-type]
+
+
+def test_several_layouts_are_links_and_one_is_the_only_skin() -> None:
+    assert LINKS.on("", "a", "b").layouts == ("a", "b")
+    assert LINKS.on("", "a").links == 1
+    assert LINKS.on("", "").layouts == LINKS.layouts
+
+
+def test_several_links_in_real_time_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match="several links run on the fake clock alone: --clock fake"):
+        LiveRun("links", LINKS, 0, tmp_path, "", lambda _: None)
+
+
+def test_a_subscription_begins_and_ends_the_arrays_of_a_skin(tmp_path: Path) -> None:
+    rig, port = Rig(scenario.load("array"), 0), ArrayPort(tmp_path / "skin")
+    frame = ArrayFrame(5.0, "skin", 0, (10_000, 0, 10_002))
+
+    def ask() -> bool:
+        for packet in port.take(0.0):
+            rig.answer(packet, 0.0)
+        return rig.hub.auto_sync
+
+    with zmq.Context() as context, context.socket(zmq.SUB) as host:
+        host.setsockopt(zmq.LINGER, 0)
+        host.connect(f"ipc://{tmp_path}/skin")
+        assert not ask()
+        host.setsockopt(zmq.SUBSCRIBE, b"")
+        until(ask)
+        assert port.is_open
+        assert port.send(WireUnit(frame, None))
+        assert array.parse(array.read_json(host.recv())) == frame
+        host.setsockopt(zmq.UNSUBSCRIBE, b"")
+        until(lambda: not ask())
+        assert not port.is_open
+    port.close()
