@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from taxeld.advice.hypotheses import Hypotheses
+from taxeld.advice.hypotheses import Guesses
 from taxeld.advice.lines import Lines
 from taxeld.arrays import Floats, Index, Poses
 from taxeld.estimator.estimate import SURE
@@ -23,7 +23,7 @@ MISS_M = 0.002  # m that a touch of nothing costs: only contacts make an estimat
 LEAST = -8.0  # nats: least log-likelihood of an outcome, as nothing is certain
 
 
-class Told(NamedTuple):
+class Left(NamedTuple):
     """What C approaches would leave."""
 
     loss_m: Floats  # (C,) expected distance between estimate and object, USELESS_M at most
@@ -34,18 +34,18 @@ class Told(NamedTuple):
 class Outcomes:
     """Outcomes under hypotheses of one belief."""
 
-    def __init__(self, estimator: Estimator, of: Hypotheses) -> None:
+    def __init__(self, estimator: Estimator, of: Guesses) -> None:
         self._estimator, self._of = estimator, of
         self._apart = _apart(estimator, of)
         self._near = (self._apart < estimator.config.within_m).astype(np.float64)
         self.now_m = float((self._apart @ of.weight).min())  # expected error as it is [m]
 
-    def by_travel(self, travel_m: Floats) -> Told:
+    def by_travel(self, travel_m: Floats) -> Left:
         """By the travel (C, K) until something is touched alone."""
         told = self._left(np.exp(_met(travel_m)))
         return told._replace(cost_m=told.loss_m + self._missed_m(travel_m))
 
-    def by_reading(self, line: Lines, travel_m: Floats, depth_m: float) -> Told:
+    def by_reading(self, line: Lines, travel_m: Floats, depth_m: float) -> Left:
         """By the travel (K,) on one line, and by what is read `depth_m` farther on."""
         told = _met(travel_m[None])[0]  # (truth, K)
         hit = np.flatnonzero(np.isfinite(travel_m))
@@ -77,7 +77,7 @@ class Outcomes:
             told[:, own] = memory.foreseen(like, z, sensor, of.pose[own]).T
         return told
 
-    def _left(self, likelihood: Floats) -> Told:
+    def _left(self, likelihood: Floats) -> Left:
         """What outcomes of `likelihood` (C, truth, K) would leave."""
         weight = self._of.weight
         left = likelihood * weight
@@ -87,7 +87,7 @@ class Outcomes:
         loss = np.take_along_axis(off, best[:, :, None], axis=2)[:, :, 0]
         within = (left * self._near[best]).sum(axis=2)
         left_m = loss @ weight
-        return Told(left_m, (within >= SURE) @ weight, left_m)
+        return Left(left_m, (within >= SURE) @ weight, left_m)
 
 
 def _met(travel_m: Floats) -> Floats:
@@ -97,7 +97,7 @@ def _met(travel_m: Floats) -> Floats:
     return np.maximum(-0.5 * off * off, LEAST)
 
 
-def _apart(estimator: Estimator, of: Hypotheses) -> Floats:
+def _apart(estimator: Estimator, of: Guesses) -> Floats:
     """(K, K) distances between hypotheses [m]; another object is USELESS_M off."""
     made = np.full((len(of.weight), len(of.weight)), USELESS_M)
     for k in of.objects:

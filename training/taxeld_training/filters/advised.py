@@ -64,7 +64,7 @@ class AdvisedTouch(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Guided:
+class GuidedTrials:
     """Trials of an object under a guide."""
 
     setting: Setting
@@ -92,7 +92,7 @@ def advice_rows(options: Options) -> list[Path]:
     ]
     todo.sort(key=lambda each: each[1].arguments[1])  # a first block of all before any second
     done = run_jobs([job for _, job in todo], options)
-    found: dict[Guided, list[Any]] = {}
+    found: dict[GuidedTrials, list[Any]] = {}
     for given, job in todo:
         found.setdefault(given, []).extend(done[job.name] or [])
     rows = [_row(given, trials) for given, trials in found.items() if trials]
@@ -101,7 +101,7 @@ def advice_rows(options: Options) -> list[Path]:
     return [data, data.with_suffix(".png")]
 
 
-def wanted(options: Options) -> list[tuple[Guided, int]]:
+def wanted(options: Options) -> list[tuple[GuidedTrials, int]]:
     """Which trials, and how many of each: mug and drill under all conditions, then the box, and
     which of two boxes it is; then the others on exact readings."""
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
@@ -113,15 +113,17 @@ def wanted(options: Options) -> list[tuple[Guided, int]]:
         for cell in CELLS if many or name == ALIKE else ("exact",):
             guides = GUIDED.get(cell, USUAL) if many else (RANDOM, ADVICE)
             trials = count if many else fewer
-            found += [(Guided(setting, cell, guide), trials) for guide in guides]
+            found += [(GuidedTrials(setting, cell, guide), trials) for guide in guides]
         if name == MANY[0]:
-            found.append((Guided(setting, "exact", ALL_LINES), max(round(FEWEST * count), 1)))
+            found.append((GuidedTrials(setting, "exact", ALL_LINES), max(round(FEWEST * count), 1)))
         if name == ALIKE:
-            found += [(Guided(setting, "exact", each, True), fewer) for each in (RANDOM, ADVICE)]
+            found += [
+                (GuidedTrials(setting, "exact", each, True), fewer) for each in (RANDOM, ADVICE)
+            ]
     return [each for each in found if not options.groups or each[0].guide in options.groups]
 
 
-def play(given: Guided, first: int, count: int) -> list[list[AdvisedTouch]]:
+def play(given: GuidedTrials, first: int, count: int) -> list[list[AdvisedTouch]]:
     """Results of the trials of `count` seeds, of each touch."""
     known = [known_of(given.setting)]
     if given.alike:
@@ -140,7 +142,9 @@ def shorter(name: str) -> Known:
     return Known(model, Table(model))
 
 
-def _played(given: Guided, known: Sequence[Known], true: int, seed: int) -> list[AdvisedTouch]:
+def _played(
+    given: GuidedTrials, known: Sequence[Known], true: int, seed: int
+) -> list[AdvisedTouch]:
     first, *more = known
     config = TABLED.config(OWN_SEEDS + seed)
     estimator = Estimator(first.model, first.proposal, config, more=more)
@@ -158,7 +162,7 @@ def _played(given: Guided, known: Sequence[Known], true: int, seed: int) -> list
     return found
 
 
-def _row(given: Guided, trials: Sequence[Any]) -> dict[str, Any]:
+def _row(given: GuidedTrials, trials: Sequence[Any]) -> dict[str, Any]:
     """Shares after each touch, and what an advice costs."""
     error_mm, p, right, contacts, spent_ms, worst_ms = np.moveaxis(np.array(trials), -1, 0)
     found, sure = (error_mm < FOUND_MM) & (right > 0.0), p >= SURE
