@@ -40,7 +40,7 @@ def asked(subject: Estimator, config: AdviceConfig = FREE) -> Advice:
     return advisor.advice
 
 
-def drawn(subject: Estimator, seed: int = 0) -> hypotheses.Supposed:
+def drawn(subject: Estimator, seed: int = 0) -> hypotheses.Guesses:
     work = hypotheses.drawn(subject, 24, 16, np.random.default_rng(seed))
     while True:
         try:

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from taxeld.advice import hypotheses, lines
-from taxeld.advice.hypotheses import Supposed
+from taxeld.advice.hypotheses import Guesses
 from taxeld.advice.lines import Lines
 from taxeld.advice.outcomes import Left, Outcomes
 from taxeld.arrays import Floats, Poses
@@ -113,7 +113,7 @@ class Advisor:
         return Advice(contacts, best, is_enough)
 
     def _judged(
-        self, of: Supposed, outcomes: Outcomes, link: int
+        self, of: Guesses, outcomes: Outcomes, link: int
     ) -> Generator[None, None, list[tuple[float, Approach]]]:
         """The expected errors that are left, and the approaches, of a link's best lines."""
         fan, free, ways, left = self.fan(of, link), list[Lines](), list[Floats](), list[Floats]()
@@ -140,7 +140,7 @@ class Advisor:
             yield
         return judged
 
-    def fan(self, of: Supposed, link: int) -> Lines:
+    def fan(self, of: Guesses, link: int) -> Lines:
         """All lines of a link, about the middle of the hypotheses."""
         estimator, config = self._estimator, self._config
         centre = np.empty((len(of.weight), 2))
@@ -156,7 +156,7 @@ class Advisor:
             config, self._box, estimator.model, link, middle, around_m + config.clearance_m
         )
 
-    def free(self, some: Lines, of: Supposed) -> tuple[Lines, Floats]:
+    def free(self, some: Lines, of: Guesses) -> tuple[Lines, Floats]:
         """Those of C lines that begin clear of all hypotheses and touch one, and how far the link
         gets on each (F, K)."""
         way = np.empty((len(some), len(of.weight)))
@@ -182,7 +182,7 @@ class Advisor:
         return min(self._config.depth_m, self._estimator.model.links[link].depth_max_m)
 
     def _approach(
-        self, line: Lines, way: Floats, of: Supposed, told: Left, mean_m: float
+        self, line: Lines, way: Floats, of: Guesses, told: Left, mean_m: float
     ) -> Approach:
         touched = np.flatnonzero(np.isfinite(way))
         modes = touched[touched < of.modes]

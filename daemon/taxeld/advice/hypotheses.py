@@ -21,7 +21,7 @@ GROUPS, GROUP = 3, 32  # of samples, and how many are brought there at once
 
 
 @dataclass(frozen=True, slots=True)
-class Supposed:
+class Guesses:
     """K poses of objects in the world. The first ones are the estimate's modes, without weight: no
     approach may hit them either."""
 
@@ -31,9 +31,9 @@ class Supposed:
     modes: int
 
     @property
-    def weighed(self) -> "Supposed":
+    def weighed(self) -> "Guesses":
         """All but the modes."""
-        return Supposed(
+        return Guesses(
             self.pose[self.modes :], self.object[self.modes :], self.weight[self.modes :], 0
         )
 
@@ -45,8 +45,8 @@ class Supposed:
 
 def drawn(
     estimator: Estimator, own: int, fresh: int, rng: np.random.Generator
-) -> Generator[None, None, Supposed]:
-    """Supposed of the present belief, in steps: `own` of its particles, and `fresh` ones."""
+) -> Generator[None, None, Guesses]:
+    """Guesses of the present belief, in steps: `own` of its particles, and `fresh` ones."""
     bank = estimator.bank
     likely = bank.likely
     share = bank.objects[likely] / bank.objects[likely].sum()
@@ -67,7 +67,7 @@ def drawn(
             add(k, other, fresh // len(likely), doubt / len(likely))
     modes = estimator.estimate.modes
     weight = np.concatenate(weights)
-    return Supposed(
+    return Guesses(
         np.concatenate([[mode.pose for mode in modes], *poses]),
         np.concatenate([[mode.object for mode in modes], *numbers]).astype(np.intp),
         np.concatenate([np.zeros(len(modes)), weight / weight.sum()]),

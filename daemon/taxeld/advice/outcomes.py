@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from taxeld.advice.hypotheses import Supposed
+from taxeld.advice.hypotheses import Guesses
 from taxeld.advice.lines import Lines
 from taxeld.arrays import Floats, Index, Poses
 from taxeld.estimator.estimate import SURE
@@ -34,7 +34,7 @@ class Left(NamedTuple):
 class Outcomes:
     """Outcomes under hypotheses of one belief."""
 
-    def __init__(self, estimator: Estimator, of: Supposed) -> None:
+    def __init__(self, estimator: Estimator, of: Guesses) -> None:
         self._estimator, self._of = estimator, of
         self._apart = _apart(estimator, of)
         self._near = (self._apart < estimator.config.within_m).astype(np.float64)
@@ -97,7 +97,7 @@ def _met(travel_m: Floats) -> Floats:
     return np.maximum(-0.5 * off * off, LEAST)
 
 
-def _apart(estimator: Estimator, of: Supposed) -> Floats:
+def _apart(estimator: Estimator, of: Guesses) -> Floats:
     """(K, K) distances between hypotheses [m]; another object is USELESS_M off."""
     made = np.full((len(of.weight), len(of.weight)), USELESS_M)
     for k in of.objects:

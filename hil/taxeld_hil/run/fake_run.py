@@ -122,7 +122,9 @@ class FakeRun:
         ticks = 0
         ends: list[ContactEnd] = []
         last: Estimate | None = None
-        while ticks < round(max(rig.duration_s for rig in self.rigs) / period):  # a robot that is advised goes on
+        while ticks < round(
+            max(rig.duration_s for rig in self.rigs) / period
+        ):  # a robot that is advised goes on
             e = self.step(ticks * period)
             ticks += 1
             if last is not None and e is not None and last.contact and not e.contact:
@@ -138,6 +140,11 @@ class FakeRun:
             self.judge.on_health(self.line.t, self.daemon.health(self.line.now))
         self.judge.end(self.line.t)
         return ends
+
+    @property
+    def duration_s(self) -> float:
+        """So far: a robot that is advised goes on."""
+        return max(rig.duration_s for rig in self.rigs)
 
     def step(self, t: float) -> Estimate | None:
         """One tick of everything, at scenario time t; → the estimate of a daemon that is alive."""
@@ -161,7 +168,7 @@ class FakeRun:
         why = self.daemon.pipeline.freshness.why(e, now)
         advice = self.daemon.pipeline.advice
         if advice is not None:
-            rig.advise(advice, t - (now - e.t), t)
+            self.rig.advise(advice, t - (now - e.t), t)
         told = e.contacts, e.map, e.p, e.radius_m
         links = tuple(self.daemon.pipeline.freshness.of_links(now)) if len(self.rigs) > 1 else ()
         self.judge.on_estimate(
