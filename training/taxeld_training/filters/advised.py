@@ -22,13 +22,13 @@ from taxeld.layout import read as layouts
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import add_m
 from taxeld.proposals.analytic import Table
+from taxeld_hil.integrity import FOUND_MM
 from taxeld_hil.jobs import Job
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.filters.cells import COLUMNS, TOUCHES, seed_of, setting_of
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.follow import OWN_SEEDS
 from taxeld_training.filters.guides import ADVICE, ALL_LINES, ANY, GUIDES, OPPOSITE, RANDOM, Guide
-from taxeld_training.filters.pairs import FOUND_MM
 from taxeld_training.filters.several import TABLED, known_of
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.filters.trials import Trial
