@@ -77,11 +77,31 @@ def most_misleading() -> str:
     return f"Over all rows {wrong} of {sure} sure estimates mislead."
 
 
+def advice() -> str:
+    """Right and sure by who chose the touches, an object and cell a line."""
+    rows = [row for row in rows_of("advice") if not row["alike"]]
+    of = {(row["object"], row["cell"], row["guide"]): row for row in rows}
+    guides = ("any", "random", "advice")
+    lines = []
+    for name, cell in dict.fromkeys((row["object"], row["cell"]) for row in rows):
+        own = [of.get((name, cell, guide)) for guide in guides]
+        shares = [
+            " ".join(f"{100 * row['found_and_sure'][n - 1]:.0f}" for n in (4, 6, 8)) if row else ""
+            for row in own
+        ]
+        trials = "/".join(str(row["trials"]) for row in own if row)
+        misleading = "/".join(str(row["misleading"]) for row in own if row)
+        lines.append([word(name), cell, *shares, trials, misleading])
+    heads = ["object", "cell", *(f"{guide}, %" for guide in guides), "trials", "misleading"]
+    return table(heads, lines)
+
+
 FIGURES: dict[str, Callable[[], str]] = {
     "works-typical": works("typical"),
     "works-poor": works("poor"),
     "works-exact": works("exact"),
     "works-robot": works("robot errs by 2 mm"),
+    "advice": advice,
     "works-misleading": most_misleading,
 }
 
