@@ -29,7 +29,8 @@ def run(seed: int, extrapolate_s: float) -> tuple[float, float, int]:
     placed: list[tuple[float, Poses]] = []
     on_the_way: deque[tuple[float, float, float, float]] = deque()
 
-    def pose(t: float, x: float, y: float, theta: float) -> None:
+    def pose(t: float, x: float, y: float, theta: float, link: int = 0) -> None:
+        assert link == 0
         told.append((t, x, y, theta))
         on_the_way.append((t, x, y, theta))
         if len(on_the_way) > 1:

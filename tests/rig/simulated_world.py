@@ -134,9 +134,9 @@ class Line(MemoryLine):
         super().__init__(world.rig)
         self._world = world
 
-    def _deliver(self, units: list[Any]) -> None:
+    def _deliver(self, rig: Rig, units: list[Any]) -> None:
         now, self.now = self.now, self._world.unix()
-        super()._deliver(units)
+        super()._deliver(rig, units)
         self.now = now
 
     @property

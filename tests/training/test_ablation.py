@@ -44,7 +44,7 @@ def test_each_constant_of_the_table_matters() -> None:
     def results(seed: int, change: Change | None) -> list[list[Any]]:
         (touches,) = cells.play(Cell(MUG, SHIPPED, change=change), seed, 1, "")
         assert np.isfinite([error_mm for error_mm, *_ in touches]).all(), change
-        return [told for *told, _ in touches]  # but the time that it took
+        return [told for *told, _, _ in touches]  # but the times that it took
 
     usual = {seed: results(seed, None) for seed in (0, 4)}
     assert results(0, None) == usual[0]

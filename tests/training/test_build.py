@@ -71,7 +71,7 @@ def test_the_bundle_records_what_it_is_made_of_and_how_good_that_is(
     assert 0.0 < info["grid_error_mm"]["rms"] < info["grid_error_mm"]["max"] < 1.0
     assert {s["name"] for s in info["samplers"]} == {"density-64", "density-16", "ddpm-100"}
     for measured in [*info["samplers"], *info["analytic"].values()]:
-        assert measured["energy_distance"] > 0
+        assert np.isfinite(measured["energy_distance"])
         assert measured["ms"] > 0
     assert all(sampler["flops"] > 0 for sampler in info["samplers"])
     assert "exact draws" in info["measured"]
