@@ -37,9 +37,7 @@ class Approach:
     direction: float  # of motion in the world [rad]
     depth_m: float  # to go on once touched
     p_sure: float  # expected probability that the estimate is sure afterwards
-    gain: (
-        float  # m by which the expected error, with 2 mm for a miss, is less than by the mean line
-    )
+    gain: float  # m that it saves beside the mean line: of expected error, and 2 mm for a miss
     p_touch: float  # probability that it touches anything
 
 

@@ -26,9 +26,8 @@ LEAST = -8.0  # nats: least log-likelihood of an outcome, as nothing is certain
 class Left(NamedTuple):
     """What C approaches would leave."""
 
-    loss_m: Floats  # (C,) expected distance between estimate and object, USELESS_M at most
+    cost_m: Floats  # (C,) expected distance of estimate and object, and what misses cost
     sure: Floats  # (C,) probability that a mode is left that holds nearly all
-    cost_m: Floats  # (C,) loss, and what misses cost
 
 
 class Outcomes:
@@ -42,8 +41,7 @@ class Outcomes:
 
     def by_travel(self, travel_m: Floats) -> Left:
         """By the travel (C, K) until something is touched alone."""
-        told = self._left(np.exp(_met(travel_m)))
-        return told._replace(cost_m=told.loss_m + self._missed_m(travel_m))
+        return self._left(np.exp(_met(travel_m)), travel_m)
 
     def by_reading(self, line: Lines, travel_m: Floats, depth_m: float) -> Left:
         """By the travel (K,) on one line, and by what is read `depth_m` farther on."""
@@ -53,12 +51,7 @@ class Outcomes:
             sensor = line.after_each(travel_m[hit] + depth_m)
             told[hit] += self._read(line.link, hit, sensor)
         told = np.maximum(told - told.max(axis=1, keepdims=True), 2.0 * LEAST)
-        left = self._left(np.exp(told)[None])
-        return left._replace(cost_m=left.loss_m + self._missed_m(travel_m[None]))
-
-    def _missed_m(self, travel_m: Floats) -> Floats:
-        """(C,) what missing costs on lines with the travel (C, K)."""
-        return np.asarray(MISS_M * (np.isinf(travel_m) @ self._of.weight))
+        return self._left(np.exp(told)[None], travel_m[None])
 
     def _read(self, link: int, hit: Index, sensor: Poses) -> Floats:
         """(H, K) log-likelihoods of what would be read at sensor poses (H, 3), if the object were
@@ -77,8 +70,9 @@ class Outcomes:
             told[:, own] = memory.foreseen(like, z, sensor, of.pose[own]).T
         return told
 
-    def _left(self, likelihood: Floats) -> Left:
-        """What outcomes of `likelihood` (C, truth, K) would leave."""
+    def _left(self, likelihood: Floats, travel_m: Floats) -> Left:
+        """What outcomes of `likelihood` (C, truth, K) would leave, on lines with the travel (C,
+        K)."""
         weight = self._of.weight
         left = likelihood * weight
         left /= left.sum(axis=2, keepdims=True)
@@ -86,8 +80,8 @@ class Outcomes:
         best = off.argmin(axis=2)
         loss = np.take_along_axis(off, best[:, :, None], axis=2)[:, :, 0]
         within = (left * self._near[best]).sum(axis=2)
-        left_m = loss @ weight
-        return Left(left_m, (within >= SURE) @ weight, left_m)
+        missed_m = MISS_M * (np.isinf(travel_m) @ weight)
+        return Left(loss @ weight + missed_m, (within >= SURE) @ weight)
 
 
 def _met(travel_m: Floats) -> Floats:

@@ -604,10 +604,9 @@ def _stages_us(outcome: Outcome) -> dict[str, float]:
 
 
 def _digest(config: Config) -> str:
-    """Of all keys; of links and of advice only where they are used."""
-    used = {"links": config.links, "advice": config.advice.enabled}
-    held = asdict(replace(config, is_sized=False))  # whoever says what holds
-    given = {name: value for name, value in held.items() if used.get(name, True)}
+    """Of all keys, whoever sets them; of links and of advice only where they are used."""
+    used = {"links": config.links, "advice": config.advice.enabled, "is_sized": False}
+    given = {name: value for name, value in asdict(config).items() if used.get(name, True)}
     return hashlib.sha256(repr(given).encode()).hexdigest()[:16]
 
 

@@ -215,12 +215,31 @@ class NativePort(_Terminal):
         return isinstance(unit.item, bytes) and self._write(unit.item)
 
 
-class ArrayPort:
+class _Fixed:
+    """A port that stays where it is: it cannot be pulled out, and keeps nothing back."""
+
+    def __init__(self) -> None:
+        self.is_open = False
+
+    def flush(self) -> None:
+        """What was sent is gone."""
+
+    def forget(self) -> None:
+        self.is_open = False
+
+    def set_plugged(self, plugged: bool) -> None:
+        """Without power nothing is sent; that is all."""
+
+    def close_channel(self) -> None:
+        """There is none."""
+
+
+class ArrayPort(_Fixed):
     """A skin that publishes arrays; a host's subscription starts it."""
 
     def __init__(self, where: Path) -> None:
         """Raises SetupError where the path cannot be had."""
-        self.is_open = False
+        super().__init__()
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.XPUB)
         self._socket.setsockopt(zmq.LINGER, 0)
@@ -247,29 +266,17 @@ class ArrayPort:
         self._socket.send(line_of(unit.item).encode(), zmq.NOBLOCK)
         return True
 
-    def flush(self) -> None:
-        """ZeroMQ has it all."""
-
-    def forget(self) -> None:
-        self.is_open = False
-
-    def set_plugged(self, plugged: bool) -> None:
-        """It is silent without power, and stays bound."""
-
-    def close_channel(self) -> None:
-        """There is none."""
-
     def close(self) -> None:
         self._socket.close()
         self._context.term()
 
 
-class CanPort:
+class CanPort(_Fixed):
     """A hub on a CAN interface, such as vcan0, that something else brings up and down."""
 
     def __init__(self, interface: str, on_frame: Callable[[Frame], None]) -> None:
         """Raises SetupError where there is no such interface."""
-        self.is_open = False
+        super().__init__()
         self._on_frame = on_frame
         self._requests = HubLink()
         try:
@@ -304,18 +311,6 @@ class CanPort:
         except (can.CanError, OSError):
             return False
         return True
-
-    def flush(self) -> None:
-        """The kernel has it all."""
-
-    def forget(self) -> None:
-        self.is_open = False
-
-    def set_plugged(self, plugged: bool) -> None:
-        """An interface cannot be pulled out."""
-
-    def close_channel(self) -> None:
-        """There is none."""
 
     def close(self) -> None:
         self._bus.shutdown()
