@@ -10,7 +10,12 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).parents[1]
 PAGES = {"README.md": "index.md", "CHANGELOG.md": "CHANGELOG.md"}
-FILES = ("examples/publish_pose.py", "examples/clients/subscribe.py", "examples/can0.toml")
+FILES = (
+    "examples/publish_pose.py",
+    "examples/clients/subscribe.py",
+    "examples/clients/messages.json",
+    "examples/can0.toml",
+)
 LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)#\s]+)(#[^)]*)?\)")
 
 
