@@ -9,6 +9,7 @@ ROOT = Path(__file__).parents[2]
 DOCUMENT = ROOT / "docs" / "stream.md"
 EXAMPLES = ROOT / "examples" / "clients" / "messages.json"
 Types = dict[str, str]
+EACH = {"v": "int", "seq": "int", "t": "float"}  # keys of all topics of a scan, named once
 
 
 def leaves(value: object, path: str = "") -> Types:
@@ -37,6 +38,7 @@ def documented(title: str) -> tuple[Types, dict[str, Any]]:
     rows = [line.split("|")[1:3] for line in section(title).splitlines() if line.startswith("| `")]
     named = [(re.findall("`(.*?)`", cell), kind.strip()) for cell, kind in rows]
     keys = {key: kind for names, kind in named for name in names for key in expanded(name)}
+    keys |= {} if title in ("/taxeld/info", "/robot/sensor_pose") else EACH
     return keys, json.loads(EXAMPLES.read_text(encoding="utf-8"))[title]
 
 
