@@ -92,7 +92,7 @@ def test_a_change_helps_only_where_trials_of_the_same_seeds_say_so_beyond_chance
 
 
 def test_a_robot_errs_alike_throughout_a_touch_and_otherwise_in_the_next() -> None:
-    plan = touches.plan(MODEL, TRUTH, lambda _: 0.0, 0, 40, 0)
+    plan = touches.plan(MODEL, TRUTH, 0, 40)
     path = plan.path.erring(0.002, seed=1)
     off = [
         [path.stated(t)[:2] - path.at(t)[:2] for t in (touch.begin_s, *touch.held_s, touch.end_s)]
@@ -123,7 +123,7 @@ def test_a_skin_that_leaves_half_of_its_link_bare_is_turned_to_the_object(tmp_pa
     assert own.bundle == "box", "on another layout it is cut anew, and none is written for it"
     assert BY_TABLE not in {job.arguments[0] for job in expect.jobs({AS_IS: own}, 1, 1)}
     rig = Rig(own, 0)
-    plan = touches.plan(rig.model, rig.world.truth, lambda _: 0.0, 0, 8, 0)
+    plan = touches.plan(rig.model, rig.world.truth, 0, 8)
     for touch in plan.touches:
         at = plan.path.at(float(np.mean(touch.held_s)))
         seen = se2.compose(se2.inverse(at), rig.world.truth)

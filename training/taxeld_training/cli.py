@@ -13,7 +13,7 @@ from taxeld import command_line
 from taxeld.command_line import add_renamed, documented
 from taxeld.config.tables import SkinConfig
 from taxeld.errors import SetupError
-from taxeld_hil import jobs
+from taxeld_hil import options
 from taxeld_hil.objects import HEIGHT_M
 from taxeld_training.objects import DEPTH_MAX_M
 
@@ -305,7 +305,7 @@ def _layouts(args: argparse.Namespace) -> tuple[str, ...]:
     """Raises SetupError where a layout cannot be read, or the experiment has no room for it."""
     from taxeld.layout import read as layouts
 
-    found = tuple(jobs.layouts(args.layout))
+    found = tuple(options.layouts(args.layout))
     if args.experiment in SINGLE and len(found) > 1:
         raise SetupError(f"--layout: {args.experiment} has room for one; run it for each")
     of_shipped = args.experiment == "push" or (args.experiment == "proposals" and args.cells)
@@ -403,7 +403,7 @@ def _add_options(one: argparse.ArgumentParser) -> None:
     about = "default: box and mug; of filter, whole, recognise, proposals without --cells the ten"
     add("--objects", type=_names, default=(), metavar="A,B", help=about)
     add("--columns", type=_counts, default=(), metavar="N,M", help="of the 5-row skins")
-    add_renamed(one, "--skin", jobs.add_layouts(one, "those skins"))
+    add_renamed(one, "--skin", options.add_layouts(one, "those skins"))
     add("--workers", type=int, default=2, help="processes of one thread each")
     about = (
         "samplers (analytic, …), filters (table, shipped, …), or of ablation constants (MOVE, …)"

@@ -41,8 +41,16 @@ def run(
     """Check the skin behind a target; the report and all that was received are written to `out`.
 
     Raises:
-        SetupError: the target cannot be opened, or the layout or `out` cannot be used.
+        SetupError: a number is out of its range, the target cannot be opened, or the layout or
+            `out` cannot be used.
     """
+    for option, value, least, most in (
+        ("--seconds", seconds, SECONDS_MIN, SECONDS_MAX),
+        ("--period-ms", period_ms, 1, 0xFFFF),
+        ("--full-scale-counts", full_scale_counts, 1, 0xFFFF),
+    ):
+        if not least <= value <= most:
+            raise SetupError(f"{option}: must be {least:g}..{most:g}, not {value:g}")
     layout = layouts.read(skin)
     config = source_of(target, period_ms)
     when = time.strftime("%Y-%m-%d %H:%M:%S")

@@ -96,7 +96,7 @@ def play(name: str, subject: Scenario, seed: int, touches: int, keys: str) -> Ru
     calibration = known_responses(subject, seed) if name == CALIBRATED else None
     run = FakeRun(subject, seed, RATE_HZ, keys, calibration)
     model, truth = run.rig.model, run.rig.world.truth
-    plan = paths.plan(model, truth, lambda _: 0.0, seed, touches, 0)
+    plan = paths.plan(model, truth, seed, touches)
     run.rig.path = plan.path.erring(subject.robot_m, seed)
     notes = [IDLE_S, *(IDLE_S + touch.end_s + SEEN_S for touch in plan.touches)]
     after: list[dict[str, Any]] = []
