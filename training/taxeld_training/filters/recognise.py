@@ -15,18 +15,17 @@ from typing import Any
 import numpy as np
 
 from taxeld_hil.integrity import is_found, is_sure
-from taxeld_hil.jobs import Job
 from taxeld_hil.objects import meshes
 from taxeld_training.filters import pairs, several
-from taxeld_training.filters.cells import COLUMNS, TOUCHES, seed_of, setting_of
+from taxeld_training.filters.cells import COLUMNS, TOUCHES, setting_of
 from taxeld_training.filters.levels import UNMET
 from taxeld_training.filters.pairs import Both, Pair
 from taxeld_training.filters.several import Compared, Crowd, Recognised
 from taxeld_training.filters.touches import FOAMS
-from taxeld_training.jobs import identities
+from taxeld_training.jobs import blocks, identities
 from taxeld_training.jobs.identities import UNKNOWN
 from taxeld_training.jobs.identity_tables import tables
-from taxeld_training.jobs.options import Options, run_jobs, write
+from taxeld_training.jobs.options import Options, write
 from taxeld_training.jobs.promises import share
 from taxeld_training.objects.setting import OBJECTS, Setting
 
@@ -56,7 +55,12 @@ def recognise_rows(options: Options) -> list[Path]:
     from taxeld_training.charts import identity_chart  # noqa: PLC0415  # matplotlib is not needed to train
 
     each = filters_of(options)
-    done = run(wanted(each, options), options)
+    done = {
+        crowd: [[_read(*touch) for touch in trial] for trial in trials.values()]
+        for crowd, trials in blocks.trials(
+            wanted(each, options), several.play, options, BLOCK
+        ).items()
+    }
     found = [
         row
         for (of, names), skin in ((one, skin) for one in each.items() for skin in SKINS)
@@ -78,8 +82,7 @@ def filters_of(options: Options) -> dict[str, tuple[str, ...]]:
 
 def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Crowd, int]:
     """The trials: each filter with all objects that it knows, the first with the others as well."""
-    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    settings = {}
+    seeds, settings = _seeds(options), {}
     for name in (name for names in each.values() for name in names):
         meshes.find(name)
         settings[name] = _setting(name, options)
@@ -93,55 +96,30 @@ def wanted(each: Mapping[str, tuple[str, ...]], options: Options) -> dict[Crowd,
     return found
 
 
+def _seeds(options: Options) -> int:
+    return options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
+
+
 def _setting(name: str, options: Options) -> Setting:
     setting, layout = setting_of(name, COLUMNS, options), options.layouts[0]
     return replace(setting, skin=layout, columns=0) if layout else setting
-
-
-def run(counts: Mapping[Crowd, int], options: Options) -> Runs:
-    """Results of trials, as many as given, or as time allows. Every object gets a first block of
-    trials before any gets a second one."""
-    todo = [
-        (first, crowd, min(BLOCK, count - first))
-        for crowd, count in counts.items()
-        for first in range(0, count, BLOCK)
-    ]
-    todo.sort(key=lambda each: each[0])
-    jobs = [
-        Job(f"{crowd.name}-{first}", several.play, (crowd, seed_of(options, first), count))
-        for first, crowd, count in todo
-    ]
-    done = run_jobs(jobs, options)
-    found: Runs = {}
-    for (_, crowd, _), job in zip(todo, jobs, strict=True):
-        for trial in done[job.name] or []:
-            found.setdefault(crowd, []).append([_read(*touch) for touch in trial])
-    return found
 
 
 def pair_rows(options: Options) -> list[dict[str, Any]]:
     """Rows of trials of two objects that are touched in turn: of one kind, and of two."""
     names = TWO if not (options.objects or options.quick) else (options.objects or OBJECTS)[:2]
     first, last = (_setting(name, options) for name in (names[0], names[-1]))
-    seeds = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    count = max(round(PAIR_SEEDS * seeds), 1)
-    both = ((first, first), (first, last), (last, last))
-    found = []
-    for skin in SKINS:
-        for one, other in dict.fromkeys(both):
-            pair = Pair(one, other, FOAMS[skin])
-            todo = [(at, min(BLOCK, count - at)) for at in range(0, count, BLOCK)]
-            jobs = [
-                Job(f"{pair.name}-{at}", pairs.play, (pair, seed_of(options, at), size))
-                for at, size in todo
-            ]
-            done = run_jobs(jobs, options)
-            runs = [[Both(*touch) for touch in run] for job in jobs for run in done[job.name] or []]
-            if runs:
-                where = {"figure": "two", "of": TEN, "skin": skin}
-                objects = {"one": one.object, "other": other.object}
-                found += [where | objects | row for row in _of_pair(runs)]
-    return found
+    count = max(round(PAIR_SEEDS * _seeds(options)), 1)
+    both = dict.fromkeys(((first, first), (first, last), (last, last)))
+    where = {Pair(*pair, FOAMS[skin]): skin for skin in SKINS for pair in both}
+    done = blocks.trials(dict.fromkeys(where, count), pairs.play, options, BLOCK)
+    return [
+        {"figure": "two", "of": TEN, "skin": where[pair]}
+        | {"one": pair.one.object, "other": pair.other.object}
+        | row
+        for pair, runs in done.items()
+        for row in _of_pair([[Both(*touch) for touch in run] for run in runs.values()])
+    ]
 
 
 def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:

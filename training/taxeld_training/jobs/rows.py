@@ -146,14 +146,6 @@ def trial_table(rows: Sequence[Row]) -> str:
     )
 
 
-def distance_table(rows: Sequence[Row]) -> str:
-    """Samplers on touches of trials: a line an object and condition, a column a proposal; mean
-    distance to the exact posterior, and its median in brackets."""
-    names = dict.fromkeys(row["proposal"] for row in rows)
-    cells = {name: partial(_median, proposal=name) for name in names}
-    return table(rows, {"object": _object, "condition": condition}, cells)
-
-
 def _object(row: Row) -> str:
     return object_name(str(row["object"]))
 
@@ -170,12 +162,6 @@ def _distance(rows: Sequence[Row]) -> str:
         return text
     low, high = of_mean([row[DISTANCES] for row in rows], np.random.default_rng(0))
     return f"{text} ({low:.4f} – {high:.4f})"
-
-
-def _median(rows: Sequence[Row], proposal: str) -> str:
-    """Mean and median distance of one proposal."""
-    mine = [row for row in rows if row["proposal"] == proposal]
-    return ", ".join(f"{row['energy_distance']:.3f} ({row['median']:.3f})" for row in mine)
 
 
 def _p(rows: Sequence[Row], nearest: Sequence[Row]) -> str:
