@@ -40,8 +40,6 @@ PAIR_SEEDS = 0.4  # factor of the number of trials with two objects
 ALL = "all"
 SHOWN = (2, 4, 6)  # contacts with a confusion matrix
 TOLD = (4, 6, 8)  # contacts after which unknown objects are looked for
-DUE, DUE_LATER = 4, 6  # contacts by which an object is to be recognised
-LATER = ("025_mug", "035_power_drill")  # objects that have until DUE_LATER
 
 Runs = dict[Crowd, list[list[Compared]]]  # results of each touch of the trials
 
@@ -67,8 +65,7 @@ def recognise_rows(options: Options) -> list[Path]:
         for row in _rows({"of": of, "skin": skin}, names, done)
     ]
     found += pair_rows(options)
-    rows = [*reached(found), *found]
-    data = write(options, "recognise", rows, tables(rows))
+    data = write(options, "recognise", found, tables(found))
     identity_chart.draw([row for row in found if row["of"] == TEN], data.with_suffix(".png"))
     return [data, data.with_suffix(".png")]
 
@@ -133,39 +130,6 @@ def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:
         | {"misleading_targets": int(told[:, contact - 1, 3].sum())}
         for contact in range(2, told.shape[1] + 1, 2)
     ]
-
-
-def reached(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """What the figures aimed at, and whether they reach it, each filter's and skin's; `below` names
-    the objects that miss it by themselves."""
-    found = []
-    for of, skin in dict.fromkeys((row["of"], row["skin"]) for row in rows):
-        mine = [row for row in rows if (row["of"], row["skin"]) == (of, skin)]
-        where = {"figure": "reach", "of": of, "skin": skin}
-        due = [row for row in mine if row["figure"] == "identity" and _is_due(row)]
-        of_right = [(row["object"], row["found"] / (row["right"] or np.inf)) for row in due]
-        for aim, least, values in (
-            ("right", 0.95, [(row["object"], row["right"]) for row in due]),
-            ("under 10 mm of the right", 0.95, of_right),
-        ):
-            below = [name for name, value in values if value < least]
-            mean = round(float(np.mean([value for _, value in values])), 4)
-            found.append({**where, "aim": aim, "least": least, "value": mean, "below": below})
-        for key, aim, bound, limit in (
-            ("auroc", "AUROC of other", "least", 0.95),
-            ("sure", "unknown, a wrong object sure", "most", 0.002),
-            ("ece", "calibration error", "most", 0.03),
-            ("settled_ratio", "cost settled", "most", 2.0),
-            ("first_ratio", "cost of the first touch", "most", 5.0),
-        ):
-            for row in mine:
-                if row.get(key) is not None:
-                    after = f", {row['contact']} contacts" if "contact" in row else ""
-                    found.append({**where, "aim": aim + after, bound: limit, "value": row[key]})
-    for row in found:
-        least, most = row.get("least", -np.inf), row.get("most", np.inf)
-        row["met"] = bool(least <= row["value"] <= most and not row.get("below"))
-    return found
 
 
 def _rows(where: dict[str, str], names: Sequence[str], done: Runs) -> list[dict[str, Any]]:
@@ -261,12 +225,6 @@ def _cost(runs: Sequence[Sequence[Compared]]) -> dict[str, float]:
         found[f"worst{key}_ms"] = round(float(each.max()), 2)
         found[f"worst{key}_median_ms"] = round(float(np.median(each)), 2)
     return found
-
-
-def _is_due(row: dict[str, Any]) -> bool:
-    """Whether a row is of an object, after the contact by which it is to be recognised."""
-    due = DUE_LATER if row["object"] in LATER else DUE
-    return bool(row["object"] != ALL and row["contact"] == due)
 
 
 def _read(known: Sequence[Any], one: Sequence[Any] | None) -> Compared:

@@ -102,6 +102,31 @@ def table(
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
+def number_of(key: str) -> Cell:
+    """A cell with a figure of a line's only row; empty where it has none."""
+
+    def text(rows: list[Row]) -> str:
+        value = rows[0][key]
+        return "" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
+
+    return text
+
+
+def share_of(key: str, interval: str = "") -> Cell:
+    """The same of a share, with its interval."""
+
+    def text(rows: list[Row]) -> str:
+        value: float | None = rows[0][key]
+        if value is None:
+            return ""
+        if not interval:
+            return f"{value:.1%}"
+        low, high = rows[0][interval]
+        return f"{value:.2%} ({100 * low:.2f} – {100 * high:.2f})"
+
+    return text
+
+
 def sampler_table(rows: Sequence[Row]) -> str:
     """Means over objects, with intervals over readings: a table for each number of taxel columns,
     samplers nearest the exact posterior first."""

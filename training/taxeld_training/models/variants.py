@@ -43,9 +43,9 @@ def density(width: int = 64, encoder_width: int = 256, encoder_depth: int = 5) -
     return Variant("density", network, TrainConfig(updates=12_000))
 
 
-def diffusion(width: int = 128) -> Variant:
+def diffusion() -> Variant:
     """A diffusion in contact coordinates."""
-    return Variant("diffusion", NetworkConfig(width, 160), TrainConfig(updates=10_000))
+    return Variant("diffusion", NetworkConfig(128, 160), TrainConfig(updates=10_000))
 
 
 def paper() -> Variant:
