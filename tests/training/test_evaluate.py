@@ -73,8 +73,6 @@ def test_proposals_has_a_row_a_sampler_and_remembers_its_jobs(block: Path, tmp_p
         re.search(r"\| -?\d\.\d{4} \(-?\d\.\d{4} – -?\d\.\d{4}\) \|", line) for line in table[4:]
     )
     assert float(table[-1].split("|")[-2]) < 0.05  # p of the farthest, the projection
-    for end in ("", "_posterior"):
-        assert (tmp_path / "out" / f"proposals{end}.png").is_file()
     before = written_at(tmp_path / "memory")
     assert evaluate("proposals", block, tmp_path, *groups) == 0
     assert written_at(tmp_path / "memory") == before

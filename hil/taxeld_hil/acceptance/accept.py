@@ -5,7 +5,6 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from taxeld.command_line import missing_extra
 from taxeld.config import endpoints
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
@@ -76,12 +75,6 @@ def _write(report: AcceptanceReport, out: Path, say: Say) -> None:
         path = out / "modules.toml"
         path.write_text(report.modules, encoding="utf-8")
         say(f"the hub's modules are listed in {path}, for source.modules")
-    try:
-        from taxeld_hil.acceptance.draw import draw  # noqa: PLC0415  (of the extra `view`)
-    except ModuleNotFoundError as error:
-        say(f"no picture: {missing_extra(error) or error}")
-        return
-    draw(report, out / "report.png")
 
 
 def source_of(target: str, period_ms: int) -> SourceConfig:

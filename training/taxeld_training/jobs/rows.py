@@ -19,17 +19,12 @@ EXACT = "exact"  # `proposal` of the exact posterior's rows
 DISTANCES = "distances"  # distances of each reading, for intervals and paired tests
 
 Row = Mapping[str, Any]
-Spread = tuple[float, float, float]  # median, best, worst
 Cell = Callable[[list[Row]], str]  # rows of a table's line → the text of a cell
 
 FIGURES = {  # heading → key of a sampler's row, and the format of its mean over objects
     "ADD, mm": ("add_mm", "{:.1f}"),
     "in 90 % region": ("coverage_90", "{:.0%}"),
     "operations": ("flops", "{:.2g}"),
-    "ms": ("ms", "{:.2f}"),
-    "ms warm": ("ms_warm", "{:.2f}"),
-    "speed-up": ("speedup", "{:.0f} ×"),
-    "speed-up warm": ("speedup_warm", "{:.0f} ×"),
 }
 SHARES = {  # heading → key of a row of trials
     "found": "found_rate",
@@ -43,19 +38,15 @@ def number(value: Any) -> float:
     return math.nan if value is None else float(value)
 
 
-def spread_of(value: Any) -> Spread:
-    """A measure of a row: a number, or a map of its median, best and worst."""
-    if isinstance(value, Mapping):
-        return number(value["median"]), number(value["best"]), number(value["worst"])
-    return number(value), math.nan, math.nan
+def median_of(value: Any) -> float:
+    """A measure of a row: a number, or the median of a map of quantiles."""
+    return number(value["median"] if isinstance(value, Mapping) else value)
 
 
-def gap(row: Row) -> Spread:
+def gap(row: Row) -> float:
     """Distance to the exact posterior over the floor, that of two exact sets. In rows of earlier
     versions, whose distances are too large by a bias that is the floor's, this takes it off."""
-    median, best, worst = spread_of(row.get("energy_distance"))
-    floor = number(row.get("energy_floor"))
-    return median - floor, best - floor, worst - floor
+    return number(row.get("energy_distance")) - number(row.get("energy_floor"))
 
 
 def label(row: Row) -> str:
@@ -87,7 +78,7 @@ def condition(row: Row) -> str:
 
 def mean_of(rows: Sequence[Row], key: str) -> float:
     """Mean of a measure; nan where a row has none."""
-    return float(np.mean([spread_of(row.get(key))[0] for row in rows]))
+    return float(np.mean([median_of(row.get(key)) for row in rows]))
 
 
 def table(
@@ -140,8 +131,8 @@ def sampler_table(rows: Sequence[Row]) -> str:
         cells: dict[str, Cell] = {
             "objects": lambda each: str(len(each)),
             "energy distance": _distance,
-            "over the floor": lambda each: f"{np.mean([gap(row)[0] for row in each]):.4f}",
-            "worst object": lambda each: f"{max(gap(row)[0] for row in each):.4f}",
+            "over the floor": lambda each: f"{np.mean([gap(row) for row in each]):.4f}",
+            "worst object": lambda each: f"{max(gap(row) for row in each):.4f}",
         }
         for heading, (key, form) in FIGURES.items():
             if key in mine[0]:

@@ -19,15 +19,9 @@ PROPOSALS_COLUMNS = (8, 16, 32, 64)  # columns of the paper's skins, 5 rows each
 
 def proposals(options: Options) -> list[Path]:
     """The paper's Fig. 2: errors of samples by object and resolution."""
-    from taxeld_training.charts import sampler_charts  # noqa: PLC0415  # matplotlib is not needed to train
-
     cells = settings(options, PROPOSALS_COLUMNS)
     found = rows(cells, options.groups or GROUPS, options)
-    data = write(options, f"proposals{_of_skin(options)}", found, sampler_table(found))
-    pictures = [data.with_suffix(".png"), data.with_name(f"{data.stem}_posterior.png")]
-    sampler_charts.proposals(found, pictures[0])
-    sampler_charts.posterior_gap(found, pictures[1])
-    return [data, *pictures]
+    return [write(options, f"proposals{_of_skin(options)}", found, sampler_table(found))]
 
 
 def settings(options: Options, columns: Sequence[int]) -> list[Measurement]:
