@@ -52,7 +52,8 @@ class Ladder:
     """A proposal that steps down where touches do not fit into their time."""
 
     def __init__(self, rungs: list[Rung], clock: ClockNs = no_clock) -> None:
-        """`rungs`: from the chosen one down; `clock` measures the time in proposals [ns]."""
+        """`rungs`: from the chosen one down, none without an object; `clock` measures the time in
+        proposals [ns]."""
         self.rungs = rungs
         self.clock = clock
         self.spent_ns = 0  # time in proposals, since start
@@ -67,6 +68,11 @@ class Ladder:
     def rung(self) -> Rung:
         """The rung in use."""
         return self.rungs[self._at]
+
+    @property
+    def step(self) -> Step:
+        """How far down it is."""
+        return self.rung.step if self.rungs else Step.CHOSEN
 
     @property
     def name(self) -> str:
