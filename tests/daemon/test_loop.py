@@ -229,7 +229,6 @@ def test_a_pass_without_arrivals_takes_one_second_opinion_and_sends_what_it_bett
             assert again[0]["lat_us"]["filter"] > 0.0
         assert counters.thoughts == bettered, "one for a scan"
     assert bettered > 3
-    daemon.publisher.latencies.percentiles()
     assert daemon.publisher.latencies.scans == daemon.pipeline.skin.counters.scans, (
         "each scan counts once"
     )

@@ -10,7 +10,7 @@ from taxeld.service.belief_file import BeliefFile
 from taxeld.service.state_file import StateFile
 
 
-class Kept:
+class Restarts:
     """The files of one run."""
 
     def __init__(self, config: Config, pipeline: Pipeline) -> None:
@@ -45,7 +45,7 @@ class Kept:
     def forget_belief(self) -> None:
         """All touches are forgotten."""
         if self._belief is not None:
-            self._belief.remove()
+            self._belief.forget()
 
     def close(self) -> None:
         """Write the last of all, unless the disk does not take it in time."""
