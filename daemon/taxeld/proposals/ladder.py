@@ -91,8 +91,7 @@ class Ladder:
         """Samples of contacts on the further links of a model. Samplers are of the first link, so
         the others have the table, or the analytic proposal that was chosen."""
         kind = ANALYTIC.get(self.rungs[0].proposal.name, Table)
-        made = [kind(each) for each in model.links[1:]]
-        return [OnLadder(self, lambda _, each=each: each) for each in made]
+        return [OnLadder(self, _always(kind(each))) for each in model.links[1:]]
 
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
         """Like `Proposal.propose` of the first object: z (M,), live (M,) → (≤ n, 3)."""
@@ -136,3 +135,7 @@ class OnLadder:
     def propose(self, z: Floats, live: Bools, n: int, rng: np.random.Generator) -> Poses:
         """z (M,), live (M,) → object poses (≤ n, 3) in the sensor frame."""
         return self.ladder.drawn(self.of(self.ladder.rung), z, live, n, rng)
+
+
+def _always(proposal: Proposal) -> Callable[[Rung], Proposal]:
+    return lambda _: proposal

@@ -48,7 +48,6 @@ def of(daemon: "Daemon", seq: int, now_s: float, t: float) -> dict[str, Any]:
             "starts": daemon.door.starts,
             "confined": report.confined,
             "unsent": daemon.link.unsent,
-            "disconnected": report.hung_up + report.crowded_out + report.hoarders,
             "keys_refused": report.keys_refused,
         },
         "recording": {

@@ -1,4 +1,4 @@
-"""What all sockets of ZeroMQ's share: options, reading a bounded number of frames, hanging up."""
+"""What all sockets of ZeroMQ's share: options, reading a bounded number of frames."""
 
 import errno
 import os
@@ -106,16 +106,6 @@ def connection_of(frame: zmq.Frame) -> int | None:
         return int(frame.get(zmq.SRCFD))
     except zmq.ZMQError:
         return None
-
-
-def hang_up(frame: zmq.Frame) -> bool:
-    """Disconnect the peer that sent `frame`; → whether it was still there."""
-    try:
-        with sender(frame) as connection:
-            connection.shutdown(kernel.SHUT_RDWR)
-    except OSError:
-        return False
-    return True
 
 
 def sender(frame: zmq.Frame) -> kernel.socket:
