@@ -8,7 +8,6 @@ import socket
 import sys
 import time
 from dataclasses import asdict
-from functools import partial
 from typing import Any, NamedTuple
 
 import msgpack
@@ -100,7 +99,7 @@ class Door:
         if self._array is not None and self._array.waits_on in ready:
             if self._robot is not None:  # a scan is placed by the poses before it
                 changed |= self._take_poses(self._robot, now_s)
-            changed |= self._array.poll(now_s)
+            self._array.poll(now_s)
         if self._admission is not None and self._admission.socket in ready:
             self._admission.answer()
         for stream in self._streams:
@@ -109,7 +108,7 @@ class Door:
                 self._next_look_s = now_s
         for served in self._controls:
             if served.socket in ready:
-                changed |= served.poll(now_s, self._answers, self._pass_on)
+                served.poll(now_s, self._answers, self._pass_on)
         if now_s >= self._next_look_s:
             self._next_look_s = now_s + LOOK_S
             changed |= self._look(now_s)
@@ -140,7 +139,8 @@ class Door:
         would cost more than all else that this process does.
         """
         was_awaited = robot.is_awaited
-        return robot.poll(now_s) or robot.is_awaited is not was_awaited
+        robot.poll(now_s)
+        return robot.is_awaited is not was_awaited
 
     def _take_from_loop(self, now_s: float) -> bool:
         """→ whether the poller must change."""
@@ -282,8 +282,10 @@ class Door:
         may_change: MayChange,
     ) -> None:
         if endpoint:
-            opens = partial(_open_router, context, self._guard_of(endpoint))
-            self._controls.append(Control(opens, endpoint, key, may_change))
+            router = control.open_router(context)
+            if (guard := self._guard_of(endpoint)) is not None:
+                guard.serve(router)
+            self._controls.append(Control(router, endpoint, key, may_change))
 
     def _make_poller(self) -> None:
         self._poller = zmq.Poller()
@@ -344,13 +346,6 @@ def _keys(settings: Settings) -> _Keys:
     return _Keys(
         curve.robot_keys(settings.keys, settings.robot), curve.relay_keys(settings.keys, served)
     )
-
-
-def _open_router(context: zmq.Context[Any], guard: Admission | None) -> zmq.Socket[Any]:
-    router = control.open_router(context)
-    if guard is not None:
-        guard.serve(router)
-    return router
 
 
 def _confine(settings: Settings) -> bool:
