@@ -1,6 +1,5 @@
 """Subscribers at the door: newcomers, the slow and the silent."""
 
-import stat
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -109,31 +108,3 @@ def test_a_slow_subscriber_keeps_a_bounded_number_and_loses_the_rest_alone(stand
         kept += "number" in msgpack.unpackb(stalled.recv_multipart()[1])
     in_kernel = 2 * 212_992 // 700  # of both ends
     assert QUEUE <= kept < 2 * QUEUE + in_kernel
-
-
-def test_a_socket_file_that_vanished_is_bound_again_and_that_is_said_once(
-    local: Stand, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    before = local.subscriber(b"/taxeld/e")
-    local.received(before)
-    (tmp_path / "stream").unlink()
-    local.until((tmp_path / "stream").exists)
-    local.received(local.subscriber(topics.INFO))
-    local.until(lambda: caplog.records)
-    assert [record.message for record in caplog.records] == [
-        f"door: publish.endpoints: {tmp_path}/stream had vanished and was bound again"
-    ]
-    assert stat.S_IMODE((tmp_path / "stream").stat().st_mode) == 0o660
-    local.received(before)
-
-
-def test_a_socket_file_that_another_has_taken_is_left_to_it(
-    local: Stand, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    (tmp_path / "stream").unlink()
-    (tmp_path / "stream").write_text("another's", encoding="ascii")
-    local.until(lambda: caplog.records)
-    assert caplog.records[0].message.endswith("something else stands in its place")
-    local.link.detach()
-    local.keeper.close()
-    assert (tmp_path / "stream").read_text(encoding="ascii") == "another's"

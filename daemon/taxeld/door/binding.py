@@ -1,6 +1,5 @@
-"""Endpoints, bound: a socket file belongs to the daemon and is there as long as it runs."""
+"""Endpoints, bound: a socket file belongs to the daemon, and goes with it."""
 
-import logging
 import os
 import socket as kernel
 from pathlib import Path
@@ -15,7 +14,6 @@ from taxeld.stream.sockets import why
 
 BACKLOG = 128
 PROBE_S = 1.0
-log = logging.getLogger(__name__)
 
 
 class ServedError(SetupError):
@@ -36,7 +34,6 @@ class Binding:
         self._path = endpoints.ipc_path(endpoint)
         self._listening: kernel.socket | None = None  # listening socket of an ipc endpoint
         self._file: tuple[int, int] | None = None
-        self._is_lost = False
         if self._path is not None:
             make_way(self._path, key)
             try:
@@ -55,23 +52,6 @@ class Binding:
             raise self._fault(why(error)) from None
         finally:
             socket.setsockopt(zmq.USE_FD, -1)
-
-    def restore(self, socket: zmq.Socket[Any]) -> None:
-        """Make the file again where it has vanished. Peers that are connected stay so."""
-        if self._path is None or _identity(self._path) == self._file:
-            return
-        try:
-            if os.path.lexists(self._path):
-                raise FileExistsError(0, "something else stands in its place")
-            self._listen(self._path)
-            self.let_in(socket)
-        except (OSError, SetupError) as error:
-            if not self._is_lost:  # said once, and tried again
-                log.warning("%s: %s is lost: %s", self._key, self._path, error)
-            self._is_lost = True
-            return
-        self._is_lost = False
-        log.warning("%s: %s had vanished and was bound again", self._key, self._path)
 
     def close(self) -> None:
         if self._listening is not None and self._path is not None:
@@ -93,8 +73,6 @@ class Binding:
         made.setblocking(False)
         pair.refuse_descriptors(made)
         made.listen(BACKLOG)
-        if self._listening is not None:
-            self._listening.close()
         self._listening, self._file = made, _identity(path)
 
     def _fault(self, reason: str) -> SetupError:

@@ -71,11 +71,10 @@ class Control:
             self._send(self._pending.pop(number)[1], packed_error(why) if why else packed_ok())
 
     def look(self, now_s: float) -> None:
-        """Tell those whose requests the loop has not answered, and mend the socket file."""
+        """Tell those whose requests the loop has not answered."""
         late = [n for n, (since_s, _) in self._pending.items() if now_s > since_s + PENDING_S]
         for number in late:
             self.done(number, "the loop does not answer; the log of the daemon may say why")
-        self._binding.restore(self.socket)
 
     def close(self) -> None:
         self.socket.close()

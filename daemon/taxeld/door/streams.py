@@ -66,12 +66,10 @@ class Streams:
         self.socket.send_multipart(list(frames), flags=zmq.NOBLOCK)
 
     def look(self) -> None:
-        """Find who has gone, and mend socket files."""
+        """Find who has gone."""
         for number, inode in list(self._asked):
             if _inode(number) != inode:
                 self._prefixes -= Counter(self._asked.pop((number, inode)))
-        for binding in self._bindings:
-            binding.restore(self.socket)
 
     def close(self) -> None:
         self.socket.close()
