@@ -14,7 +14,8 @@ from taxeld.pipeline.advising import CALM, Advising
 from taxeld.pipeline.pipeline import Pipeline
 from taxeld.proposals import bundle
 from taxeld.proposals.bundle import Bundle
-from taxeld.service.loop import ADVICE_S, Daemon
+from taxeld.service.loop import Daemon
+from taxeld.service.publisher import ADVICE_S
 from taxeld.service.ticker import Ready
 from taxeld.stream import messages
 from taxeld.told import ToldPose
@@ -125,7 +126,7 @@ def test_a_belief_that_is_reset_or_told_anew_has_no_advice_yet(box: Bundle) -> N
 
 @pytest.fixture
 def touches(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Touches]:
-    monkeypatch.setattr("taxeld.pipeline.pipeline.Advisor", lambda *_: ADVISER)
+    monkeypatch.setattr("taxeld.pipeline.believing.Advisor", lambda *_: ADVISER)
     daemon = Daemon(parse(settings(tmp_path) + ENABLED))
     yield Touches(daemon, monkeypatch)
     daemon.close()

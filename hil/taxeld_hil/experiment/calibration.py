@@ -267,7 +267,7 @@ def noticed(
     ends = [IDLE_S + touch.end_s + SEEN_S for touch in plan.touches]
     for k in range(round(ends[-1] * RATE_HZ) + 1):
         run.step(k / RATE_HZ)
-        suspect = daemon.pipeline.check.doubt.suspect
+        suspect = daemon.pipeline.doubt.suspect
         if suspect is not Suspect.NONE:
             return int(np.searchsorted(ends, k / RATE_HZ)) + 1, suspect.name.lower()
     return 0, ""
