@@ -20,10 +20,10 @@ from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Status
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
+from taxeld.estimator.news import MOTION_M
+from taxeld.estimator.verdict import UNMODELLED_M
 
-MOST = 3  # approaches of an advice
 AT_ONCE = 24  # lines whose travel is found in one piece of work
-LITTLE_M = 1e-3  # m: an estimate that is to become better by less is good enough
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,13 +40,18 @@ class Approach:
     gain: float  # m that it saves beside the mean line: of expected error, and 2 mm for a miss
     p_touch: float  # probability that it touches anything
 
+    def is_at(self, sensor: Poses, link: int) -> bool:
+        """Whether a link at `sensor` (3,) is where contact is expected, whichever way it faces."""
+        x, y, _ = sensor - self.at
+        return link == self.link and float(np.hypot(x, y)) < MOTION_M
+
 
 @dataclass(frozen=True, slots=True)
 class Advice:
     """The best approaches after some contacts."""
 
     contacts: int
-    approaches: tuple[Approach, ...]  # best first, at most MOST; none where none is free
+    approaches: tuple[Approach, ...]  # best first; none where none is free
     is_enough: bool  # the estimate is sure, and no touch would tell more
 
 
@@ -105,9 +110,10 @@ class Advisor:
         for link in range(len(estimator.model.links)):
             judged += yield from self._judged(found, outcomes, link)
         judged.sort(key=lambda each: each[0])
-        best = tuple(approach for _, approach in judged[:MOST])
+        best = tuple(approach for _, approach in judged)
         is_sure = estimator.estimate.status == Status.CONVERGED
-        is_enough = is_sure and (not judged or outcomes.now_m - judged[0][0] < LITTLE_M)
+        # what no touch can tell is no reason for another one
+        is_enough = is_sure and (not judged or outcomes.now_m - judged[0][0] < UNMODELLED_M)
         return Advice(contacts, best, is_enough)
 
     def _judged(
@@ -147,7 +153,7 @@ class Advisor:
             own = of.object == k
             centre[own] = estimator.bank.rules[k].metric.centres(of.pose[own])
             model = estimator.known[k].model.links[link]
-            size[own] = model.scene.size + model.layout.radius_m
+            size[own] = model.scene.reach + model.layout.radius_m
         middle = of.weight @ centre
         around_m = float((np.linalg.norm(centre - middle, axis=1) + size).max())
         return lines.fan(

@@ -37,6 +37,7 @@ class Outcomes:
         self._estimator, self._of = estimator, of
         self._apart = _apart(estimator, of)
         self._near = (self._apart < estimator.config.within_m).astype(np.float64)
+        self._like = [_like(estimator, link) for link in range(len(estimator.model.links))]
         self.now_m = float((self._apart @ of.weight).min())  # expected error as it is [m]
 
     def by_travel(self, travel_m: Floats) -> Left:
@@ -44,29 +45,36 @@ class Outcomes:
         return self._left(np.exp(_met(travel_m)), travel_m)
 
     def by_reading(self, line: Lines, travel_m: Floats, depth_m: float) -> Left:
-        """By the travel (K,) on one line, and by what is read `depth_m` farther on."""
-        told = _met(travel_m[None])[0]  # (truth, K)
+        """By the travel (K,) on one line, and by what is read `depth_m` farther on. Where no taxel
+        would feel that, nothing is known to be touched."""
         hit = np.flatnonzero(np.isfinite(travel_m))
+        sensor = line.after_each(travel_m[hit] + depth_m)
+        z = self._felt(line.link, hit, sensor)
+        felt_m = travel_m.copy()
+        felt_m[hit[~z.any(axis=1)]] = np.inf
+        told = _met(felt_m[None])[0]  # (truth, K)
         if len(hit):
-            sensor = line.after_each(travel_m[hit] + depth_m)
-            told[hit] += self._read(line.link, hit, sensor)
+            told[hit] += self._read(line.link, z, sensor)
         told = np.maximum(told - told.max(axis=1, keepdims=True), 2.0 * LEAST)
-        return self._left(np.exp(told)[None], travel_m[None])
+        return self._left(np.exp(told)[None], felt_m[None])
 
-    def _read(self, link: int, hit: Index, sensor: Poses) -> Floats:
-        """(H, K) log-likelihoods of what would be read at sensor poses (H, 3), if the object were
-        where hypotheses number `hit` (H,) have it, by all hypotheses."""
-        of, estimator = self._of, self._estimator
-        like = _like(estimator, link)
+    def _felt(self, link: int, hit: Index, sensor: Poses) -> Floats:
+        """(H, M) what would be read at sensor poses (H, 3), if the object were where hypotheses
+        number `hit` (H,) have it."""
+        of, like = self._of, self._like[link]
         z = np.zeros((len(hit), len(like.z)))
         for k in of.objects:
             own = of.object[hit] == k
             seen = se2.compose(se2.inverse(sensor[own]), of.pose[hit[own]])
-            z[own] = estimator.known[k].model.links[link].activation(seen)
-        z *= (z >= like.floor) & like.live
-        told = np.empty((len(hit), len(of.weight)))
+            z[own] = self._estimator.known[k].model.links[link].activation(seen)
+        return z * ((z >= like.floor) & like.live)
+
+    def _read(self, link: int, z: Floats, sensor: Poses) -> Floats:
+        """(H, K) log-likelihoods of readings z (H, M) at sensor poses (H, 3) by all hypotheses."""
+        of, like = self._of, self._like[link]
+        told = np.empty((len(z), len(of.weight)))
         for k in of.objects:
-            own, memory = of.object == k, estimator.bank.mixtures[k].memory
+            own, memory = of.object == k, self._estimator.bank.mixtures[k].memory
             told[:, own] = memory.foreseen(like, z, sensor, of.pose[own]).T
         return told
 

@@ -290,7 +290,9 @@ class Pipeline:
         estimate = self.estimator.learn(activation, sensor, link)
         if not link:  # a full scale or mount in doubt is the first link's
             self.check.on_scan(self.estimator.used, own, estimate.contacts)
-        self._advising.on_scan(told=estimate.contact or self.estimator.used is not None)
+        has_learned = estimate.log_evidence != 0.0 or estimate.objects != believed.objects
+        told, moves = estimate.contact or has_learned, self.estimator.used is not None
+        self._advising.on_scan(sensor, link, told=told, moves=moves)
         if self.thinks_at_once:
             self._consider()
             while self.estimator.is_behind:
