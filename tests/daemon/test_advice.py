@@ -234,6 +234,20 @@ def test_where_the_estimate_is_sure_no_touch_tells_more(box_model: ObservationMo
     assert not asked(touched(box_model, (0.2,))).is_enough
 
 
+def test_what_no_touch_can_tell_is_no_reason_for_another_one(
+    box_model: ObservationModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A sure belief, spread a little: a touch would save more than a millimetre, and less than what
+    stays unmodelled."""
+    _, subject = settled(box_model)
+    rule = subject.rule
+    off = np.random.default_rng(0).standard_normal(rule.belief.pose.shape)
+    rule.belief.pose = rule.belief.pose + off * (0.0013, 0.0013, 0.01)
+    assert asked(subject).is_enough
+    monkeypatch.setattr("taxeld.advice.advice.UNMODELLED_M", 1e-3)
+    assert not asked(subject).is_enough
+
+
 def test_a_link_that_reaches_nothing_is_advised_nothing(box_model: ObservationModel) -> None:
     far = AdviceConfig(reach_m=(5.0, 6.0, 5.0, 6.0))
     found = asked(touched(box_model, (0.2,)), far)
