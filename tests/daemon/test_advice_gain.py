@@ -99,7 +99,7 @@ def all_of(subject: Estimator, found: Guesses) -> Iterator[tuple[Lines, float, A
     for c in range(len(free)):
         line = free.only(slice(c, c + 1))
         told = outcomes.by_reading(line, ways[c], 0.003)
-        yield line, float(told.sure[0]), advisor._approach(line, ways[c], found, told, 0.0)
+        yield line, told.sure, advisor._approach(line, ways[c], found, told, 0.0)
 
 
 def share_right(model: ObservationModel, approach: Approach) -> float:
@@ -171,5 +171,5 @@ def test_a_press_that_no_live_taxel_feels_tells_nothing(skin: Layout, both: Gues
         replace(outcomes._like[0], live=np.zeros(len(skin), np.bool_)),
     ]
     told = outcomes.by_reading(line, way, 0.003)
-    assert told.sure[0] == 0.0
-    assert told.cost_m[0] == pytest.approx(outcomes.now_m + MISS_M)
+    assert told.sure == 0.0
+    assert told.cost_m == pytest.approx(outcomes.now_m + MISS_M)

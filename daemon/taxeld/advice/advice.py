@@ -126,7 +126,7 @@ class Advisor:
             yield
             free.append(some)
             ways.append(way)
-            left.append(outcomes.by_travel(way[:, of.modes :]).cost_m)
+            left.append(outcomes.by_travel(way[:, of.modes :]))
             yield
         cost = np.concatenate([np.empty(0), *left])
         where = [(block, row) for block, some in enumerate(free) for row in range(len(some))]
@@ -137,7 +137,7 @@ class Advisor:
             told = outcomes.by_reading(line, way[of.modes :], self._depth_m(link))
             judged.append(
                 (
-                    float(told.cost_m[0]),
+                    told.cost_m,
                     self._approach(line, way, of, told, float(cost.mean())),
                 )
             )
@@ -200,7 +200,7 @@ class Advisor:
             until,
             float(line.direction[0]),
             self._depth_m(line.link),
-            float(told.sure[0]) * (1.0 - self._estimator.estimate.hypotheses.other),
-            mean_m - float(told.cost_m[0]),
+            told.sure * (1.0 - self._estimator.estimate.hypotheses.other),
+            mean_m - told.cost_m,
             float(of.weight[touched].sum()),
         )

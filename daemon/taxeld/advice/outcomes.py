@@ -24,10 +24,10 @@ LEAST = -8.0  # nats: least log-likelihood of an outcome, as nothing is certain
 
 
 class Left(NamedTuple):
-    """What C approaches would leave."""
+    """What an approach would leave."""
 
-    cost_m: Floats  # (C,) expected distance of estimate and object, and what misses cost
-    sure: Floats  # (C,) probability that a mode is left that holds nearly all
+    cost_m: float  # expected distance of estimate and object, and what misses cost
+    sure: float  # probability that a mode is left that holds nearly all
 
 
 class Outcomes:
@@ -36,13 +36,14 @@ class Outcomes:
     def __init__(self, estimator: Estimator, of: Guesses) -> None:
         self._estimator, self._of = estimator, of
         self._apart = _apart(estimator, of)
-        self._near = (self._apart < estimator.config.within_m).astype(np.float64)
+        self._near = (self._apart < estimator.config.within_m).astype(np.float32)
         self._like = [_like(estimator, link) for link in range(len(estimator.model.links))]
         self.now_m = float((self._apart @ of.weight).min())  # expected error as it is [m]
 
-    def by_travel(self, travel_m: Floats) -> Left:
-        """By the travel (C, K) until something is touched alone."""
-        return self._left(np.exp(_met(travel_m)), travel_m)
+    def by_travel(self, travel_m: Floats) -> Floats:
+        """(C,) costs [m], as of `Left`, by the travel (C, K) until something is touched alone."""
+        off = self._left(np.exp(_met(travel_m))) @ self._apart
+        return np.asarray(off.min(axis=2) @ self._of.weight + self._missed_m(travel_m))
 
     def by_reading(self, line: Lines, travel_m: Floats, depth_m: float) -> Left:
         """By the travel (K,) on one line, and by what is read `depth_m` farther on. Where no taxel
@@ -56,7 +57,12 @@ class Outcomes:
         if len(hit):
             told[hit] += self._read(line.link, z, sensor)
         told = np.maximum(told - told.max(axis=1, keepdims=True), 2.0 * LEAST)
-        return self._left(np.exp(told)[None], felt_m[None])
+        left = self._left(np.exp(told))
+        off = left @ self._apart  # (truth, K) expected distance from each hypothesis
+        best, weight = off.argmin(axis=1), self._of.weight
+        within = (left * self._near[best]).sum(axis=1)
+        cost_m = off.min(axis=1) @ weight + self._missed_m(felt_m)
+        return Left(float(cost_m), float((within >= SURE) @ weight))
 
     def _felt(self, link: int, hit: Index, sensor: Poses) -> Floats:
         """(H, M) what would be read at sensor poses (H, 3), if the object were where hypotheses
@@ -78,30 +84,27 @@ class Outcomes:
             told[:, own] = memory.foreseen(like, z, sensor, of.pose[own]).T
         return told
 
-    def _left(self, likelihood: Floats, travel_m: Floats) -> Left:
-        """What outcomes of `likelihood` (C, truth, K) would leave, on lines with the travel (C,
-        K)."""
-        weight = self._of.weight
-        left = likelihood * weight
-        left /= left.sum(axis=2, keepdims=True)
-        off = left @ self._apart  # (C, truth, K) expected distance from each hypothesis
-        best = off.argmin(axis=2)
-        loss = np.take_along_axis(off, best[:, :, None], axis=2)[:, :, 0]
-        within = (left * self._near[best]).sum(axis=2)
-        missed_m = MISS_M * (np.isinf(travel_m) @ weight)
-        return Left(loss @ weight + missed_m, (within >= SURE) @ weight)
+    def _left(self, likelihood: Floats) -> Floats:
+        """(…, truth, K) weights that outcomes of `likelihood` (…, truth, K) would leave."""
+        left = likelihood.astype(np.float32) * self._of.weight.astype(np.float32)
+        left /= left.sum(axis=-1, keepdims=True)
+        return left
+
+    def _missed_m(self, travel_m: Floats) -> Floats:
+        """(…) what it costs that nothing is touched, on lines with the travel (…, K)."""
+        return np.asarray(MISS_M * (np.isinf(travel_m) @ self._of.weight))
 
 
 def _met(travel_m: Floats) -> Floats:
     """(C, truth, K) log-likelihoods of the travel (C, K) that each hypothesis would have."""
-    far = np.where(np.isfinite(travel_m), travel_m, 1e3)
-    off = (far[:, :, None] - far[:, None, :]) / TRAVEL_SD_M
+    far = np.where(np.isfinite(travel_m), travel_m / TRAVEL_SD_M, 1e6).astype(np.float32)
+    off = far[:, :, None] - far[:, None, :]
     return np.maximum(-0.5 * off * off, LEAST)
 
 
 def _apart(estimator: Estimator, of: Guesses) -> Floats:
     """(K, K) distances between hypotheses [m]; another object is USELESS_M off."""
-    made = np.full((len(of.weight), len(of.weight)), USELESS_M)
+    made = np.full((len(of.weight), len(of.weight)), USELESS_M, np.float32)
     for k in of.objects:
         own = np.flatnonzero(of.object == k)
         pose, metric = of.pose[own], estimator.bank.rules[k].metric
