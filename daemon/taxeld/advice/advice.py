@@ -112,7 +112,7 @@ class Advisor:
         judged.sort(key=lambda each: each[0])
         best = tuple(approach for _, approach in judged)
         is_sure = estimator.estimate.status == Status.CONVERGED
-        # what no touch can tell is no reason for another one
+        # to better an estimate by less than is unmodelled is no reason for a touch
         is_enough = is_sure and (not judged or outcomes.now_m - judged[0][0] < UNMODELLED_M)
         return Advice(contacts, best, is_enough)
 
@@ -135,12 +135,7 @@ class Advisor:
             block, row = where[c]
             line, way = free[block].only(slice(row, row + 1)), ways[block][row]
             told = outcomes.by_reading(line, way[of.modes :], self._depth_m(link))
-            judged.append(
-                (
-                    told.cost_m,
-                    self._approach(line, way, of, told, float(cost.mean())),
-                )
-            )
+            judged.append((told.cost_m, self._approach(line, way, of, told, float(cost.mean()))))
             yield
         return judged
 

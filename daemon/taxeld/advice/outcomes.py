@@ -11,7 +11,7 @@ import numpy as np
 
 from taxeld.advice.hypotheses import Guesses
 from taxeld.advice.lines import Lines
-from taxeld.arrays import Floats, Index, Poses
+from taxeld.arrays import Floats, Grid, Index, Poses, Reals
 from taxeld.estimator.estimate import SURE
 from taxeld.estimator.estimator import Estimator
 from taxeld.model import se2
@@ -84,7 +84,7 @@ class Outcomes:
             told[:, own] = memory.foreseen(like, z, sensor, of.pose[own]).T
         return told
 
-    def _left(self, likelihood: Floats) -> Floats:
+    def _left(self, likelihood: Reals) -> Grid:
         """(…, truth, K) weights that outcomes of `likelihood` (…, truth, K) would leave."""
         left = likelihood.astype(np.float32) * self._of.weight.astype(np.float32)
         left /= left.sum(axis=-1, keepdims=True)
@@ -95,14 +95,14 @@ class Outcomes:
         return np.asarray(MISS_M * (np.isinf(travel_m) @ self._of.weight))
 
 
-def _met(travel_m: Floats) -> Floats:
+def _met(travel_m: Floats) -> Grid:
     """(C, truth, K) log-likelihoods of the travel (C, K) that each hypothesis would have."""
     far = np.where(np.isfinite(travel_m), travel_m / TRAVEL_SD_M, 1e6).astype(np.float32)
     off = far[:, :, None] - far[:, None, :]
     return np.maximum(-0.5 * off * off, LEAST)
 
 
-def _apart(estimator: Estimator, of: Guesses) -> Floats:
+def _apart(estimator: Estimator, of: Guesses) -> Grid:
     """(K, K) distances between hypotheses [m]; another object is USELESS_M off."""
     made = np.full((len(of.weight), len(of.weight)), USELESS_M, np.float32)
     for k in of.objects:
