@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -27,8 +28,8 @@ from taxeld_hil.scenario.scenario import Fault
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.frames import Frame
-from tests.hil.rig import DEMO
 
+DEMO = scenario.load("demo").on("scene")
 MODULES = (3, 3)
 CHANNELS = [range(1, 3), range(4, 6)]
 TAXELS = {0: 1, 1: 2, 2: 4, 3: 5}
@@ -298,12 +299,21 @@ def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
     assert seen.full_found == 3, "also the one that is not sure of it"
 
 
-def test_a_lap_of_a_soak_can_be_run_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_lap_of_a_soak_can_be_run_by_itself(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The object stands where it stood in the soak, on the same skin; the noise is another."""
     run = FakeRun(laps.lap(DEMO, 5, 0), 5, rate_hz=soak.RATE_HZ)
     run.lap(laps.lap(DEMO, 5, 2), 7)
+    found, lap_alone = list[Grade](), soak.lap_alone
+
+    def kept(*of: Any) -> Grade:
+        found.append(lap_alone(*of))
+        return found[-1]
+
+    monkeypatch.setattr(soak, "lap_alone", kept)
     assert cli.main(["soak", "--foam", "scene", "--seed", "5", "--lap", "2"]) in (0, 1)
-    alone = soak.lap_alone(DEMO, 5, 2)
+    (alone,) = found
     assert capsys.readouterr().out.splitlines()[0].startswith("lap 2, seed 7, on sim over slcan")
     faults = laps.lap(DEMO, 5, 2).fault
     assert [row["at_s"] for row in alone.figures["faults"]] == [fault.at_s for fault in faults]
