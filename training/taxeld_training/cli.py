@@ -43,7 +43,7 @@ EXPERIMENTS = (
     "push",
     "integrity",
 )
-UNCELLED = ("push", "recognise", "links", "prior", "advice")  # of no chosen cells
+UNCELLED = ("push", "recognise", "links", "prior")  # of no chosen cells
 SINGLE = ("proposals", "recognise")  # experiments of one layout
 
 
