@@ -123,8 +123,8 @@ def wanted(options: Options) -> list[tuple[GuidedTrials, int]]:
             found += [
                 (GuidedTrials(setting, "exact", each, True), fewer) for each in (RANDOM, ADVICE)
             ]
-    guides, cells = options.groups or GUIDES, options.cells or CELLS
-    return [each for each in found if each[0].guide in guides and each[0].cell in cells]
+    chosen, cells = options.groups or GUIDES, options.cells or CELLS
+    return [each for each in found if each[0].guide in chosen and each[0].cell in cells]
 
 
 def play(given: GuidedTrials, first: int, count: int) -> list[list[AdvisedTouch]]:
