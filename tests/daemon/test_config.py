@@ -157,31 +157,6 @@ def test_a_file_that_is_no_configuration_is_one_line(
         load(path)
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "a" + ".a" * 20_000 + " = 1",
-        "a" + ' . "a"' * 20_000 + " = 1",
-        "x = 1\n[a" + ".a" * 20_000 + "]",
-        "x = {'a'" + ".'a'" * 20_000 + " = 1}",
-    ],
-    ids=["bare", "quoted", "table", "inline"],
-)
-def test_a_key_of_thousands_of_parts_is_refused_before_it_is_read(
-    text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Python's reader takes minutes and gigabytes for it."""
-    monkeypatch.setattr("tomllib.loads", lambda _: pytest.fail("it is read"))
-    with pytest.raises(ConfigError, match=r"^x\.toml: line \d: more than 16 names are joined"):
-        parse(text, "x.toml")
-
-
-def test_a_text_of_many_dots_is_a_text() -> None:
-    layout = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
-    text = f'[skin]\nlayout = "{layout}"  # a.b.c.d ... e.f...\n'
-    assert parse(MINIMAL + text).skin.layout == layout
-
-
 def test_the_documented_keys_are_the_codes() -> None:
     lines = []
     for table in fields(Config):

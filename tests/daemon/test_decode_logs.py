@@ -134,7 +134,7 @@ def test_a_packed_log_is_read_up_to_where_it_is_cut_or_damaged(
         ("a.log", bytes(range(256)) * 40, "a.log: has no frame"),
         ("a.log", b" can0  101   [2]  43 1A\n", "has no frame (line 1: 'can0  101   [2]  43 1A')"),
         ("a.log.gz", b"no gzip", "has no frame (after line 0: "),
-        ("a.log.gz", gzip.compress(b"\n" * 1_000_000), "has no frame; candump"),
+        ("a.log.gz", gzip.compress(b"\n" * 200_000), "has no frame; candump"),
         ("a.asc", b"\n", "has no frame; candump"),
         ("a.asc", b"x\n0.1 1  1G1  Rx  d 1 43\n", "python-can's reader of .asc files stops here: "),
         ("a.blf", b"LOGG", "python-can's reader of .blf files stops here: "),
@@ -287,13 +287,12 @@ print(lines, status.split("VmHWM:")[1].split()[0])
 """
 
 
-@pytest.mark.parametrize("declared", [True, False], ids=["declared", "undeclared"])
-def test_a_log_of_any_length_takes_the_same_memory(tmp_path: Path, declared: bool) -> None:
-    """The peak of a process, in kB, over a log and over one of ten times its length."""
+def test_a_log_of_any_length_takes_the_same_memory(tmp_path: Path) -> None:
+    """The peak of a process, in kB, over a log and over one of ten times its length, which declares
+    no modules: of such a log the beginning waits."""
     log, peaks = tmp_path / "frames.log", []
     for scans in (1000, 10_000):
-        frames = bus(scans)
-        candump_log()(frames if declared else frames[BEFORE_SCANS:], log)
+        candump_log()(bus(scans)[BEFORE_SCANS:], log)
         lines, peak = map(int, python(MEMORY, log).stdout.split())
         assert lines == scans + 1
         peaks.append(peak)

@@ -133,7 +133,7 @@ def hub_of(modules: int) -> tuple[Pipeline, SimulatedSkin]:
     whole = layouts.load(SPEC)
     loaded = bundle.load("box", whole, 0.005)
     skin = SimulatedSkin(whole, noise=5.0)
-    pipeline = Pipeline(config(), loaded.model, loaded.untimed(FilterConfig()))
+    pipeline = Pipeline(config(), [whole], [loaded.model], loaded.untimed(FilterConfig()))
     table = wired(whole.uid.tolist())[:modules]
     counts = sum(module.channels for module in table)
     for _ in range(30):

@@ -42,7 +42,7 @@ NOW = FilterConfig()
 
 @pytest.fixture(scope="module")
 def three() -> list[Bundle]:
-    return several.load(SceneConfig(bundles=THREE), SKIN)
+    return several.load(SceneConfig(bundles=THREE), [SKIN])
 
 
 @pytest.fixture
@@ -218,7 +218,7 @@ def test_a_daemon_publishes_several_objects(session: Path) -> None:
     asked: Config = load(session / "config.toml")
     with closing(Daemon(asked)) as daemon:
         daemon.run()
-        estimate = daemon.state()["estimate"]
+        estimate = daemon.publisher.state()["estimate"]
     assert list(estimate["objects"]) == [*NAMES, "other"]
     assert sum(estimate["objects"].values()) == pytest.approx(1.0)
 

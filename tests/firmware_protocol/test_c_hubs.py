@@ -65,7 +65,7 @@ LEAVE = Packet(0.0, BROADCAST, LEAVE_BOOTLOADER, b"")
 
 
 @given(st.sampled_from(Phase), st.lists(requests() | st.just(LEAVE), max_size=30))
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=150)
 def test_a_hub_in_c_answers_whatever_it_is_asked_as_the_virtual_hub_does(
     c_side: CSide,  # noqa: F811
     phase: Phase,

@@ -390,6 +390,11 @@ class Config:
         return replace(self, skin=link, source=own, links=())
 
     @property
+    def each(self) -> "list[Config]":
+        """The configuration of each link, as if it were the only one."""
+        return [self.of_link(k) for k in range(len(self.names))]
+
+    @property
     def names(self) -> tuple[str, ...]:
         """The links' names; one without a name where there is one skin."""
         return tuple(link.name for link in self.links) or ("",)

@@ -7,10 +7,10 @@ the two has a ration of lines, so that a change that repeats neither fills the l
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from taxeld.config.tables import Config
 from taxeld.estimator.estimate import Estimate, Status
+from taxeld.layout.layout import Layout
 from taxeld.pipeline.freshness import CURES, Why
 from taxeld.skin.channels import Wiring, mismatch
 
@@ -51,7 +51,7 @@ class Notices:
         if bundles:
             self._of = [
                 f"object {' or '.join(names)}",
-                f"samples by {proposal or 'no samples'} of {', '.join(map(str, bundles))}",
+                f"samples by {proposal} of {', '.join(map(str, bundles))}",
             ]
         self._names = names
         self._object = 0 if len(names) == 1 else -1  # number of the last one that was logged
@@ -61,12 +61,12 @@ class Notices:
         self._of_status = Ration(burst=10, every_s=5.0)
         self._of_inputs = Ration()
 
-    def ready(self, config: Config, info: Mapping[str, Any], waits_for: str) -> None:
-        """All is open and warm; `info`: the message to subscribers, `waits_for`: the source's."""
+    def ready(self, config: Config, layout: Layout, waits_for: str) -> None:
+        """All is open and warm; `layout`: of the first link, `waits_for`: the source's."""
         source, poses = config.source, config.sensor_pose.endpoint
         where = source.where
         parts = [
-            f"skin {info['layout']['name']}, {info['layout']['taxels']} taxels",
+            f"skin {layout.name}, {len(layout)} taxels",
             *self._of,
             f"source {source.kind} {where}, {'not there yet' if waits_for else 'open'}",
             f"sensor poses {f'from {poses}' if poses else 'none: it stands still'}",

@@ -10,11 +10,8 @@ import logging
 import math
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
+from collections.abc import Callable, Mapping
 from pathlib import Path
-
-import numpy as np
 
 from taxeld.config.tables import SourceConfig
 from taxeld.errors import SetupError
@@ -66,54 +63,6 @@ def open_source(
     if config.kind == "array":
         return ArraySource(config, dialects.of_array(config, layout), recorder)
     return LiveSource(config, dialects.live(config, layout), open_device, recorder, wait=wait)
-
-
-class Bus:
-    """A source, and the links whose taxels its scans hold."""
-
-    def __init__(self, source: Source, links: Sequence[int], layouts: Sequence[Layout]) -> None:
-        """`links`: their numbers, `layouts` in the same order."""
-        self.source = source
-        self.links = tuple(links)
-        self._uids = [set(layout.uid.tolist()) for layout in layouts]
-        self._of: dict[int, tuple[int, tuple[int, ...]]] = {}  # hub → table's version, links
-
-    def links_of(self, scan: Scan) -> tuple[int, ...]:
-        """Numbers of the links that a scan goes to; the first on this bus where it has no taxel of
-        any."""
-        if len(self.links) == 1:
-            return self.links
-        version, found = self._of.get(scan.ihb, (None, ()))
-        if version != scan.table_version:
-            uids = {uid for module in scan.table for uid in module.uids}
-            pairs = zip(self.links, self._uids, strict=True)
-            found = tuple(k for k, own in pairs if uids & own) or self.links[:1]
-            self._of[scan.ihb] = scan.table_version, found
-        return found
-
-
-def joint(layouts: Sequence[Layout]) -> Layout:
-    """What one bus has of several layouts: their taxels, on no common cylinder."""
-    if len(layouts) == 1:
-        return layouts[0]
-    uid, position, normal = (
-        np.concatenate([getattr(each, name) for each in layouts])
-        for name in ("uid", "position_m", "normal")
-    )
-    return Layout(" + ".join(each.name for each in layouts), uid, position, normal, math.inf)
-
-
-def check_uids(names: Sequence[str], layouts: Sequence[Layout]) -> None:
-    """Raises SetupError where two layouts of one bus have the same taxels."""
-    pairs = zip(names, layouts, strict=True)
-    for (name, one), (again, two) in combinations(pairs, 2):
-        common = set(one.uid.tolist()) & set(two.uid.tolist())
-        if common:
-            sui = min(common) >> 4
-            raise SetupError(
-                f"skin.layout: {name} and {again} are on one bus, and both have module {sui}; "
-                "give each link its own modules, or its own [skin.source]"
-            )
 
 
 class LiveSource(Source):
