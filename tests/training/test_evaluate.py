@@ -152,7 +152,7 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
         ("push --cells noise", "--cells: push has no cells to choose from"),
         ("recognise --cells noise", "--cells: recognise has no cells to choose from"),
         ("recognise --objects 025_mug,999_none", "999_none: no such YCB object"),
-        ("advice --cells noise", "--cells: advice has no cells to choose from"),
+        ("advice --cells noise", "--cells: no 'noise'; there are exact, typical, robot 1 mm"),
         ("advice --groups magic", "--groups: no 'magic'; there are any, random, "),
         ("links --cells noise", "--cells: links has no cells to choose from"),
         ("links --layout cylinder:rows=2,columns=8,radius_m=0.03,pitch_m=0.02", "takes two, not 1"),

@@ -30,7 +30,7 @@ EXPERIMENTS = {  # name → module, and the function in it that writes rows
     "push": ("filters.push", "push_rows"),
     "integrity": ("filters.integrity", "integrity_rows"),
 }
-UNCELLED = ("proposals", "push", "recognise", "links", "prior", "advice")  # of no chosen cells
+UNCELLED = ("proposals", "push", "recognise", "links", "prior")  # of no chosen cells
 SINGLE = ("proposals", "recognise")  # experiments of one layout
 
 
