@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 
 from taxeld.arrays import Bools, Floats, Index
-from taxeld_hil import integrity
-from taxeld_hil.integrity import Stanford
+from taxeld_hil.integrity import Claims, Stanford
 from taxeld_training.jobs.statistics import of_count, rounded
 
 BINS = 10
@@ -21,28 +20,13 @@ CONTACTS = (4, 6, 8)  # contacts with shares of their own
 
 
 @dataclass(frozen=True)
-class Promises:
+class Promises(Claims):
     """Estimates (N,), each after a contact of a run."""
 
-    p: Floats
-    radius_mm: Floats
-    error_mm: Floats  # nan: the object is another one than the filter assumes
     contact: Index  # counted from 1
 
     def __len__(self) -> int:
         return len(self.p)
-
-    @property
-    def found(self) -> Bools:
-        return integrity.is_found(self.error_mm)
-
-    @property
-    def sure(self) -> Bools:
-        return integrity.is_sure(self.p)
-
-    @property
-    def misleading(self) -> Bools:
-        return integrity.is_misleading(self.p, self.error_mm, self.radius_mm)
 
     @property
     def of_object(self) -> Bools:
