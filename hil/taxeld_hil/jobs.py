@@ -22,6 +22,8 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -52,6 +54,19 @@ class Job:
         text = f"{self.work.__module__}.{self.work.__qualname__}{self.arguments!r}{self.code}"
         name = self.name.replace("/", "-")[-NAME_LENGTH:]
         return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+
+
+@cache
+def code(decides: tuple[str, ...]) -> str:
+    """Hash of the files that decide a result, as this process first found them; `decides` are
+    patterns of their paths, which begin with a package."""
+    found = hashlib.sha256()
+    for pattern in decides:
+        package, _, inside = pattern.partition("/")
+        root = Path(str(resources.files(package)))
+        for path in sorted(root.glob(inside)):
+            found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()[:12]
 
 
 def layout_name(layout: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taxeld_hil import jobs
 from taxeld_hil.integrity import Stanford
 from taxeld_training.cli import main
 from taxeld_training.filters import cells, priors, whole
@@ -348,9 +349,9 @@ def test_push_has_a_row_an_object_and_motion_and_following_is_nearer(tmp_path: P
 
 def test_other_code_and_other_bundles_have_a_memory_of_their_own(tmp_path: Path) -> None:
     """What an older bundle, or other code, came to is not taken for what today's does."""
-    names = {options.code(decides) for decides in (options.DECIDES, *zip(options.DECIDES))}
+    names = {jobs.code(decides) for decides in (options.DECIDES, *zip(options.DECIDES))}
     assert len(names) == 1 + len(options.DECIDES)  # each of them has files
-    assert Options(tmp_path, tmp_path).measured == tmp_path / options.code()
+    assert Options(tmp_path, tmp_path).measured == tmp_path / jobs.code(options.DECIDES)
 
 
 def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from time import process_time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -19,12 +19,10 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
-from taxeld.model.symmetry import add_m
 from taxeld.proposals.analytic import Table
-from taxeld_hil import integrity
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.filters.cells import TOUCHES
-from taxeld_training.filters.follow import OWN_SEEDS
+from taxeld_training.filters.follow import OWN_SEEDS, ClaimedTouch, claimed, claims_of
 from taxeld_training.filters.pairs import BETWEEN_S, OTHER_SEEDS
 from taxeld_training.filters.several import TABLED
 from taxeld_training.filters.touches import FOAMS
@@ -39,15 +37,6 @@ BLOCK = 5  # seeds a job
 OBJECT = "003_cracker_box"
 SKINS = ("exact", "typical")  # of `FOAMS`
 TURNS = {"first": (0,), "second": (1,), "both": (0, 1)}  # the links that touch, in turn
-
-
-class LinkedTouch(NamedTuple):
-    """The estimate after a touch."""
-
-    error_mm: float  # symmetric ADD
-    p: float
-    radius_mm: float
-    cpu_ms: float  # of all scans of the touch
 
 
 @dataclass(frozen=True)
@@ -93,7 +82,7 @@ def model_of(name: str, on: tuple[str, str]) -> ObservationModel:
     return ObservationModel(cut[0], skins[0], DEPTH_MAX_M, [second])
 
 
-def play(given: Linked, first: int, count: int) -> list[list[LinkedTouch]]:
+def play(given: Linked, first: int, count: int) -> list[list[ClaimedTouch]]:
     """Results of the trials of `count` seeds, of each touch."""
     model = model_of(given.object, given.layouts)
     tables = [Table(each) for each in model.links]
@@ -102,7 +91,7 @@ def play(given: Linked, first: int, count: int) -> list[list[LinkedTouch]]:
 
 def _played(
     given: Linked, model: ObservationModel, tables: Sequence[Table], seed: int
-) -> list[LinkedTouch]:
+) -> list[ClaimedTouch]:
     config = TABLED.config(OWN_SEEDS + seed)
     estimator = Estimator(model, tables[0], config, beside=tables[1:])
     found = []
@@ -111,10 +100,7 @@ def _played(
         for moment in touch:
             estimator.on_scan(moment.activation, moment.sensor, link)
         cpu_ms = 1e3 * (process_time() - begun)
-        estimate = estimator.estimate
-        error_mm = 1e3 * add_m(model.scene, estimate.map, touch[-1].truth)[1]
-        radius_mm = 1e3 * estimate.radius_m
-        found.append(LinkedTouch(round(error_mm, 4), estimate.p, radius_mm, cpu_ms))
+        found.append(claimed(estimator, touch[-1].truth, cpu_ms))
     return found
 
 
@@ -149,15 +135,15 @@ def _moved(moment: TrialScan, move: Poses, after_s: float) -> TrialScan:
 
 def _figures(trials: list[list[list[float]]]) -> dict[str, Any]:
     """Shares after each touch, and how many touches a trial took until it stayed found."""
-    error_mm, p, radius_mm, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
-    found, sure = integrity.is_found(error_mm), integrity.is_sure(p)
-    stays = np.logical_and.accumulate((found & sure)[:, ::-1], axis=1)
+    claims, cpu_ms = claims_of(trials)
+    both = claims.found & claims.sure
+    stays = np.logical_and.accumulate(both[:, ::-1], axis=1)
     taken = TOUCHES + 1 - stays.sum(axis=1)
     return {
         "trials": len(trials),
-        "found": found.mean(axis=0).round(3).tolist(),
-        "found_and_sure": (found & sure).mean(axis=0).round(3).tolist(),
-        "misleading": int(integrity.is_misleading(p, error_mm, radius_mm).sum()),
+        "found": claims.found.mean(axis=0).round(3).tolist(),
+        "found_and_sure": both.mean(axis=0).round(3).tolist(),
+        "misleading": int(claims.misleading.sum()),
         "touches_to_sure": round(float(taken.mean()), 3),
         "touch_cpu_ms": round(float(np.median(cpu_ms[:, 1:])), 2),
     }

@@ -7,7 +7,7 @@ All cases have the touches of the same seeds. The table proposes.
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,12 +17,10 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
-from taxeld.model.symmetry import add_m
 from taxeld.told import ToldPose, told_pose
-from taxeld_hil import integrity
 from taxeld_training.filters.cells import COLUMNS, setting_of
 from taxeld_training.filters.conditions import TrialConditions
-from taxeld_training.filters.follow import OWN_SEEDS
+from taxeld_training.filters.follow import OWN_SEEDS, ClaimedTouch, claimed, claims_of
 from taxeld_training.filters.several import TABLED, known_of
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs import blocks
@@ -36,14 +34,6 @@ OBJECTS = "003_cracker_box", "025_mug"
 SD = np.array([0.02, 0.02, 0.1])  # m, m, rad: of a told pose, as it claims
 WRONG_M = 0.2  # how far a wrong one is off
 CASES = ("none", "right", "right without yaw", "wrong", "restart", "restart, moved", "moved")
-
-
-class PriorTouch(NamedTuple):
-    """The estimate after a touch."""
-
-    error_mm: float  # symmetric ADD
-    p: float
-    radius_mm: float
 
 
 @dataclass(frozen=True)
@@ -77,7 +67,7 @@ def prior_rows(options: Options) -> list[Path]:
     return [write(options, "prior", rows)]
 
 
-def play(told: PriorCase, first: int, count: int) -> list[list[PriorTouch]]:
+def play(told: PriorCase, first: int, count: int) -> list[list[ClaimedTouch]]:
     """Results of the trials of `count` seeds, of each touch."""
     known = known_of(told.setting)
     return [
@@ -86,7 +76,7 @@ def play(told: PriorCase, first: int, count: int) -> list[list[PriorTouch]]:
     ]
 
 
-def _played(case: str, model: ObservationModel, table: Proposal, seed: int) -> list[PriorTouch]:
+def _played(case: str, model: ObservationModel, table: Proposal, seed: int) -> list[ClaimedTouch]:
     kidnapped = RESTARTED_AFTER if case.endswith("moved") else 0
     trial = Trial(model, seed, TOUCHES, TrialConditions(kidnapped_after=kidnapped))
     config = TABLED.config(OWN_SEEDS + seed)
@@ -101,9 +91,7 @@ def _played(case: str, model: ObservationModel, table: Proposal, seed: int) -> l
             estimator.restore(kept)
         for moment in scans:
             estimator.on_scan(moment.activation, moment.sensor)
-        estimate = estimator.estimate
-        error_mm = 1e3 * add_m(model.scene, estimate.map, scans[-1].truth)[1]
-        found.append(PriorTouch(round(error_mm, 4), estimate.p, 1e3 * estimate.radius_m))
+        found.append(claimed(estimator, scans[-1].truth))
     return found
 
 
@@ -131,14 +119,13 @@ def _pose(case: str, model: ObservationModel, truth: Poses, seed: int) -> ToldPo
 
 def _figures(trials: list[list[list[float]]]) -> dict[str, Any]:
     """Shares after each touch, and the touches until an estimate was sure."""
-    error_mm, p, radius_mm = np.moveaxis(np.array(trials), -1, 0)
-    found, sure = integrity.is_found(error_mm), integrity.is_sure(p)
-    misleading = integrity.is_misleading(p, error_mm, radius_mm)
+    claims, _ = claims_of(trials)
+    sure, misleading = claims.sure, claims.misleading
     first = np.where(sure.any(axis=1), sure.argmax(axis=1) + 1, TOUCHES + 1)
     late = slice(RESTARTED_AFTER, None)
     return {
         "trials": len(trials),
-        "found": found.mean(axis=0).round(3).tolist(),
+        "found": claims.found.mean(axis=0).round(3).tolist(),
         "sure": sure.mean(axis=0).round(3).tolist(),
         "touches_to_sure": round(float(first.mean()), 2),
         "touches_to_sure_median": float(np.median(first)),

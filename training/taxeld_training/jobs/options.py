@@ -1,12 +1,9 @@
 """How an experiment is run: its options, its jobs under them, and the file that its rows go to."""
 
-import hashlib
 import json
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -57,18 +54,7 @@ class Options:
     def measured(self) -> Path:
         """The part of the memory that holds results of today's code and bundles. Trained models
         stand beside it, in `memory` itself: they outlast a change of the code."""
-        return self.memory / code()
-
-
-@cache
-def code(decides: tuple[str, ...] = DECIDES) -> str:
-    """Hash of the files that decide a result; `decides` are their paths in the packages."""
-    digest = hashlib.sha256()
-    for pattern in decides:
-        package, _, inside = pattern.partition("/")
-        for file in sorted(Path(str(resources.files(package))).glob(inside)):
-            digest.update(file.read_bytes())
-    return digest.hexdigest()[:12]
+        return self.memory / jobs.code(DECIDES)
 
 
 def run_jobs(todo: Sequence[Job], options: Options, memory: Path | None = None) -> dict[str, Any]:
