@@ -11,7 +11,7 @@ import pytest
 from taxeld_hil import jobs
 from taxeld_hil.integrity import Stanford
 from taxeld_training.cli import main
-from taxeld_training.filters import cells, priors, whole
+from taxeld_training.filters import cells, whole
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import TouchResult
 from taxeld_training.jobs import options, statistics
@@ -118,7 +118,6 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
         "reliability",
         "recognise",
         "links",
-        "prior",
         "advice",
         "ablation",
         "push",
@@ -196,17 +195,6 @@ def test_links_are_compared_on_the_same_touches(tmp_path: Path) -> None:
         assert row["misleading"] == 0
     first, both = found["exact", "first"], found["exact", "both"]
     assert first["found"][0] == both["found"][0]  # the first touch is the same
-
-
-def test_priors_and_restarts_are_compared_on_the_same_touches(tmp_path: Path) -> None:
-    assert evaluate("prior", "003_cracker_box", tmp_path, "--seeds", "1") == 0
-    found = {row["case"]: row for row in rows(tmp_path, "prior")}
-    assert set(found) == set(priors.CASES)
-    for row in found.values():
-        assert row["trials"] == 1
-        assert row["found"][priors.RESTARTED_AFTER - 1] == 1.0
-    before = slice(priors.RESTARTED_AFTER)
-    assert found["restart"]["sure"][before] == found["none"]["sure"][before]
 
 
 def test_guides_are_compared_from_the_same_first_touch(tmp_path: Path) -> None:

@@ -24,13 +24,12 @@ EXPERIMENTS = {  # name → module, and the function in it that writes rows
     "reliability": ("filters.reliability", "reliability_rows"),
     "recognise": ("filters.recognise", "recognise_rows"),
     "links": ("filters.linked", "link_rows"),
-    "prior": ("filters.priors", "prior_rows"),
     "advice": ("filters.advised", "advice_rows"),
     "ablation": ("filters.ablation", "ablation_rows"),
     "push": ("filters.push", "push_rows"),
     "integrity": ("filters.integrity", "integrity_rows"),
 }
-UNCELLED = ("proposals", "push", "recognise", "links", "prior", "advice")  # of no chosen cells
+UNCELLED = ("proposals", "push", "recognise", "links", "advice")  # of no chosen cells
 SINGLE = ("proposals", "recognise")  # experiments of one layout
 
 
