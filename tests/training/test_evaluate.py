@@ -136,7 +136,7 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ("proposals --groups magic", "--groups: no 'magic'; there are analytic, "),
+        ("proposals --groups magic", "--groups: no 'magic' here; there are analytic, "),
         ("proposals --objects 999_none", "999_none"),
         ("proposals --cells skin", "--cells: proposals has no cells to choose from"),
         ("stability --cells noise,sniff", "--cells: no 'sniff' here; there are as assumed, noise"),
@@ -361,8 +361,8 @@ def test_an_interval_of_a_median_holds_it_and_rows_are_drawn_as_a_whole() -> Non
 
 
 def test_a_share_of_none_is_not_certain() -> None:
-    assert statistics.of_share([False] * 100) == pytest.approx((0.0, 0.037), abs=1e-3)
-    half = statistics.of_share([True] * 50 + [False] * 50)
+    assert statistics.of_count(0, 100) == pytest.approx((0.0, 0.037), abs=1e-3)
+    half = statistics.of_count(50, 100)
     assert half == pytest.approx((0.404, 0.596), abs=1e-3)
 
 

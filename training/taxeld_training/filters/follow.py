@@ -4,17 +4,17 @@ import math
 import time
 from collections.abc import Sequence
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from taxeld.arrays import Floats, Poses
+from taxeld.arrays import Poses
 from taxeld.estimator.estimator import Estimator
 from taxeld.estimator.mixture import Mixture
 from taxeld.model.observation import ObservationModel
 from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import add_m
-from taxeld_hil.integrity import Claims, is_misleading
+from taxeld_hil.integrity import is_misleading
 from taxeld_training.filters import gridded, methods, pushing
 from taxeld_training.filters.methods import Method, TouchResult
 from taxeld_training.filters.pushing import PushedTrial, by_ground
@@ -22,28 +22,6 @@ from taxeld_training.filters.trials import SCAN_S, Trial, TrialScan
 
 TOLD = "told"
 OWN_SEEDS = 2**31  # added to a trial's seed, so that a filter does not draw what its trial drew
-
-
-class ClaimedTouch(NamedTuple):
-    """The estimate after a touch, as `Claims` has it."""
-
-    p: float
-    radius_mm: float
-    error_mm: float  # symmetric ADD
-    cpu_ms: float = 0.0  # processor time of the filter for all scans of the touch
-
-
-def claimed(estimator: Estimator, truth: Poses, cpu_ms: float = 0.0) -> ClaimedTouch:
-    """What is claimed now of an object at a true pose (3,)."""
-    now = estimator.estimate
-    error_mm = 1e3 * add_m(estimator.model.scene, now.map, truth)[1]
-    return ClaimedTouch(now.p, 1e3 * now.radius_m, round(error_mm, 4), cpu_ms)
-
-
-def claims_of(trials: Sequence[Sequence[Sequence[float]]]) -> tuple[Claims, Floats]:
-    """The claims (N, T) of trials of `ClaimedTouch`, and their processor times (N, T) [ms]."""
-    *claims, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
-    return Claims(*claims), cpu_ms
 
 
 def follow(

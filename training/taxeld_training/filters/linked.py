@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
 from time import process_time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,10 +19,12 @@ from taxeld.estimator.estimator import Estimator
 from taxeld.layout import read as layouts
 from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
+from taxeld.model.symmetry import add_m
 from taxeld.proposals.analytic import Table
+from taxeld_hil.integrity import Claims
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.filters.cells import TOUCHES
-from taxeld_training.filters.follow import OWN_SEEDS, ClaimedTouch, claimed, claims_of
+from taxeld_training.filters.follow import OWN_SEEDS
 from taxeld_training.filters.pairs import BETWEEN_S, OTHER_SEEDS
 from taxeld_training.filters.several import TABLED
 from taxeld_training.filters.touches import FOAMS
@@ -37,6 +39,15 @@ BLOCK = 5  # seeds a job
 OBJECT = "003_cracker_box"
 SKINS = ("exact", "typical")  # of `FOAMS`
 TURNS = {"first": (0,), "second": (1,), "both": (0, 1)}  # the links that touch, in turn
+
+
+class LinkedTouch(NamedTuple):
+    """The estimate after a touch, as `Claims` has it, and what it cost."""
+
+    p: float
+    radius_mm: float
+    error_mm: float  # symmetric ADD
+    cpu_ms: float  # processor time of the filter for all scans of the touch
 
 
 @dataclass(frozen=True)
@@ -82,7 +93,7 @@ def model_of(name: str, on: tuple[str, str]) -> ObservationModel:
     return ObservationModel(cut[0], skins[0], DEPTH_MAX_M, [second])
 
 
-def play(given: Linked, first: int, count: int) -> list[list[ClaimedTouch]]:
+def play(given: Linked, first: int, count: int) -> list[list[LinkedTouch]]:
     """Results of the trials of `count` seeds, of each touch."""
     model = model_of(given.object, given.layouts)
     tables = [Table(each) for each in model.links]
@@ -91,7 +102,7 @@ def play(given: Linked, first: int, count: int) -> list[list[ClaimedTouch]]:
 
 def _played(
     given: Linked, model: ObservationModel, tables: Sequence[Table], seed: int
-) -> list[ClaimedTouch]:
+) -> list[LinkedTouch]:
     config = TABLED.config(OWN_SEEDS + seed)
     estimator = Estimator(model, tables[0], config, beside=tables[1:])
     found = []
@@ -100,7 +111,9 @@ def _played(
         for moment in touch:
             estimator.on_scan(moment.activation, moment.sensor, link)
         cpu_ms = 1e3 * (process_time() - begun)
-        found.append(claimed(estimator, touch[-1].truth, cpu_ms))
+        now = estimator.estimate
+        error_mm = 1e3 * add_m(model.scene, now.map, touch[-1].truth)[1]
+        found.append(LinkedTouch(now.p, 1e3 * now.radius_m, round(error_mm, 4), cpu_ms))
     return found
 
 
@@ -135,7 +148,8 @@ def _moved(moment: TrialScan, move: Poses, after_s: float) -> TrialScan:
 
 def _figures(trials: list[list[list[float]]]) -> dict[str, Any]:
     """Shares after each touch, and how many touches a trial took until it stayed found."""
-    claims, cpu_ms = claims_of(trials)
+    *of, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
+    claims = Claims(*of)
     both = claims.found & claims.sure
     stays = np.logical_and.accumulate(both[:, ::-1], axis=1)
     taken = TOUCHES + 1 - stays.sum(axis=1)

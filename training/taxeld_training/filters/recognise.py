@@ -26,7 +26,7 @@ from taxeld_training.jobs import blocks, identities
 from taxeld_training.jobs.identities import UNKNOWN
 from taxeld_training.jobs.identity_tables import tables
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.promises import share
+from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import OBJECTS, Setting
 
 SEEDS, QUICK_SEEDS = 100, 2  # about an hour on two cores

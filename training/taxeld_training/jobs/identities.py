@@ -14,7 +14,8 @@ from scipy import stats
 
 from taxeld.arrays import Bools, Floats, Index
 from taxeld_hil.integrity import Claims
-from taxeld_training.jobs.promises import calibration_error, reliability, share
+from taxeld_training.jobs.promises import calibration_error, reliability
+from taxeld_training.jobs.statistics import share
 
 UNKNOWN = -1  # `true` of a run whose object the filter does not know
 PARTED = 0.99  # probability of the touched object, were there but one other, that parts the two

@@ -79,6 +79,13 @@ def with_file(job: Job, memory: Path, suffix: str) -> Job:
     return replace(job, beside=(str(path),))
 
 
+def check(option: str, names: Sequence[str], known: Sequence[str]) -> None:
+    """Raises SetupError where an option names what there is not."""
+    for name in names:
+        if name not in known:
+            raise SetupError(f"{option}: no '{name}' here; there are {', '.join(known)}")
+
+
 def write(options: Options, name: str, rows: Sequence[Row], table: str = "") -> Path:
     """Rows as the experiment's JSON file, a row a line so that a diff can be read, and a table of
     them in Markdown beside it; the path of the first.
