@@ -60,13 +60,13 @@ class Options:
 def run_jobs(todo: Sequence[Job], options: Options, memory: Path | None = None) -> dict[str, Any]:
     """Results by job name, as `jobs.run` has it, remembered in `options.measured` or in another
     `memory`; torch has one thread in each job."""
+    torch.set_num_threads(1)  # here; workers have it from their environment
     return jobs.run(
         todo,
         memory or options.measured,
         workers=options.workers,
         dask=options.dask,
         until=options.until,
-        prepare=_one_thread,
     )
 
 
@@ -102,7 +102,3 @@ def write(options: Options, name: str, rows: Sequence[Row], table: str = "") -> 
     if table:
         path.with_suffix(".md").write_text(f"{table}\n", encoding="utf-8")
     return path
-
-
-def _one_thread() -> None:
-    torch.set_num_threads(1)
