@@ -189,7 +189,7 @@ def _counts(text: str) -> tuple[int, ...]:
 def _add_options(one: argparse.ArgumentParser) -> None:
     """The arguments of `evaluate`."""
     add = one.add_argument
-    add("experiment", choices=EXPERIMENTS)
+    add("experiment", choices=tuple(EXPERIMENTS))
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     options.add_jobs(one)
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")
