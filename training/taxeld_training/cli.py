@@ -162,7 +162,6 @@ class _OneALink(argparse.Action):
 
 
 def _with_object(one: argparse.ArgumentParser, nargs: str | None = None) -> argparse.ArgumentParser:
-    """The parser with the arguments of `scene` and `build`."""
     action = "store" if nargs is None else _OneALink
     add = one.add_argument
     about = "a YCB id (025_mug), or a mesh file in metres whose z axis points up"
@@ -187,7 +186,6 @@ def _counts(text: str) -> tuple[int, ...]:
 
 
 def _add_options(one: argparse.ArgumentParser) -> None:
-    """The arguments of `evaluate`."""
     add = one.add_argument
     add("experiment", choices=tuple(EXPERIMENTS))
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")

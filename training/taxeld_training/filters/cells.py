@@ -127,7 +127,6 @@ def _read(
     cpu_ms: float,
     idle_ms: float,
 ) -> TouchResult:
-    """A touch as `play` has it."""
     known = None if status is None else Status(status)
     promised = p, radius_m, Hypotheses(*hypotheses)
     return TouchResult(map_mm, known, particles, *promised, cpu_ms, idle_ms)

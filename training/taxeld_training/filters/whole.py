@@ -249,7 +249,6 @@ def label(row: Row) -> str:
 
 
 def _table(rows: Sequence[Row]) -> str:
-    """A line a scene: the best filter, what ships, and the cheapest that is enough."""
     ranked = [row for row in rows if row["proposal"] != GRID]
 
     def shown(one: Callable[[list[Row]], Row | None]) -> Callable[[list[Row]], str]:
