@@ -125,7 +125,6 @@ def _chosen(
 def _played(
     folder: Path, layout: Layout, asked: EndTrials, filters: dict[str, Method], worker: int
 ) -> dict[str, list[Told]]:
-    """A worker's trials, by each of the filters."""
     made = bundle.load(str(folder), layout)
     found: dict[str, list[Told]] = {name: [] for name in filters}
     for name, method in filters.items():
