@@ -2,7 +2,6 @@
 
 import logging
 import os
-import pty
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -38,17 +37,6 @@ def test_the_journal_is_told_the_priority_of_each_line(tmp_path: Path) -> None:
         assert log.formatter(stream.fileno(), environ).format(RECORD) == "<4>a line\n<4>and another"
         elsewhere = {"JOURNAL_STREAM": f"{found.st_dev}:{found.st_ino + 1}"}
         assert "<4>" not in log.formatter(stream.fileno(), elsewhere).format(RECORD)
-
-
-def test_a_terminal_shows_a_warning_in_colour_unless_told_not_to() -> None:
-    ours, theirs = pty.openpty()
-    with os.fdopen(theirs, "w") as terminal:
-        coloured = log.formatter(terminal.fileno(), {"TERM": "xterm"}).format(RECORD)
-        assert coloured.startswith("\x1b[33m")
-        assert coloured.endswith("\x1b[0m")
-        for environ in ({"NO_COLOR": "1"}, {"TERM": "dumb"}):
-            assert "\x1b" not in log.formatter(terminal.fileno(), environ).format(RECORD)
-    os.close(ours)
 
 
 def test_a_librarys_warnings_are_lines_of_the_log(capfd: pytest.CaptureFixture[str]) -> None:

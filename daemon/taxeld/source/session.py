@@ -198,7 +198,6 @@ def _frames(path: Path, about: dict[str, Any] | None) -> tuple[list[Frame], bool
 
 
 def _arrays(lines: _Lines) -> Iterator[ArrayFrame]:
-    """The frames of a recorded array."""
     for number, text in enumerate(lines, 1):
         frame = array.parse(array.read_json(text))
         if isinstance(frame, str):

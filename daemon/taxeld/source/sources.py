@@ -190,7 +190,6 @@ class LiveSource(Source):
         return items
 
     def _follow(self, device: Device, now_s: float) -> None:
-        """Count and log the faults noticed by the device."""
         noticed, device.noticed = device.noticed, Noticed()
         self.counters.noise += noticed.noise
         self.counters.refused += noticed.refused
