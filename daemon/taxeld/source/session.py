@@ -145,7 +145,6 @@ class _Lines:
     """The lines of a file whose last line may be cut: a line without its end is left out."""
 
     def __init__(self, path: Path, longest: int = LINE_MAX) -> None:
-        """`longest`: bytes of a line, at most."""
         self.path, self._longest = path, longest
         self.cut = False  # whether the last line was cut; known after the last line
 
