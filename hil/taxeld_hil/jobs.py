@@ -4,7 +4,6 @@ A job is a function and its arguments. Its result is JSON, kept in a file of its
 experiment cut short goes on where it stopped. The harness and the training both run theirs here.
 """
 
-import argparse
 import contextlib
 import hashlib
 import json
@@ -30,7 +29,6 @@ from typing import Any, TypeAlias
 from taxeld.command_line import ONE_THREAD
 from taxeld.errors import SetupError
 
-OWN = "own"  # `--layout` of what a row is of without that option
 PATIENCE = "10s"  # longest wait for a Dask scheduler's answer
 NAME_LENGTH = 60  # characters of a job's name in its file's name; a key's hash tells jobs apart
 
@@ -54,35 +52,6 @@ class Job:
         text = f"{self.work.__module__}.{self.work.__qualname__}{self.arguments!r}{self.code}"
         name = self.name.replace("/", "-")[-NAME_LENGTH:]
         return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
-
-
-def add_layouts(made: argparse.ArgumentParser, own: str) -> argparse.Action:
-    """Add the option `--layout`, which makes rows for each layout that it names."""
-    about = f"make rows for it, as skin.layout; may be repeated; '{OWN}': {own} (the default)"
-    return made.add_argument("--layout", action="append", metavar="LAYOUT", help=about)
-
-
-def layouts(given: Sequence[str] | None) -> list[str]:
-    """The layouts that `--layout` named, "" for OWN. A file that is absent is left out, with a line
-    on stderr.
-
-    Raises:
-        SetupError: none is left, or rows of two could not be told apart.
-    """
-    found: dict[str, str] = {}
-    for spec in given or [OWN]:
-        if spec == OWN or ":" in spec:
-            kept = "" if spec == OWN else spec
-        elif Path(spec).is_file():
-            kept = str(Path(spec).resolve())
-        else:
-            _say(f"--layout: there is no file {spec}: its rows are left out")
-            continue
-        if found.setdefault(layout_name(kept), kept) != kept:
-            raise SetupError(f"--layout: two are called {layout_name(kept)}; rename a file")
-    if not found:
-        raise SetupError("--layout: none of these files is there; name others, or none")
-    return list(found.values())
 
 
 def layout_name(layout: str) -> str:

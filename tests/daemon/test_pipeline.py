@@ -233,7 +233,7 @@ def published(found: Iterable[Outcome]) -> list[dict[str, object]]:
     late_ms=st.integers(0, 12),
     jitter=st.lists(st.floats(0, 0.004), min_size=20, max_size=20),
 )
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 def test_poses_that_come_a_little_late_change_nothing(
     box: Bundle, late_ms: int, jitter: list[float]
 ) -> None:

@@ -30,7 +30,7 @@ def local(tmp_path: Path) -> Iterator[Stand]:
         yield made
 
 
-@pytest.mark.parametrize("prefix", [b"", b"/", b"/taxeld/", b"/taxeld/info"])
+@pytest.mark.parametrize("prefix", [b"", b"/taxeld/info"])
 def test_a_subscriber_to_info_by_any_prefix_is_told_who_speaks(stand: Stand, prefix: bytes) -> None:
     heard = stand.subscriber(prefix)
     while (parts := stand.received(heard))[0] != topics.INFO:
@@ -68,7 +68,7 @@ def test_the_loop_knows_which_topics_somebody_wants(stand: Stand) -> None:
     stand.until(lambda: not wants(topics.PARTICLES))
 
 
-@pytest.mark.parametrize("end", [b"\x00", b"\x02", b"", b"\xff"])
+@pytest.mark.parametrize("end", [b"\x00", b""])
 def test_no_peer_ends_the_topic_of_another(stand: Stand, end: bytes) -> None:
     honest = stand.subscriber(topics.TAXELS)
     stand.until(lambda: stand.link.wants(topics.TAXELS))

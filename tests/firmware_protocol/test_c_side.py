@@ -252,7 +252,7 @@ def traffic(draw: st.DrawFn) -> list[Frame]:
 
 
 @given(traffic() | st.lists(any_frame, max_size=60))
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None)
 def test_both_sides_reassemble_alike(c_side: CSide, frames: list[Frame]) -> None:
     assert c_side.reassemble(frames) == python_reassemble(frames)
 
@@ -271,7 +271,7 @@ def test_both_sides_send_any_packet_alike(
 
 
 @given(st.sampled_from([*commands.REQUESTS, *WITHOUT_FIELDS]), st.binary(max_size=6))
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=150)
 def test_both_sides_read_the_fields_of_any_request_alike(
     c_side: CSide, command: Command, payload: bytes
 ) -> None:

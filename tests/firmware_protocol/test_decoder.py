@@ -134,7 +134,7 @@ def test_a_changed_table_ends_the_scan_under_way() -> None:
     assert new.counts == (5, 6)
 
 
-@settings(max_examples=200)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(st.integers(0, 255), st.binary(max_size=40)), max_size=30))
 def test_any_packets_leave_the_decoder_standing(packets: list[tuple[int, bytes]]) -> None:
     decoder = Decoder()

@@ -283,7 +283,7 @@ FRAMES = st.builds(
 )
 
 
-@settings(max_examples=200)
+@settings(max_examples=80)
 @given(st.lists(FRAMES, max_size=60))
 def test_any_frames_are_counted_once_and_a_good_scan_follows(damage: list[Frame]) -> None:
     decoder = IcubDecoder()

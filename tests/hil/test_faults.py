@@ -1,11 +1,10 @@
 """The injector does its faults and no more; the ledger and the judge find what is wrong."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,8 +28,8 @@ from taxeld_hil.scenario.scenario import Fault
 from taxeld_protocol import cyskin
 from taxeld_protocol.cyskin import Command
 from taxeld_protocol.frames import Frame
-from tests.hil.rig import DEMO
 
+DEMO = scenario.load("demo").on("scene")
 MODULES = (3, 3)
 CHANNELS = [range(1, 3), range(4, 6)]
 TAXELS = {0: 1, 1: 2, 2: 4, 3: 5}
@@ -300,37 +299,21 @@ def test_laps_whose_contacts_were_all_felt_are_counted_apart() -> None:
     assert seen.full_found == 3, "also the one that is not sure of it"
 
 
-def test_reports_of_soaks_are_shown_side_by_side(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_a_lap_of_a_soak_can_be_run_by_itself(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    seen = soak.Soak(0, "fake", 1.0, "/there/is/a/drill", "typical")
-    lied = [("pose_jumping", 4.0)]
-    for number, (faults, status, contacts) in enumerate(
-        ((lied, "converged", 8), ([], "converged", 9), ([], "ambiguous", 8))
-    ):
-        seen.add(number, of_a_lap(faults, [12.0] * (number < 2), status, contacts), 60.0)
-    seen.report(tmp_path / "soak_drill.json", lambda _: None)
-    assert cli.main(["soak", "--table", str(tmp_path / "soak_drill.json")]) == 0
-    shown = dict(line.strip("| ").split(" | ") for line in capsys.readouterr().out.splitlines()[2:])
-    assert shown["object, skin, clock"] == "drill, `typical`, fake"
-    assert shown["misleading without a deceptive fault in the lap, and after one"] == "1, 1"
-    assert shown["found and sure at the lap's end"] == "2"
-    assert shown["of laps in which all 8 contacts were felt"] == "2 of 3 (66.7%)"
-    assert shown["of these, found, sure or not"] == "3 of 3 (100.0%)"
-    assert shown["passed"] == "no"
-    command = f"{sys.executable} -m taxeld_hil.cli soak --table {tmp_path / 'soak_drill.json'}"
-    unread = subprocess.run(
-        f"{command} | true", shell=True, capture_output=True, text=True, check=False
-    )
-    assert unread.stderr == "", "nor does a reader that has gone bring a traceback"
-
-
-def test_a_lap_of_a_soak_can_be_run_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
     """The object stands where it stood in the soak, on the same skin; the noise is another."""
     run = FakeRun(laps.lap(DEMO, 5, 0), 5, rate_hz=soak.RATE_HZ)
     run.lap(laps.lap(DEMO, 5, 2), 7)
+    found, lap_alone = list[Grade](), soak.lap_alone
+
+    def kept(*of: Any) -> Grade:
+        found.append(lap_alone(*of))
+        return found[-1]
+
+    monkeypatch.setattr(soak, "lap_alone", kept)
     assert cli.main(["soak", "--foam", "scene", "--seed", "5", "--lap", "2"]) in (0, 1)
-    alone = soak.lap_alone(DEMO, 5, 2)
+    (alone,) = found
     assert capsys.readouterr().out.splitlines()[0].startswith("lap 2, seed 7, on sim over slcan")
     faults = laps.lap(DEMO, 5, 2).fault
     assert [row["at_s"] for row in alone.figures["faults"]] == [fault.at_s for fault in faults]

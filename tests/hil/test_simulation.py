@@ -26,7 +26,7 @@ from tests.rig.processes import python
 FAR = np.array([5.0, 5.0, 0.0])
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_the_demo_finds_the_box(seed: int) -> None:
     errors = [end.error_mm for end in FakeRun(DEMO, seed).run()]
     assert len(errors) >= DEMO.contacts  # what remains of a press may count as one more
@@ -35,11 +35,11 @@ def test_the_demo_finds_the_box(seed: int) -> None:
 
 def test_the_uninformed_baseline_is_farther_off_after_two_contacts() -> None:
     """What the inverse model is for: with the same particles, projection needs more contacts."""
-    final = {}
+    final, two = {}, replace(DEMO.on("scene"), contacts=2)
     for proposal in ("auto", "projection"):
         keys = f'proposal = "{proposal}"'
         final[proposal] = [
-            FakeRun(DEMO, seed, filter_keys=keys).run()[1].error_mm for seed in range(6)
+            FakeRun(two, seed, filter_keys=keys).run()[1].error_mm for seed in range(4)
         ]
     assert np.median(final["auto"]) < 0.5 * np.median(final["projection"])
 

@@ -63,7 +63,7 @@ class Reader:
 
     use: Use  # raises SetupError; may put a line into the log
     samples: Callable[[], list[bytes]]
-    examples: int = 150  # of the tests: as many as take half a second
+    examples: int = 60  # changed files of the tests
 
 
 @cache
@@ -209,36 +209,36 @@ def _keys() -> list[bytes]:
 
 READERS = {
     **{
-        name: Reader(_in_file(name, lambda path: list(decode(path))), samples, 200)
+        name: Reader(_in_file(name, lambda path: list(decode(path))), samples)
         for name, samples in (("a.log", _frames), ("a.bin", _bytes))
     },
     "configuration": Reader(
-        _in_file("any.toml", load), lambda: [(ROOT / "examples" / "can0.toml").read_bytes()], 300
+        _in_file("any.toml", load), lambda: [(ROOT / "examples" / "can0.toml").read_bytes()]
     ),
     "scenario": Reader(
         _in_file("scenario.toml", lambda path: scenario.load(str(path))),
         lambda: [path.read_bytes() for path in scenario.shipped().values()],
     ),
-    "bundle.json": Reader(manifest_used, lambda: [(SHIPPED / "bundle.json").read_bytes()], 300),
+    "bundle.json": Reader(manifest_used, lambda: [(SHIPPED / "bundle.json").read_bytes()]),
     "scene.npz": Reader(
         lambda content: scene_used(scene_file.parse(content, NOWHERE)),
         lambda: [(SHIPPED / "scene.npz").read_bytes()],
-        60,
+        30,
     ),
     "sampler.onnx": Reader(
         lambda content: Sampler(content, loaded().model.layout, "density", NOWHERE),
         lambda: [(SHIPPED / "density-16.onnx").read_bytes()],
-        60,
+        30,
     ),
-    "state": Reader(_state, _states, 300),
+    "state": Reader(_state, _states),
     "layout.csv": Reader(
         _layout("skin.csv"), lambda: [table_of(_skin().layout, uid=True).encode()]
     ),
-    "layout.json": Reader(_layout("skin.json"), lambda: [json.dumps(document(16)).encode()], 200),
+    "layout.json": Reader(_layout("skin.json"), lambda: [json.dumps(document(16)).encode()]),
     "positions.txt": Reader(
-        _layout("skin.txt"), lambda: [icub_text(icub_rows(), [6, -1] * 24).encode()], 200
+        _layout("skin.txt"), lambda: [icub_text(icub_rows(), [6, -1] * 24).encode()]
     ),
-    session.FRAMES: Reader(_in_session(session.FRAMES), _frames, 200),
+    session.FRAMES: Reader(_in_session(session.FRAMES), _frames),
     **{
         name: Reader(_in_session(name), lambda name=name: [(RECORDED / name).read_bytes()])  # type: ignore[misc]
         for name in (session.SERIAL, session.SERIAL_TIMES, session.POSES)

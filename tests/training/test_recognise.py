@@ -112,11 +112,10 @@ def test_recognise_has_rows_of_known_and_unknown_objects_and_goes_on_where_it_wa
     found = rows(tmp_path, "recognise")
     mine = [row for row in found if (row["of"], row["skin"]) == (recognise.TEN, "exact")]
     of = {figure: [row for row in mine if row["figure"] == figure] for figure in {*_figures(mine)}}
-    assert {"reach", "identity", "cost", "calibration", "confusion", "unknown"} <= of.keys()
+    assert {"identity", "cost", "calibration", "confusion", "unknown"} <= of.keys()
     assert {row["object"] for row in of["identity"]} == {"all", str(block), "025_mug"}
     assert [row["contact"] for row in of["identity"][:TOUCHES]] == list(range(1, TOUCHES + 1))
     assert [row["contact"] for row in of["unknown"] if "contact" in row] == list(recognise.TOLD)
-    assert all(row["met"] == (not row.get("below")) for row in of["reach"] if row["value"] == 1.0)
     others = {row["figure"] for row in found if row["of"] == recognise.OTHER_TEN}
     assert "unknown" not in others  # only the first filter meets them
     assert (tmp_path / "out" / "recognise.png").stat().st_size > 0

@@ -15,6 +15,7 @@ from taxeld_protocol.slcan import BITRATES
 
 SIZES = ("particles", "particles_max", "injected")  # keys of the filter's size
 OBJECTS_MAX = 16  # objects that one skin may touch
+KINDS = ("can", "serial", "array", "replay")  # of sources
 LEVELS = ("debug", "info", "warning", "error")  # levels of the log
 
 
@@ -100,8 +101,8 @@ class SkinConfig:
 
 @dataclass(frozen=True, slots=True)
 class SourceConfig:
-    kind: str = key(check=one_of("can", "serial", "array", "replay"), doc="where frames come from")
-    dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol")
+    kind: str = key(check=one_of(*KINDS), doc=", ".join(KINDS))
+    dialect: str = key("cyskin", one_of("cyskin", "icub"), "the skin's protocol: cyskin, icub")
     boards: tuple[int, ...] = key(
         (), _boards, "dialect icub: the part's boards, in its layout's order; empty: they are asked"
     )
@@ -235,11 +236,9 @@ class FilterConfig:
     injection: str = key(
         "mixture",
         one_of("mixture", "paper"),
-        "how they enter: weighed against all that is remembered, or by Algorithm 1 of the paper",
+        "mixture: weighed against all that is remembered; paper: by its Algorithm 1",
     )
-    motion: str = key(
-        "none", one_of("none", "push"), "what the object does: stands still, or gives way to a push"
-    )
+    motion: str = key("none", one_of("none", "push"), "push: the object gives way")
     nudge_m: float = key(0.001, between(0, 0.05), "sd of what the object gives way at a touch")
     seed: int = key(0, between(0, 2**63), "of the one random generator")
     centre_m: tuple[float, float] = key((0.0, 0.0), doc="of the square the object may be in")

@@ -64,7 +64,9 @@ class Believing:
         estimate = self.estimator.learn(activation, sensor, link)
         if not link:  # a full scale or mount in doubt is the first link's
             self.check.on_scan(self.estimator.used, own, estimate.contacts)
-        self._advising.on_scan(told=estimate.contact or self.estimator.used is not None)
+        has_learned = estimate.log_evidence != 0.0 or estimate.objects != believed.objects
+        told, moves = estimate.contact or has_learned, self.estimator.used is not None
+        self._advising.on_scan(sensor, link, told=told, moves=moves)
 
     @property
     def has_thought(self) -> bool:

@@ -68,12 +68,6 @@ def save(path: Path, runs: Sequence[RunRow], **about: Any) -> None:
     path.write_text(f'{{{head}"runs": [\n{lines}\n]}}\n', encoding="utf-8")
 
 
-def read(path: Path) -> list[RunRow]:
-    """The runs in such a file."""
-    runs: list[RunRow] = json.loads(path.read_text(encoding="utf-8"))["runs"]
-    return runs
-
-
 @cache
 def content(layout: str) -> str:
     """The digest of a layout file, or of a line; empty: of the bundle's own."""

@@ -49,7 +49,7 @@ def plan(
         arc = np.linspace(before, angle, 2 + int(abs(angle - before) / robot.ARC_STEP_RAD))
         way = np.column_stack([*_around(centre, circle, arc).T, np.linspace(yaw, yaw_to, len(arc))])
         track.go(np.vstack([way, line[:2]]), WAY_S)
-        touches.append(track.touch(line[2], is_light=False))
+        touches.append(track.touch(line[2]))
         track.go(np.vstack([line[:1], way[-1:]]), 0.3)
         yaw = yaw_to
     track.go(track.poses[-1][None], 1.0)

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from taxeld_training.filters.cells import Results
 from taxeld_training.filters.constants import CONSTANTS, Change, Constant
 from taxeld_training.jobs import promises
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.rows import Row, table
+from taxeld_training.jobs.rows import Row, number_of, table
 
 CELLS = (
     "as assumed",
@@ -93,9 +92,4 @@ def _table(rows: Sequence[Row]) -> str:
         "constant": lambda row: str(row["constant"]),
         "value": lambda row: "" if row["value"] is None else str(row["value"]),
     }
-    return table(rows, heads, {key: partial(_text, key=key) for key in COLUMNS})
-
-
-def _text(rows: Sequence[Row], key: str) -> str:
-    value = rows[0][key]
-    return "" if value is None else f"{value:g}"
+    return table(rows, heads, {key: number_of(key) for key in COLUMNS})

@@ -16,11 +16,12 @@ from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import Table
 from taxeld_training.filters import several
-from taxeld_training.filters.cells import SEEDS_APART, TOUCHES
+from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.several import Recognised
 from taxeld_training.filters.touches import FOAMS, EndTrials
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs import identities
+from taxeld_training.jobs.blocks import SEEDS_APART
 
 STAGE = "pairs"
 

@@ -22,16 +22,15 @@ from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import add_m
 from taxeld.proposals.analytic import Table
 from taxeld_hil import integrity
-from taxeld_hil.jobs import Job
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
-from taxeld_training.filters.cells import TOUCHES, seed_of
-from taxeld_training.filters.conditions import TrialConditions
+from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.follow import OWN_SEEDS
 from taxeld_training.filters.pairs import BETWEEN_S, OTHER_SEEDS
 from taxeld_training.filters.several import TABLED
 from taxeld_training.filters.touches import FOAMS
 from taxeld_training.filters.trials import Trial, TrialScan
-from taxeld_training.jobs.options import Options, run_jobs, write
+from taxeld_training.jobs import blocks
+from taxeld_training.jobs.options import Options, write
 from taxeld_training.objects import DEPTH_MAX_M
 from taxeld_training.objects.setting import ring
 
@@ -57,8 +56,12 @@ class Linked:
 
     object: str
     layouts: tuple[str, str]
+    skin: str  # of `SKINS`
     links: str  # of `TURNS`
-    conditions: TrialConditions
+
+    @property
+    def name(self) -> str:
+        return f"{self.object} {self.skin} {self.links}"
 
 
 def link_rows(options: Options) -> list[Path]:
@@ -74,22 +77,11 @@ def link_rows(options: Options) -> list[Path]:
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
     name = (options.objects or (OBJECT,))[0]
     model_of(name, (one, two))
-    rows = []
-    for skin in SKINS:
-        for links in TURNS:
-            of = Linked(name, (one, two), links, FOAMS[skin])
-            todo = [
-                Job(
-                    f"links {name} {skin} {links} {first}",
-                    play,
-                    (of, seed_of(options, first), min(BLOCK, count - first)),
-                )
-                for first in range(0, count, BLOCK)
-            ]
-            done = run_jobs(todo, options)
-            trials = [trial for job in todo for trial in done[job.name] or []]
-            if trials:
-                rows.append({"object": name, "skin": skin, "links": links} | _figures(trials))
+    wanted = {Linked(name, (one, two), skin, links): count for skin in SKINS for links in TURNS}
+    rows = [
+        {"object": name, "skin": of.skin, "links": of.links} | _figures([*trials.values()])
+        for of, trials in blocks.trials(wanted, play, options, BLOCK).items()
+    ]
     return [write(options, "links", rows)]
 
 
@@ -133,7 +125,7 @@ def _touches(
     each = [
         [list(moments) for _, moments in groupby(trial, lambda moment: moment.touch)]
         for trial in (
-            Trial(one, seed + k * OTHER_SEEDS, TOUCHES, given.conditions)
+            Trial(one, seed + k * OTHER_SEEDS, TOUCHES, FOAMS[given.skin])
             for k, one in enumerate(model.links)
         )
     ]

@@ -20,13 +20,13 @@ from taxeld.model.proposal import Proposal
 from taxeld.model.symmetry import add_m
 from taxeld.told import ToldPose, told_pose
 from taxeld_hil import integrity
-from taxeld_hil.jobs import Job
-from taxeld_training.filters.cells import COLUMNS, seed_of, setting_of
+from taxeld_training.filters.cells import COLUMNS, setting_of
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.follow import OWN_SEEDS
 from taxeld_training.filters.several import TABLED, known_of
 from taxeld_training.filters.trials import Trial
-from taxeld_training.jobs.options import Options, run_jobs, write
+from taxeld_training.jobs import blocks
+from taxeld_training.jobs.options import Options, write
 from taxeld_training.objects.setting import Setting
 
 SEEDS, QUICK_SEEDS = 100, 1
@@ -53,6 +53,10 @@ class PriorCase:
     setting: Setting
     case: str
 
+    @property
+    def name(self) -> str:
+        return f"{self.setting.name} {self.case}"
+
 
 def prior_rows(options: Options) -> list[Path]:
     """Rows of `evaluate prior`: each object in each case.
@@ -61,28 +65,15 @@ def prior_rows(options: Options) -> list[Path]:
         SetupError: no such object.
     """
     count = options.seeds or (QUICK_SEEDS if options.quick else SEEDS)
-    todo = {
-        (name, case): [
-            Job(
-                f"prior {name} {case} {first}",
-                play,
-                (
-                    PriorCase(setting_of(name, COLUMNS, options), case),
-                    seed_of(options, first),
-                    min(BLOCK, count - first),
-                ),
-            )
-            for first in range(0, count, BLOCK)
-        ]
+    wanted = {
+        PriorCase(setting_of(name, COLUMNS, options), case): count
         for name in options.objects or OBJECTS
         for case in CASES
     }
-    done = run_jobs([job for jobs in todo.values() for job in jobs], options)
-    rows = []
-    for (name, case), jobs in todo.items():
-        trials = [trial for job in jobs for trial in done[job.name] or []]
-        if trials:
-            rows.append({"object": name, "case": case} | _figures(trials))
+    rows = [
+        {"object": of.setting.object, "case": of.case} | _figures([*trials.values()])
+        for of, trials in blocks.trials(wanted, play, options, BLOCK).items()
+    ]
     return [write(options, "prior", rows)]
 
 

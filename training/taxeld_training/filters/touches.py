@@ -19,12 +19,13 @@ from taxeld.layout.layout import Layout
 from taxeld.proposals import bundle
 from taxeld.proposals.analytic import ANALYTIC, Table
 from taxeld_training.filters import enough
-from taxeld_training.filters.cells import SEEDS_APART, TOUCHES
+from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.conditions import TrialConditions
 from taxeld_training.filters.enough import Told
 from taxeld_training.filters.follow import follow
 from taxeld_training.filters.methods import SHIPPED, Method
 from taxeld_training.filters.trials import Trial
+from taxeld_training.jobs.blocks import SEEDS_APART
 
 STAGE = "trials"
 FOAMS = {  # levels of filters/levels.py
