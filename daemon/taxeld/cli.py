@@ -207,7 +207,6 @@ def _ask(args: argparse.Namespace) -> int:
 
 
 def _prior(args: argparse.Namespace) -> dict[str, Any]:
-    """The keys of a request."""
     (x, y), (sx, sy, turn) = args.at, args.sd
     found = {"x": x, "y": y, "theta": args.yaw, "cov": [sx, sy, turn]}
     return found | {"weight": args.weight, "object": args.object}

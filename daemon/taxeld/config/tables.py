@@ -231,8 +231,7 @@ class FilterConfig:
     particles_max: int = key(400, between(2, 100_000), "N while the belief is wide, at most")
     injected: int = key(50, between(0, 10_000), "S, samples a touch brings")
     proposal: str = key(
-        "auto",
-        doc="where they come from; auto: the bundle's best that fits the budget",
+        "auto", doc="where they come from; auto: the bundle's best that fits the budget"
     )
     injection: str = key(
         "mixture",
@@ -347,9 +346,7 @@ class CurveConfig:
 @dataclass(frozen=True, slots=True)
 class LogConfig:
     level: str = key(
-        "info",
-        one_of(*LEVELS),
-        "what is logged on standard error; read again at SIGHUP",
+        "info", one_of(*LEVELS), "what is logged on standard error; read again at SIGHUP"
     )
 
 

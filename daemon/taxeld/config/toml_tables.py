@@ -73,8 +73,6 @@ def loads(text: str) -> dict[str, Any]:
 
 
 class _Short(reprlib.Repr):
-    """Shortens values of a file for a message."""
-
     def __init__(self) -> None:
         super().__init__()
         self.maxstring = self.maxother = 80

@@ -206,10 +206,7 @@ class Door:
     def _on_status(self) -> bytes:
         if time.monotonic() > self._estimate_s + SILENT_S:
             return packed_error("the loop is silent; the log of the daemon may say why")
-        latest = {
-            "estimate": self._latest[ESTIMATE],
-            "health": self._latest.get(HEALTH, NOTHING),
-        }
+        latest = {"estimate": self._latest[ESTIMATE], "health": self._latest.get(HEALTH, NOTHING)}
         return packed_ok(**latest, **self._state)
 
     def _on_info(self) -> bytes:
@@ -275,11 +272,7 @@ class Door:
         self._publishers[alike].bind(endpoint, key)
 
     def _serve(
-        self,
-        context: zmq.Context[Any],
-        endpoint: str,
-        key: str,
-        may_change: MayChange,
+        self, context: zmq.Context[Any], endpoint: str, key: str, may_change: MayChange
     ) -> None:
         if endpoint:
             router = control.open_router(context)

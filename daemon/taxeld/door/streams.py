@@ -99,7 +99,6 @@ class Streams:
 
 
 def _inode(number: int) -> int | None:
-    """Of an open descriptor."""
     try:
         return os.fstat(number).st_ino
     except OSError:

@@ -131,7 +131,6 @@ class Daemon:
             ready = self._wait(ticker)
 
     def _wait(self, ticker: Ticker) -> Ready:
-        """Wait until the next pass is due, by an arrival or by the clock."""
         pipeline, sources = self.pipeline, self.inputs.sources
         if pipeline.has_waiting:
             self.link.ask_poses(also_next=True)

@@ -113,9 +113,9 @@ class Publisher:
         for k, stage in enumerate(self._pipeline.stages):
             fault = "" if k else self._inputs.watch.fault
             name, match = self._config.names[k], stage.fresh.is_whole
-            self._notices.inputs(fault, stage.skin.wiring, match=match, now_s=now_s, link=name)
+            self._notices.inputs(fault, stage.skin.wiring, match=match, link=name)
         whys = self._pipeline.freshness.of_links(now_s)
-        self._notices.links(dict(zip(self._config.names, whys, strict=True)), now_s)
+        self._notices.links(dict(zip(self._config.names, whys, strict=True)))
         self._link.tell(self._state())
 
     def status_line(self, now_s: float) -> str:
@@ -164,7 +164,7 @@ class Publisher:
         before, self._why = self._why, freshness.why(estimate, now_s)
         if self._why is not before:
             self._link.tell(self._state())
-        self._notices.estimate(estimate, self._why, self._reason(), now_s)
+        self._notices.estimate(estimate, self._why, self._reason())
         self._estimate_sent = messages.estimate(
             estimate,
             names=self._names,

@@ -39,10 +39,7 @@ class Ticker:
     counted, never made up for."""
 
     def __init__(
-        self,
-        rate_hz: float,
-        idle_s: float = IDLE_S,
-        clock: Callable[[], float] = time.monotonic,
+        self, rate_hz: float, idle_s: float = IDLE_S, clock: Callable[[], float] = time.monotonic
     ) -> None:
         """`rate_hz`: rate of the ticks; `idle_s`: time between passes while idle."""
         self.period_s = 1.0 / rate_hz

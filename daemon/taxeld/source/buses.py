@@ -13,9 +13,6 @@ from taxeld.layout.layout import Layout
 from taxeld.source.source import Source
 from taxeld_protocol.decoder import Scan
 
-Open = Callable[[SourceConfig, Layout, int], Source]
-"""From a source, the layout of all that is on it, and the number of its first link."""
-
 
 class Bus:
     """A source, and the links whose taxels its scans hold."""
@@ -49,8 +46,13 @@ class Bus:
                 into[link].append(scan)
 
 
-def opened(config: Config, layouts: Sequence[Layout], open_one: Open) -> list[Bus]:
-    """All buses, that of the first link first; `layouts` of each link.
+def opened(
+    config: Config,
+    layouts: Sequence[Layout],
+    open_one: Callable[[SourceConfig, Layout, int], Source],
+) -> list[Bus]:
+    """All buses, that of the first link first; `layouts` of each link. `open_one` is given a
+    source, the layout of all that is on it, and the number of its first link.
 
     Raises:
         SetupError: two layouts of one bus have the same taxels, or `open_one` raises it.
