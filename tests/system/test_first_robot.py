@@ -57,6 +57,7 @@ def follow(command: str, place: Path) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {
         "XDG_RUNTIME_DIR": str(place),
         "PATH": f"{place / 'bin'}:{os.environ['PATH']}",
+        "JOBLIB_MULTIPROCESSING": "0",  # workers take longer to start than the least build takes
     }
     command = command.replace("python ", f"{sys.executable} ")
     return subprocess.run(
