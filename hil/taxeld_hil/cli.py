@@ -198,14 +198,13 @@ def _watch(args: argparse.Namespace) -> int:
 
 
 def _draw(args: argparse.Namespace) -> int:
-    """Draw the contacts of a recorded session.
+    """Draw how the object of a recorded session was found.
 
-    taxeld-hil draw session --out contacts.png
-    taxeld-hil draw session --moments --out found.png
+    taxeld-hil draw session --out found.png
     """
     from taxeld_hil.run.draw import draw
 
-    draw(args.session, args.out, finding=args.moments)
+    draw(args.session, args.out)
     print(args.out)
     return 0
 
@@ -330,8 +329,6 @@ def _of_watch(made: argparse.ArgumentParser) -> None:
 
 def _of_draw(made: argparse.ArgumentParser) -> None:
     add = made.add_argument
-    about = "instead: four moments, from no touch to the object found"
-    add("--moments", action="store_true", help=about)
     add("session", type=Path)
     add("--out", type=Path, required=True)
 

@@ -22,17 +22,17 @@ from concurrent.futures import (
     wait,
 )
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 from taxeld.command_line import ONE_THREAD
 from taxeld.errors import SetupError
 
 PATIENCE = "10s"  # longest wait for a Dask scheduler's answer
 NAME_LENGTH = 60  # characters of a job's name in its file's name; a key's hash tells jobs apart
-
-Prepare: TypeAlias = Callable[[], object]
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,19 @@ class Job:
         return f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
+@cache
+def code(decides: tuple[str, ...]) -> str:
+    """Hash of the files that decide a result, as this process first found them; `decides` are
+    patterns of their paths, which begin with a package."""
+    found = hashlib.sha256()
+    for pattern in decides:
+        package, _, inside = pattern.partition("/")
+        root = Path(str(resources.files(package)))
+        for path in sorted(root.glob(inside)):
+            found.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
+    return found.hexdigest()[:12]
+
+
 def layout_name(layout: str) -> str:
     """A layout as tables name it: a file's name without its ending, or its line of numbers."""
     return layout if ":" in layout else Path(layout).stem
@@ -66,14 +79,13 @@ def run(
     workers: int = 2,
     dask: str = "",
     until: float = math.inf,
-    prepare: Prepare | None = None,
     describe: Callable[[Any], str] = lambda _: "",
 ) -> dict[str, Any]:
     """Results by job name; those that `memory`, a directory, holds are not run again.
 
     Each worker has one thread. With `dask`, the address of a running scheduler, the jobs run on its
     workers. No job begins after `until` (monotonic clock [s]); the result of a job that did not run
-    is None. A worker calls `prepare` before each job. `describe` writes a result for the line on
+    is None. `describe` writes a result for the line on
     stderr that follows each job. On an interrupt the results so far are kept and the interrupt goes
     on.
 
@@ -101,12 +113,12 @@ def run(
     if not dask and min(workers, len(todo)) <= 1:
         for job in todo:
             if time.monotonic() < until:
-                keep(job, _work(job, prepare))
+                keep(job, _work(job))
         return results
     for name in ONE_THREAD:
         os.environ.setdefault(name, "1")  # inherited by the workers
     with _on_dask(dask) if dask else _in_processes(min(workers, len(todo))) as (pool, places):
-        _run_all(todo, pool, places, until, prepare, keep)
+        _run_all(todo, pool, places, until, keep)
     return results
 
 
@@ -128,7 +140,6 @@ def _run_all(
     pool: Executor,
     places: Callable[[], int],
     until: float,
-    prepare: Prepare | None,
     keep: Callable[[Job, Any], None],
 ) -> None:
     """No more jobs are handed over than there are places, so that none begins after `until`."""
@@ -136,16 +147,14 @@ def _run_all(
     while True:
         while waiting and len(running) < places() and time.monotonic() < until:
             job = waiting.popleft()
-            running[pool.submit(_work, job, prepare)] = job
+            running[pool.submit(_work, job)] = job
         if not running:
             return
         for future in wait(running, return_when=FIRST_COMPLETED).done:
             keep(running.pop(future), future.result())
 
 
-def _work(job: Job, prepare: Prepare | None) -> Any:
-    if prepare is not None:
-        prepare()
+def _work(job: Job) -> Any:
     return job.work(*job.arguments, *job.beside)
 
 

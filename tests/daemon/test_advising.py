@@ -140,9 +140,11 @@ def test_silence_that_tells_nothing_keeps_advice_and_silence_that_tells_asks_for
             pipeline.poses.add(t + 0.01, x, y, 0.5)
             taken(pipeline, [(t + 0.01, skin.scan())])
 
-    used = pipeline.counted.updates
+    assert pipeline.believing is not None
+    counters = pipeline.believing.estimator.counters
+    used = counters.updates
     goes(*((0.3 + 0.02 * k, 0.4) for k in range(8)))
-    assert pipeline.counted.updates > used + 5, "it moved"
+    assert counters.updates > used + 5, "it moved"
     assert pipeline.advice is given
     at = given.approaches[0].at
     goes(*((at[0], at[1]) for _ in range(CALM + 2)))

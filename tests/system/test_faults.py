@@ -16,7 +16,7 @@ import zmq
 from tests.system.touched import Touched, touched
 
 DISK_KB = 60
-LOSSES = 4
+LOSSES = 2
 NEAR = 1e-6  # a recording keeps the microseconds of a scan's time, and no less
 
 
@@ -70,14 +70,14 @@ def check_replayed(heard: Heard, replayed: list[dict[str, Any]]) -> int:
 def test_a_door_that_is_killed_each_second_costs_no_scan_and_no_record(tmp_path: Path) -> None:
     with touched(tmp_path) as daemon, heard(daemon) as subscriber:
         daemon.until_touched()
-        for _ in range(6):
+        for _ in range(4):
             daemon.kill_door()
             subscriber.listen(1.0)
         health = daemon.health()
         sent = daemon.stop()
         replayed = daemon.replay()
-    assert health["door"]["starts"] > 3
-    assert len(replayed) == sent > 120
+    assert health["door"]["starts"] > 2
+    assert len(replayed) == sent > 80
     assert check_replayed(subscriber, replayed) > 10
     assert "cut" not in daemon.log
 

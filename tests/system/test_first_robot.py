@@ -3,7 +3,6 @@ publisher beside it is heard."""
 
 import os
 import re
-import shlex
 import shutil
 import subprocess
 import sys
@@ -23,8 +22,7 @@ ROOT = Path(__file__).parents[2]
 GUIDE = ROOT / "docs" / "first-robot.md"
 PAGES = [*sorted((ROOT / "docs").glob("*.md")), *sorted(ROOT.glob("*.md"))]
 PROGRAMS = {"taxeld": "taxeld", "taxeld-train": "taxeld_training", "taxeld-hil": "taxeld_hil"}
-QUICKER = " --effort 0.005 --contacts 6000 --bank 10000"  # than what the guide asks for
-LEAST = " --effort 0.002 --contacts 2000 --bank 4000 --readings 4"
+LEAST = " --effort 0.002 --contacts 2000 --bank 4000 --readings 3 --trials 1"
 NUMBER = re.compile(r"\d+(\.\d+)?")
 
 
@@ -59,6 +57,7 @@ def follow(command: str, place: Path) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {
         "XDG_RUNTIME_DIR": str(place),
         "PATH": f"{place / 'bin'}:{os.environ['PATH']}",
+        "JOBLIB_MULTIPROCESSING": "0",  # workers take longer to start than the least build takes
     }
     command = command.replace("python ", f"{sys.executable} ")
     return subprocess.run(
@@ -77,7 +76,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
         program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {package}.cli "$@"\n')
         program.chmod(0o755)
     (made / "bin" / "python").symlink_to(sys.executable)
-    built = follow(shell(GUIDE, "taxeld-train build") + QUICKER, made)
+    built = follow(shell(GUIDE, "taxeld-train build") + LEAST, made)
     assert built.returncode == 0, built.stderr
     (made / "built").write_text(built.stdout, encoding="utf-8")
     return made
@@ -125,33 +124,31 @@ def following(ran: subprocess.CompletedProcess[str]) -> str:
     return re.findall(r"^next\W+(.*)", ran.stdout, re.MULTILINE)[-1]
 
 
-REAL = ROOT.parent / "shared" / "data" / "layouts" / "ur10e_link1_patch1.json"
 SMALL = layouts.load("wrap:modules=8,radius_m=0.03")
 
 
-@pytest.mark.parametrize(
-    "layout", ["cylinder:rows=3,columns=8,radius_m=0.04,pitch_m=0.02", "my skin.csv", str(REAL)]
-)
 def test_from_a_layout_to_a_graded_run_each_command_is_printed_by_the_one_before(
-    place: Path, layout: str, tmp_path: Path
+    place: Path, tmp_path: Path
 ) -> None:
     """With a mesh in place of MESH. The run is on the fake clock and the samplers are the least."""
-    if layout.endswith(".json") and not REAL.is_file():
-        pytest.skip("the real layouts are not beside this checkout")
     shutil.copy(place / "bracket.stl", tmp_path)
     (tmp_path / "bin").symlink_to(place / "bin")
     (tmp_path / "my skin.csv").write_text(table_of(SMALL), encoding="ascii")
-    looked = following(follow(f"taxeld layout {shlex.quote(layout)}", tmp_path))
+    looked = following(follow("taxeld layout 'my skin.csv'", tmp_path))
     build = following(follow(looked.replace("MESH", "bracket.stl"), tmp_path))
     assert "--quick" in build
     run = following(follow(build + LEAST, tmp_path))
     ran = follow(run + " --clock fake", tmp_path)
     assert ran.returncode in (0, 1), ran.stderr  # such samplers need not find the object
     said = ran.stdout.splitlines()
-    assert said[-3].split(":")[0] in ("passed", "failed")
-    assert follow(f"{said[-2].removeprefix('see it: ')} --save seen.rrd", tmp_path).returncode == 0
+    assert said[-3].split(":")[0] in ("passed", "failed"), said
     init = said[-1].removeprefix("next: ")
-    assert follow(f"{init} --source can:nothing0 --poses ''", tmp_path).returncode == 0
+    for command in (
+        f"{said[-2].removeprefix('see it: ')} --save seen.rrd",
+        f"{init} --source can:nothing0 --poses ''",
+    ):
+        done = follow(command, tmp_path)
+        assert done.returncode == 0, done.stderr
     checked = follow("taxeld check robot.toml", tmp_path).stderr.splitlines()
     assert [line.partition(":")[0] for line in checked] == ["source.channel"], checked
 

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from taxeld_hil import jobs
 from taxeld_hil.integrity import Stanford
 from taxeld_training.cli import main
-from taxeld_training.filters import advised, cells, experiment, linked, priors, whole
+from taxeld_training.filters import advised, cells, experiment, linked, whole
 from taxeld_training.filters.levels import LEVELS, Level
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.jobs import options, statistics
@@ -124,7 +125,6 @@ def test_without_time_only_remembered_rows_are_written_and_another_skins_stand_b
         "filter",
         "reliability",
         "recognise",
-        "prior",
         "advice",
         "ablation",
         "push",
@@ -143,7 +143,7 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
 @pytest.mark.parametrize(
     ("arguments", "fault"),
     [
-        ("proposals --groups magic", "--groups: no 'magic'; there are analytic, "),
+        ("proposals --groups magic", "--groups: no 'magic' here; there are analytic, "),
         ("proposals --objects 999_none", "999_none"),
         ("proposals --cells skin", "--cells: proposals has no cells to choose from"),
         ("stability --cells noise,sniff", "--cells: no 'sniff' here; there are as assumed, noise"),
@@ -152,7 +152,7 @@ def test_without_time_for_anything_an_experiment_says_so_in_one_line(
         ("push --cells noise", "--cells: push has no cells to choose from"),
         ("recognise --cells noise", "--cells: recognise has no cells to choose from"),
         ("recognise --objects 025_mug,999_none", "999_none: no such YCB object"),
-        ("advice --cells noise", "--cells: advice has no cells to choose from"),
+        ("advice --cells noise", "--cells: no 'noise'; there are exact, typical, robot 1 mm"),
         ("advice --groups magic", "--groups: no 'magic'; there are any, random, "),
         ("links --cells noise", "--cells: links has no cells to choose from"),
         ("links --layout cylinder:rows=2,columns=8,radius_m=0.03,pitch_m=0.02", "takes two, not 1"),
@@ -206,17 +206,6 @@ def test_links_are_compared_on_the_same_touches(
         assert row["misleading"] == 0
     first, both = found["exact", "first"], found["exact", "both"]
     assert first["found"][0] == both["found"][0]  # the first touch is the same
-
-
-def test_priors_and_restarts_are_compared_on_the_same_touches(tmp_path: Path) -> None:
-    assert evaluate("prior", "003_cracker_box", tmp_path, "--seeds", "1") == 0
-    found = {row["case"]: row for row in rows(tmp_path, "prior")}
-    assert set(found) == set(priors.CASES)
-    for row in found.values():
-        assert row["trials"] == 1
-        assert row["found"][priors.RESTARTED_AFTER - 1] == 1.0
-    before = slice(priors.RESTARTED_AFTER)
-    assert found["restart"]["sure"][before] == found["none"]["sure"][before]
 
 
 def test_guides_are_compared_from_the_same_first_touch(
@@ -368,9 +357,9 @@ def test_push_has_a_row_an_object_and_motion_and_following_is_nearer(tmp_path: P
 
 def test_other_code_and_other_bundles_have_a_memory_of_their_own(tmp_path: Path) -> None:
     """What an older bundle, or other code, came to is not taken for what today's does."""
-    names = {options.code(decides) for decides in (options.DECIDES, *zip(options.DECIDES))}
+    names = {jobs.code(decides) for decides in (options.DECIDES, *zip(options.DECIDES))}
     assert len(names) == 1 + len(options.DECIDES)  # each of them has files
-    assert Options(tmp_path, tmp_path).measured == tmp_path / options.code()
+    assert Options(tmp_path, tmp_path).measured == tmp_path / jobs.code(options.DECIDES)
 
 
 def test_an_interval_of_a_mean_is_that_of_its_standard_error() -> None:
@@ -392,8 +381,8 @@ def test_an_interval_of_a_median_holds_it_and_rows_are_drawn_as_a_whole() -> Non
 
 
 def test_a_share_of_none_is_not_certain() -> None:
-    assert statistics.of_share([False] * 100) == pytest.approx((0.0, 0.037), abs=1e-3)
-    half = statistics.of_share([True] * 50 + [False] * 50)
+    assert statistics.of_count(0, 100) == pytest.approx((0.0, 0.037), abs=1e-3)
+    half = statistics.of_count(50, 100)
     assert half == pytest.approx((0.404, 0.596), abs=1e-3)
 
 

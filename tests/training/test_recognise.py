@@ -38,7 +38,8 @@ def given(*runs: tuple[int, list[float], float]) -> Identities:
     p = np.array([np.full(len(run[1]), run[2]) for run in runs])
     error_mm = np.where(named == true[:, None], 5.0, np.nan)
     radius_mm = np.full(p.shape, 20.0)
-    return Identities(true, named, objects, 1.0 - objects.sum(axis=2), p, error_mm, radius_mm)
+    other = 1.0 - objects.sum(axis=2)
+    return Identities(p, radius_mm, error_mm, true, named, objects, other)
 
 
 def test_an_estimate_of_another_object_is_neither_right_nor_found_and_misleads_if_it_is_sure() -> (

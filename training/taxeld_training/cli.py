@@ -24,13 +24,12 @@ EXPERIMENTS = {  # name → module, and the function in it that writes rows
     "reliability": ("filters.reliability", "reliability_rows"),
     "recognise": ("filters.recognise", "recognise_rows"),
     "links": ("filters.linked", "link_rows"),
-    "prior": ("filters.priors", "prior_rows"),
     "advice": ("filters.advised", "advice_rows"),
     "ablation": ("filters.ablation", "ablation_rows"),
     "push": ("filters.push", "push_rows"),
     "integrity": ("filters.integrity", "integrity_rows"),
 }
-UNCELLED = ("proposals", "push", "recognise", "links", "prior", "advice")  # of no chosen cells
+UNCELLED = ("proposals", "push", "recognise", "links")  # of no chosen cells
 SINGLE = ("proposals", "recognise")  # experiments of one layout
 
 
@@ -163,7 +162,6 @@ class _OneALink(argparse.Action):
 
 
 def _with_object(one: argparse.ArgumentParser, nargs: str | None = None) -> argparse.ArgumentParser:
-    """The parser with the arguments of `scene` and `build`."""
     action = "store" if nargs is None else _OneALink
     add = one.add_argument
     about = "a YCB id (025_mug), or a mesh file in metres whose z axis points up"
@@ -188,9 +186,8 @@ def _counts(text: str) -> tuple[int, ...]:
 
 
 def _add_options(one: argparse.ArgumentParser) -> None:
-    """The arguments of `evaluate`."""
     add = one.add_argument
-    add("experiment", choices=EXPERIMENTS)
+    add("experiment", choices=tuple(EXPERIMENTS))
     add("--out", type=Path, default=Path("docs/results"), metavar="DIR")
     options.add_jobs(one)
     add("--quick", action="store_true", help="a smoke run; its figures mean nothing")

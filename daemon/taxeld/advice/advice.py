@@ -165,7 +165,7 @@ class Advisor:
             gap[:, own] = lines.gap_before(some, model, of.pose[own])
             way[:, own] = lines.travel(some, model, of.pose[own])
         is_clear = (gap >= self._config.clearance_m).all(axis=1)
-        kept = np.flatnonzero(is_clear & np.isfinite(way).any(axis=1))
+        kept = np.flatnonzero(is_clear & (np.isfinite(way) @ of.weight > 0.0))
         return some.only(kept), way[kept]
 
     @property

@@ -98,7 +98,6 @@ class Guided:
         return False
 
     def _on_poll(self, scans: list[Scan], track: PoseTrack) -> None:
-        """Follow the scans and poses since the last call."""
         now_s = time.monotonic()
         self._pipeline.stages[0].poses = track
         self._came |= bool(scans)

@@ -132,7 +132,6 @@ def lines(runs: Sequence[RunRow]) -> Iterator[str]:
 
 
 def _accuracy(found: Sequence[RunRow]) -> str:
-    """The cells of a row of the first table."""
     good = [each for each in found if "refused" not in each]
     head = f"{len(found)}, {len(found) - len(good)}"
     if not good:
@@ -151,7 +150,6 @@ def _accuracy(found: Sequence[RunRow]) -> str:
 
 
 def _found(at: Scenario, seed: int, mount: Poses, *, given: bool) -> RunRow:
-    """Errors of a calibration, or why it was refused."""
     try:
         result, full_scale = calibrated(at, seed, mount, given=given)
     except SetupError as error:

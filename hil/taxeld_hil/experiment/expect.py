@@ -140,7 +140,6 @@ def helps(runs: Sequence[RunRow]) -> list[Help]:
 
 
 def _help(name: str, after: int, pairs: Sequence[tuple[RunRow, RunRow]]) -> Help:
-    """Compare pairs of trials, without the change and with it."""
     noted = [[run["after"][after - 1] for run in pair] for pair in pairs]
     sure = np.array(
         [[each["found_and_sure"] for each in pair] for pair in noted], dtype=float

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from taxeld.arrays import Floats, Poses
-from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld_hil.world import robot
 from taxeld_hil.world.robot import RobotPath
@@ -61,37 +60,31 @@ class Track:
 def plan(model: ObservationModel, truth: Poses, seed: int, presses: int) -> TouchPlan:
     """So many touches around the object at `truth` (3,)."""
     rng, scene = np.random.default_rng(seed), model.scene
-    centre = se2.compose(truth, np.array([*scene.centre, 0.0]))[:2]
-    circle = scene.size + model.layout.radius_m + robot.STANDOFF_M
+    circle = robot.Circle(model, truth)
     angle = rng.uniform(-np.pi, np.pi)
     yaw = robot.first_yaw(model.layout, angle)
-    track = Track(np.array([*_around(centre, circle, angle), yaw]))
+    track = Track(np.array([*circle.at(angle), yaw]))
     touches: list[Touch] = []
     out = track.poses[0][None]
     step, share = 2.0 * np.pi / presses, robot.depth_share(model)
+
+    def draw() -> tuple[float, float]:
+        depth_m = 1e-3 * share * rng.uniform(*PRESS_MM)
+        return depth_m, rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
+
     for _ in range(presses):
         before, angle = angle, angle + step * rng.uniform(0.7, 1.3)
         yaw_to = robot.next_yaw(model.layout, angle, yaw, rng)
-        for _ in range(robot.TRIES):
-            depth = 1e-3 * share * rng.uniform(*PRESS_MM)
-            offset = rng.uniform(-SIDEWAYS, SIDEWAYS) * scene.size
-            line = robot.approach(model, truth, centre, angle, offset, circle, depth, SLOW_FROM_M)
-            line = np.column_stack([line, np.full(3, yaw_to)])
-            if robot.strongest(model, truth, line[2]) > robot.TOUCH:
-                break
-        arc = np.linspace(before, angle, 2 + int(abs(angle - before) / robot.ARC_STEP_RAD))
-        way = np.column_stack([_around(centre, circle, arc), np.linspace(yaw, yaw_to, len(arc))])
+        line = circle.press(angle, yaw_to, draw, SLOW_FROM_M)
+        arc = robot.arc_of(before, angle)
+        way = np.column_stack([circle.at(arc), np.linspace(yaw, yaw_to, len(arc))])
         gone = track.now - touches[-1].begin_s if touches else 0.0
         track.go(np.vstack([out, way, line[:2]]), max(rng.uniform(*APART_S) - gone, 0.5))
         out = line[:1]  # the way out is the way in
         touches.append(track.touch(line[2]))
         yaw = yaw_to
-    track.go(np.vstack([out, [*_around(centre, circle, angle), yaw]]), 0.5)
+    track.go(np.vstack([out, [*circle.at(angle), yaw]]), 0.5)
     track.go(track.poses[-1][None], REST_S)
     touched = np.array([(touch.begin_s, touch.end_s) for touch in touches])
     path = RobotPath(np.array(track.times), np.array(track.poses), touched)
     return TouchPlan(path, tuple(touches))
-
-
-def _around(centre: Floats, circle: float, angle: float | Floats) -> Floats:
-    return np.asarray(centre + circle * np.stack([np.cos(angle), np.sin(angle)], axis=-1))

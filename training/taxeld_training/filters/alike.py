@@ -69,7 +69,6 @@ def lines(told: dict[str, Any]) -> Iterator[str]:
 
 
 def _played(folders: Sequence[Path], layout: Layout, asked: EndTrials, trials: range) -> list[Run]:
-    """Trials of some seeds with each object."""
     models = [bundle.load(str(folder), layout).model for folder in folders]
     known = [Known(model, Table(model)) for model in models]
     found = []

@@ -8,7 +8,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from taxeld.errors import SetupError
 from taxeld.estimator.estimate import Hypotheses, Status
 from taxeld_training.filters import constants, follow
 from taxeld_training.filters.conditions import TrialConditions
@@ -16,7 +15,7 @@ from taxeld_training.filters.constants import Change
 from taxeld_training.filters.methods import SHIPPED, Method, TouchResult
 from taxeld_training.filters.trials import Trial
 from taxeld_training.jobs import blocks
-from taxeld_training.jobs.options import Options
+from taxeld_training.jobs.options import Options, check
 from taxeld_training.jobs.rows import GRID
 from taxeld_training.objects.setting import Setting, ring
 from taxeld_training.samplers import trained
@@ -62,9 +61,7 @@ def chosen(methods: Sequence[Method], names: Sequence[str]) -> list[Method]:
         SetupError: no method has such a proposal.
     """
     known = [*dict.fromkeys(method.proposal for method in methods), "shipped"]
-    for name in names:
-        if name not in known:
-            raise SetupError(f"--groups: no '{name}' here; there are {', '.join(known)}")
+    check("--groups", names, known)
     return [
         method
         for method in methods
@@ -130,7 +127,6 @@ def _read(
     cpu_ms: float,
     idle_ms: float,
 ) -> TouchResult:
-    """A touch as `play` has it."""
     known = None if status is None else Status(status)
     promised = p, radius_m, Hypotheses(*hypotheses)
     return TouchResult(map_mm, known, particles, *promised, cpu_ms, idle_ms)

@@ -21,7 +21,7 @@ from taxeld.model import se2
 from taxeld.model.observation import ObservationModel
 from taxeld.model.symmetry import add_m
 from taxeld.proposals.analytic import Table
-from taxeld_hil import integrity
+from taxeld_hil.integrity import Claims
 from taxeld_hil.objects import HEIGHT_M, meshes, scenes
 from taxeld_training.filters.cells import TOUCHES
 from taxeld_training.filters.follow import OWN_SEEDS
@@ -42,12 +42,12 @@ TURNS = {"first": (0,), "second": (1,), "both": (0, 1)}  # the links that touch,
 
 
 class LinkedTouch(NamedTuple):
-    """The estimate after a touch."""
+    """The estimate after a touch, as `Claims` has it, and what it cost."""
 
-    error_mm: float  # symmetric ADD
     p: float
     radius_mm: float
-    cpu_ms: float  # of all scans of the touch
+    error_mm: float  # symmetric ADD
+    cpu_ms: float  # processor time of the filter for all scans of the touch
 
 
 @dataclass(frozen=True)
@@ -111,10 +111,9 @@ def _played(
         for moment in touch:
             estimator.on_scan(moment.activation, moment.sensor, link)
         cpu_ms = 1e3 * (process_time() - begun)
-        estimate = estimator.estimate
-        error_mm = 1e3 * add_m(model.scene, estimate.map, touch[-1].truth)[1]
-        radius_mm = 1e3 * estimate.radius_m
-        found.append(LinkedTouch(round(error_mm, 4), estimate.p, radius_mm, cpu_ms))
+        now = estimator.estimate
+        error_mm = 1e3 * add_m(model.scene, now.map, touch[-1].truth)[1]
+        found.append(LinkedTouch(now.p, 1e3 * now.radius_m, round(error_mm, 4), cpu_ms))
     return found
 
 
@@ -149,15 +148,16 @@ def _moved(moment: TrialScan, move: Poses, after_s: float) -> TrialScan:
 
 def _figures(trials: list[list[list[float]]]) -> dict[str, Any]:
     """Shares after each touch, and how many touches a trial took until it stayed found."""
-    error_mm, p, radius_mm, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
-    found, sure = integrity.is_found(error_mm), integrity.is_sure(p)
-    stays = np.logical_and.accumulate((found & sure)[:, ::-1], axis=1)
+    *of, cpu_ms = np.moveaxis(np.array(trials), -1, 0)
+    claims = Claims(*of)
+    both = claims.found & claims.sure
+    stays = np.logical_and.accumulate(both[:, ::-1], axis=1)
     taken = TOUCHES + 1 - stays.sum(axis=1)
     return {
         "trials": len(trials),
-        "found": found.mean(axis=0).round(3).tolist(),
-        "found_and_sure": (found & sure).mean(axis=0).round(3).tolist(),
-        "misleading": int(integrity.is_misleading(p, error_mm, radius_mm).sum()),
+        "found": claims.found.mean(axis=0).round(3).tolist(),
+        "found_and_sure": both.mean(axis=0).round(3).tolist(),
+        "misleading": int(claims.misleading.sum()),
         "touches_to_sure": round(float(taken.mean()), 3),
         "touch_cpu_ms": round(float(np.median(cpu_ms[:, 1:])), 2),
     }

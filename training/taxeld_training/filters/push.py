@@ -13,7 +13,7 @@ from taxeld_training.filters.cells import COLUMNS, setting_of
 from taxeld_training.filters.pushing import PushedTrial
 from taxeld_training.jobs import blocks
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.statistics import of_median, of_share, quantiles, rounded
+from taxeld_training.jobs.statistics import of_count, of_median, quantiles, rounded
 from taxeld_training.objects.setting import Setting
 from taxeld_training.samplers import trained
 from taxeld_training.samplers.trained import DENSITY
@@ -80,6 +80,6 @@ def _row(of: Pushed, trials: Trials) -> dict[str, Any]:
         "path_mm": quantiles(values, 2),
         "path_mm_ci": rounded(of_median(values, np.random.default_rng(0)), 2),
         "misleading_rate": float(np.mean(misleading)),
-        "misleading_ci": rounded(of_share(misleading)),
+        "misleading_ci": rounded(of_count(sum(misleading), len(misleading))),
         "seeds": len(trials),
     }

@@ -26,7 +26,7 @@ from taxeld_training.jobs import blocks, identities
 from taxeld_training.jobs.identities import UNKNOWN
 from taxeld_training.jobs.identity_tables import tables
 from taxeld_training.jobs.options import Options, write
-from taxeld_training.jobs.promises import share
+from taxeld_training.jobs.statistics import share
 from taxeld_training.objects.setting import OBJECTS, Setting
 
 SEEDS, QUICK_SEEDS = 100, 2  # about an hour on two cores
@@ -120,7 +120,6 @@ def pair_rows(options: Options) -> list[dict[str, Any]]:
 
 
 def _of_pair(runs: Sequence[Sequence[Both]]) -> list[dict[str, Any]]:
-    """Figures after as many touches of both objects together."""
     told = np.array(runs)  # (N, touches, 4)
     return [
         {"contact": contact, "seeds": len(told)}
@@ -228,5 +227,4 @@ def _cost(runs: Sequence[Sequence[Compared]]) -> dict[str, float]:
 
 
 def _read(known: Sequence[Any], one: Sequence[Any] | None) -> Compared:
-    """A touch as `several.play` has it."""
     return Compared(Recognised(*known), None if one is None else Recognised(*one))

@@ -84,7 +84,8 @@ def counted(
         joblib.delayed(_played)(folder, layout, asked, filters, k) for k in range(asked.workers)
     )
     done: dict[str, list[Told]] = {}
-    played = joblib.Parallel(asked.workers, return_as="generator")(jobs)
+    # as in quality.reference, whose workers are then used again: starting them takes seconds
+    played = joblib.Parallel(asked.workers, return_as="generator", mmap_mode="c")(jobs)
     for finished, part in enumerate(played, 1):
         for name, trials in part.items():
             done.setdefault(name, []).extend(trials)
@@ -125,7 +126,6 @@ def _chosen(
 def _played(
     folder: Path, layout: Layout, asked: EndTrials, filters: dict[str, Method], worker: int
 ) -> dict[str, list[Told]]:
-    """A worker's trials, by each of the filters."""
     made = bundle.load(str(folder), layout)
     found: dict[str, list[Told]] = {name: [] for name in filters}
     for name, method in filters.items():

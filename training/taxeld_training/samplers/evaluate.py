@@ -5,10 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from taxeld.errors import SetupError
 from taxeld_hil.jobs import Job, layout_name
 from taxeld_hil.objects import meshes
-from taxeld_training.jobs.options import Options, run_jobs, with_file, write
+from taxeld_training.jobs.options import Options, check, run_jobs, with_file, write
 from taxeld_training.jobs.rows import sampler_table
 from taxeld_training.objects.setting import OBJECTS, ring
 from taxeld_training.samplers import measured, trained
@@ -52,9 +51,7 @@ def rows(
     Raises:
         SetupError: no such group or object.
     """
-    for group in groups:
-        if group not in GROUPS:
-            raise SetupError(f"--groups: no '{group}'; there are {', '.join(GROUPS)}")
+    check("--groups", groups, GROUPS)
     for mesh in {cell.object for cell in cells}:
         meshes.find(mesh)
     exact = {
