@@ -82,11 +82,6 @@ class Advisor:
         """Begin anew, as the belief has changed; advice that was given stays until there is new."""
         self._work: Generator[None, None, Advice] | None = self._pieces()
 
-    @property
-    def is_busy(self) -> bool:
-        """Whether `step` has something to do."""
-        return self._work is not None
-
     def step(self) -> bool:
         """Do a piece of work; → whether there is new advice."""
         if self._work is None:
