@@ -105,8 +105,9 @@ def test_what_knows_one_object_alone_is_the_filter_of_the_other_experiments() ->
 
 
 def test_recognise_has_rows_of_known_and_unknown_objects_and_goes_on_where_it_was_cut(
-    block: Path, tmp_path: Path
+    block: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(recognise, "SKINS", ("exact",))
     few = ("--seeds", "1")
     assert evaluate("recognise", f"{block},025_mug", tmp_path, *few) == 0
     found = rows(tmp_path, "recognise")
