@@ -111,11 +111,6 @@ def test_what_is_felt_in_the_air_and_what_is_not_felt_is_counted() -> None:
     assert found.missed == found.light == 4
 
 
-def test_a_run_is_determined_by_its_seed() -> None:
-    stiff = TYPICAL.on("stiff")
-    assert touch_experiment.play(stiff, 0) == touch_experiment.play(stiff, 0)
-
-
 def run_of(seed: int, error: float) -> TouchRun:
     return TouchRun(
         "box",
