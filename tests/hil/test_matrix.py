@@ -3,13 +3,12 @@
 import shutil
 from importlib import resources
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from taxeld.layout import read as layouts
 from taxeld_hil import cli
-from taxeld_hil.experiment import matrix, measurement, touches
+from taxeld_hil.experiment import matrix, measurement
 from taxeld_hil.experiment.measurement import RunRow
 from tests.hil.rig import DEMO, SKIN
 from tests.rig.skins import table_of
@@ -110,16 +109,12 @@ def test_what_no_fake_clock_can_do_runs_in_real_time_where_that_is_asked_for() -
         assert [job.arguments[3] for job in todo] == expected
 
 
-@pytest.mark.parametrize(
-    ("name", "file", "table"),
-    [("matrix", "scenarios.json", matrix.lines), ("touches", "touches.json", touches.lines)],
-)
 def test_a_measurement_goes_on_from_what_it_remembers(
-    name: str, file: str, table: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     short = tmp_path / "short.toml"
     short.write_text(SHORT, encoding="utf-8")
-    command = [name, *([str(short)] * (name == "matrix")), "--foam", "stiff", "--object", "box"]
+    command = ["matrix", str(short), "--foam", "stiff", "--object", "box"]
     command += ["--workers", "1", "--memory", str(tmp_path / "memory"), "--out", str(tmp_path)]
     assert cli.main([*command, "--seeds", "1"]) == 0
     assert "box, stiff, seed 0: " in capsys.readouterr().err
@@ -127,6 +122,6 @@ def test_a_measurement_goes_on_from_what_it_remembers(
     second = capsys.readouterr()
     assert "1 of 2 runs are remembered" in second.err
     assert "seed 0" not in second.err
-    runs = measurement.read(tmp_path / file)
+    runs = measurement.read(tmp_path / "scenarios.json")
     assert [run["seed"] for run in runs] == [0, 1]
-    assert second.out.splitlines() == list(table(runs))
+    assert second.out.splitlines() == list(matrix.lines(runs))

@@ -1,7 +1,7 @@
 """Touches at a steady pace: the path, what is counted of a run, and the measurement's memory."""
 
 from dataclasses import asdict, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 import pytest
@@ -100,9 +100,15 @@ def test_a_skin_that_keeps_nothing_is_felt_when_it_is_touched_and_never_in_the_a
     assert found.error_mm[-1] < 5.0
 
 
-def test_what_is_felt_in_the_air_and_what_is_not_felt_is_counted() -> None:
+def test_what_is_felt_in_the_air_and_what_is_not_felt_is_counted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Nothing tells a skin that keeps all of a press from one that is still pressed, nor a light
     touch from noise as large."""
+    few = partial(touch_experiment.planned, presses=6)
+    monkeypatch.setattr(touch_experiment, "planned", few)
+    monkeypatch.setattr(touch_experiment, "PRESSES", 6)
+    monkeypatch.setattr(touch_experiment, "AFTER", ())
     keeps = {**OFF, "residue_slow": (0.95, 0.95), "loading_s": 0.05}
     found = touch_experiment.play(replace(TYPICAL, mesh=Given(keeps)), 0)
     assert found.felt_in_air > 0.7 * found.air  # but for those before the first touch
