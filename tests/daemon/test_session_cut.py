@@ -113,7 +113,7 @@ def recorded(
 
 @given(data=st.data())
 @settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_a_session_that_is_cut_at_any_byte_of_any_file_replays_to_where_it_was_cut(
     recorded: tuple[str, Path, list[str]], caplog: pytest.LogCaptureFixture, data: st.DataObject
@@ -208,9 +208,7 @@ def test_a_serial_file_that_is_too_large_for_memory_is_one_line_of_error(tmp_pat
     [
         ("can", session.FRAMES),
         ("can", session.POSES),
-        ("can", session.ABOUT),
         ("native", session.SERIAL),
-        ("native", session.SERIAL_TIMES),
     ],
 )
 def test_a_pipe_in_place_of_a_file_of_a_session_keeps_nobody_waiting(
@@ -241,9 +239,7 @@ def test_a_session_without_a_version_is_read_as_the_first(tmp_path: Path) -> Non
     ("about", "fault"),
     [
         ("version = 2\n", "is of version 2"),
-        ("version\n", "damaged"),
         ('bytes = "9"\n', "damaged"),
-        (f"bytes = {'9' * 400}\n", "damaged"),
         (f"bytes = {'9' * 5000}\n", "damaged"),
         (f"version = 0x{'f' * 9999}\n", "damaged"),
         ("frames = " + "[" * 100_000 + "\n", "damaged"),

@@ -84,7 +84,7 @@ def test_the_conversations_are_held_on_other_processors(
         assert printed == f"{text.count(chr(10))} lines\n"
 
 
-@pytest.mark.parametrize("level", ["-O0", "-Os", "-O2", "-O3"])
+@pytest.mark.parametrize("level", ["-O0", "-Os", "-O3"])
 @pytest.mark.parametrize("compiler", COMPILERS)
 def test_the_library_needs_nothing_of_libc_but_memcpy_and_memset(
     compiler: str, level: str, tmp_path: Path

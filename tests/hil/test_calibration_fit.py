@@ -32,7 +32,7 @@ def gain_off(fit: FitResult, skin: PressedSkin) -> Floats:
     return np.abs(counts / (skin.full_scale * skin.gain) - 1.0)
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 @given(st.integers(0, 10_000))
 def test_what_was_put_in_comes_out_within_the_stated_uncertainty(seed: int) -> None:
     skin = PressedSkin.drawn(MODEL, seed)

@@ -41,8 +41,7 @@ def test_a_drill_is_felt_on_a_soft_skin_and_everything_is_accounted_for(tmp_path
     assert not [name for name in run["failed"] if name.startswith("accounts")]
 
 
-@pytest.mark.parametrize("foam", ["scene", "typical"])
-@pytest.mark.parametrize("depth_mm", [3.0, 10.0])
+@pytest.mark.parametrize(("foam", "depth_mm"), [("scene", 3.0), ("typical", 10.0)])
 def test_a_run_has_the_layout_and_the_depth_that_its_bundle_was_built_for(
     foam: str, depth_mm: float, tmp_path: Path
 ) -> None:

@@ -367,8 +367,8 @@ def test_poses_go_on_when_the_wall_clock_is_set_back() -> None:
 def test_a_soak_without_faults_injects_none_and_a_frozen_skin_learns_nothing(
     tmp_path: Path,
 ) -> None:
-    asked = soak.Soak(5, "fake", 0.03, faultless=True, learns=False)
+    asked = soak.Soak(5, "fake", 0.01, faultless=True, learns=False)
     path = tmp_path / "soak.json"
     seen = soak.soak_fake(DEMO, soak.resumed(path, DEMO, asked), path, lambda _: None)
-    assert (seen.laps, seen.faults.total()) == (2, 0)
+    assert (seen.laps, seen.faults.total()) == (1, 0)
     assert soak.resumed(path, DEMO, soak.Soak(5, "fake", 1.0)).laps == 0, "with faults: another"

@@ -22,12 +22,12 @@ from taxeld_hil.scenario import scenario
 
 from .rig import MODEL, PLACED
 
-WHICH = scenario.load("which")
+WHICH, RATE_HZ = scenario.load("which"), 40.0
 
 
 @pytest.mark.parametrize("thing", WHICH.bundles)
 def test_each_of_three_objects_is_told_from_the_others(thing: str) -> None:
-    run = FakeRun(replace(WHICH.touching(thing), contacts=12), seed=1)
+    run = FakeRun(replace(WHICH.touching(thing), contacts=12), seed=1, rate_hz=RATE_HZ)
     found = run.graded("which")
     assert found.passed, [check for check in found.checks if check.passed is False]
     assert run.judge.last is not None
@@ -35,7 +35,7 @@ def test_each_of_three_objects_is_told_from_the_others(thing: str) -> None:
 
 
 def test_a_session_replays_to_the_object_that_was_found(tmp_path: Path) -> None:
-    assert FakeRun(WHICH, seed=1).graded("which", tmp_path).passed
+    assert FakeRun(WHICH, seed=1, rate_hz=RATE_HZ).graded("which", tmp_path).passed
     replay = Replay(tmp_path)
     *_, last = replay
     estimate = last.estimate
@@ -48,7 +48,8 @@ def test_the_calibration_is_judged_by_the_published_object_alone(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """By its modes, and anew where another object is published."""
-    run, taken = FakeRun(WHICH.touching("mug"), seed=1), CalibrationCheck.on_scan
+    run = FakeRun(WHICH.touching("mug"), seed=1, rate_hz=RATE_HZ)
+    taken = CalibrationCheck.on_scan
     assert run.daemon is not None
     pipeline, seen = run.daemon.pipeline, list[int]()
 

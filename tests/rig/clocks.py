@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-PATIENCE_S = 60.0  # of a test for a process, on a busy machine
+PATIENCE_S = 180.0  # of a test for a process, on a busy machine
 
 
 class Clock:

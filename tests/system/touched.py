@@ -23,13 +23,13 @@ sys.path.insert(0, str(ROOT))
 from taxeld.layout import read as layouts  # noqa: E402
 from taxeld.stream import client  # noqa: E402
 from taxeld_protocol.modules import wired  # noqa: E402
+from tests.rig.clocks import PATIENCE_S  # noqa: E402
 from tests.rig.processes import door_of, replayed  # noqa: E402
 from tests.rig.virtual_hub import VirtualHub  # noqa: E402
 
 SKIN = "cylinder:rows=5,columns=16,radius_m=0.04,pitch_m=0.015"
 IDLE_SCANS = 30  # the baseline takes 20
 IDLE_COUNTS, NOISE, PRESS = 10_000.0, 30.0, 8000.0
-PATIENCE_S = 60.0
 LAST_S = 10.0  # for the last that the skin has sent to be used
 
 

@@ -147,7 +147,7 @@ def test_trials_choose_the_filter_that_the_daemon_runs_if_there_are_enough_of_th
     built: Path, info: dict[str, Any], trials: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(touches.enough, "LEAST", 2)
-    monkeypatch.setattr(touches, "SIZES", (25, 100))
+    monkeypatch.setattr(touches, "SIZES", (25, 50, 100))
     asked = touches.EndTrials("exact", trials, workers=1)
     told = touches.counted(built, layouts.load(SKIN), asked, lambda *_: None)
     if trials < 2:

@@ -20,7 +20,7 @@ def check_picture(path: Path) -> None:
     assert 5_000 < len(data) < 300_000
 
 
-@pytest.mark.parametrize("name", ["filter", "stability", "whole"])
+@pytest.mark.parametrize("name", ["stability", "whole"])
 def test_the_rows_of_the_results_can_be_drawn_again(name: str, tmp_path: Path) -> None:
     """Also those that an earlier version made, with samplers that are no more."""
     rows = json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))

@@ -261,9 +261,7 @@ def test_an_object_that_stands_is_not_doubted(name: str) -> None:
     assert doubts(loaded(name), PAPER, HEIGHT_M) == []
 
 
-@pytest.mark.parametrize(
-    "name", ["002_master_chef_can", "006_mustard_bottle", "024_bowl", "025_mug"]
-)
+@pytest.mark.parametrize("name", ["002_master_chef_can", "025_mug"])
 @pytest.mark.parametrize("turn", TURNS)
 def test_an_object_on_its_side_is_one_line_that_names_the_turn(name: str, turn: str) -> None:
     """The turn that is named leaves an object that stands."""

@@ -103,7 +103,7 @@ def test_the_exact_posterior_is_that_of_the_daemons_likelihood(
     back[:, 2] = -2.0 * np.pi * np.arange(len(SKIN.turns)) / len(SKIN.turns)
     poses = np.concatenate([se2.compose(turn, bank.pose) for turn in back])
     told = []
-    for seen in read(ring_model, NOISE, 5, rng):
+    for seen in read(ring_model, NOISE, 3, rng):
         log_w = np.concatenate(
             [
                 NOISE.log_density(
@@ -203,7 +203,7 @@ def test_no_reading_is_left_out_where_the_bank_alone_leaves_out_most(
     half_model: ObservationModel,
 ) -> None:
     rng = np.random.default_rng(2)
-    to = quality.reference(half_model, NOISE, 12, rng, bank=5_000)
+    to = quality.reference(half_model, NOISE, 6, rng, bank=5_000)
     assert to.left_out == 0
     assert min(to.ess) >= quality.LIMIT_ESS
     bank = ExactPosterior(simulate(half_model, 5_000, rng), half_model.layout, NOISE)

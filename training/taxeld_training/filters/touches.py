@@ -80,9 +80,8 @@ def counted(
     made = bundle.load(str(folder), layout)
     sampler = next(name for name in made.order if name not in ANALYTIC)
     filters = tried(sampler, asked)
-    jobs = (
-        joblib.delayed(_played)(folder, layout, asked, filters, k) for k in range(asked.workers)
-    )
+    work = joblib.delayed(_played)
+    jobs = (work(folder, layout, asked, filters, k) for k in range(asked.workers))
     done: dict[str, list[Told]] = {}
     # as in quality.reference, whose workers are then used again: starting them takes seconds
     played = joblib.Parallel(asked.workers, return_as="generator", mmap_mode="c")(jobs)
