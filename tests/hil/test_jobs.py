@@ -104,14 +104,6 @@ def test_each_job_is_told_of_with_its_result_and_what_is_remembered_is_counted(
     assert [line.split(": ")[1] for line in rest] == ["job-1", "job-2"]
 
 
-def test_a_worker_prepares_for_each_job(tmp_path: Path) -> None:
-    def prepare() -> None:
-        (tmp_path / "ready").touch()
-
-    done = [Job("job", os.path.exists, (str(tmp_path / "ready"),))]
-    assert jobs.run(done, tmp_path / "memory", workers=1, prepare=prepare) == {"job": True}
-
-
 def test_the_name_of_a_result_fits_a_file_however_long_the_name_of_the_job(tmp_path: Path) -> None:
     job = Job(f"{'/a' * 200}, seed 0", json.loads, ("[1]",))
     assert jobs.run([job], tmp_path) == {job.name: [1]}
